@@ -84,7 +84,7 @@ lock: $(INSTALLED)
 	   echo "# pip install -c requirements.lock ."; cat requirements.lock.part; } > requirements.lock
 	@rm requirements.lock.part
 
-# Prints what is over its bound, to be put into FOUND of tests/hard_cases/test_properties.py.
+# Prints what is over its bound, to be put into COUNTEREXAMPLES of tests/hard_cases/test_properties.py.
 hunt: setup
 	$(VENV)/bin/python -m tests.hard_cases.hunt $(ARGS)
 

@@ -35,7 +35,7 @@ def find_level(name: str) -> Path:
     if path.is_file() or ((path.is_dir() or name.startswith("/vsi")) and is_level_raster(path)):
         return path
     if path.is_dir():
-        suggestions = sorted(each.name for each in path.iterdir() if each.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES))
+        suggestions = sorted(entry.name for entry in path.iterdir() if entry.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES))
         raise InputError(
             "LEVEL",
             Problem(f"{name} is a folder"),

@@ -52,10 +52,10 @@ class ColorScale:
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the ticks as JSON objects with value, label and colour (``#rrggbb``)."""
-        shown = self.colored(np.array([[value for value, _ in self.ticks]]))[0]
+        colors = self.colored(np.array([[value for value, _ in self.ticks]]))[0]
         return [
             {"value": value, "label": label, "color": "#" + bytes(color[:3]).hex()}
-            for (value, label), color in zip(self.ticks, shown, strict=True)
+            for (value, label), color in zip(self.ticks, colors, strict=True)
         ]
 
     def legend(self, format: LegendFormat) -> bytes:

@@ -29,12 +29,12 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, windows_of
-from skugga.terrain.level.level import spelt
+from skugga.terrain.level.level import override_text
 from skugga.terrain.scene import Scene
 
 ViewT = TypeVar("ViewT", bound=MapView | PerspectiveView)
 
-BLOCKS_BYTES = 24 * MIB
+BLOCK_CACHE_BYTES = 24 * MIB
 """Size of the cache of recently computed blocks, for products that need no picture."""
 
 OnBlock = Callable[[int, int], None]
@@ -80,7 +80,7 @@ def compute(
     Parameters
     ----------
     scene
-        The scene with the request's sun and look (``PictureRequest.seen``).
+        The scene with the request's sun and look (``PictureRequest.applied_to``).
     view
         The view to compute.
     request
@@ -104,7 +104,7 @@ def compute(
     SkuggaError
         Errors of ``draw`` and of the product.
     """
-    product = request.record
+    product = request.product_record
     check_view(product, view)
     padded = _padded(view, product.reach_px)
     if plan is not None:
@@ -118,8 +118,8 @@ def compute(
     out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
     blocks = blocks_of(nodes)  # the blocks of tiles, so that maps and tiles have identical pixels
     for done, (block, row, col) in enumerate(blocks, start=1):
-        inside, of_block = windows_of(nodes, block, row, col)
-        out[inside] = _cached_block(scene, block, product.name, request.options)[of_block]
+        window, block_window = windows_of(nodes, block, row, col)
+        out[window] = _cached_block(scene, block, product.name, request.options)[block_window]
         if on_block is not None:
             on_block(done, len(blocks))
     return ComputedProduct(out)
@@ -151,7 +151,7 @@ def draw_picture(
     if light is None and product.pass_layer is None:
         return draw(scene, view, plan, needed_parts, on_block)
     layers = frozenset() if product.pass_layer is None else frozenset({product.pass_layer})
-    return picture_of(render_frame(scene, view, plan, on_block, layers).under(light), needed_parts)
+    return picture_of(render_frame(scene, view, plan, on_block, layers).with_light_first(light), needed_parts)
 
 
 def product_of_frame(scene: Scene, frame: Frame, name: str) -> np.ndarray:
@@ -165,7 +165,7 @@ def check_view(product: Product, view: MapView | PerspectiveView) -> None:
     """Raise ``InputError`` if a product is not defined for a view's kind."""
     kind = "map" if isinstance(view, MapView) else "perspective"
     if kind not in product.view_kinds:
-        allowed = [name for name, each in PRODUCTS.items() if kind in each.view_kinds]
+        allowed = [name for name, candidate in PRODUCTS.items() if kind in candidate.view_kinds]
         raise InputError("layer", product.name, f"the layers of a {kind} view: {', '.join(allowed)}")
 
 
@@ -184,7 +184,7 @@ def _picture_block(scene: Scene, block: MapView, product: Product, options: Any,
     return _cropped(product.compute(Part(scene, padded, options, picture)), product.reach_px)
 
 
-@cached("scene", BLOCKS_BYTES)
+@cached("scene", BLOCK_CACHE_BYTES)
 def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOptions) -> np.ndarray:
     """Compute a block, with a cache: many small maps, as of clients that tile themselves, lie in one block."""
     return _compute_block(scene, block, PRODUCTS[product], options)
@@ -238,14 +238,14 @@ def raster_parts(
     Only one block is in memory at a time. Parts of one block follow each other, so work that is independent of the sun is done
     once. ``overrides`` replace settings of the level's ``shadows``. Raises ``SkuggaError`` immediately if a request is wrong.
     """
-    product, view = requests[0].record, raster.view
+    product, view = requests[0].product_record, raster.view
     check_view(product, view)
     for request in requests:
         if product.when == "sun" and scene.sun is None and request.sun is None:
             raise InputError.missing("time", "The level has no sun. Give a time, or an azimuth and an altitude")
-    scenes = [request.seen(scene) for request in requests]
+    scenes = [request.applied_to(scene) for request in requests]
     blocks, plans = _blocks(scene, view, product), _plans(scenes, view, product, overrides or {})
-    total = sum(product.steps(request.options) for request in requests) * len(blocks)
+    total = sum(product.step_count(request.options) for request in requests) * len(blocks)
 
     def parts() -> Iterator[RasterPart]:
         done = 0
@@ -257,13 +257,13 @@ def raster_parts(
                 on_step(done, total)
 
         for block, row, col in blocks:
-            inside, of_block = windows_of(view, block, row, col)
-            for number, (request, lit, plan) in enumerate(zip(requests, scenes, plans, strict=True)):
+            window, block_window = windows_of(view, block, row, col)
+            for number, (request, lit_scene, plan) in enumerate(zip(requests, scenes, plans, strict=True)):
                 if plan is None:
-                    array = _compute_block(lit, block, product, request.options, step)
+                    array = _compute_block(lit_scene, block, product, request.options, step)
                 else:
-                    array = _picture_block(lit, block, product, request.options, plan)
-                yield RasterPart(number, *raster.placed(inside[0].start, inside[1].start, array[of_block]))
+                    array = _picture_block(lit_scene, block, product, request.options, plan)
+                yield RasterPart(number, *raster.in_raster_order_at(window[0].start, window[1].start, array[block_window]))
                 if product.when != "days":
                     step()
             trim_bare_ground_cache(1)
@@ -277,7 +277,7 @@ def _plans(scenes: Sequence[Scene], view: MapView, product: Product, overrides: 
         return [None] * len(scenes)
     blocks = blocks_of(view)
     middle, device = blocks[len(blocks) // 2][0], calibration_for(scenes[0].loaded.level.shadows, overrides)
-    return [plan_of_view(lit, middle, "map", overrides, device=device) for lit in scenes]
+    return [plan_of_view(lit_scene, middle, "map", overrides, device=device) for lit_scene in scenes]
 
 
 def write_rasters(
@@ -294,8 +294,8 @@ def write_rasters(
     ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the errors
     of ``raster_parts``, and ``OSError``.
     """
-    parts, product = raster_parts(scene, raster, requests, overrides, on_step), requests[0].record
-    metadata = [raster_metadata(request.seen(scene), request, overrides or {}) for request in requests]
+    parts, product = raster_parts(scene, raster, requests, overrides, on_step), requests[0].product_record
+    metadata = [raster_metadata(request.applied_to(scene), request, overrides or {}) for request in requests]
     with ExitStack() as stack:
         files: list[RasterFile] = [
             stack.enter_context(
@@ -322,7 +322,7 @@ def write_rasters(
 def raster_array(scene: Scene, raster: RasterView, request: ProductRequest, overrides: dict[str, Any] | None = None) -> np.ndarray:
     """Return a raster as one array (rows, cols) or (rows, cols, bands). Raises the errors of ``raster_parts``."""
     parts = raster_parts(scene, raster, [request], overrides)
-    out = request.record.empty_array(*raster.shape, scene.height_range_m[0])
+    out = request.product_record.empty_array(*raster.shape, scene.height_range_m[0])
     for part in parts:
         rows, cols = part.array.shape[:2]
         out[part.row : part.row + rows, part.col : part.col + cols] = part.array
@@ -334,8 +334,8 @@ def raster_metadata(scene: Scene, request: ProductRequest, overrides: dict[str, 
 
     The sun's angles are those at the centre of the level.
     """
-    product, sun = request.record, scene.sun
-    about, unit = product.about_of(request.options)
+    product, sun = request.product_record, scene.sun
+    description, unit = product.description_and_unit(request.options)
     tags = {"layer": product.name, "level": scene.loaded.name, **product.tags(request.options, scene)}
     if product.when == "sun":
         if sun is not None:
@@ -345,5 +345,5 @@ def raster_metadata(scene: Scene, request: ProductRequest, overrides: dict[str, 
             }  # fmt: skip
         requested = {name: value for name, value in overrides.items() if value is not None}
         algorithm = requested.pop("algorithm", scene.loaded.level.shadows.algorithm)
-        tags |= {"algorithm": spelt(algorithm), **{f"shadows_{name}": str(value) for name, value in requested.items()}}
-    return RasterMetadata(f"{product.name}: {about}", product.band_names(request.options), unit, tags)
+        tags |= {"algorithm": override_text(algorithm), **{f"shadows_{name}": str(value) for name, value in requested.items()}}
+    return RasterMetadata(f"{product.name}: {description}", product.band_names(request.options), unit, tags)

@@ -62,12 +62,12 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
     for value, lines in parts.items():
         if not lines:
             continue
-        joined = shapely.line_merge(shapely.multilinestrings([shapely.linestrings(line) for line in lines]))
-        single = shapely.get_parts(joined)
+        merged_lines = shapely.line_merge(shapely.multilinestrings([shapely.linestrings(line) for line in lines]))
+        single_lines = shapely.get_parts(merged_lines)
         geometries.append(
-            shapely.transform(single, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1))
+            shapely.transform(single_lines, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1))
         )
-        labels.append(np.full(len(single), value))
+        labels.append(np.full(len(single_lines), value))
     all_lines = np.concatenate(geometries) if geometries else np.empty(0, object)
     with atomic_path(output) as path:
         try:
@@ -75,11 +75,11 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
                 path, geometry=shapely.to_wkb(all_lines), field_data=[np.concatenate(labels) if labels else np.empty(0)],
                 fields=np.array(["value"], object), geometry_type="LineString", crs=crs.to_wkt(), driver="GPKG", layer="contours",
             )  # fmt: skip
-            written = len(pyogrio.raw.read(path)[2])
+            written_count = len(pyogrio.raw.read(path)[2])
         except (DataSourceError, DataLayerError, GeometryError, FeatureError) as error:
             raise write_error(path, "the contours", error) from error
-        if written != len(all_lines):
-            raise write_error(path, "the contours", ValueError(f"only {written} of {len(all_lines)} lines were written"))
+        if written_count != len(all_lines):
+            raise write_error(path, "the contours", ValueError(f"only {written_count} of {len(all_lines)} lines were written"))
     return len(all_lines)
 
 

@@ -111,7 +111,7 @@ class UnhealthyError(SkuggaError):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ErrorReport:
     """How an error is reported to users.
 
     Attributes
@@ -139,65 +139,65 @@ class Outcome:
     in_http: bool = True
 
 
-OUTCOMES: dict[type[SkuggaError], Outcome] = {
-    SkuggaError: Outcome(500, FAILED, "error", "The work failed. The service's log has the cause."),
-    InputError: Outcome(422, WRONG_INPUT, "invalid_parameter"),
-    LevelError: Outcome(500, WRONG_INPUT, "level", "The level file is wrong. The service's log has the details."),
-    SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read. The service's log has the cause."),
-    ArrayError: Outcome(422, WRONG_INPUT, "array", in_http=False),
-    ArchiveError: Outcome(500, WRONG_INPUT, "archive", "The tile archive cannot be read. The service's log has the cause."),
-    UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
-    TooLargeError: Outcome(413, WRONG_INPUT, "too_large"),
-    TooCostlyError: Outcome(422, WRONG_INPUT, "too_costly"),
-    NotFoundError: Outcome(404, WRONG_INPUT, "not_found"),
-    NotServedError: Outcome(404, WRONG_INPUT, "not_found"),
-    BusyError: Outcome(503, FAILED, "busy", retry_after_s=2),
-    RetryLaterError: Outcome(503, FAILED, "busy", retry_after_s=2),
-    ExhaustedError: Outcome(
+ERROR_REPORTS: dict[type[SkuggaError], ErrorReport] = {
+    SkuggaError: ErrorReport(500, FAILED, "error", "The work failed. The service's log has the cause."),
+    InputError: ErrorReport(422, WRONG_INPUT, "invalid_parameter"),
+    LevelError: ErrorReport(500, WRONG_INPUT, "level", "The level file is wrong. The service's log has the details."),
+    SourceError: ErrorReport(500, WRONG_INPUT, "source", "The level's raster cannot be read. The service's log has the cause."),
+    ArrayError: ErrorReport(422, WRONG_INPUT, "array", in_http=False),
+    ArchiveError: ErrorReport(500, WRONG_INPUT, "archive", "The tile archive cannot be read. The service's log has the cause."),
+    UnsupportedError: ErrorReport(422, WRONG_INPUT, "unsupported"),
+    TooLargeError: ErrorReport(413, WRONG_INPUT, "too_large"),
+    TooCostlyError: ErrorReport(422, WRONG_INPUT, "too_costly"),
+    NotFoundError: ErrorReport(404, WRONG_INPUT, "not_found"),
+    NotServedError: ErrorReport(404, WRONG_INPUT, "not_found"),
+    BusyError: ErrorReport(503, FAILED, "busy", retry_after_s=2),
+    RetryLaterError: ErrorReport(503, FAILED, "busy", retry_after_s=2),
+    ExhaustedError: ErrorReport(
         503,
         FAILED,
         "exhausted",
         "The service's machine has run out of threads, file descriptors or memory. The service's log has the details.",
         retry_after_s=5,
     ),
-    CircuitOpenError: Outcome(503, FAILED, "set_aside", retry_after_s=30),
-    NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
-    RateLimitError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
-    UnfinishedError: Outcome(409, WRONG_INPUT, "unfinished", retry_after_s=2),
-    LevelChangedError: Outcome(503, FAILED, "level_changed", retry_after_s=1),
-    StorageError: Outcome(507, FAILED, "storage", "No space is left for the film. The service's log has the cause."),
-    UnhealthyError: Outcome(503, FAILED, "unhealthy", "A part of the service has ended. Its log names it.", retry_after_s=30),
-    RenderError: Outcome(500, FAILED, "render", "The picture could not be drawn. The service's log has the cause."),
-    WorkerCrashError: Outcome(
+    CircuitOpenError: ErrorReport(503, FAILED, "set_aside", retry_after_s=30),
+    NotReadyError: ErrorReport(503, FAILED, "not_ready", retry_after_s=2),
+    RateLimitError: ErrorReport(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
+    UnfinishedError: ErrorReport(409, WRONG_INPUT, "unfinished", retry_after_s=2),
+    LevelChangedError: ErrorReport(503, FAILED, "level_changed", retry_after_s=1),
+    StorageError: ErrorReport(507, FAILED, "storage", "No space is left for the film. The service's log has the cause."),
+    UnhealthyError: ErrorReport(503, FAILED, "unhealthy", "A part of the service has ended. Its log names it.", retry_after_s=30),
+    RenderError: ErrorReport(500, FAILED, "render", "The picture could not be drawn. The service's log has the cause."),
+    WorkerCrashError: ErrorReport(
         503, FAILED, "worker_crash", "Two render processes ended while they drew this picture. They are being replaced.", 2
     ),
-    WorkerStartError: Outcome(
+    WorkerStartError: ErrorReport(
         503, FAILED, "worker_start", "A render process ended while it started. It is being restarted.", retry_after_s=5
     ),
-    BrokenShardError: Outcome(500, FAILED, "broken_shard", "Stored tiles are damaged. The log names them.", in_http=False),
-    GraphicsError: Outcome(
+    BrokenShardError: ErrorReport(500, FAILED, "broken_shard", "Stored tiles are damaged. The log names them.", in_http=False),
+    GraphicsError: ErrorReport(
         503,
         FAILED,
         "graphics",
         "The service cannot draw: OpenGL does not work. Its log has the cause.",
         retry_after_s=30,
     ),
-    NoOpenGLError: Outcome(
+    NoOpenGLError: ErrorReport(
         503,
         FAILED,
         "no_opengl",
         "This picture needs OpenGL, which the service does not have. Bare ground under the sun does not need it.",
     ),
-    RenderTimeoutError: Outcome(504, FAILED, "render_timeout"),
+    RenderTimeoutError: ErrorReport(504, FAILED, "render_timeout"),
 }
 """Outcome by the exact class of an error. A test checks that all classes are listed."""
 
 
-def outcome_of(error: SkuggaError) -> Outcome:
+def error_report_of(error: SkuggaError) -> ErrorReport:
     """Return how an error is reported to users."""
-    return OUTCOMES[type(error)]
+    return ERROR_REPORTS[type(error)]
 
 
 def exit_status(error: SkuggaError) -> int:
     """Return the command line's exit status: 1 if the work failed, 2 if the input is wrong."""
-    return outcome_of(error).exit_status
+    return error_report_of(error).exit_status

@@ -23,7 +23,7 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
     They are the level file, the files that it names, the files that those refer to, and possible side-car files of all of them.
     """
     files = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
-    return tuple(dict.fromkeys([*files, *(beside for path in files for beside in sidecar_files(path))]))
+    return tuple(dict.fromkeys([*files, *(sidecar for path in files for sidecar in sidecar_files(path))]))
 
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:

@@ -194,8 +194,8 @@ def _later_frames(path: Path, frames: int) -> list[Path]:
     """Return files in a sequence's folder whose names continue it beyond its last frame."""
     prefix, suffix = _NUMBER.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
     pattern = re.compile(re.escape(prefix) + "([0-9]+)" + re.escape(suffix))
-    found = ((pattern.fullmatch(each.name), each) for each in path.parent.glob("*"))
-    return sorted(each for match, each in found if match and int(match[1]) > frames and each.name == path.name % int(match[1]))
+    matches = ((pattern.fullmatch(file.name), file) for file in path.parent.glob("*"))
+    return sorted(file for match, file in matches if match and int(match[1]) > frames and file.name == path.name % int(match[1]))
 
 
 def _av() -> Any:

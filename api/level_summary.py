@@ -50,10 +50,10 @@ def remarks(source: Path | LevelSource) -> list[str]:
 
     scene = build_scene(load_level(source))
     objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
-    _read_all(scene)
-    for name, seen in _views_to_plan(scene):
+    _check_files(scene)
+    for name, view_scene in _views_to_plan(scene):
         try:
-            plan_of_view(seen, seen.view(name), name, policy="rules")
+            plan_of_view(view_scene, view_scene.view(name), name, policy="rules")
         except UnsupportedError as error:
             raise UnsupportedError(f"{scene.loaded.path}: {error.name}", f"{error.value} in view {name}", error.allowed) from None
     elevation, notes = scene.elevation, []
@@ -99,7 +99,7 @@ def _views_to_plan(scene: Scene) -> Iterator[tuple[str, Scene]]:
                     yield name, scene.with_sun(SunSpec(azimuth=azimuth, altitude=(max(low, 0.0) + high) / 2))
 
 
-def _read_all(scene: Scene) -> None:
+def _check_files(scene: Scene) -> None:
     """Place a level's views and read the files that it names. Raises one ``InputError`` that lists all that is wrong."""
     from skugga.terrain.gbuffer.view_geometry import ground_imagery
 

@@ -63,19 +63,23 @@ def probe_blocks(
     """
     centers = probe_centers(scene, pixel_m)
     probed = [
-        probed_plan(scene, map_block(scene, pixel_m, at), overrides=overrides, device=device, budget_s=budget_s / len(centers))
-        for at in centers
+        probed_plan(scene, map_block(scene, pixel_m, center), overrides=overrides, device=device, budget_s=budget_s / len(centers))
+        for center in centers
     ]
-    lights = dict.fromkeys(light for each in probed for light in each.seen)
+    lights = dict.fromkeys(light for view_probe in probed for light in view_probe.observations)
     return ProbedView(
-        probed[0].plan, {light: tuple(seen for each in probed for seen in each.seen.get(light, ())) for light in lights}
+        probed[0].plan,
+        {
+            light: tuple(observation for view_probe in probed for observation in view_probe.observations.get(light, ()))
+            for light in lights
+        },
     )
 
 
 def probe_centers(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
     """Return the centres of probed blocks for ``map_block``: only one if a block shows much of the level."""
-    whole = _level_map(scene)
-    longest_px = max(whole.rows, whole.cols) * map_pixel_m(scene.world, whole) / pixel_m
+    level_map = _level_map(scene)
+    longest_px = max(level_map.rows, level_map.cols) * map_pixel_m(scene.world, level_map) / pixel_m
     return PROBE_CENTERS if longest_px > MIN_BLOCKS_FOR_SEVERAL_PROBES * BLOCK_PX else PROBE_CENTERS[:1]
 
 
@@ -98,7 +102,7 @@ def probe_maps(
     for scale in probed_scales(scene):
         probed = probe_blocks(scene, 2.0**scale, device, overrides, budget_s)
         on_scale(scale, probed)
-        classes.append(ProbedClass(scale=scale, sun=sun_class.sun, seen=probed.seen))
+        classes.append(ProbedClass(scale=scale, sun=sun_class.sun, seen=probed.observations))
     return MapProbes(classes=tuple(classes))
 
 
@@ -114,7 +118,7 @@ def map_block(scene: Scene, pixel_m: float, center: tuple[float, float] = (0.5, 
     ``center`` is its centre, as fractions of the level's sides from the west and from the south.
     """
     west, south, east, north = scene.default_bounds(scene.map_crs)
-    whole = _level_map(scene)
-    half = BLOCK_PX / 2 * pixel_m / map_pixel_m(scene.world, whole) * (east - west) / whole.cols
+    level_map = _level_map(scene)
+    half = BLOCK_PX / 2 * pixel_m / map_pixel_m(scene.world, level_map) * (east - west) / level_map.cols
     x, y = west + center[0] * (east - west), south + center[1] * (north - south)
     return map_view(scene.world, scene.map_crs, (x - half, y - half, x + half, y + half), BLOCK_PX, BLOCK_PX)

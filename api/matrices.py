@@ -15,7 +15,7 @@ from skugga.terrain.geo.grid import TILE_PX, MapView, crs_of_tiles, step_at_anch
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
 from skugga.terrain.scene import Scene
 
-LEVEL_TILES = 0.5
+FIRST_ZOOM_TILES = 0.5
 """Approximate length of a level's longest side at the first zoom, tiles."""
 
 OVERZOOMS = 3
@@ -76,8 +76,8 @@ def detail_m(scene: Scene) -> float:
 def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBounds, cell_m: float) -> ZoomRange | None:
     """Return the zooms at which a level is served; ``None`` if it lies outside the tile matrix set's area.
 
-    At the first zoom the level's longest side is closest to ``LEVEL_TILES``, so that one or two tiles show it. The last zoom is
-    ``OVERZOOMS`` beyond the one whose ground pixel size at the anchor is closest to ``cell_m`` (``detail_m``).
+    At the first zoom the level's longest side is closest to ``FIRST_ZOOM_TILES``, so that one or two tiles show it. The last zoom
+    is ``OVERZOOMS`` beyond the one whose ground pixel size at the anchor is closest to ``cell_m`` (``detail_m``).
     """
     if not _intersects_area(matrix_set, bounds_lon_lat):
         return None
@@ -86,7 +86,7 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
     if not (np.isfinite(pixel_m) & (pixel_m > 0)).all():
         return None
     side_tiles = _longest_side_m(bounds_lon_lat) / (TILE_PX * pixel_m)
-    first = int(np.abs(np.log2(side_tiles / LEVEL_TILES)).argmin())
+    first = int(np.abs(np.log2(side_tiles / FIRST_ZOOM_TILES)).argmin())
     last = min(int(np.abs(np.log2(pixel_m / cell_m)).argmin()) + OVERZOOMS, len(zooms) - 1)
     return ZoomRange(int(zooms[min(first, last)]), int(zooms[last]))
 
@@ -139,12 +139,12 @@ def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds
     )  # fmt: skip
 
 
-def off_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
+def shows_no_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
     """Return whether a tile certainly shows no data."""
-    return extent_off_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
+    return extent_shows_no_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
 
 
-def extent_off_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
+def extent_shows_no_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
     """Return whether an extent (west, south, east, north in a CRS) certainly shows no data.
 
     The comparison uses longitudes and latitudes, with a margin for curved edges. Returns ``False`` if the extent cannot be

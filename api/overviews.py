@@ -25,7 +25,7 @@ from skugga.terrain.errors import InputError, SourceError
 from skugga.terrain.ground.elevation import plausible_m
 from skugga.terrain.ground.georeference import checked_crs
 from skugga.terrain.ground.open_raster import GTIFF_VERTICAL
-from skugga.terrain.ground.overview import lacks_overviews, overview_level
+from skugga.terrain.ground.overview import lacks_overviews, overview_lod
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.parts import Positive, Units
 from skugga.terrain.level.rasters import open_raster
@@ -103,7 +103,7 @@ def make_overviews(
                     _write(first_overview, _first_overview(dataset, window, limits, nodata, overview_nodata), window, partial_path)
                     if on_part is not None:
                         on_part(done, total)
-                factors = [2**n for n in range(1, overview_level(*dataset.shape))]
+                factors = [2**n for n in range(1, overview_lod(*dataset.shape))]
                 if factors:
                     _build_coarser(first_overview, factors, partial_path)
             check_raster(partial_path)
@@ -116,16 +116,16 @@ def make_overviews(
     return target
 
 
-def _write(half: DatasetWriter, values: np.ndarray, window: Window, path: Path) -> None:
+def _write(half_raster: DatasetWriter, values: np.ndarray, window: Window, path: Path) -> None:
     try:
-        half.write(values, 1, window=window)
+        half_raster.write(values, 1, window=window)
     except RasterioError as error:
         raise write_error(path, "the overviews", error) from error
 
 
-def _build_coarser(half: DatasetWriter, factors: list[int], path: Path) -> None:
+def _build_coarser(half_raster: DatasetWriter, factors: list[int], path: Path) -> None:
     try:
-        half.build_overviews(factors, Resampling.average)
+        half_raster.build_overviews(factors, Resampling.average)
     except Exception as error:  # GDAL's own errors, for which rasterio has no public base class
         raise write_error(path, "the overviews", error) from error
 
@@ -203,7 +203,7 @@ def _first_overview(
 
 
 @compiled
-def _means(values, low, high, nodata, other, empty):
+def _means(values, low, high, nodata, other_nodata, empty):
     """Return means of the valid cells among 2 x 2, fewer at the border; ``empty`` if none is valid."""
     rows, cols = values.shape
     out = np.empty(((rows + 1) // 2, (cols + 1) // 2))
@@ -213,7 +213,7 @@ def _means(values, low, high, nodata, other, empty):
             for y in range(2 * i, min(2 * i + 2, rows)):
                 for x in range(2 * j, min(2 * j + 2, cols)):
                     value = np.float64(values[y, x])
-                    if value >= low and value <= high and value != nodata and value != other:
+                    if value >= low and value <= high and value != nodata and value != other_nodata:
                         total += value
                         count += 1
             out[i, j] = total / count if count > 0 else empty

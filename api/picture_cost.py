@@ -20,9 +20,9 @@ def time_limit_ms() -> float:
 def soft_lamps(plan: Plan) -> dict[str, int]:
     """Return the lamps that a plan renders as spheres, with the number of sample points of each."""
     return {
-        light: max(getattr(each, "light_points", 1) for each in kinds.values())
+        light: max(getattr(settings, "light_points", 1) for settings in kinds.values())
         for light, kinds in plan.settings.items()
-        if light != SUN and any(getattr(each, "filter", None) == "sun" for each in kinds.values())
+        if light != SUN and any(getattr(settings, "filter", None) == "sun" for settings in kinds.values())
     }
 
 

@@ -24,7 +24,7 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
 """Colour type by the number of channels: gray, gray with alpha, RGB, RGBA."""
 
-UP = 2
+UP_FILTER = 2
 """Filter type: the difference from the row above."""
 
 
@@ -35,7 +35,7 @@ def encode_png(array: np.ndarray) -> bytes:
     bits = 8 * array.itemsize
     values = array.reshape(rows, -1).astype(array.dtype.newbyteorder(">"), copy=False).view(np.uint8)
     filtered = np.empty((rows, values.shape[1] + 1), np.uint8)
-    filtered[:, 0] = UP
+    filtered[:, 0] = UP_FILTER
     filtered[0, 1:] = values[0]
     np.subtract(values[1:], values[:-1], out=filtered[1:, 1:])
     header = struct.pack(">IIBBBBB", cols, rows, bits, COLOR_TYPES[channels], 0, 0, 0)

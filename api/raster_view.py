@@ -77,7 +77,7 @@ class RasterView:
         shape = self.view.rows, self.view.cols
         return shape[::-1] if self.order.transposed else shape
 
-    def placed(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
+    def in_raster_order_at(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
         """Return an array of the view in the raster's order, after its first row and column in the raster.
 
         ``row`` and ``col`` are the first cell of ``array`` (rows, cols, ...) in the view.
@@ -93,7 +93,7 @@ class RasterView:
 
     def part(self, row: int, col: int, rows: int, cols: int) -> RasterView:
         """Return a part by its first row and column in the view, which may be negative, and its size."""
-        first_row, first_col, _ = self.placed(row, col, np.empty((rows, cols), np.bool_))
+        first_row, first_col, _ = self.in_raster_order_at(row, col, np.empty((rows, cols), np.bool_))
         transform = self.transform @ Affine.translation(first_col, first_row)
         return RasterView(self.view.part(row, col, rows, cols), self.order, self.crs, transform)
 
@@ -147,9 +147,9 @@ def raster_view(
     target = map_view.grid.crs if isinstance(map_view, MapView) else scene.map_crs
     is_default = crs is None and bounds is None
     if resolution is None and (is_default or target == scene.elevation.crs):
-        own = _level_raster_view(scene)
-        if own is not None:
-            return own if bounds is None else _crop(own, bounds)
+        level_raster = _level_raster_view(scene)
+        if level_raster is not None:
+            return level_raster if bounds is None else _crop(level_raster, bounds)
     west, south, east, north = bounds or scene.default_bounds(target)
     if resolution is None:
         cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
@@ -193,25 +193,27 @@ def _view_like(scene: Scene, cells: RasterCells) -> RasterView:
     west, south, east, north = view.view.bounds
     right, up = (east - west) / view.view.cols / 2.0, (north - south) / view.view.rows / 2.0
     if not scene.overlaps(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
-        own = scene.default_bounds(cells.crs)
-        raise InputError("like", cells.name, f"a raster that overlaps the level; {_extents(view.view.bounds, own, cells.crs)}")
+        level_bounds = scene.default_bounds(cells.crs)
+        raise InputError(
+            "like", cells.name, f"a raster that overlaps the level; {_extents(view.view.bounds, level_bounds, cells.crs)}"
+        )
     return view
 
 
 def extent_warning(scene: Scene, raster: RasterView) -> str | None:
     """Return a warning about a raster that extends beyond the level by more than a cell, else ``None``."""
     try:
-        own = scene.default_bounds(raster.crs)
+        level_bounds = scene.default_bounds(raster.crs)
     except InputError:  # the level has no extent in that CRS
         return None
     west, south, east, north = raster.view.bounds
     if raster.crs.is_geographic:  # shifts the raster by whole turns to the level
-        turns = 360.0 * round((own[0] + own[2] - west - east) / 720.0)
-        west, east = west + turns, east + turns
+        shift_deg = 360.0 * round((level_bounds[0] + level_bounds[2] - west - east) / 720.0)
+        west, east = west + shift_deg, east + shift_deg
     cell = max(abs(value) for value in (raster.transform.a, raster.transform.b, raster.transform.d, raster.transform.e))
-    if min(west - own[0], south - own[1], own[2] - east, own[3] - north) >= -cell:
+    if min(west - level_bounds[0], south - level_bounds[1], level_bounds[2] - east, level_bounds[3] - north) >= -cell:
         return None
-    return f"the raster extends beyond the level and is empty there; {_extents(raster.view.bounds, own, raster.crs)}"
+    return f"the raster extends beyond the level and is empty there; {_extents(raster.view.bounds, level_bounds, raster.crs)}"
 
 
 def _extents(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
@@ -247,11 +249,11 @@ def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, r
     return MapView(grid, 0.0, 0.0, 1.0, 1.0, rows, cols)
 
 
-def _crop(own: RasterView, bounds: Bounds) -> RasterView:
+def _crop(raster: RasterView, bounds: Bounds) -> RasterView:
     """Return the part of a raster whose cells intersect bounds in its CRS."""
     west, south, east, north = bounds
-    view = own.view
+    view = raster.view
     rows = ((view.grid.row(y) - view.row0) / view.row_step + 0.5 for y in (north, south))
     cols = ((view.grid.col(x) - view.col0) / view.col_step + 0.5 for x in (west, east))
     (top, bottom), (left, end) = ((int(np.floor(low + 1e-9)), int(np.ceil(high - 1e-9))) for low, high in (rows, cols))
-    return own.part(top, left, bottom - top, end - left)
+    return raster.part(top, left, bottom - top, end - left)

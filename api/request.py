@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from skugga.terrain.scene import Scene
 
 
-class _Value(BaseModel):
+class _RequestModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class RequestedSettings(_Value):
+class RequestedSettings(_RequestModel):
     """Shadow settings of a request: keys of a level's ``shadows`` and their values, in the order of the model's fields.
 
     ``algorithm`` is spelt as in the query. Keys that are not requested are absent and keep the level's values. All other parts of a
@@ -31,31 +31,31 @@ class RequestedSettings(_Value):
     asked: tuple[tuple[str, Any], ...] = ()
 
     @classmethod
-    def of(cls, asked: Mapping[str, Any]) -> RequestedSettings:
+    def of(cls, settings: Mapping[str, Any]) -> RequestedSettings:
         """Return the settings of keys and values, without values that are ``None``. Raises ``InputError``."""
-        ordered = {**dict.fromkeys(Shadows.model_fields), **asked}
+        ordered = {**dict.fromkeys(Shadows.model_fields), **settings}
         return cls(asked=tuple((key, value) for key, value in ordered.items() if value is not None))
 
     @field_validator("asked")
     @classmethod
-    def _allowed(cls, asked: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
-        override(Shadows(), _parsed(asked))
-        return asked
+    def _allowed(cls, settings: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
+        override(Shadows(), _parsed(settings))
+        return settings
 
     def for_selector(self) -> dict[str, Any]:
         """Return the settings in the form that the policies of ``skugga.selector.select`` take."""
         return _parsed(self.asked)
 
 
-def _parsed(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in asked}
+def _parsed(settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in settings}
 
 
-class PictureRequest(_Value):
+class PictureRequest(_RequestModel):
     """The part of a request that is independent of the view: the sun, the look and the shadows.
 
     ``None`` takes the level's own value. Jobs carry the whole model, and entity tags and plan caches include all of it. A new field
-    only needs a line in ``seen``.
+    only needs a line in ``applied_to``.
     """
 
     sun: SunSpec | None = None
@@ -63,12 +63,12 @@ class PictureRequest(_Value):
     slope_exaggeration: SlopeExaggeration | None = None
     overrides: RequestedSettings = RequestedSettings()
 
-    def query(self, **more: str) -> str:
+    def query(self, **parameters: str) -> str:
         """Return the request as a query string after further parameters; empty if nothing is requested."""
-        own = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})
-        return urlencode({**more, **own.pop("sun", {}), **own, **dict(self.overrides.asked)})
+        fields = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})
+        return urlencode({**parameters, **fields.pop("sun", {}), **fields, **dict(self.overrides.asked)})
 
-    def seen(self, scene: Scene) -> Scene:
+    def applied_to(self, scene: Scene) -> Scene:
         """Return a level's scene with the requested sun and look."""
         return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration)
 
@@ -88,18 +88,18 @@ class ProductRequest(PictureRequest):
     def _normalised(cls, values: Any) -> Any:
         if not isinstance(values, Mapping):
             return values
-        product, found = product_named(values.get("product", "color")), dict(values)
+        product, fields = product_named(values.get("product", "color")), dict(values)
         if product.when != "sun":
-            found |= {"sun": None, "overrides": RequestedSettings()}
+            fields |= {"sun": None, "overrides": RequestedSettings()}
         if not product.is_display:
-            found |= {"style": None, "slope_exaggeration": None}
-        options = found.get("options", {})
+            fields |= {"style": None, "slope_exaggeration": None}
+        options = fields.get("options", {})
         if type(options) is not product.options:
-            found["options"] = product.options_of(dict(options))
-        return found
+            fields["options"] = product.options_of(dict(options))
+        return fields
 
     @property
-    def record(self) -> Product:
+    def product_record(self) -> Product:
         """The product."""
         return PRODUCTS[self.product]
 
@@ -108,7 +108,7 @@ class ProductRequest(PictureRequest):
         """The fields of ``PictureRequest``."""
         return PictureRequest(**{name: getattr(self, name) for name in PictureRequest.model_fields})
 
-    def under(self, sun: SunSpec | None) -> ProductRequest:
+    def with_sun(self, sun: SunSpec | None) -> ProductRequest:
         """Return the request under another sun."""
         return ProductRequest(**{**dict(self), "sun": sun})
 
@@ -116,7 +116,7 @@ class ProductRequest(PictureRequest):
         """Return the request without the product's name as a query string."""
         return "&".join(part for part in (self.options.query(), self.picture.query()) if part)
 
-    def query(self, **more: str) -> str:
+    def query(self, **parameters: str) -> str:
         """Return the request as a query string; empty if it is for the level's own colours."""
         product = {} if self.product == "color" else {"layer": self.product}
-        return "&".join(part for part in (urlencode({**more, **product}), self.product_query()) if part)
+        return "&".join(part for part in (urlencode({**parameters, **product}), self.product_query()) if part)

@@ -24,15 +24,15 @@ EXHAUSTION_ERRNOS = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, er
 
 def exhausted_error(error: BaseException) -> ExhaustedError | None:
     """Return an ``ExhaustedError`` if an error, or one of its causes, reports exhausted resources; else ``None``."""
-    for each in _error_chain(error):
-        if isinstance(each, ExhaustedError):
-            return each
-        if isinstance(each, RuntimeError) and NO_THREAD_MESSAGE in str(each):
+    for cause in _error_chain(error):
+        if isinstance(cause, ExhaustedError):
+            return cause
+        if isinstance(cause, RuntimeError) and NO_THREAD_MESSAGE in str(cause):
             return ExhaustedError("no thread can be started")
-        if isinstance(each, MemoryError):
+        if isinstance(cause, MemoryError):
             return ExhaustedError("no memory is left")
-        if isinstance(each, OSError) and each.errno in EXHAUSTION_ERRNOS:
-            return ExhaustedError(each.strerror or str(each))
+        if isinstance(cause, OSError) and cause.errno in EXHAUSTION_ERRNOS:
+            return ExhaustedError(cause.strerror or str(cause))
     return None
 
 
@@ -56,9 +56,9 @@ class _CancellableCall:
 
 
 def _error_chain(error: BaseException) -> Iterator[BaseException]:
-    seen: set[int] = set()
+    seen_ids: set[int] = set()
     current: BaseException | None = error
-    while current is not None and id(current) not in seen:
-        seen.add(id(current))
+    while current is not None and id(current) not in seen_ids:
+        seen_ids.add(id(current))
         yield current
         current = current.__cause__ or current.__context__

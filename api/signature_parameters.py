@@ -22,18 +22,18 @@ def with_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = N
         for name, annotation in parameters
     ]
 
-    def decorated(function: FunctionT) -> FunctionT:
+    def decorate(function: FunctionT) -> FunctionT:
         signature = inspect.signature(function, eval_str=True)
-        own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
-        index = len(own) if after is None else [each.name for each in own].index(after) + 1
-        vars(function)["__signature__"] = signature.replace(parameters=[*own[:index], *added, *own[index:]])
+        declared = [parameter for parameter in signature.parameters.values() if parameter.kind is not inspect.Parameter.VAR_KEYWORD]
+        index = len(declared) if after is None else [parameter.name for parameter in declared].index(after) + 1
+        vars(function)["__signature__"] = signature.replace(parameters=[*declared[:index], *added, *declared[index:]])
         return function
 
-    return decorated
+    return decorate
 
 
 def with_shadow_settings(
     front_end: FrontEnd, annotation: Callable[[Setting], Any], after: str | None = None
 ) -> Callable[[FunctionT], FunctionT]:
     """Return a decorator that replaces ``**asked`` in a function's signature by a front end's shadow settings."""
-    return with_parameters([(each.name, annotation(each)) for each in settings_of(Shadows, front_end)], after)
+    return with_parameters([(setting.name, annotation(setting)) for setting in settings_of(Shadows, front_end)], after)

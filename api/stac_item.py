@@ -97,8 +97,8 @@ def _moment(path: Path, name: str, text: Any) -> SunSpec:
 
 def _finest_cells(path: Path, item: Mapping[str, Any]) -> RasterCells | None:
     """Return the grid with the smallest cells of an item and its assets, the first of equal ones."""
-    found = list(_all_cells(path, item))
-    return min(found, key=lambda cells: abs(cells.transform.determinant), default=None)
+    grids = list(_all_cells(path, item))
+    return min(grids, key=lambda cells: abs(cells.transform.determinant), default=None)
 
 
 def _all_cells(path: Path, item: Mapping[str, Any]) -> Iterator[RasterCells]:

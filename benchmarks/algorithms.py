@@ -69,7 +69,7 @@ RIDGES_M, RIDGES_CELL_M = 24_000, 20
 EYE_M = (-9692.0, -11_000.0)
 """A summit in the south-west of generated mountains; the view looks at their middle."""
 
-HOUSES_AT_M = (60, 90, 130, 190, 280, 400, 600, 900, 1300, 2000, 3000)
+HOUSE_DISTANCES_M = (60, 90, 130, 190, 280, 400, 600, 900, 1300, 2000, 3000)
 """Distances from the eye of groups of five houses, for shadow edges near and far."""
 
 SUNS = [(100.0, 10.0), (300.0, 15.0), (60.0, 12.0)]
@@ -77,7 +77,7 @@ SUNS = [(100.0, 10.0), (300.0, 15.0), (60.0, 12.0)]
 
 SCENES = [f"thesis_{name}{sun}" for name in ("boxgrid", "rocks", "street", "room", "water_tower") for sun in ("", "_sun")]
 
-RIVALS: dict[str, dict[str, Any]] = {
+COMPARED_VARIANTS: dict[str, dict[str, Any]] = {
     "shadow_map": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
     "shadow_map tight": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1, "fit": "tight"},
     "perspective_shadow_map": {"algorithm": "perspective_shadow_map", "map_size": 1024},
@@ -91,8 +91,8 @@ COUNTING_VARIANTS: dict[str, dict[str, Any]] = {
     "shadow_volume": {"algorithm": "shadow_volume"},
     "two passes": {"algorithm": "shadow_volume", "stencil": "two_pass"},
     "all z-fail": {"algorithm": "shadow_volume", "counting": "z_fail"},
-    "hybrid": RIVALS["hybrid"],
-    "hybrid original": RIVALS["hybrid original"],
+    "hybrid": COMPARED_VARIANTS["hybrid"],
+    "hybrid original": COMPARED_VARIANTS["hybrid original"],
 }
 """Ways of counting volumes: both sides at a time with z-pass where it is valid, and the alternatives."""
 
@@ -112,7 +112,7 @@ TARGETS = [
 ]
 """Scene, view, the algorithm that should be fast, its reference, and the target ratio of their times."""
 
-MAX_MARKED = 0.25
+MAX_MARKED_SHARE = 0.25
 """The largest share of the box grids' pixels that the hybrid may leave to its volumes with the eye in the shadow."""
 
 Row = dict[str, Any]
@@ -141,27 +141,27 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
     def under(number: int) -> Scene:
         return scene.with_sun(SunSpec(azimuth=azimuth + SUN_STEP_DEG * number, altitude=altitude))
 
-    without = plan_under(scene, "none", map_sizes[0])
-    still = {size: plan_under(scene, "shadow_map", size) for size in map_sizes}
+    unshadowed_plan = plan_under(scene, "none", map_sizes[0])
+    cached_plans = {size: plan_under(scene, "shadow_map", size) for size in map_sizes}
 
-    def turn(number: int) -> Iterator[tuple[tuple[str, int], Scene, Plan]]:
-        yield ("none", 0), scene, without
+    def frames_of_turn(number: int) -> Iterator[tuple[tuple[str, int], Scene, Plan]]:
+        yield ("none", 0), scene, unshadowed_plan
         for place, size in enumerate(map_sizes, start=1):
-            moved = under(number * len(map_sizes) + place)
-            yield ("redrawn", size), moved, plan_under(moved, "shadow_map", size)
-            yield ("kept", size), scene, still[size]
+            moved_scene = under(number * len(map_sizes) + place)
+            yield ("redrawn", size), moved_scene, plan_under(moved_scene, "shadow_map", size)
+            yield ("kept", size), scene, cached_plans[size]
 
     times: dict[tuple[str, int], list[float]] = {}
-    drawn: dict[tuple[str, int], Frame] = {}
+    frame_by_key: dict[tuple[str, int], Frame] = {}
     for number in range(repeats + 2):
-        for key, lit, plan in turn(number):
+        for key, lit, plan in frames_of_turn(number):
             start = time.perf_counter()
-            drawn[key] = render_frame(lit, view, plan)
+            frame_by_key[key] = render_frame(lit, view, plan)
             if number >= 2:  # the first turns compile, allocate, and draw the map that is cached
                 times.setdefault(key, []).append(time.perf_counter() - start)
     rows = {}
     for key, milliseconds in times.items():
-        passes = drawn[key].passes
+        passes = frame_by_key[key].passes
         rows[key] = {
             "row": key[0],
             "ratio": float(np.median(milliseconds) / np.median(times["none", 0])),
@@ -178,11 +178,11 @@ def ridges(folder: Path) -> Scene:
     """Return mountains of 24 x 24 km, seen from a summit over houses and more than 20 km of ground."""
     trimesh.creation.box(extents=(12.0, 9.0, 8.0)).export(folder / "house.obj")
     rng, eye = np.random.default_rng(1), np.array(EYE_M)
-    ahead = -eye / np.linalg.norm(eye)
-    aside = np.array([-ahead[1], ahead[0]])
-    distance_m = np.repeat(HOUSES_AT_M, 5)
-    along, across = rng.uniform(1.0, 1.2, len(distance_m)), rng.uniform(-0.4, 0.4, len(distance_m))
-    houses = eye + (distance_m * along)[:, None] * ahead + (distance_m * across)[:, None] * aside
+    forward = -eye / np.linalg.norm(eye)
+    sideways = np.array([-forward[1], forward[0]])
+    distance_m = np.repeat(HOUSE_DISTANCES_M, 5)
+    forward_factor, sideways_factor = rng.uniform(1.0, 1.2, len(distance_m)), rng.uniform(-0.4, 0.4, len(distance_m))
+    houses = eye + (distance_m * forward_factor)[:, None] * forward + (distance_m * sideways_factor)[:, None] * sideways
     level = {
         "version": 1,
         "terrain": {"generate": {"kind": "ridges", "size": [RIDGES_M, RIDGES_M], "cell": RIDGES_CELL_M, "relief": 1500, "seed": 3}},
@@ -216,7 +216,7 @@ def cascades() -> list[Row]:
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class BenchmarkView:
     """A view with its receivers and casters, in bands: pixels and sub-pixel samples as in a frame."""
 
     scene: Scene
@@ -228,44 +228,45 @@ class Shot:
         """Return the visibility of the one light by the plan's algorithms, band by band."""
         return [self._of_band(picture, casters, plan, log) for picture, casters in self.bands]
 
-    def dark(self, visibility: list[np.ndarray]) -> np.ndarray:
+    def shadow_mask(self, visibility: list[np.ndarray]) -> np.ndarray:
         """Return which pixels are in shadow (rows, cols), attached shadow included; False off the surface."""
         rows = [
-            picture.own.valid & ((each[: picture.rows] < 0.5) | attached(picture.own, self.scene, *self.scene.light_names))
-            for each, (picture, _) in zip(visibility, self.bands, strict=True)
+            picture.pixel_buffer.valid
+            & ((band_visibility[: picture.rows] < 0.5) | attached(picture.pixel_buffer, self.scene, *self.scene.light_names))
+            for band_visibility, (picture, _) in zip(visibility, self.bands, strict=True)
         ]
         return np.concatenate(rows)
 
     @property
     def valid(self) -> np.ndarray:
         """The mask of pixels with a surface (rows, cols)."""
-        return np.concatenate([picture.own.valid for picture, _ in self.bands])
+        return np.concatenate([picture.pixel_buffer.valid for picture, _ in self.bands])
 
     def _of_band(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
         (light,) = self.scene.light_names
         return fill_steps(plan.steps_under(light), picture.buffer, self.scene, casters, plan.runs, log)
 
 
-def shot(level: str, name: str, size: tuple[int, int]) -> Shot:
+def benchmark_view(level: str, name: str, size: tuple[int, int]) -> BenchmarkView:
     """Return a perspective view of a bundled level, which has one light."""
     scene = build_scene(load_level(find_level(level)))
     view = scene.view("main" if name == IN_SHADOW else name, size=size)
     assert isinstance(view, PerspectiveView)
     if name == IN_SHADOW:
         view = replace(view, eye_earth_m=view.eye_earth_m + AHEAD_M * view.earth_from_camera[:, 2])
-    return Shot(scene, view, name, picture_blocks(scene, view))
+    return BenchmarkView(scene, view, name, picture_blocks(scene, view))
 
 
-def thesis(given: argparse.Namespace) -> list[Row]:
+def thesis(args: argparse.Namespace) -> list[Row]:
     """Measure all algorithms in the main views of the thesis's scenes."""
-    return [row for level in given.scenes or SCENES for row in _in_turns(level, "main", RIVALS, given)]
+    return [row for level in args.scenes or SCENES for row in _interleaved_rows(level, "main", COMPARED_VARIANTS, args)]
 
 
-def stencil(given: argparse.Namespace) -> list[Row]:
+def stencil(args: argparse.Namespace) -> list[Row]:
     """Measure the ways of counting volumes."""
-    levels = given.scenes or [level for level in SCENES if _scene(level) in STENCIL_VIEWS]
+    levels = args.scenes or [level for level in SCENES if _scene(level) in STENCIL_VIEWS]
     shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene(level), ("main",))]
-    return [row for level, name in shots for row in _in_turns(level, name, COUNTING_VARIANTS, given)]
+    return [row for level, name in shots for row in _interleaved_rows(level, name, COUNTING_VARIANTS, args)]
 
 
 def _scene(level: str) -> str:
@@ -273,7 +274,7 @@ def _scene(level: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class InterleavedTimes:
     """Times of runs that took turns.
 
     They hold the milliseconds of each repeat by run and by ``redrawn`` and ``kept``, in total and by pass; the passes of the last
@@ -283,41 +284,45 @@ class Turns:
     times_ms: dict[tuple[str, str], list[float]]
     passes_ms: dict[tuple[str, str], list[dict[str, float]]]
     logs: dict[str, PassLog]
-    darks: dict[str, np.ndarray]
+    shadow_masks: dict[str, np.ndarray]
 
 
-def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], float] = time.perf_counter) -> Turns:
+def run_interleaved(
+    runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int, clock: Callable[[], float] = time.perf_counter
+) -> InterleavedTimes:
     """Let views with plans take turns, forwards and backwards alternately."""
-    found = Turns({}, {}, {}, {})
+    result = InterleavedTimes({}, {}, {}, {})
     for number in range(repeats + 2):
         for key in [*runs][:: 1 if number % 2 else -1]:
             view_shot, plan = runs[key]
             clear_caches("light")
-            for how in ("redrawn", "kept"):
+            for mode in ("redrawn", "kept"):
                 log, start = PassLog(), clock()
                 visibility = view_shot.visibility(plan, log)
                 if number >= 2:  # the first turns compile and allocate
-                    found.times_ms.setdefault((key, how), []).append(1000.0 * (clock() - start))
+                    result.times_ms.setdefault((key, mode), []).append(1000.0 * (clock() - start))
                     passes_ms = {record.name.split(": ")[1]: record.ms for record in log.records.values()}
-                    found.passes_ms.setdefault((key, how), []).append(passes_ms)
-                if how == "redrawn":
-                    found.logs[key], found.darks[key] = log, view_shot.dark(visibility)
-    return found
+                    result.passes_ms.setdefault((key, mode), []).append(passes_ms)
+                if mode == "redrawn":
+                    result.logs[key], result.shadow_masks[key] = log, view_shot.shadow_mask(visibility)
+    return result
 
 
-def plans_of(its: Shot, asked: dict[str, dict[str, Any]]) -> dict[str, Plan]:
+def plans_of(view_under_test: BenchmarkView, overrides_by_key: dict[str, dict[str, Any]]) -> dict[str, Plan]:
     """Return the plans of the named overrides."""
-    descriptor = describe(its.scene, its.view, "main")
-    return {key: make_plan(descriptor, its.scene.loaded.level, overrides) for key, overrides in asked.items()}
+    descriptor = describe(view_under_test.scene, view_under_test.view, "main")
+    return {
+        key: make_plan(descriptor, view_under_test.scene.loaded.level, overrides) for key, overrides in overrides_by_key.items()
+    }
 
 
-def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: argparse.Namespace) -> list[Row]:
+def _interleaved_rows(level: str, name: str, overrides_by_key: dict[str, dict[str, Any]], args: argparse.Namespace) -> list[Row]:
     """Return a row for each plan; ratios are to the first."""
-    view_shot = shot(level, name, given.size)
-    plans = plans_of(view_shot, asked)
+    view_shot = benchmark_view(level, name, args.size)
+    plans = plans_of(view_shot, overrides_by_key)
     runs = {key: (view_shot, plan) for key, plan in plans.items()}
-    found = turns(runs, given.repeats, time.process_time if given.cpu else time.perf_counter)
-    times, logs, darks = found.times_ms, found.logs, found.darks
+    measured_times = run_interleaved(runs, args.repeats, time.process_time if args.cpu else time.perf_counter)
+    times, logs, shadow_masks = measured_times.times_ms, measured_times.logs, measured_times.shadow_masks
     first = [*plans][0]
     medians = {key: float(np.median(milliseconds)) for key, milliseconds in times.items()}
     valid, rows = view_shot.valid, []
@@ -325,35 +330,40 @@ def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: ar
     for key in plans:
         records = logs[key].records.values()
         row: Row = {"scene": level.removeprefix("thesis_"), "view": name, "row": key}
-        for how in ("redrawn", "kept"):
-            row |= {how: medians[key, how] / medians[first, how], f"{how}_ms": medians[key, how]}
-            row |= {f"{how}_p95_ms": float(np.quantile(times[key, how], 0.95))}
+        for mode in ("redrawn", "kept"):
+            row |= {mode: medians[key, mode] / medians[first, mode], f"{mode}_ms": medians[key, mode]}
+            row |= {f"{mode}_p95_ms": float(np.quantile(times[key, mode], 0.95))}
         row |= {"MiB": max(record.bytes for record in records) / 2**20}
-        row |= {each: sum(getattr(record, each) for record in records) for each in ("edges", "triangles", "draws", "map_texels")}
+        row |= {
+            counter: sum(getattr(record, counter) for record in records)
+            for counter in ("edges", "triangles", "draws", "map_texels")
+        }
         row |= {"marked": sum(record.marked for record in records) / valid.sum()}
         row |= {"tiles": sum(record.tiles for record in records) / tiles}
-        row |= {"differs": float((darks[key] != darks["shadow_volume"]).sum() / valid.sum())}
+        row |= {"differs": float((shadow_masks[key] != shadow_masks["shadow_volume"]).sum() / valid.sum())}
         rows.append({**row, "passes_ms": {record.name: round(record.ms, 1) for record in records}})
         print(level, name, key, f"{row['redrawn']:.2f}", f"{row['kept']:.2f}", flush=True)
     return rows
 
 
 def targets(rows: Sequence[Row]) -> list[Row]:
-    """Evaluate the targets as far as rows hold them. ``redrawn`` decides; ``kept`` is shown beside it."""
+    """Evaluate the targets as far as rows hold them. ``redrawn`` decides; ``kept_ratio`` is shown beside it."""
     row_by_key = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
-    found = []
-    for scene, view, one, other, word, most in TARGETS:
+    result = []
+    for scene, view, variant, other, word, limit in TARGETS:
         for under in (scene, f"{scene}_sun"):
-            a, b = row_by_key.get((under, view, one)), row_by_key.get((under, view, other))
+            a, b = row_by_key.get((under, view, variant)), row_by_key.get((under, view, other))
             if a is not None and b is not None:
-                measured, kept = (a[how] / b[how] for how in ("redrawn", "kept"))
-                met = measured < most if word == "under" else measured <= most
-                found.append(_target(under, view, f"{one} / {other}: {word} {most}", measured, kept, met))
+                measured, kept_ratio = (a[mode] / b[mode] for mode in ("redrawn", "kept"))
+                met = measured < limit if word == "under" else measured <= limit
+                result.append(_target(under, view, f"{variant} / {other}: {word} {limit}", measured, kept_ratio, met))
     for (scene, view, key), row in row_by_key.items():
         if key == "hybrid" and view in (IN_SHADOW, "close"):
             share = row["marked"]
-            found.append(_target(scene, view, f"marked pixels: at most {MAX_MARKED}", share, share, share <= MAX_MARKED))
-    return found
+            result.append(
+                _target(scene, view, f"marked pixels: at most {MAX_MARKED_SHARE}", share, share, share <= MAX_MARKED_SHARE)
+            )
+    return result
 
 
 def ratios(rows: Sequence[Row]) -> list[Row]:
@@ -366,8 +376,8 @@ def ratios(rows: Sequence[Row]) -> list[Row]:
     return list(lines.values())
 
 
-def _target(scene: str, view: str, target: str, measured: float, kept: float, met: bool) -> Row:
-    return {"scene": scene, "view": view, "target": target, "measured": measured, "kept": kept, "met": "yes" if met else "NO"}
+def _target(scene: str, view: str, target: str, measured: float, kept_ratio: float, met: bool) -> Row:
+    return {"scene": scene, "view": view, "target": target, "measured": measured, "kept": kept_ratio, "met": "yes" if met else "NO"}
 
 
 MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
@@ -409,8 +419,8 @@ def main() -> None:
     target_rows = targets(rows)
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     clock = "CPU time of all threads" if args.cpu else "wall clock"
-    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; {clock}, {args.repeats} repeats"
-    text = "\n".join([f"{where}\n", *(table(table_rows) for table_rows in (rows, ratios(rows), target_rows) if table_rows)])
+    machine = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; {clock}, {args.repeats} repeats"
+    text = "\n".join([f"{machine}\n", *(table(table_rows) for table_rows in (rows, ratios(rows), target_rows) if table_rows)])
     print(text, end="")
     if args.markdown:
         args.markdown.write_text(text, encoding="utf-8")

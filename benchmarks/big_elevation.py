@@ -52,12 +52,12 @@ from skugga.terrain.scene import Scene, build_scene
 MERCATOR_SET = "WebMercatorQuad"
 BLOCK_COUNTS = 1, 4, 16, 64
 SUN = SunSpec(azimuth=113.0, altitude=30.0)
-APART = {"together": 1, "apart": 4}
+BLOCK_SPACINGS = {"together": 1, "apart": 4}
 """Distances between blocks: blocks far apart share no ground, so that each pays for all of the ground beside it."""
 
 FAR_KM = 60.0
 KIB_A_MIB = 1024
-SQUARES_KM = 30.0, 120.0, 240.0
+SQUARE_SIDES_KM = 30.0, 120.0, 240.0
 """Sides of the shaded squares."""
 
 
@@ -67,7 +67,7 @@ def status_mib(name: str) -> float:
     return int(next(line for line in lines if line.startswith(f"{name}:")).split()[1]) / KIB_A_MIB
 
 
-def forget_peak() -> None:
+def reset_peak_memory() -> None:
     """Reset the peak ``VmHWM``."""
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
@@ -82,8 +82,8 @@ def zooms_of(scene: Scene) -> dict[str, int]:
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     served = zoom_range(matrix_sets.get(MERCATOR_SET), scene.world, scene.bounds_lon_lat, cell_m)
     assert served is not None
-    own = served.last - 3
-    return {"lowest": served.first, "middle": (served.first + own) // 2, "own": own, "last": served.last}
+    own_zoom = served.last - 3
+    return {"lowest": served.first, "middle": (served.first + own_zoom) // 2, "own": own_zoom, "last": served.last}
 
 
 def block_job(scene: Scene, raster: Path, zoom: int, down: int = 0, right: int = 0) -> BlockJob:
@@ -94,7 +94,7 @@ def block_job(scene: Scene, raster: Path, zoom: int, down: int = 0, right: int =
     return BlockJob(level=key_of(raster), matrix_set=MERCATOR_SET, zoom=zoom, block_x=col, block_y=row, tiles=4, request=request)
 
 
-def opened(raster: Path) -> dict[str, float]:
+def measure_opening(raster: Path) -> dict[str, float]:
     """Measure time and memory of a level and its scene."""
     before_mib, start = status_mib("VmRSS"), time.perf_counter()
     loaded = load_level(raster)
@@ -107,7 +107,7 @@ def opened(raster: Path) -> dict[str, float]:
     }  # fmt: skip
 
 
-def worked(raster: Path, zoom: str) -> dict[str, float | str]:
+def measure_first_block(raster: Path, zoom: str) -> dict[str, float | str]:
     """Measure a render process's memory before and over its first block of a zoom, and the block's time."""
     state = WorkerState(warm_up())
     idle_mib = status_mib("VmRSS")
@@ -115,19 +115,19 @@ def worked(raster: Path, zoom: str) -> dict[str, float | str]:
     job = block_job(scene, raster, number := zooms_of(scene)[zoom])
     scene.close()
     clear_caches()
-    forget_peak()
+    reset_peak_memory()
     start = time.perf_counter()
     run_job(job, state)
     first_s = time.perf_counter() - start
     return {"zoom": f"{number} ({zoom})", "idle_mib": idle_mib, "peak_mib": status_mib("VmHWM"), "first_s": first_s}
 
 
-def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, apart: int = 1) -> float:
+def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, spacing: int = 1) -> float:
     """Return CPU seconds a block, for ``count`` blocks round the middle over new ground; data of the whole level is cached."""
     scene = state.scenes.get(key_of(raster))
     side = int(np.sqrt(count))
     first = -(side // 2)
-    jobs = [block_job(scene, raster, zoom, (first + n // side) * apart, (first + n % side) * apart) for n in range(count)]
+    jobs = [block_job(scene, raster, zoom, (first + n // side) * spacing, (first + n % side) * spacing) for n in range(count)]
     clear_caches("light", "scene")
     state.blocks.clear()
     run_job(block_job(scene, raster, zoom, 18, 18), state)
@@ -137,28 +137,28 @@ def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, apart:
     return (time.process_time() - start) / count
 
 
-def counted(raster: Path, apart: int, repeats: int) -> dict[str, list[float]]:
+def cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, list[float]]:
     """Return CPU seconds a block for different numbers of blocks."""
     state = WorkerState(warm_up())
     zoom = zooms_of(state.scenes.get(key_of(raster)))["own"]
     timed_blocks(raster, state, zoom, 4)
-    return {str(count): [timed_blocks(raster, state, zoom, count, apart) for _ in range(repeats)] for count in BLOCK_COUNTS}
+    return {str(count): [timed_blocks(raster, state, zoom, count, spacing) for _ in range(repeats)] for count in BLOCK_COUNTS}
 
 
-def sized(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
+def cpu_by_raster_size(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
     """Return CPU seconds of the middle block of rasters of all sizes, in turns."""
     state = WorkerState(warm_up())
     zoom = zooms_of(state.scenes.get(key_of(rasters[0])))["own"]
-    found: dict[str, list[float]] = {}
+    result: dict[str, list[float]] = {}
     for repeat in range(repeats + 1):
         for raster in rasters:
-            taken = timed_blocks(raster, state, zoom, 1)
+            cpu_s = timed_blocks(raster, state, zoom, 1)
             if repeat:
-                found.setdefault(raster.name, []).append(taken)
-    return found
+                result.setdefault(raster.name, []).append(cpu_s)
+    return result
 
 
-def shaded(raster: Path, side_km: float) -> dict[str, float]:
+def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
     """Run ``skugga shade`` for a square round the middle of a raster; measure CPU a block, total time and peak memory."""
     start = time.perf_counter()
     scene = build_scene(load_level(raster)).with_sun(SUN)
@@ -197,17 +197,17 @@ def far_shadow(raster: Path) -> dict[str, str]:
         path = Path(folder) / "far.yaml"
         path.write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
         scene = build_scene(load_level(path))
-    found = {}
+    result = {}
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*scene.elevation.bounds, densify_pts=21)
     served = zoom_range(matrix_sets.get(MERCATOR_SET), scene.world, bounds, cell_m)
     assert served is not None
     for zoom in range(served.first, served.last + 1):
         grid = tile_grid(matrix_sets.get(MERCATOR_SET), zoom)
-        found[f"zoom {zoom}"] = _shadow_end(scene, grid, far)
-    own = raster_view(scene, (x, y - 1.0, x + 1.0, y)).view
-    found["shade"] = _shadow_end(scene, own.grid, far)
-    return found
+        result[f"zoom {zoom}"] = _shadow_end(scene, grid, far)
+    shade_view = raster_view(scene, (x, y - 1.0, x + 1.0, y)).view
+    result["shade"] = _shadow_end(scene, shade_view.grid, far)
+    return result
 
 
 def _shadow_end(scene: Scene, grid: Grid, far: dict[float, tuple[float, float]]) -> str:
@@ -229,43 +229,43 @@ def _shadow_end(scene: Scene, grid: Grid, far: dict[float, tuple[float, float]])
 Case = Callable[[list[Path], str, int], Any]
 
 CASES: dict[str, Case] = {
-    "open": lambda rasters, of, _: opened(rasters[int(of)]),
-    "worker": lambda rasters, of, _: worked(rasters[int(of.split(":")[0])], of.split(":")[1]),
-    "flat": lambda rasters, of, repeats: counted(rasters[int(of[0])], APART[of[2:]], repeats),
-    "sizes": lambda rasters, _, repeats: sized(rasters, repeats),
-    "shade": lambda rasters, of, _: shaded(rasters[-1], float(of)),
+    "open": lambda rasters, of, _: measure_opening(rasters[int(of)]),
+    "worker": lambda rasters, of, _: measure_first_block(rasters[int(of.split(":")[0])], of.split(":")[1]),
+    "flat": lambda rasters, of, repeats: cpu_by_block_count(rasters[int(of[0])], BLOCK_SPACINGS[of[2:]], repeats),
+    "sizes": lambda rasters, _, repeats: cpu_by_raster_size(rasters, repeats),
+    "shade": lambda rasters, of, _: measure_shade(rasters[-1], float(of)),
     "far": lambda rasters, _, __: far_shadow(rasters[-1]),
 }
 """Measurements of a process by name, with their rasters and repeats."""
 
-WHICH: dict[str, tuple[str, ...]] = {
+CASE_ARGUMENTS: dict[str, tuple[str, ...]] = {
     "open": ("2", "3"),
     "worker": tuple(f"{index}:{zoom}" for index in (2, 3) for zoom in ("lowest", "middle", "own", "last")),
-    "flat": tuple(f"{index}:{how}" for index in (2, 3) for how in APART),
+    "flat": tuple(f"{index}:{how}" for index in (2, 3) for how in BLOCK_SPACINGS),
     "sizes": ("all",),
-    "shade": tuple(f"{side:g}" for side in SQUARES_KM),
+    "shade": tuple(f"{side:g}" for side in SQUARE_SIDES_KM),
     "far": ("vrt",),
 }
 
 
-def in_a_process(args: argparse.Namespace, case: str, of: str) -> Any:
+def run_case_in_process(args: argparse.Namespace, case: str, of: str) -> Any:
     """Run a measurement in a fresh process."""
     command = [sys.executable, "-m", "benchmarks.big_elevation", str(args.folder), "--case", case, "--of", of]
-    done = subprocess.run([*command, "--repeats", str(args.repeats)], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(done.stderr[-2000:])
-    return json.loads(done.stdout.splitlines()[-1])
+    process = subprocess.run([*command, "--repeats", str(args.repeats)], capture_output=True, text=True, check=False)
+    if process.returncode:
+        raise RuntimeError(process.stderr[-2000:])
+    return json.loads(process.stdout.splitlines()[-1])
 
 
-def told(figures: Any) -> str:
+def format_figures(figures: Any) -> str:
     """Format figures in a line."""
 
-    def one(value: Any) -> str:
+    def format_value(value: Any) -> str:
         if isinstance(value, list):
             return f"{np.median(value):.3f} ({min(value):.3f} to {max(value):.3f})"
         return f"{value:.4g}" if isinstance(value, float) else str(value)
 
-    return ", ".join(f"{name} {one(value)}" for name, value in figures.items())
+    return ", ".join(f"{name} {format_value(value)}" for name, value in figures.items())
 
 
 def main() -> None:
@@ -280,16 +280,16 @@ def main() -> None:
     if args.case:
         print(json.dumps(CASES[args.case](paths_in(args.folder), args.of, args.repeats)))
         return
-    for made in make_rasters(args.folder, args.raster):
-        print(f"{made.path.name}: {made.path.stat().st_size / 2**20:.0f} MiB, made in {made.made_s:.0f} s", flush=True)
+    for raster in make_rasters(args.folder, args.raster):
+        print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, made in {raster.made_s:.0f} s", flush=True)
     vrt = paths_in(args.folder)[-1]
     if reason_without_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, {time.perf_counter() - start:.0f} s", flush=True)
     for case in args.only:
-        for of in WHICH[case]:
-            print(f"{case} {of}: {told(in_a_process(args, case, of))}", flush=True)
+        for of in CASE_ARGUMENTS[case]:
+            print(f"{case} {of}: {format_figures(run_case_in_process(args, case, of))}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Rasters of 2,500 to 100,000 cells a side over the same real relief, made in a folder for ``benchmarks.big_elevation``.
 
-A mirrored raster of mountains becomes a *sheet* of ``SHEET`` cells a side that tiles seamlessly. Every raster repeats it with the
-same cell in the middle, at one place of one CRS: all rasters have the same ground round the middle.
+A mirrored raster of mountains becomes a *sheet* of ``SHEET_CELLS`` cells a side that tiles seamlessly. Every raster repeats it with
+the same cell in the middle, at one place of one CRS: all rasters have the same ground round the middle.
 
 Up to 40,000 cells a side these are COGs. The one of 100,000 is a virtual raster of 2,377 parts, each a file (hard links, so that
 the disk holds their cells once); 24 more parts are absent (sparse). ``skugga overviews`` makes its overviews. One of its corners is
@@ -24,7 +24,7 @@ from rasterio.enums import Resampling
 
 from skugga.api.raster_file import cog
 
-SHEET = 2048
+SHEET_CELLS = 2048
 """Cells a side of a sheet: a power of two, so that the cells of all its overviews align with those of its neighbours."""
 
 CELL_M = 30.0
@@ -34,7 +34,7 @@ MIDDLE_XY = 500_000.0, 3_800_000.0
 
 VRT_CELLS = 100_000
 COG_SIDES = 2_500, 10_000, 40_000
-PARTS = -(-VRT_CELLS // SHEET)
+PARTS_PER_SIDE = -(-VRT_CELLS // SHEET_CELLS)
 
 NODATA = -32768
 PLAIN_M, MOUNTAIN_M = 500, 4000
@@ -63,9 +63,9 @@ def sheet_of(raster: Path) -> np.ndarray:
         heights = dataset.read(1, masked=True)[8:-8, 8:-8].astype(np.float64)
     quarter = np.ma.filled(heights, heights.mean())
     for axis in (0, 1):  # as many mirror images as a quarter needs
-        while quarter.shape[axis] < SHEET // 2:
+        while quarter.shape[axis] < SHEET_CELLS // 2:
             quarter = np.concatenate([quarter, np.flip(quarter, axis)], axis)
-    quarter = np.rint(quarter[: SHEET // 2, : SHEET // 2]).astype(np.int16)
+    quarter = np.rint(quarter[: SHEET_CELLS // 2, : SHEET_CELLS // 2]).astype(np.int16)
     half = np.concatenate([quarter, quarter[:, ::-1]], axis=1)
     return np.concatenate([half, half[::-1]], axis=0)
 
@@ -81,19 +81,19 @@ def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
     path, start = folder / f"relief_{side}.tif", time.perf_counter()
     if path.is_file():
         return BigRaster(path, side, 0.0)
-    phase = (VRT_CELLS - side) // 2 % SHEET  # the virtual raster's sheets begin at its corner
-    cols = (np.arange(side) + phase) % SHEET
+    phase = (VRT_CELLS - side) // 2 % SHEET_CELLS  # the virtual raster's sheets begin at its corner
+    cols = (np.arange(side) + phase) % SHEET_CELLS
     with cog(path, CRS.from_epsg(EPSG), transform_of(side), (side, side), 1, "int16", NODATA, is_smooth=True) as file:
         for row in range(0, side, STRIP_ROWS):
-            rows = (np.arange(row, min(row + STRIP_ROWS, side)) + phase) % SHEET
+            rows = (np.arange(row, min(row + STRIP_ROWS, side)) + phase) % SHEET_CELLS
             file.write(row, 0, sheet[np.ix_(rows, cols)])
     return BigRaster(path, side, time.perf_counter() - start)
 
 
 def _write_sheet(path: Path, sheet: np.ndarray) -> None:
     with rasterio.open(
-        path, "w", driver="GTiff", width=SHEET, height=SHEET, count=1, dtype="int16", crs=f"EPSG:{EPSG}", nodata=NODATA,
-        transform=transform_of(SHEET), tiled=True, blockxsize=512, blockysize=512, compress="deflate",
+        path, "w", driver="GTiff", width=SHEET_CELLS, height=SHEET_CELLS, count=1, dtype="int16", crs=f"EPSG:{EPSG}", nodata=NODATA,
+        transform=transform_of(SHEET_CELLS), tiled=True, blockxsize=512, blockysize=512, compress="deflate",
     ) as dataset:  # fmt: skip
         dataset.write(sheet, 1)
         dataset.build_overviews([2**level for level in range(1, 10)], Resampling.average)
@@ -101,14 +101,14 @@ def _write_sheet(path: Path, sheet: np.ndarray) -> None:
 
 def mountain_m() -> np.ndarray:
     """Return the mountain's sheet: a round hill on the plain."""
-    away = np.arange(SHEET) - SHEET / 2 + 0.5
-    bell = np.exp(-(away[:, None] ** 2 + away[None, :] ** 2) / (2.0 * MOUNTAIN_SIGMA_CELLS**2))
+    distance_cells = np.arange(SHEET_CELLS) - SHEET_CELLS / 2 + 0.5
+    bell = np.exp(-(distance_cells[:, None] ** 2 + distance_cells[None, :] ** 2) / (2.0 * MOUNTAIN_SIGMA_CELLS**2))
     return np.rint(PLAIN_M + MOUNTAIN_M * bell).astype(np.int16)
 
 
 def mountain_xy() -> tuple[float, float]:
     """Return the mountain's top in the rasters' CRS."""
-    row, col = ((index + 0.5) * SHEET for index in MOUNTAIN_PART)
+    row, col = ((index + 0.5) * SHEET_CELLS for index in MOUNTAIN_PART)
     return transform_of(VRT_CELLS) * (col, row)
 
 
@@ -127,8 +127,8 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
     ElementTree.SubElement(root, "GeoTransform").text = ", ".join(map(repr, transform_of(VRT_CELLS).to_gdal()))
     band = ElementTree.SubElement(root, "VRTRasterBand", dataType="Int16", band="1")
     ElementTree.SubElement(band, "NoDataValue").text = str(NODATA)
-    for row in range(PARTS):
-        for col in range(PARTS):
+    for row in range(PARTS_PER_SIDE):
+        for col in range(PARTS_PER_SIDE):
             if _within(HOLES, row, col):
                 continue
             kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _within(PLAIN_PARTS, row, col) else "relief"
@@ -139,12 +139,15 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
             ElementTree.SubElement(source, "SourceFilename", relativeToVRT="1").text = f"parts/{part.name}"
             ElementTree.SubElement(source, "SourceBand").text = "1"
             ElementTree.SubElement(
-                source, "SourceProperties", RasterXSize=str(SHEET), RasterYSize=str(SHEET), DataType="Int16", BlockXSize="512",
+                source, "SourceProperties", RasterXSize=str(SHEET_CELLS), RasterYSize=str(SHEET_CELLS), DataType="Int16", BlockXSize="512",
                 BlockYSize="512",
             )  # fmt: skip
-            size = {"xSize": str(min(SHEET, VRT_CELLS - col * SHEET)), "ySize": str(min(SHEET, VRT_CELLS - row * SHEET))}
+            size = {
+                "xSize": str(min(SHEET_CELLS, VRT_CELLS - col * SHEET_CELLS)),
+                "ySize": str(min(SHEET_CELLS, VRT_CELLS - row * SHEET_CELLS)),
+            }
             ElementTree.SubElement(source, "SrcRect", xOff="0", yOff="0", **size)
-            ElementTree.SubElement(source, "DstRect", xOff=str(col * SHEET), yOff=str(row * SHEET), **size)
+            ElementTree.SubElement(source, "DstRect", xOff=str(col * SHEET_CELLS), yOff=str(row * SHEET_CELLS), **size)
             ElementTree.SubElement(source, "NODATA").text = str(NODATA)
     ElementTree.ElementTree(root).write(path)
     return BigRaster(path, VRT_CELLS, time.perf_counter() - start)

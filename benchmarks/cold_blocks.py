@@ -36,18 +36,18 @@ from skugga.terrain.scene import Scene, build_scene
 TILES, CPU, ENCODING = "tiles", "CPU of the block", "encoding"
 
 
-def drawn(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
+def time_block(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
     """Draw a task's block; return CPU milliseconds by passes, of encoding and in total, and the number of tiles with data."""
     view, request = block_of_grid(tile_grid(matrix_sets.get(MATRIX_SET), task.zoom), task.x, task.y), run.spec.request(task.sun)
     begin = time.process_time()
-    picture = draw_picture(scene, view, request.record, run.spec.plan_by_place[task.sun, task.zoom])
+    picture = draw_picture(scene, view, request.product_record, run.spec.plan_by_sun_and_zoom[task.sun, task.zoom])
     encode = time.process_time()
     files = tiles_of_picture(picture, request, scene, view, "png")
     end = time.process_time()
-    spent = Counter({record.name: record.ms for record in picture.passes})
+    times_ms = Counter({pass_record.name: pass_record.ms for pass_record in picture.passes})
     tiles = sum(body is not None for body in files.values())
-    spent.update({ENCODING: (end - encode) * 1e3, CPU: (end - begin) * 1e3, TILES: tiles})
-    return spent
+    times_ms.update({ENCODING: (end - encode) * 1e3, CPU: (end - begin) * 1e3, TILES: tiles})
+    return times_ms
 
 
 def main() -> None:
@@ -64,18 +64,18 @@ def main() -> None:
         table = TaskTable(Path(folder) / "tasks.sqlite")
         request = SeedRequest(source, ZoomRange(args.zoom, args.zoom), (None,), ProductRequest(product=args.layer), "png")
         run = plan_run(table, request, lambda _: None)
-        tasks = [task_of(table, run, number, MIN_LIMIT_S) for number in table.waiting()[: args.blocks]]
+        tasks = [task_of(table, run, number, MIN_LIMIT_S) for number in table.waiting_tasks()[: args.blocks]]
     scene = build_scene(load_level(run.spec.level)).with_sun(run.spec.suns[0])
     rounds = []
     for _ in range(args.rounds):
         clear_caches("light", "scene")
-        drawn(scene, run, tasks[0])
-        rounds.append(sum((drawn(scene, run, task) for task in tasks[1:]), Counter[str]()))
-    best = min(rounds, key=lambda spent: spent[CPU])
+        time_block(scene, run, tasks[0])
+        rounds.append(sum((time_block(scene, run, task) for task in tasks[1:]), Counter[str]()))
+    best = min(rounds, key=lambda times_ms: times_ms[CPU])
     print(
         f"{len(tasks) - 1} blocks, {best[TILES]} tiles: {best[TILES] / best[CPU] * 1e3:.0f} tiles a second of CPU; ms of a block:"
     )
-    for name in sorted(best.keys() - {TILES}, key=lambda each: (each == CPU, each)):
+    for name in sorted(best.keys() - {TILES}, key=lambda key: (key == CPU, key)):
         print(f"  {name:<20} {best[name] / (len(tasks) - 1):7.1f}")
 
 

@@ -85,10 +85,10 @@ class Profile(event.Listener):
         module, name = event.data["module"], event.data["qualname"]
         key = f"{module}.{name}", str(event.data["args"])
         if key not in siblings:
-            made = Compilation(*key, cause="")
-            made.cause = made.loop if made.is_ours or not stack else stack[-1][0].cause
-            siblings[key] = made
-            self.done.append(made)
+            compilation = Compilation(*key, cause="")
+            compilation.cause = compilation.loop if compilation.is_ours or not stack else stack[-1][0].cause
+            siblings[key] = compilation
+            self.done.append(compilation)
         self._state.siblings.append({})
         stack.append([siblings[key], time.thread_time(), 0.0])
 
@@ -96,14 +96,14 @@ class Profile(event.Listener):
         """End the innermost pass."""
         stack = self._stack()
         self._state.siblings.pop()
-        made, begin, within = stack.pop()
-        spent = time.thread_time() - begin
-        made.total_s += spent
-        made.own_s += spent - within
+        compilation, begin, nested_s = stack.pop()
+        elapsed_s = time.thread_time() - begin
+        compilation.total_s += elapsed_s
+        compilation.own_s += elapsed_s - nested_s
         if "native_lowering" not in event.data["name"]:
-            made.front_s += spent - within
+            compilation.front_s += elapsed_s - nested_s
         if stack:
-            stack[-1][2] += spent
+            stack[-1][2] += elapsed_s
 
 
 def yardstick_s() -> float:
@@ -203,36 +203,41 @@ def _measure(product: str, file: str, folder: str, answer: str) -> None:
     with event.install_listener("numba:run_pass", profile):
         begin = time.process_time()
         PRODUCTS[product](file, Path(folder))
-        spent = time.process_time() - begin
-    found = {"cpu_s": spent, "yardstick_s": stick, "loops": [vars(made) for made in profile.done]}
-    Path(answer).write_text(json.dumps(found), encoding="utf-8")
+        cpu_s = time.process_time() - begin
+    result = {"cpu_s": cpu_s, "yardstick_s": stick, "loops": [vars(compilation) for compilation in profile.done]}
+    Path(answer).write_text(json.dumps(result), encoding="utf-8")
 
 
-def table_of(product: str, found: dict[str, Any], rows: int) -> list[str]:
+def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
     """Format the profile: the sum, this project's loops by their own time, numba's helpers by theirs."""
-    made = [Compilation(**each) for each in found["loops"]]
-    ours, helpers = [each for each in made if each.is_ours], [each for each in made if not each.is_ours]
-    own, front = (sum(getattr(each, what) for each in made) for what in ("own_s", "front_s"))
+    compilations = [Compilation(**compilation) for compilation in profile["loops"]]
+    own_loops, helpers = (
+        [compilation for compilation in compilations if compilation.is_ours],
+        [compilation for compilation in compilations if not compilation.is_ours],
+    )
+    own_s, front_s = (sum(getattr(compilation, field) for compilation in compilations) for field in ("own_s", "front_s"))
     lines = [
-        f"{product}: {own:.1f} s of CPU for {len(made)} compilations ({found['cpu_s']:.1f} s with all else); "
-        f"yardstick {found['yardstick_s'] * 1e3:.0f} ms, so {own / found['yardstick_s']:.0f} of it",
-        f"  {len(ours)} of {len({each.loop for each in ours})} loops: {sum(e.own_s for e in ours):.1f} s; "
+        f"{product}: {own_s:.1f} s of CPU for {len(compilations)} compilations ({profile['cpu_s']:.1f} s with all else); "
+        f"yardstick {profile['yardstick_s'] * 1e3:.0f} ms, so {own_s / profile['yardstick_s']:.0f} of it",
+        f"  {len(own_loops)} of {len({compilation.loop for compilation in own_loops})} loops: {sum(e.own_s for e in own_loops):.1f} s; "
         f"{len(helpers)} of numba's helpers: {sum(e.own_s for e in helpers):.1f} s; "
-        f"{own - front:.1f} s for machine code, {front:.1f} s before",
+        f"{own_s - front_s:.1f} s for machine code, {front_s:.1f} s before",
         "",
         "  own s   with callees  helpers  loop (a line for each signature)",
     ]
     helped = Counter[str]()
-    for each in helpers:
-        helped[each.cause] += each.own_s
-    for each in sorted(ours, key=lambda e: -e.own_s)[:rows]:
-        lines.append(f"  {each.own_s:6.2f}  {each.total_s:12.2f}  {helped[each.loop]:7.2f}  {each.loop}{_short(each.signature)}")
+    for compilation in helpers:
+        helped[compilation.cause] += compilation.own_s
+    for compilation in sorted(own_loops, key=lambda e: -e.own_s)[:rows]:
+        lines.append(
+            f"  {compilation.own_s:6.2f}  {compilation.total_s:12.2f}  {helped[compilation.loop]:7.2f}  {compilation.loop}{_short(compilation.signature)}"
+        )
     lines += ["", "   sum s  times  helper of numba, and the loops that cause it"]
     sums, times, causes = Counter[str](), Counter[str](), dict[str, Counter[str]]()
-    for each in helpers:
-        sums[each.loop] += each.own_s
-        times[each.loop] += 1
-        causes.setdefault(each.loop, Counter())[each.cause.rpartition(".")[2]] += 1
+    for compilation in helpers:
+        sums[compilation.loop] += compilation.own_s
+        times[compilation.loop] += 1
+        causes.setdefault(compilation.loop, Counter())[compilation.cause.rpartition(".")[2]] += 1
     for name, seconds in sums.most_common(rows):
         by = ", ".join(f"{cause} {count}" if count > 1 else cause for cause, count in causes[name].most_common())
         lines.append(f"  {seconds:6.2f}  {times[name]:5}  {name}: {by}")

@@ -57,10 +57,10 @@ VIEWS = {
 }
 """Columns: level and view."""
 
-FAULT = (740_900.0, 4_021_000.0, 748_900.0, 4_027_400.0)
+FAULT_BOUNDS = (740_900.0, 4_021_000.0, 748_900.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16, of the map of Jacksboro: the fault's ridge and the hills west of it."""
 
-RIDGES = (-84.16, 36.21333, 120.0), (-84.20, 36.25333, 0.0), 45.0
+RIDGES_CAMERA = (-84.16, 36.21333, 120.0), (-84.20, 36.25333, 0.0), 45.0
 """Eye, target and field of view, degrees, of a view over the ridges and valleys of the Jacksboro fault."""
 
 FIGURES = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")
@@ -83,21 +83,21 @@ class SheetCell:
 def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | PerspectiveView:
     """Return a view of a level, or one of the two of Jacksboro."""
     if name == "map":
-        return scene.view(name, bounds=FAULT, size=size)
+        return scene.view(name, bounds=FAULT_BOUNDS, size=size)
     if name != "ridges":
         return scene.view(name, size=size)
-    eye, up = scene.place.above_ground(RIDGES[0], "eye")
-    target, _ = scene.place.above_ground(RIDGES[1], "target")
-    return look_at(eye, target, up, RIDGES[2], size[1], size[0])
+    eye, up = scene.geolocator.above_ground(RIDGES_CAMERA[0], "eye")
+    target, _ = scene.geolocator.above_ground(RIDGES_CAMERA[1], "target")
+    return look_at(eye, target, up, RIDGES_CAMERA[2], size[1], size[0])
 
 
-def column(level: str, name: str, asked: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
+def column(level: str, name: str, algorithms: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
     """Return the cells of a view, one for each algorithm."""
     scene = build_scene(load_level(find_level(level)))
     view = view_of(scene, name, size)
     descriptor = describe(scene, view, "map" if name == "map" else "main")
     bare = render_frame(scene, view, make_plan(descriptor, scene.loaded.level, {"algorithm": "none"})).color.mean(axis=2)
-    for key in asked:
+    for key in algorithms:
         try:
             plan = make_plan(descriptor, scene.loaded.level, SHEET_ALGORITHMS[key])
         except UnsupportedError as error:
@@ -117,9 +117,9 @@ def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns:
     step_x, step_y = 2 * width + GAP_PX, SHEET_HEAD_PX + height + FOOT_PX + GAP_PX
     page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAPER)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
-    for across, name in enumerate(columns):
+    for column, name in enumerate(columns):
         for down, key in enumerate(rows):
-            x, y, cell = GAP_PX + across * step_x, GAP_PX + down * step_y, cells[key, name]
+            x, y, cell = GAP_PX + column * step_x, GAP_PX + down * step_y, cells[key, name]
             top = y + SHEET_HEAD_PX
             draw.text((x, y + SHEET_HEAD_PX // 2), f"{key}: {' '.join(VIEWS[name])}", INK, font, anchor="lm")
             if cell.pictures is None:
@@ -148,8 +148,10 @@ def table(cells: dict[tuple[str, str], SheetCell]) -> str:
     rows, columns = list(dict.fromkeys(key for key, _ in cells)), list(dict.fromkeys(name for _, name in cells))
     lines = [["view", *rows], ["---"] * (1 + len(rows))]
     for name in columns:
-        found = [cells[key, name].figures for key in rows]
-        entries = [f"{100 * each['wrong_cast']:.2f} / {each['edge_p95']:.1f}" if each else "refused" for each in found]
+        row_figures = [cells[key, name].figures for key in rows]
+        entries = [
+            f"{100 * figures['wrong_cast']:.2f} / {figures['edge_p95']:.1f}" if figures else "refused" for figures in row_figures
+        ]
         lines.append([" ".join(VIEWS[name]), *entries])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 

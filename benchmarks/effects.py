@@ -100,7 +100,7 @@ JACKSBORO: dict[EffectName, dict[str, Any]] = {
 }
 """Keys that call for an effect on the Jacksboro fault."""
 
-ELSEWHERE: dict[EffectName, tuple[str, str]] = {
+OTHER_VIEWS: dict[EffectName, tuple[str, str]] = {
     "alpha_test": ("jacksboro_wooded", "valley"),
     "soft_edges": ("jacksboro_wooded", "valley"),
     "crowns": ("jacksboro_wooded", "valley"),
@@ -108,8 +108,8 @@ ELSEWHERE: dict[EffectName, tuple[str, str]] = {
 }
 """Bundled levels, and their views, that call for other effects."""
 
-BARE = ("jacksboro", "jacksboro_alpine")
-COUNTED = ("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain")
+BARE_LEVELS = ("jacksboro", "jacksboro_alpine")
+COUNTED_CASES = ("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain")
 """Blocks whose plans list outside ground, those that skipped it, those in which it changed nothing; and the same for the sweep."""
 
 BLOCK_ZOOMS, BLOCK_SUNS_DEG = (13, 15, 17), (8.0, 20.0, 35.0, 50.0)
@@ -133,19 +133,19 @@ class TimedFrame:
     wall_ms: float
 
 
-def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> TimedFrame:
+def draw_planned_frame(scene: Scene, view: MapView | PerspectiveView, name: str) -> TimedFrame:
     """Draw a frame that pays for all its work, its plan included."""
     clear_caches("light")
     wall, start = time.perf_counter(), time.process_time()
     plan = make_plan(describe(scene, view, name), scene.loaded.level)
     chosen = time.process_time()
     frame = render_frame(scene, view, plan)
-    done = time.process_time()
+    end = time.process_time()
     wall_ms, passes_ms = 1000.0 * (time.perf_counter() - wall), {record.name: record.ms for record in frame.passes}
-    return TimedFrame(frame.effects, passes_ms, 1000.0 * (chosen - start), 1000.0 * (done - start), wall_ms)
+    return TimedFrame(frame.effects, passes_ms, 1000.0 * (chosen - start), 1000.0 * (end - start), wall_ms)
 
 
-def timed(work: Callable[..., object], *of: object) -> float:
+def cpu_ms_of(work: Callable[..., object], *of: object) -> float:
     """Return the milliseconds of all threads for a call."""
     start = time.process_time()
     work(*of)
@@ -163,31 +163,31 @@ def interleaved(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
     return results
 
 
-def forced(scene: Scene, effects: dict[EffectName, str]) -> Scene:
+def with_forced_effects(scene: Scene, effects: dict[EffectName, str]) -> Scene:
     """Return the same scene in a level that forces effects."""
     own_level = scene.loaded.level
     level = own_level.model_copy(update={"effects": {**({} if own_level.effects == "auto" else own_level.effects), **effects}})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": level}))
 
 
-def levels(given: argparse.Namespace) -> list[Row]:
+def levels(args: argparse.Namespace) -> list[Row]:
     """Compare the plan's frame with the frame with all effects on."""
     rows = []
-    for path in [find_level(name) for name in given.levels] or bundled_levels():
+    for path in [find_level(name) for name in args.levels] or bundled_levels():
         scene = build_scene(load_level(path))
-        everything = forced(scene, dict.fromkeys(get_args(EffectName), "on"))
+        all_on_scene = with_forced_effects(scene, dict.fromkeys(get_args(EffectName), "on"))
         low, high = scene.height_range_m
         main = next(iter(scene.loaded.level.views))
         for name in dict.fromkeys([main, "map"] if high > low else [main]):
             view = scene.view(name)
             planned_frames, all_on = interleaved(
-                given.repeats, *(partial(planned, each, view, name) for each in (scene, everything))
+                args.repeats, *(partial(draw_planned_frame, variant, view, name) for variant in (scene, all_on_scene))
             )
             rows.append({
                 "level": path.stem, "view": name, "Mpx": view.rows * view.cols / 1e6,
                 "runs": f"{len(planned_frames[0].effects)} of {len(EFFECTS)}",
-                "plan_ms": _median(one.plan_ms for one in planned_frames), "planned_ms": _median(one.ms for one in planned_frames),
-                "all_on_ms": _median(one.ms for one in all_on),
+                "plan_ms": _median(frame.plan_ms for frame in planned_frames), "planned_ms": _median(frame.ms for frame in planned_frames),
+                "all_on_ms": _median(frame.ms for frame in all_on),
                 "planned / all on": _ratio(planned_frames, all_on, "ms"), "wall": _ratio(planned_frames, all_on, "wall_ms"),
                 "effects": sorted(planned_frames[0].effects),
             })  # fmt: skip
@@ -195,26 +195,30 @@ def levels(given: argparse.Namespace) -> list[Row]:
     return rows
 
 
-def plain(given: argparse.Namespace) -> list[Row]:
+def plain(args: argparse.Namespace) -> list[Row]:
     """Compare a plain at noon with geometry, attached shadow and shading alone."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         scene = flat_land(Path(folder))
-        everything = forced(scene, dict.fromkeys(get_args(EffectName), "on"))
+        all_on_scene = with_forced_effects(scene, dict.fromkeys(get_args(EffectName), "on"))
         for name in scene.loaded.level.views:
             view = scene.view(name)
-            drawn, all_on, bare = interleaved(
-                given.repeats,
-                *(partial(planned, each, view, name) for each in (scene, everything)),
-                partial(timed, bare_frame, scene, view),
+            planned_frames, all_on, bare = interleaved(
+                args.repeats,
+                *(partial(draw_planned_frame, variant, view, name) for variant in (scene, all_on_scene)),
+                partial(cpu_ms_of, bare_frame, scene, view),
             )
             frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level))
             if frame.effects or (frame.color != bare_frame(scene, view)[0]).any():
                 raise AssertionError(f"{name}: not the bare frame; it ran {sorted(frame.effects)}")
-            ratio, forced_on = (_median(one.ms / ms for one, ms in zip(frames, bare, strict=True)) for frames in (drawn, all_on))
+            ratio, forced_on = (
+                _median(timed_frame.ms / ms for timed_frame, ms in zip(frames, bare, strict=True))
+                for frames in (planned_frames, all_on)
+            )
             rows.append({
-                "view": name, "bare_ms": _median(bare), "plan_ms": _median(one.plan_ms for one in drawn),
-                "without plan": _median((one.ms - one.plan_ms) / ms for one, ms in zip(drawn, bare, strict=True)),
+                "view": name, "bare_ms": _median(bare), "plan_ms": _median(timed_frame.plan_ms for timed_frame in planned_frames),
+                ("without "
+                    "plan"): _median((timed_frame.ms - timed_frame.plan_ms) / ms for timed_frame, ms in zip(planned_frames, bare, strict=True)),
                 "with plan": ratio, "at most": MAX_PLAIN, "met": "yes" if ratio <= MAX_PLAIN else "NO", "all on": forced_on,
             })  # fmt: skip
     return rows
@@ -242,8 +246,8 @@ def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray
     """
     blocks = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     arrays: list[np.ndarray] = []
-    for part, row, col in blocks:
-        pieces = _bare_block(scene, part)
+    for block_view, row, col in blocks:
+        pieces = _bare_block(scene, block_view)
         arrays = arrays or [np.zeros((view.rows, view.cols, *piece.shape[2:]), piece.dtype) for piece in pieces]
         window = tuple(slice(max(offset, 0), end) for offset, end in ((row, view.rows), (col, view.cols)))
         for out, piece in zip(arrays, pieces, strict=True):
@@ -255,21 +259,21 @@ def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray
 def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
     above = isinstance(view, MapView)
     picture = picture_buffer(scene, view)
-    buffer, own = picture.buffer, picture.own
+    buffer, own_buffer = picture.buffer, picture.pixel_buffer
     visibility = 1.0 - attached(buffer, scene).astype(np.float32)
-    linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own.height_m]
+    linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own_buffer.height_m]
     if not above:
         row, col = np.nonzero(~buffer.valid)
         linear[row, col] = sky(scene, view, *picture.pixels_of(row, col))
         linear = picture.averaged(linear)
-        layers.append(own.position_frame_m)
+        layers.append(own_buffer.position_frame_m)
     return [srgb_encoded(linear), *layers]
 
 
-def blocks(given: argparse.Namespace) -> list[Row]:
+def blocks(args: argparse.Namespace) -> list[Row]:
     """Compare blocks of tiles with all steps of their plans, and as they are drawn."""
     random, rows = np.random.default_rng(0), []
-    for name in given.levels or BARE:
+    for name in args.levels or BARE_LEVELS:
         base = build_scene(load_level(find_level(name)))
         for zoom, altitude in product(BLOCK_ZOOMS, BLOCK_SUNS_DEG):
             grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
@@ -278,46 +282,49 @@ def blocks(given: argparse.Namespace) -> list[Row]:
                 dict.fromkeys(("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain"), 0),
                 [],
             )
-            for _ in range(given.repeats):
+            for _ in range(args.repeats):
                 row, col = (float(random.integers(first, max(last - BLOCK_PX, first + 1))) for first, last in ends)
                 scene = base.with_sun(SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=altitude))
                 view = MapView(grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
                 _count_block(scene, view, counts, ratios)
             rows.append(
-                {"level": name, "zoom": zoom, "sun_deg": altitude, "blocks": given.repeats, **counts, "time": _median(ratios)}
+                {"level": name, "zoom": zoom, "sun_deg": altitude, "blocks": args.repeats, **counts, "time": _median(ratios)}
             )
             print(*rows[-1].values(), flush=True)
     return rows
 
 
 def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: list[float]) -> None:
-    plans = [make_plan(describe(each, view), each.loaded.level) for each in (scene, forced(scene, {"outside_casters": "off"}))]
+    plans = [
+        make_plan(describe(variant, view), variant.loaded.level)
+        for variant in (scene, with_forced_effects(scene, {"outside_casters": "off"}))
+    ]
     if "cast_shadows" not in plans[0].runs:
         return
-    shown, ms = {}, {}
+    block_by_variant, ms = {}, {}
     for name, plan in ({"first": plans[0], "drawn": plans[0], "alone": plans[1]}).items():  # the first draw reads the ground
         clear_caches("light")
         start = time.process_time()
-        shown[name] = _drawn_block(scene, view, plan)
+        block_by_variant[name] = _drawn_block(scene, view, plan)
         ms[name] = time.process_time() - start
     with (
         patch("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset()),
-        patch("skugga.shadows.block_casters.own_ground_is_clear", lambda *of: False),
+        patch("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *of: False),
     ):
         clear_caches("light")
         start = time.process_time()
-        whole = _drawn_block(scene, view, plans[0])
+        full_block = _drawn_block(scene, view, plans[0])
         ratios.append(ms["drawn"] / (time.process_time() - start))
-    drawn = shown["drawn"]
-    if (drawn.color != whole.color).any() or (drawn.opacity != whole.opacity).any():
+    drawn_block = block_by_variant["drawn"]
+    if (drawn_block.color != full_block.color).any() or (drawn_block.opacity != full_block.opacity).any():
         raise AssertionError(f"{view}: what was left out shows")
-    ran = executed_effects(drawn.passes)
+    ran = executed_effects(drawn_block.passes)
     counts["outside"] += "outside_casters" in plans[0].runs
     counts["no outside"] += "outside_casters" in plans[0].runs - ran
-    counts["outside in vain"] += "outside_casters" in ran and bool((shown["alone"].opacity == whole.opacity).all())
+    counts["outside in vain"] += "outside_casters" in ran and bool((block_by_variant["alone"].opacity == full_block.opacity).all())
     counts["sweep"] += 1
     counts["no sweep"] += "cast_shadows" not in ran
-    counts["sweep in vain"] += "cast_shadows" in ran and not drawn.opacity.any()
+    counts["sweep in vain"] += "cast_shadows" in ran and not drawn_block.opacity.any()
 
 
 def _drawn_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
@@ -330,26 +337,26 @@ def _drawn_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
     return picture_of(render_frame(scene, view, plan), SHADED)
 
 
-def each(given: argparse.Namespace) -> list[Row]:
+def measure_each_effect(args: argparse.Namespace) -> list[Row]:
     """Measure every effect by itself, in scenes that call for it."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
-        for effect in given.effects or get_args(EffectName):
-            for scene, name in _calling(effect, Path(folder)):
+        for effect in args.effects or get_args(EffectName):
+            for scene, name in _views_with_effect(effect, Path(folder)):
                 if effect in make_plan(describe(scene, scene.view(name), name), scene.loaded.level).runs:
-                    rows.append(_with_and_without(effect, scene, name, given.repeats))
+                    rows.append(_with_and_without(effect, scene, name, args.repeats))
                     print(effect, name, f"{rows[-1]['on / off']:.2f}", flush=True)
     return rows
 
 
-def _calling(effect: EffectName, folder: Path) -> Iterator[tuple[Scene, str]]:
+def _views_with_effect(effect: EffectName, folder: Path) -> Iterator[tuple[Scene, str]]:
     """Yield scenes and names of their views that call for an effect, if such a view can."""
-    if effect in ELSEWHERE:
-        level, name = ELSEWHERE[effect]
+    if effect in OTHER_VIEWS:
+        level, name = OTHER_VIEWS[effect]
         yield build_scene(load_level(find_level(level))), name
         return
     keys = {"terrain": {"source": "jacksboro"}, "sun": EVENING, **JACKSBORO[effect]}
-    if EFFECTS[effect].part is not None:
+    if EFFECTS[effect].apply is not None:
         keys["effects"] = {"cast_shadows": "off"}
     views = {"map": WINDOW, "camera": LAKE if effect == "water" else RIDGE}
     scene = _scene_of(folder, {**keys, "views": views})
@@ -364,13 +371,13 @@ def _scene_of(folder: Path, keys: dict[str, Any]) -> Scene:
 
 
 def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int) -> Row:
-    view, off = scene.view(name), forced(scene, {effect: "off"})
-    run, left_out = interleaved(repeats, *(partial(planned, variant, view, name) for variant in (scene, off)))
+    view, scene_without = scene.view(name), with_forced_effects(scene, {effect: "off"})
+    run, left_out = interleaved(repeats, *(partial(draw_planned_frame, variant, view, name) for variant in (scene, scene_without)))
     row: Row = {"effect": effect, "view": name, "on / off": _ratio(run, left_out, "ms"), "wall": _ratio(run, left_out, "wall_ms")}
     row |= {"ms/Mpx": "", "of shading": "", "facts_ms": ""}
-    if EFFECTS[effect].part is not None:
-        row["ms/Mpx"] = _median(one.passes_ms[effect] for one in run) / (view.rows * view.cols / 1e6)
-        row["of shading"] = _median(one.passes_ms[effect] / one.passes_ms[SHADING_PASS] for one in run)
+    if EFFECTS[effect].apply is not None:
+        row["ms/Mpx"] = _median(frame.passes_ms[effect] for frame in run) / (view.rows * view.cols / 1e6)
+        row["of shading"] = _median(frame.passes_ms[effect] / frame.passes_ms[SHADING_PASS] for frame in run)
     if EFFECTS[effect].facts is not None:
         row["facts_ms"] = _median(facts_ms(scene, view)[effect] for _ in range(repeats))
     return row
@@ -390,13 +397,13 @@ def _facts_timed() -> Iterator[dict[EffectName, float]]:
     untimed = dict(EFFECTS)
 
     def watched(name: EffectName, facts: Callable[..., T]) -> Callable[..., T]:
-        def found(*of: Any) -> T:
+        def timed_facts(*of: Any) -> T:
             start = time.perf_counter()
             result = facts(*of)
             milliseconds[name] = 1000.0 * (time.perf_counter() - start)
             return result
 
-        return found
+        return timed_facts
 
     EFFECTS.update({name: replace(effect, facts=effect.facts and watched(name, effect.facts)) for name, effect in untimed.items()})
     try:
@@ -409,16 +416,16 @@ def _median(values: Iterable[float]) -> float:
     return float(np.median([*values]))
 
 
-def _ratio(some: Sequence[TimedFrame], others: Sequence[TimedFrame], key: str) -> float:
+def _ratio(frames: Sequence[TimedFrame], other_frames: Sequence[TimedFrame], key: str) -> float:
     """Return the median of the ratios of frames of the same round."""
-    return _median(getattr(one, key) / getattr(other, key) for one, other in zip(some, others, strict=True))
+    return _median(getattr(frame, key) / getattr(other, key) for frame, other in zip(frames, other_frames, strict=True))
 
 
 MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "levels": levels,
     "plain": plain,
     "blocks": blocks,
-    "each": each,
+    "each": measure_each_effect,
 }
 
 
@@ -444,8 +451,8 @@ def main() -> None:
     args = parser.parse_args()
     rows = MEASUREMENTS[args.what](args)
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
-    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; CPU time of all threads, {args.repeats} repeats"
-    text = f"{where}\n\n{table(rows)}"
+    machine = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; CPU time of all threads, {args.repeats} repeats"
+    text = f"{machine}\n\n{table(rows)}"
     print(text, end="")
     if args.markdown:
         args.markdown.write_text(text, encoding="utf-8")

@@ -58,9 +58,9 @@ class Target(NamedTuple):
         return f"{word} {self.what}: {self.wall:.2f}{self.unit}{cpu}, at most {self.most:g}{self.unit}"
 
 
-def paired_ratio(ours: Sequence[Row], theirs: Sequence[Row], value: str = "ms") -> float:
+def paired_ratio(rows: Sequence[Row], base_rows: Sequence[Row], value: str = "ms") -> float:
     """Return the median of the ratios of two lists of rows that were drawn in turns: other load affects both rows of a turn."""
-    return statistics.median(one[value] / other[value] for one, other in zip(ours, theirs, strict=True))
+    return statistics.median(row[value] / other[value] for row, other in zip(rows, base_rows, strict=True))
 
 
 def median_of(rows: Sequence[Row], value: str) -> float:
@@ -76,41 +76,43 @@ def median_passes(rows: Sequence[Row]) -> dict[str, float]:
 
 def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list[Target]:
     """Return the targets that have measurements."""
-    found: list[Target] = []
+    result: list[Target] = []
 
-    def add(what: str, most: float, ours: Sequence[Row] | None, theirs: Sequence[Row] | None, counts: bool = True) -> None:
-        if ours and theirs:
-            wall, cpu = (paired_ratio(ours, theirs, value) for value in ("ms", "cpu_ms"))
-            found.append(Target(what, most, wall, cpu, counts=counts))
+    def add(
+        target_name: str, limit: float, rows_now: Sequence[Row] | None, base_rows: Sequence[Row] | None, counts: bool = True
+    ) -> None:
+        if rows_now and base_rows:
+            wall, cpu = (paired_ratio(rows_now, base_rows, value) for value in ("ms", "cpu_ms"))
+            result.append(Target(target_name, limit, wall, cpu, counts=counts))
 
     def rows(picture: str, move: str, side: str = NOW, plan: str = "planned") -> list[Row] | None:
         return frames.get(FrameKey(picture, plan, move), {}).get(side)
 
     for move in ("new", "resting"):
-        said = f"SpatialAce as planned, {MOVES[move]} moved"
+        label = f"SpatialAce as planned, {MOVES[move]} moved"
         for name, taps in (("512, 1 tap", "1 tap"), ("512, 3 x 3 taps", "3 x 3 taps")):
             sticks = rows("SpatialAce", name, YARDSTICK, "yardstick")
             counts = move == "new" and taps == "1 tap"
-            add(f"{said} / yardstick, 512 map, {taps}", 3.0, rows("SpatialAce", move), sticks, counts)
-        add(f"{said} / before", 0.35, rows("SpatialAce", move), rows("SpatialAce", move, BASE), move == "new")
+            add(f"{label} / yardstick, 512 map, {taps}", 3.0, rows("SpatialAce", move), sticks, counts)
+        add(f"{label} / before", 0.35, rows("SpatialAce", move), rows("SpatialAce", move, BASE), move == "new")
     for picture in ("valley", "village"):
         for move in ("new", "resting"):
-            said = f"wooded {picture} as planned, {MOVES[move]} moved / before"
-            add(said, 0.4, rows(picture, move), rows(picture, move, BASE), move == "new")
+            label = f"wooded {picture} as planned, {MOVES[move]} moved / before"
+            add(label, 0.4, rows(picture, move), rows(picture, move, BASE), move == "new")
     for picture, sides in firsts.items():
-        ours = sides[NOW]
-        for value, said in (("ms", "frame"), ("answer_ms", "frame with its plan")):
-            ratio = statistics.median(row["first"][value] / row["warm"][value] for row in ours)
-            cpu = statistics.median(row["first"][f"cpu_{value}"] / row["warm"][f"cpu_{value}"] for row in ours)
-            found.append(Target(f"{picture}: first {said} after start / a warm one", 2.0, ratio, cpu, counts=value == "ms"))
+        rows_now = sides[NOW]
+        for value, label in (("ms", "frame"), ("answer_ms", "frame with its plan")):
+            ratio = statistics.median(row["first"][value] / row["warm"][value] for row in rows_now)
+            cpu = statistics.median(row["first"][f"cpu_{value}"] / row["warm"][f"cpu_{value}"] for row in rows_now)
+            result.append(Target(f"{picture}: first {label} after start / a warm one", 2.0, ratio, cpu, counts=value == "ms"))
     for picture in ("SpatialAce", "valley", "village"):
         add(f"{picture}: the sun moves / sun and camera do", 0.6, rows(picture, "sun"), rows(picture, "new"))
         add(f"{picture}: the camera moves / sun and camera do", 0.7, rows(picture, "camera"), rows(picture, "new"))
     million = rows("a million trees", "new")
     add("a million trees / before", 0.5, million, rows("a million trees", "new", BASE))
     if million:
-        found.append(Target("a million trees: peak memory", 1.2, max(row["peak_gb"] for row in million), unit=" GB"))
-    return found
+        result.append(Target("a million trees: peak memory", 1.2, max(row["peak_gb"] for row in million), unit=" GB"))
+    return result
 
 
 def as_markdown(
@@ -129,7 +131,7 @@ def as_markdown(
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def put_between_marks(text: str, table: str) -> str:
+def replace_between_marks(text: str, table: str) -> str:
     """Replace the text between a page's marks. Raises ``ValueError`` if it has none."""
     pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
     if not pattern.search(text):
@@ -144,9 +146,9 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _target_table(targets: Sequence[Target]) -> str:
     rows = [
-        [each.what, f"{each.wall:.2f}{each.unit}", "" if each.cpu is None else f"{each.cpu:.2f}", f"{each.most:g}{each.unit}",
-         "" if not each.counts else "yes" if each.met else "**no**"]
-        for each in targets
+        [target.what, f"{target.wall:.2f}{target.unit}", "" if target.cpu is None else f"{target.cpu:.2f}", f"{target.most:g}{target.unit}",
+         "" if not target.counts else "yes" if target.met else "**no**"]
+        for target in targets
     ]  # fmt: skip
     return _table(["what", "measured", "by CPU time", "at most", "met"], rows)
 
@@ -155,9 +157,9 @@ def _plan_lines(plans: dict[str, dict[str, Any]]) -> str:
     lines = []
     for picture, by_side in plans.items():
         headlines = {side: planned["plans"]["planned"]["algorithms"].replace(",", ", ") for side, planned in by_side.items()}
-        said = [headlines[NOW], *(f"{text} before" for side, text in headlines.items() if text != headlines[NOW])]
+        descriptions = [headlines[NOW], *(f"{text} before" for side, text in headlines.items() if text != headlines[NOW])]
         new_ms = " to ".join(f"{statistics.median(by_side[side]['new_view_ms']):.0f}" for side in (BASE, NOW) if side in by_side)
-        lines.append(f"* {picture} is planned as {'; '.join(said)}. A new view's plan: {new_ms} ms.")
+        lines.append(f"* {picture} is planned as {'; '.join(descriptions)}. A new view's plan: {new_ms} ms.")
     return "\n".join(lines)
 
 
@@ -166,27 +168,29 @@ def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row])
             "read-backs", "draws", "same picture", "same shadow"]  # fmt: skip
     rows = []
     for key, sides in frames.items():
-        ours, base = sides.get(NOW) or sides[YARDSTICK], sides.get(BASE)
+        rows_now, base = sides.get(NOW) or sides[YARDSTICK], sides.get(BASE)
         stick = frames.get(FrameKey(key.picture, "yardstick", "512, 1 tap"), {}).get(YARDSTICK)
 
-        def both(value: Callable[[Sequence[Row]], str], ours: Sequence[Row] = ours, base: Sequence[Row] | None = base) -> str:
-            return value(ours) if base is None or value(base) == value(ours) else f"{value(base)} to {value(ours)}"
+        def format_both(
+            value: Callable[[Sequence[Row]], str], rows_now: Sequence[Row] = rows_now, base: Sequence[Row] | None = base
+        ) -> str:
+            return value(rows_now) if base is None or value(base) == value(rows_now) else f"{value(base)} to {value(rows_now)}"
 
         rows.append([
             key.picture, key.plan, MOVES.get(key.move, key.move),
-            "" if base is None else f"{median_of(base, 'ms'):.1f}", f"{median_of(ours, 'ms'):.1f}",
-            "" if base is None else f"{paired_ratio(ours, base):.2f}",
-            "" if base is None else f"{median_of(base, 'cpu_ms'):.1f}", f"{median_of(ours, 'cpu_ms'):.1f}",
-            "" if base is None else f"{paired_ratio(ours, base, 'cpu_ms'):.2f}",
-            "" if stick is None else f"{paired_ratio(ours, stick):.1f}",
-            both(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
-            both(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
-            *_sameness(differences.get(key)),
+            "" if base is None else f"{median_of(base, 'ms'):.1f}", f"{median_of(rows_now, 'ms'):.1f}",
+            "" if base is None else f"{paired_ratio(rows_now, base):.2f}",
+            "" if base is None else f"{median_of(base, 'cpu_ms'):.1f}", f"{median_of(rows_now, 'cpu_ms'):.1f}",
+            "" if base is None else f"{paired_ratio(rows_now, base, 'cpu_ms'):.2f}",
+            "" if stick is None else f"{paired_ratio(rows_now, stick):.1f}",
+            format_both(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
+            format_both(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
+            *_format_equality(differences.get(key)),
         ])  # fmt: skip
     return _table(head, rows)
 
 
-def _sameness(differs: Row | None) -> list[str]:
+def _format_equality(differs: Row | None) -> list[str]:
     """Return how many frames have the same colours and the same visibilities, and the difference of the last frame."""
     if differs is None:
         return ["", ""]
@@ -200,17 +204,19 @@ def _first_table(firsts: dict[str, Rows]) -> str:
     head = ["picture", "side", "imports, s", "scene, s", "plan, s", "first frame, s", "a new view's plan, s", "its frame, s"]
     rows = []
     for picture, sides in firsts.items():
-        for side, each in sides.items():
+        for side, side_rows in sides.items():
             values = [
-                [row["import_ms"] for row in each], [row["scene_ms"] for row in each],
-                *([row[when][what] for row in each] for when in ("first", "warm") for what in ("plan_ms", "ms")),
+                [row["import_ms"] for row in side_rows], [row["scene_ms"] for row in side_rows],
+                *([row[state][quantity] for row in side_rows] for state in ("first", "warm") for quantity in ("plan_ms", "ms")),
             ]  # fmt: skip
             rows.append([picture, side, *(f"{statistics.median(value) / 1000.0:.2f}" for value in values)])
     return _table(head, rows)
 
 
 def _pass_table(key: FrameKey, sides: Rows) -> str:
-    found = {side: median_passes(sides[side]) for side in (BASE, NOW) if side in sides}
-    names = list(dict.fromkeys(name for passes in found.values() for name in passes))
-    rows = [[name, *(f"{passes[name]:.1f}" if name in passes else "" for passes in found.values())] for name in names]
-    return f"{key.picture}, {key.plan}, {MOVES[key.move]} moved:\n\n" + _table(["pass", *(f"{side}, ms" for side in found)], rows)
+    passes_by_side = {side: median_passes(sides[side]) for side in (BASE, NOW) if side in sides}
+    names = list(dict.fromkeys(name for passes in passes_by_side.values() for name in passes))
+    rows = [[name, *(f"{passes[name]:.1f}" if name in passes else "" for passes in passes_by_side.values())] for name in names]
+    return f"{key.picture}, {key.plan}, {MOVES[key.move]} moved:\n\n" + _table(
+        ["pass", *(f"{side}, ms" for side in passes_by_side)], rows
+    )

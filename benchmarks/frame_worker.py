@@ -33,7 +33,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-STARTED = time.perf_counter()
+PROCESS_START_S = time.perf_counter()
 
 import moderngl  # noqa: E402
 import numpy as np  # noqa: E402
@@ -48,9 +48,9 @@ from skugga.terrain.level.level import load_level  # noqa: E402
 from skugga.terrain.level.parts import SunSpec  # noqa: E402
 from skugga.terrain.scene import Scene, build_scene  # noqa: E402
 
-IMPORTED = time.perf_counter()
+IMPORTS_END_S = time.perf_counter()
 
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+GOLDEN_RATIO = 0.5 * (np.sqrt(5.0) - 1.0)
 """Place number n is the fraction of n * GOLDEN along the ways below: places never repeat, and successive ones are never near."""
 
 SUN_WAY_DEG, SUN_WAY_MIN = 4.0, 16.0
@@ -58,7 +58,7 @@ SUN_WAY_DEG, SUN_WAY_MIN = 4.0, 16.0
 least two fifths of it, as in a film of a day in steps of six minutes and more.
 """
 
-CAMERA_WAY_M = 3.0
+CAMERA_TRAVEL_M = 3.0
 """The camera's range, to its right: steps of 1.1 to 1.9 m."""
 
 
@@ -89,33 +89,35 @@ def count_reads() -> None:
     from OpenGL import GL
 
     kinds = ("Framebuffer", "Texture", "TextureArray", "Texture3D", "TextureCube", "Buffer")
-    found = [(getattr(moderngl, kind), name) for kind in kinds for name in ("read", "read_into", "read_chunks", "read_chunks_into")]
-    found += [(GL, name) for name in ("glReadPixels", "glGetTexImage", "glGetBufferSubData", "glMapBufferRange")]
-    for owner, name in found:
+    read_functions = [
+        (getattr(moderngl, kind), name) for kind in kinds for name in ("read", "read_into", "read_chunks", "read_chunks_into")
+    ]
+    read_functions += [(GL, name) for name in ("glReadPixels", "glGetTexImage", "glGetBufferSubData", "glMapBufferRange")]
+    for owner, name in read_functions:
         if hasattr(owner, name):
-            setattr(owner, name, _counted(getattr(owner, name)))
+            setattr(owner, name, _counting_wrapper(getattr(owner, name)))
 
 
-def _counted(call: Any) -> Any:
-    def counted(*args: Any, **kwargs: Any) -> Any:
-        arrays = [each for each in (*args, *kwargs.values()) if isinstance(each, np.ndarray)]
+def _counting_wrapper(call: Any) -> Any:
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
+        arrays = [argument for argument in (*args, *kwargs.values()) if isinstance(argument, np.ndarray)]
         with COSTS.read(arrays[-1] if arrays else None):
             return call(*args, **kwargs)
 
-    return counted
+    return wrapper
 
 
-class Place:
+class ViewVariants:
     """The level's sun and view, and variants of them by number."""
 
     def __init__(self, scene: Scene, view: PerspectiveView) -> None:
         self.scene, self.view = scene, view
         self._moved: dict[int, Scene] = {0: scene}
 
-    def under(self, number: int) -> Scene:
+    def with_sun_number(self, number: int) -> Scene:
         """Return the scene under the sun of a number; 0: its own."""
         if number not in self._moved:
-            sun, share = self.scene.sun, number * GOLDEN % 1.0
+            sun, share = self.scene.sun, number * GOLDEN_RATIO % 1.0
             assert sun is not None
             if sun.time is not None:
                 spec = SunSpec(time=sun.time + timedelta(minutes=SUN_WAY_MIN * share))
@@ -124,12 +126,12 @@ class Place:
             self._moved = {0: self.scene, number: self.scene.with_sun(spec)}  # frames under one sun share a scene, as in a film
         return self._moved[number]
 
-    def seen_from(self, number: int) -> PerspectiveView:
+    def with_camera_number(self, number: int) -> PerspectiveView:
         """Return the view from the place of a number; 0: its own."""
         if number == 0:
             return self.view
         right = self.view.earth_from_camera[:, 0]
-        return replace(self.view, eye_earth_m=self.view.eye_earth_m + CAMERA_WAY_M * (number * GOLDEN % 1.0) * right)
+        return replace(self.view, eye_earth_m=self.view.eye_earth_m + CAMERA_TRAVEL_M * (number * GOLDEN_RATIO % 1.0) * right)
 
 
 class Worker:
@@ -138,19 +140,22 @@ class Worker:
     def __init__(self, level: str, view: str, size: tuple[int, int], overrides: dict[str, dict[str, Any]]) -> None:
         start = time.perf_counter()
         scene = build_scene(load_level(Path(level) if os.sep in level else find_level(level)))
-        shown = scene.view(view, size=size)
-        assert isinstance(shown, PerspectiveView)
-        self.place, self.name, self.overrides = Place(scene, shown), view, overrides
+        scene_view = scene.view(view, size=size)
+        assert isinstance(scene_view, PerspectiveView)
+        self.variants, self.name, self.overrides = ViewVariants(scene, scene_view), view, overrides
         self.plans: dict[str, Any] = {}
         self.yardsticks: dict[tuple[int, int], Any] = {}
         self.picture: np.ndarray | None = None
         self.visibility = np.zeros((0, 0, 0), np.float32)
         self.built_ms = 1000.0 * (time.perf_counter() - start)
 
-    def plan(self, asked: dict[str, Any]) -> dict[str, Any]:
-        scene, view = self.place.under(asked.get("sun", 0)), self.place.seen_from(asked.get("camera", 0))
+    def plan(self, request: dict[str, Any]) -> dict[str, Any]:
+        scene, view = (
+            self.variants.with_sun_number(request.get("sun", 0)),
+            self.variants.with_camera_number(request.get("camera", 0)),
+        )
         wall, cpu = time.perf_counter(), time.process_time()
-        for name in asked.get("plans", self.overrides):
+        for name in request.get("plans", self.overrides):
             self.plans[name] = plan_of_view(scene, view, self.name, self.overrides[name])
         took: dict[str, Any] = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
         from skugga.terrain.gl.device import renderer_and_version
@@ -158,15 +163,18 @@ class Worker:
         took["renderer"] = " ".join(renderer_and_version())
         return {**took, "plans": {name: {"algorithms": plan.headline, "passes": plan.passes} for name, plan in self.plans.items()}}
 
-    def frame(self, asked: dict[str, Any]) -> dict[str, Any]:
-        if asked.get("clear"):
-            clear_caches(*asked["clear"])
-        scene, view = self.place.under(asked.get("sun", 0)), self.place.seen_from(asked.get("camera", 0))
+    def frame(self, request: dict[str, Any]) -> dict[str, Any]:
+        if request.get("clear"):
+            clear_caches(*request["clear"])
+        scene, view = (
+            self.variants.with_sun_number(request.get("sun", 0)),
+            self.variants.with_camera_number(request.get("camera", 0)),
+        )
         self.picture, self.visibility = None, self.visibility[:0]  # releases the last frame before the next, as a service does
         COSTS.reads, COSTS.read_bytes = 0, 0
         wall, cpu = time.perf_counter(), time.process_time()
         with record_draw_calls() as calls:
-            frame = render_frame(scene, view, self.plans[asked["plan"]])
+            frame = render_frame(scene, view, self.plans[request["plan"]])
         took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
         self.picture, self.visibility = frame.color, np.stack(list(frame.visibilities.values()))
         passes = {record.name: record.ms for record in frame.passes}
@@ -176,13 +184,16 @@ class Worker:
         digests = {"color": profile_digest([frame.color]), "visibility": profile_digest([self.visibility])}
         return {**took, **counts, **digests, "passes_ms": passes, "peak_gb": peak_gb()}
 
-    def yardstick(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def yardstick(self, request: dict[str, Any]) -> dict[str, Any]:
         from benchmarks.yardstick import Yardstick
 
-        scene, view = self.place.under(asked.get("sun", 0)), self.place.seen_from(asked.get("camera", 0))
-        key = asked["map_size"], asked["taps"]
+        scene, view = (
+            self.variants.with_sun_number(request.get("sun", 0)),
+            self.variants.with_camera_number(request.get("camera", 0)),
+        )
+        key = request["map_size"], request["taps"]
         if key not in self.yardsticks:
-            self.yardsticks[key] = Yardstick(self.place.scene, self.place.view, *key)
+            self.yardsticks[key] = Yardstick(self.variants.scene, self.variants.view, *key)
             for _ in range(3):  # compiles, and uploads
                 self.yardsticks[key].draw(scene, view)
         stick = self.yardsticks[key]
@@ -194,14 +205,14 @@ class Worker:
         counts = {"reads": COSTS.reads, "read_mib": COSTS.read_bytes / 2**20, "draws": len(calls), "triangles": stick.triangles}
         return {**took, **counts, "passes_ms": {}, "peak_gb": peak_gb()}
 
-    def save(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def save(self, request: dict[str, Any]) -> dict[str, Any]:
         from PIL import Image
 
         assert self.picture is not None
-        if asked["path"].endswith(".npz"):
-            np.savez(asked["path"], color=self.picture, visibility=self.visibility)
+        if request["path"].endswith(".npz"):
+            np.savez(request["path"], color=self.picture, visibility=self.visibility)
         else:
-            Image.fromarray(self.picture).save(asked["path"])
+            Image.fromarray(self.picture).save(request["path"])
         return {}
 
 
@@ -227,12 +238,12 @@ def main() -> None:
     answers, sys.stdout = sys.stdout, sys.stderr  # printed text is no answer
     worker = Worker(level, view, (width, height), json.loads(overrides))
     count_reads()
-    ready = {"import_ms": 1000.0 * (IMPORTED - STARTED), "scene_ms": worker.built_ms}
+    ready = {"import_ms": 1000.0 * (IMPORTS_END_S - PROCESS_START_S), "scene_ms": worker.built_ms}
     print(json.dumps(ready), file=answers, flush=True)
     for line in sys.stdin:
-        asked = json.loads(line)
-        does = {"plan": worker.plan, "frame": worker.frame, "yardstick": worker.yardstick, "save": worker.save}
-        print(json.dumps(does[asked["do"]](asked)), file=answers, flush=True)
+        request = json.loads(line)
+        handlers = {"plan": worker.plan, "frame": worker.frame, "yardstick": worker.yardstick, "save": worker.save}
+        print(json.dumps(handlers[request["do"]](request)), file=answers, flush=True)
 
 
 if __name__ == "__main__":

@@ -53,14 +53,25 @@ from typing import IO, Any
 
 import numpy as np
 
-from benchmarks.frame_tables import BASE, BEGIN, NOW, YARDSTICK, FrameKey, Row, Rows, as_markdown, frame_targets, put_between_marks
+from benchmarks.frame_tables import (
+    BASE,
+    BEGIN,
+    NOW,
+    YARDSTICK,
+    FrameKey,
+    Row,
+    Rows,
+    as_markdown,
+    frame_targets,
+    replace_between_marks,
+)
 from benchmarks.scenes import wooded_hills
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKER = Path(__file__).with_name("frame_worker.py")
 
-MILLION = "a million trees"
-STICKS = {"unshadowed": (0, 1), "512, 1 tap": (512, 1), "512, 3 x 3 taps": (512, 3)}
+MILLION_TREES = "a million trees"
+YARDSTICK_VARIANTS = {"unshadowed": (0, 1), "512, 1 tap": (512, 1), "512, 3 x 3 taps": (512, 3)}
 """Sides of the yardstick's depth map and of its square of taps."""
 
 ALL_MOVES = ("new", "sun", "camera", "resting", "all new")
@@ -89,22 +100,22 @@ PICTURES = {
     ),
     "valley": Picture("jacksboro_wooded", "valley", (1280, 1024), turns_share=0.5, has_first=True),
     "village": Picture("jacksboro_wooded", "village", (1280, 1024), turns_share=0.5),
-    MILLION: Picture("", "low", (800, 600), moves={"planned": ("new",)}, turns_share=0.5),
+    MILLION_TREES: Picture("", "low", (800, 600), moves={"planned": ("new",)}, turns_share=0.5),
 }  # fmt: skip
 
 
-class Side:
+class FrameProcess:
     """A process that draws one picture's frames with the code in a folder."""
 
-    def __init__(self, process: subprocess.Popen[str], said: IO[bytes]) -> None:
-        self._process, self._said = process, said
+    def __init__(self, process: subprocess.Popen[str], stderr: IO[bytes]) -> None:
+        self._process, self._stderr = process, stderr
         self.ready = self._answer()
 
-    def ask(self, do: str, **asked: Any) -> Row:
+    def ask(self, operation: str, **parameters: Any) -> Row:
         """Send a request, and return its costs. Raises ``RuntimeError`` if it fails."""
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps({"do": do, **asked}) + "\n")
+            self._process.stdin.write(json.dumps({"do": operation, **parameters}) + "\n")
             self._process.stdin.flush()
         except BrokenPipeError:
             pass
@@ -115,23 +126,23 @@ class Side:
         line = self._process.stdout.readline()
         if not line:
             self._process.wait()
-            self._said.seek(0)
-            raise RuntimeError(f"{self._process.args}: {self._said.read().decode(errors='replace')[-4000:]}")
+            self._stderr.seek(0)
+            raise RuntimeError(f"{self._process.args}: {self._stderr.read().decode(errors='replace')[-4000:]}")
         return json.loads(line)
 
 
 @contextmanager
-def side(folder: Path, picture: Picture, level: str) -> Iterator[Side]:
+def frame_process(folder: Path, picture: Picture, level: str) -> Iterator[FrameProcess]:
     """Run a side as a context manager."""
     size = f"{picture.size[0]}x{picture.size[1]}"
     command = [sys.executable, "-P", str(WORKER), level, picture.view, size, json.dumps(picture.plans)]
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as stderr:
         process = subprocess.Popen(
             command, cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr,
         )  # fmt: skip
         try:
-            yield Side(process, said)
+            yield FrameProcess(process, stderr)
         finally:
             assert process.stdin is not None and process.stdout is not None
             process.stdin.close()
@@ -140,7 +151,7 @@ def side(folder: Path, picture: Picture, level: str) -> Iterator[Side]:
 
 
 @dataclass
-class Found:
+class FrameMeasurements:
     """Measurements: rows by kind of frame and side, plans and first frames by picture and side, differences from the other
     commit's pictures, and the machine's load.
     """
@@ -153,106 +164,110 @@ class Found:
     load: float = 0.0
 
 
-def in_turns(name: str, picture: Picture, level: str, folders: dict[str, Path], turns: int, found: Found) -> None:
+def measure_interleaved(
+    name: str, picture: Picture, level: str, folders: dict[str, Path], turns: int, measurements: FrameMeasurements
+) -> None:
     """Draw a picture's frames: every kind by every side in each turn, the sides in alternating order."""
     with ExitStack() as stack:
-        sides = {each: stack.enter_context(side(folder, picture, level)) for each, folder in folders.items()}
-        drawers = {each: its for each, its in sides.items() if each != YARDSTICK}
-        for each, its in drawers.items():
-            planned = its.ask("plan")
-            found.renderer = planned["renderer"]
-            found.plans.setdefault(name, {})[each] = planned
+        sides = {side_name: stack.enter_context(frame_process(folder, picture, level)) for side_name, folder in folders.items()}
+        drawers = {side_name: process for side_name, process in sides.items() if side_name != YARDSTICK}
+        for side_name, process in drawers.items():
+            planned = process.ask("plan")
+            measurements.renderer = planned["renderer"]
+            measurements.plans.setdefault(name, {})[side_name] = planned
         number, sun, camera = 0, 0, 0
         pictures = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        for turn in range(turns + 1):
-            order = list(drawers.items())[:: 1 if turn % 2 else -1]
+        for turn_number in range(turns + 1):
+            order = list(drawers.items())[:: 1 if turn_number % 2 else -1]
             for plan, moves in picture.moves.items():
                 for move in moves:
                     if move in ("new", "sun", "camera"):
                         number += 1
-                    sun, camera = _places(move, number, (sun, camera))
+                    sun, camera = _position_numbers(move, number, (sun, camera))
                     clear = ["light", "scene"] if move == "all new" else []
-                    for each, its in order:
-                        row = its.ask("frame", plan=plan, sun=sun, camera=camera, clear=clear)
-                        _keep(found, FrameKey(name, plan, move), each, row, turn)
-                    if turn == turns and BASE in drawers:
+                    for side_name, process in order:
+                        row = process.ask("frame", plan=plan, sun=sun, camera=camera, clear=clear)
+                        _add_row(measurements, FrameKey(name, plan, move), side_name, row, turn_number)
+                    if turn_number == turns and BASE in drawers:
                         key = FrameKey(name, plan, move)
-                        found.differences[key] = _difference(found.frames[key], drawers, pictures)
+                        measurements.differences[key] = _difference(measurements.frames[key], drawers, pictures)
             if YARDSTICK in sides:
-                for stick, (map_size, taps) in STICKS.items():
+                for yardstick_name, (map_size, taps) in YARDSTICK_VARIANTS.items():
                     row = sides[YARDSTICK].ask("yardstick", map_size=map_size, taps=taps, sun=number, camera=number)
-                    _keep(found, FrameKey(name, "yardstick", stick), YARDSTICK, row, turn)
-        for again in range(3):
-            for each, its in drawers.items():
-                row = its.ask("plan", plans=["planned"], sun=number + 1 + again, camera=number + 1 + again)
-                found.plans[name][each].setdefault("new_view_ms", []).append(row["ms"])
-                found.plans[name][each].setdefault("new_view_cpu_ms", []).append(row["cpu_ms"])
+                    _add_row(measurements, FrameKey(name, "yardstick", yardstick_name), YARDSTICK, row, turn_number)
+        for repeat in range(3):
+            for side_name, process in drawers.items():
+                row = process.ask("plan", plans=["planned"], sun=number + 1 + repeat, camera=number + 1 + repeat)
+                measurements.plans[name][side_name].setdefault("new_view_ms", []).append(row["ms"])
+                measurements.plans[name][side_name].setdefault("new_view_cpu_ms", []).append(row["cpu_ms"])
 
 
-def _difference(rows: Rows, drawers: dict[str, Side], folder: Path) -> Row:
+def _difference(rows: Rows, drawers: dict[str, FrameProcess], folder: Path) -> Row:
     """Return how many frames have the same colours and visibilities on both sides, and the difference of the last frame."""
-    same = {
-        what: sum(one[what] == other[what] for one, other in zip(rows[NOW], rows[BASE], strict=True))
-        for what in ("color", "visibility")
+    equal_counts = {
+        quantity: sum(row[quantity] == other[quantity] for row, other in zip(rows[NOW], rows[BASE], strict=True))
+        for quantity in ("color", "visibility")
     }
     saved = []
-    for each, its in drawers.items():
-        its.ask("save", path=str(folder / f"{each}.npz"))
-        saved.append(np.load(folder / f"{each}.npz"))
-    steps = np.abs(np.subtract(*(each["color"].astype(np.int16) for each in saved))).max(axis=2)
-    lit = [each["visibility"] >= 0.5 for each in saved]
+    for side_name, process in drawers.items():
+        process.ask("save", path=str(folder / f"{side_name}.npz"))
+        saved.append(np.load(folder / f"{side_name}.npz"))
+    steps = np.abs(np.subtract(*(side_name["color"].astype(np.int16) for side_name in saved))).max(axis=2)
+    lit = [side_name["visibility"] >= 0.5 for side_name in saved]
     counts = {"pixels": int((steps > 0).sum()), "most": int(steps.max()), "classes": int((lit[0] != lit[1]).any(axis=0).sum())}
-    return {"frames": len(rows[NOW]), **same, **counts}
+    return {"frames": len(rows[NOW]), **equal_counts, **counts}
 
 
-def _places(move: str, number: int, before: tuple[int, int]) -> tuple[int, int]:
+def _position_numbers(move: str, number: int, before: tuple[int, int]) -> tuple[int, int]:
     """Return the place numbers of sun and camera in the next frame."""
     return number if move in ("new", "sun") else before[0], number if move in ("new", "camera") else before[1]
 
 
-def _keep(found: Found, key: FrameKey, each: str, row: Row, turn: int) -> None:
-    if turn:  # the first turn compiles and allocates
-        found.frames.setdefault(key, {}).setdefault(each, []).append(row)
+def _add_row(measurements: FrameMeasurements, key: FrameKey, side_name: str, row: Row, turn_number: int) -> None:
+    if turn_number:  # the first turn compiles and allocates
+        measurements.frames.setdefault(key, {}).setdefault(side_name, []).append(row)
 
 
-def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Path], found: Found) -> None:
+def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Path], measurements: FrameMeasurements) -> None:
     """Measure first frames of fresh processes, one side after the other."""
     for _ in range(FIRST_REPEATS):
-        for each, folder in folders.items():
-            with side(folder, picture, level) as its:
+        for side_name, folder in folders.items():
+            with frame_process(folder, picture, level) as process:
                 answers = []
                 for number in range(WARM_AFTER_FIRST + 1):
-                    plan = its.ask("plan", plans=["planned"], sun=number, camera=number)
-                    row = its.ask("frame", plan="planned", sun=number, camera=number)
-                    both = {f"{clock}answer_ms": plan[f"{clock}ms"] + row[f"{clock}ms"] for clock in ("", "cpu_")}
-                    answers.append({**row, **both, "plan_ms": plan["ms"]})
+                    plan = process.ask("plan", plans=["planned"], sun=number, camera=number)
+                    row = process.ask("frame", plan="planned", sun=number, camera=number)
+                    answer_times = {f"{clock}answer_ms": plan[f"{clock}ms"] + row[f"{clock}ms"] for clock in ("", "cpu_")}
+                    answers.append({**row, **answer_times, "plan_ms": plan["ms"]})
                 clocks = ("ms", "cpu_ms", "plan_ms", "answer_ms", "cpu_answer_ms")
                 warm = {clock: statistics.median(answer[clock] for answer in answers[1:]) for clock in clocks}
-                found.firsts.setdefault(name, {}).setdefault(each, []).append({**its.ready, "first": answers[0], "warm": warm})
+                measurements.firsts.setdefault(name, {}).setdefault(side_name, []).append(
+                    {**process.ready, "first": answers[0], "warm": warm}
+                )
 
 
-def measure(given: argparse.Namespace) -> Found:
+def measure(args: argparse.Namespace) -> FrameMeasurements:
     """Measure all requested pictures."""
-    found = Found()
-    folders = {NOW: ROOT} | ({BASE: given.base.resolve()} if given.base else {})
+    measurements = FrameMeasurements()
+    folders = {NOW: ROOT} | ({BASE: args.base.resolve()} if args.base else {})
     with tempfile.TemporaryDirectory() as folder:
-        for name in given.pictures:
+        for name in args.pictures:
             picture = PICTURES[name]
             width, height = picture.size
-            picture = Picture(**{**vars(picture), "size": (round(width * given.scale), round(height * given.scale))})
-            level = str(wooded_hills(Path(folder), given.trees)) if name == MILLION else picture.level
-            turns = max(round(given.repeats * picture.turns_share), 1)
-            in_turns(name, picture, level, {**folders, YARDSTICK: ROOT}, turns, found)
-            if picture.has_first and not given.no_first:
-                first_frames(name, picture, level, folders, found)
-            found.load = max(found.load, os.getloadavg()[0])
+            picture = Picture(**{**vars(picture), "size": (round(width * args.scale), round(height * args.scale))})
+            level = str(wooded_hills(Path(folder), args.trees)) if name == MILLION_TREES else picture.level
+            turn_count = max(round(args.repeats * picture.turns_share), 1)
+            measure_interleaved(name, picture, level, {**folders, YARDSTICK: ROOT}, turn_count, measurements)
+            if picture.has_first and not args.no_first:
+                first_frames(name, picture, level, folders, measurements)
+            measurements.load = max(measurements.load, os.getloadavg()[0])
             print(f"{name} is done; load {os.getloadavg()[0]:.1f}", file=sys.stderr, flush=True)
-    return found
+    return measurements
 
 
 def _commit(folder: Path) -> str:
-    said = subprocess.run(["git", "log", "-1", "--format=%h of %cs"], cwd=folder, capture_output=True, text=True, check=False)
-    return said.stdout.strip() or "unknown"
+    process = subprocess.run(["git", "log", "-1", "--format=%h of %cs"], cwd=folder, capture_output=True, text=True, check=False)
+    return process.stdout.strip() or "unknown"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -266,27 +281,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--no-first", action="store_true", help="leave out the first frames of fresh processes")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path, help="a page with marks, between which the tables are put, or a new file")
-    given = parser.parse_args(arguments)
-    if given.base is not None and not (given.base / "terrain").is_dir():
-        parser.error(f"--base: {given.base}: a clone of this repository, which has a folder terrain")
-    if given.repeats < 1 or not 0.0 < given.scale <= 1.0:
-        parser.error(f"--repeats {given.repeats} --scale {given.scale:g}: one turn at least, and a scale up to 1")
-    found = measure(given)
+    args = parser.parse_args(arguments)
+    if args.base is not None and not (args.base / "terrain").is_dir():
+        parser.error(f"--base: {args.base}: a clone of this repository, which has a folder terrain")
+    if args.repeats < 1 or not 0.0 < args.scale <= 1.0:
+        parser.error(f"--repeats {args.repeats} --scale {args.scale:g}: one turn at least, and a scale up to 1")
+    measurements = measure(args)
     result = {
-        "renderer": found.renderer, "cpus": os.cpu_count(), "load": found.load, "repeats": given.repeats, "now": _commit(ROOT),
-        "base": _commit(given.base) if given.base else None, "plans": found.plans, "firsts": found.firsts,
-        "frames": [{**key._asdict(), "rows": sides, "differs": found.differences.get(key)} for key, sides in found.frames.items()],
-        "targets": [{**each._asdict(), "met": each.met} for each in frame_targets(found.frames, found.firsts)],
+        "renderer": measurements.renderer, "cpus": os.cpu_count(), "load": measurements.load, "repeats": args.repeats, "now": _commit(ROOT),
+        "base": _commit(args.base) if args.base else None, "plans": measurements.plans, "firsts": measurements.firsts,
+        "frames": [{**key._asdict(), "rows": sides, "differs": measurements.differences.get(key)} for key, sides in measurements.frames.items()],
+        "targets": [{**target._asdict(), "met": target.met} for target in frame_targets(measurements.frames, measurements.firsts)],
     }  # fmt: skip
-    table = as_markdown(result, found.frames, found.firsts, found.differences)
-    if given.json:
-        given.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    if given.markdown:
-        page = given.markdown.read_text(encoding="utf-8") if given.markdown.exists() else ""
-        given.markdown.write_text(put_between_marks(page, table) if BEGIN in page else table, encoding="utf-8")
+    table = as_markdown(result, measurements.frames, measurements.firsts, measurements.differences)
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    if args.markdown:
+        page = args.markdown.read_text(encoding="utf-8") if args.markdown.exists() else ""
+        args.markdown.write_text(replace_between_marks(page, table) if BEGIN in page else table, encoding="utf-8")
     print(table)
-    for each in frame_targets(found.frames, found.firsts):
-        print(each.line)
+    for target in frame_targets(measurements.frames, measurements.firsts):
+        print(target.line)
 
 
 if __name__ == "__main__":

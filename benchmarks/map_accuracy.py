@@ -65,9 +65,9 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
             continue
         visibility = fill_steps([step], buffer, lit, casters, plan.runs, PassLog())
         visibility[attached(buffer, lit)] = 0.0
-        found = error_metrics(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
-        shadowed = float((~truth.lit & truth.valid).sum() / max(truth.valid.sum(), 1))
-        rows.append({"azimuth": azimuth, "altitude": altitude, "shadow": shadowed, **asdict(found)})
+        metrics = error_metrics(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
+        shadow_share = float((~truth.lit & truth.valid).sum() / max(truth.valid.sum(), 1))
+        rows.append({"azimuth": azimuth, "altitude": altitude, "shadow": shadow_share, **asdict(metrics)})
     return rows
 
 
@@ -75,7 +75,7 @@ def slope_p95_deg(scene: Scene) -> float:
     heights, cell = scene.elevation.overview.heights_m, scene.elevation.cell_size_m(scene.world.metres_per_unit)
     if min(heights.shape) < 2:
         return 0.0
-    gradient = np.hypot(*np.gradient(heights, cell * 2**scene.elevation.overview.level))
+    gradient = np.hypot(*np.gradient(heights, cell * 2**scene.elevation.overview.lod))
     return float(np.degrees(np.arctan(np.nanquantile(gradient, 0.95))))
 
 

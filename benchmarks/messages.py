@@ -43,11 +43,11 @@ class Message:
 
 def messages(root: Path = ROOT) -> list[Message]:
     """Return all messages of the four layers in the order of kinds, files and lines."""
-    found = []
+    result = []
     for layer in LAYERS:
         for path in sorted((root / layer).rglob("*.py")):
-            found += messages_of(path.read_text(encoding="utf-8"), path.relative_to(root))
-    return sorted(found, key=lambda message: (message.kind, message.path, message.line))
+            result += messages_of(path.read_text(encoding="utf-8"), path.relative_to(root))
+    return sorted(result, key=lambda message: (message.kind, message.path, message.line))
 
 
 def messages_of(source: str, path: Path) -> Iterator[Message]:

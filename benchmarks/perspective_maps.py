@@ -57,29 +57,29 @@ def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: i
     return {**maps, "perspective": make_plan(descriptor, level, {**overrides, "algorithm": "perspective_shadow_map"})}
 
 
-def errors(given: argparse.Namespace) -> list[Row]:
+def errors(args: argparse.Namespace) -> list[Row]:
     keys = (
         "edge_p95", "edge_mean", "wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_parts",
         "interior_sees",
     )  # fmt: skip
     rows = []
-    for level, scene, name, view in views(given.levels, tuple(given.size)):
-        for map_name, plan in plans(scene, view, name, given.map_size, given.filter).items():
+    for level, scene, name, view in views(args.levels, tuple(args.size)):
+        for map_name, plan in plans(scene, view, name, args.map_size, args.filter).items():
             figures = measure_plan(scene, view, plan).figures
             rows.append({"view": f"{level} {name}", "map": map_name, **{key: figures[key] for key in keys}})
             print(*rows[-1].values(), flush=True)
     return rows
 
 
-def times(given: argparse.Namespace) -> list[Row]:
+def times(args: argparse.Namespace) -> list[Row]:
     rows = []
-    for level, scene, name, view in views(given.levels, tuple(given.size)):
+    for level, scene, name, view in views(args.levels, tuple(args.size)):
         buffer = geometry_buffer(scene, view)
         casters = find_casters(scene, buffer)
         times_by_map: dict[str, list[float]] = {}
-        held, notes = {}, {}
-        todo = plans(scene, view, name, given.map_size, given.filter)
-        for number in range(given.repeats + 2):
+        map_bytes, notes = {}, {}
+        todo = plans(scene, view, name, args.map_size, args.filter)
+        for number in range(args.repeats + 2):
             for map_name in [*todo][:: 1 if number % 2 else -1]:
                 device().depth_targets.clear()
                 log, start = PassLog(), time.perf_counter()
@@ -87,12 +87,12 @@ def times(given: argparse.Namespace) -> list[Row]:
                     fill_steps(todo[map_name].steps_under(light), buffer, scene, casters, todo[map_name].runs, log)
                 if number >= 2:  # the first turns compile and allocate
                     times_by_map.setdefault(map_name, []).append(time.perf_counter() - start)
-                held[map_name] = max(record.bytes for record in log.records.values())
+                map_bytes[map_name] = max(record.bytes for record in log.records.values())
                 notes[map_name] = " ".join(record.note for record in log.records.values()).strip()
         medians = {map_name: float(np.median(milliseconds)) for map_name, milliseconds in times_by_map.items()}
         row = {"view": f"{level} {name}", "ms": 1000.0 * medians["perspective"]}
         row |= {f"over {fit}": medians["perspective"] / medians[fit] for fit in FITS}
-        row |= {f"MiB {map_name}": count / 2**20 for map_name, count in held.items()}
+        row |= {f"MiB {map_name}": count / 2**20 for map_name, count in map_bytes.items()}
         rows.append({**row, "note": notes["perspective"]})
         print(*rows[-1].values(), flush=True)
     return rows

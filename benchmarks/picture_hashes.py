@@ -67,21 +67,21 @@ def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[st
 
 def hashes_of_level(path: Path) -> dict[str, str]:
     """Return all hashes of a level, by ``LEVEL/VIEW/ALGORITHM/LAYER``."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     scene = build_scene(load_level(path))
     for view in scene.loaded.level.views:
-        for algorithm in (AUTO, *(name for name, each in ALGORITHMS.items() if each.served)):
+        for algorithm in (AUTO, *(name for name, algorithm_info in ALGORITHMS.items() if algorithm_info.is_served)):
             for layer, value in hashes_of_view(scene, view, algorithm):
-                found[f"{path.stem}/{view}/{algorithm}/{layer}"] = value
-    print(f"{path.stem}: {len(found)} hashes", file=sys.stderr, flush=True)
-    return found
+                result[f"{path.stem}/{view}/{algorithm}/{layer}"] = value
+    print(f"{path.stem}: {len(result)} hashes", file=sys.stderr, flush=True)
+    return result
 
 
 def all_hashes() -> dict[str, str]:
     """Return the hashes of all bundled levels, sorted by name."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
         levels = list(workers.map(hashes_of_level, bundled_levels()))
-    return dict(sorted((name, value) for found in levels for name, value in found.items()))
+    return dict(sorted((name, value) for level_hashes in levels for name, value in level_hashes.items()))
 
 
 def main() -> int:
@@ -90,16 +90,16 @@ def main() -> int:
     parser.add_argument("what", choices=("write", "check"))
     parser.add_argument("file", type=Path)
     args = parser.parse_args()
-    found = all_hashes()
+    hashes = all_hashes()
     if args.what == "write":
-        args.file.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
-        print(f"{len(found)} hashes written to {args.file}")
+        args.file.write_text(json.dumps(hashes, indent=0) + "\n", encoding="utf-8")
+        print(f"{len(hashes)} hashes written to {args.file}")
         return 0
     before = json.loads(args.file.read_text(encoding="utf-8"))
-    differ = [name for name in sorted(before.keys() | found.keys()) if before.get(name) != found.get(name)]
+    differ = [name for name in sorted(before.keys() | hashes.keys()) if before.get(name) != hashes.get(name)]
     for name in differ:
-        print(f"differs: {name}: {before.get(name, 'not there')} before, {found.get(name, 'not there')} now")
-    print(f"{len(found)} hashes, {len(differ)} differ")
+        print(f"differs: {name}: {before.get(name, 'not there')} before, {hashes.get(name, 'not there')} now")
+    print(f"{len(hashes)} hashes, {len(differ)} differ")
     return 1 if differ else 0
 
 

@@ -35,7 +35,7 @@ from skugga.terrain.scene import Scene, build_scene
 MAX_CELLS = 4_000_000
 """The largest raster that is compared with rays."""
 
-ASIDE_DEG = 0.02
+ALTITUDE_OFFSET_DEG = 0.02
 
 
 def timed(work: Callable[[], object]) -> tuple[float, float]:
@@ -47,22 +47,22 @@ def timed(work: Callable[[], object]) -> tuple[float, float]:
 
 def places_of(scene: Scene, count: int) -> list[tuple[float, float]]:
     """Return random coordinates, in the raster's CRS, of cells with valid ground; the seed is fixed."""
-    rng, elevation, found = np.random.default_rng(7), scene.elevation, []
-    while len(found) < count:
+    rng, elevation, result = np.random.default_rng(7), scene.elevation, []
+    while len(result) < count:
         row, col = rng.uniform(0.05, 0.95) * elevation.rows, rng.uniform(0.05, 0.95) * elevation.cols
         x, y = (float(v) for v in elevation.xy(row, col))
         if np.isfinite(elevation.ground_m(x, y)):
-            found.append((x, y))
-    return found
+            result.append((x, y))
+    return result
 
 
 def report(scene: Scene, at: tuple[float, float], crs: CRS, day: date) -> None:
     """Compute a day's report: the place, its horizon, its day."""
-    around = load_surroundings(scene, place_at(scene, at, crs, 1.6))
-    sun_day(around, day, clock_of("solar", around.place.lon_deg, day))
+    surroundings = load_surroundings(scene, place_at(scene, at, crs, 1.6))
+    sun_day(surroundings, day, clock_of("solar", surroundings.place.lon_deg, day))
 
 
-def whole(scene: Scene, at: tuple[float, float], crs: CRS) -> None:
+def full_horizon(scene: Scene, at: tuple[float, float], crs: CRS) -> None:
     """Compute a horizon of 720 directions."""
     horizon_profile(load_surroundings(scene, place_at(scene, at, crs, 1.6)))
 
@@ -78,20 +78,24 @@ def share_agreeing(scene: Scene, places: list[tuple[float, float]], crs: CRS) ->
     rays = RayScene([sheet])
     agree = []
     for at in places:
-        around = load_surroundings(scene, place_at(scene, at, crs, 1.6))
-        bare = replace(around, triangles=around.triangles[:0], trees=None)
+        surroundings = load_surroundings(scene, place_at(scene, at, crs, 1.6))
+        bare = replace(surroundings, triangles=surroundings.triangles[:0], trees=None)
         horizon = horizon_profile(bare)
-        for aside in (ASIDE_DEG, -ASIDE_DEG):
-            agree += _as_rays(bare.place, frame, rays, horizon.azimuth_deg, horizon.relief_deg + aside, aside < 0)
+        for offset_deg in (ALTITUDE_OFFSET_DEG, -ALTITUDE_OFFSET_DEG):
+            agree += _agrees_with_rays(
+                bare.place, frame, rays, horizon.azimuth_deg, horizon.relief_deg + offset_deg, offset_deg < 0
+            )
     return float(np.mean(agree))
 
 
-def _as_rays(place: PointPlace, frame, rays: RayScene, azimuth: np.ndarray, altitude: np.ndarray, hidden: bool) -> list[bool]:  # noqa: ANN001
-    known = altitude > -89.0
-    enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth[known], altitude[known], strict=True)])
+def _agrees_with_rays(
+    place: PointPlace, frame, rays: RayScene, azimuth: np.ndarray, altitude: np.ndarray, is_hidden: bool
+) -> list[bool]:  # noqa: ANN001
+    is_above_nadir = altitude > -89.0
+    enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth[is_above_nadir], altitude[is_above_nadir], strict=True)])
     towards = frame.directions_from_earth(enu @ place.earth_from_enu.T)
     start = np.repeat(frame.points_from_earth(place.eye_earth_m)[None], len(enu), axis=0)
-    return list(rays.blocked(start, towards) == hidden)
+    return list(rays.blocked(start, towards) == is_hidden)
 
 
 def main() -> None:
@@ -100,25 +104,25 @@ def main() -> None:
     parser.add_argument("levels", nargs="+")
     parser.add_argument("--points", type=int, default=20)
     parser.add_argument("--date", type=date.fromisoformat, default=date(2024, 10, 21))
-    asked = parser.parse_args()
+    args = parser.parse_args()
     print("| level | cells | report, cold | warm | computing | slowest | horizon | computing | slowest | as rays |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
-    for name in asked.levels:
-        row = measured(name, asked.points, asked.date)
+    for name in args.levels:
+        row = measure_level(name, args.points, args.date)
         print(row, flush=True)
 
 
-def measured(name: str, count: int, day: date) -> str:
+def measure_level(name: str, count: int, day: date) -> str:
     """Return a row of the table."""
     path = Path(name) if Path(name).exists() else find_level(name)
     scene = build_scene(load_level(path))
     crs = scene.elevation.crs
     places = places_of(scene, count)
-    report(scene, places[0], crs, day), whole(scene, places[0], crs)  # compiles
+    report(scene, places[0], crs, day), full_horizon(scene, places[0], crs)  # compiles
     clear_caches("light", "scene")
     cold, _ = timed(lambda: report(scene, places[0], crs, day))
     warm = np.array([timed(lambda at=at: report(scene, at, crs, day)) for at in places[1:]])
-    horizons = np.array([timed(lambda at=at: whole(scene, at, crs)) for at in places[1:]])
+    horizons = np.array([timed(lambda at=at: full_horizon(scene, at, crs)) for at in places[1:]])
     agree = "-"
     if scene.elevation.rows * scene.elevation.cols <= MAX_CELLS and scene.elevation.is_north_up:
         try:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1]
 
-CODE = """
+WORKER_PROGRAM = """
 import json, resource, sys, time
 from pathlib import Path
 import skugga
@@ -71,16 +71,16 @@ print(json.dumps({"ms": found, "peak_mib": resource.getrusage(resource.RUSAGE_SE
 """
 
 
-def measured(checkout: Path, raster: Path, zoom: int, repeats: int) -> dict[str, float]:
+def measure_checkout(checkout: Path, raster: Path, zoom: int, repeats: int) -> dict[str, float]:
     """Measure CPU milliseconds of each case in a checkout, and the peak memory, MiB."""
-    command = [sys.executable, "-c", CODE, str(raster.resolve()), str(zoom), str(repeats)]
-    done = subprocess.run(
+    command = [sys.executable, "-c", WORKER_PROGRAM, str(raster.resolve()), str(zoom), str(repeats)]
+    process = subprocess.run(
         command, cwd=checkout, env={**os.environ, "PYTHONPATH": str(checkout)}, capture_output=True, text=True, check=False
     )  # fmt: skip
-    if done.returncode:
-        raise SystemExit(done.stderr)
-    found = json.loads(done.stdout.splitlines()[-1])
-    return {**found["ms"], "peak of memory, MiB": found["peak_mib"]}
+    if process.returncode:
+        raise SystemExit(process.stderr)
+    result = json.loads(process.stdout.splitlines()[-1])
+    return {**result["ms"], "peak of memory, MiB": result["peak_mib"]}
 
 
 def main() -> None:
@@ -91,17 +91,17 @@ def main() -> None:
     parser.add_argument("--zoom", type=int, default=12)
     parser.add_argument("--repeats", type=int, default=5, help="of each case in a process")
     parser.add_argument("--turns", type=int, default=3, help="of each checkout; the first one warms loops")
-    given = parser.parse_args()
-    found: dict[str, list[tuple[float, float]]] = {}
-    for turn in range(given.turns + 1):
-        pair = [measured(each, given.raster, given.zoom, given.repeats) for each in (given.base.resolve(), HERE)]
-        if turn:
+    args = parser.parse_args()
+    times_by_case: dict[str, list[tuple[float, float]]] = {}
+    for turn_number in range(args.turns + 1):
+        pair = [measure_checkout(entry, args.raster, args.zoom, args.repeats) for entry in (args.base.resolve(), HERE)]
+        if turn_number:
             for name in pair[0]:
-                found.setdefault(name, []).append((pair[0][name], pair[1][name]))
+                times_by_case.setdefault(name, []).append((pair[0][name], pair[1][name]))
     print("| what | before | now | ratio |\n| --- | --- | --- | --- |")
-    for name, values in found.items():
-        before, now = (statistics.median(each) for each in zip(*values, strict=True))
-        print(f"| {name} | {before:.0f} | {now:.0f} | {now / before:.2f} |")
+    for name, values in times_by_case.items():
+        before, after = (statistics.median(entry) for entry in zip(*values, strict=True))
+        print(f"| {name} | {before:.0f} | {after:.0f} | {after / before:.2f} |")
 
 
 if __name__ == "__main__":

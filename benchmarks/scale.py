@@ -42,7 +42,7 @@ EARTH_EQUATOR_M = 40_075_016.7
 
 
 @dataclass(frozen=True)
-class Measured:
+class ScaleFigures:
     """Figures of one machine: ``tasks`` with their zoom, seconds, tiles and bytes; rates of coordinator, Dask and packing.
 
     The coordinator alone and Dask have tasks a second, dispatched and recorded; packing has bytes and tiles a second.
@@ -57,7 +57,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Place:
+class PyramidArea:
     """A pyramid to draw: its area in square kilometres about a latitude, and the zoom whose pixels are nearest to its cells."""
 
     name: str
@@ -77,16 +77,16 @@ class Place:
         return float(4.0 / 3.0 * self.area_km2 * 1e6 / side_m**2)
 
 
-PLACES = (
-    Place("Switzerland at 10 m", 41_285.0, 46.8, 10.0),
-    Place("Norway at 10 m", 323_800.0, 65.0, 10.0),
-    Place("all land but Antarctica at 30 m", 134_600_000.0, 30.0, 30.0),
+PYRAMID_AREAS = (
+    PyramidArea("Switzerland at 10 m", 41_285.0, 46.8, 10.0),
+    PyramidArea("Norway at 10 m", 323_800.0, 65.0, 10.0),
+    PyramidArea("all land but Antarctica at 30 m", 134_600_000.0, 30.0, 30.0),
 )
 
 TIMES_OF_DAY = 24
 
 
-class Idle:
+class IdleRunner:
     """A runner whose tasks take no time: the remaining time is the coordinator's own."""
 
     def __init__(self) -> None:
@@ -103,14 +103,14 @@ class Idle:
     def wait(self, timeout_s: float) -> Sequence[TaskResult]:
         """See the protocol; return one task at a time, as workers finish one by one."""
         task = self._given.popleft()
-        index, _ = ShardIndex.of({4**12 + 16 * task.id + i: b"tile" for i in range(16)})
+        index, _ = ShardIndex.from_tiles({4**12 + 16 * task.id + i: b"tile" for i in range(16)})
         return [TaskResult(task.id, index.to_bytes(), 64, 1.0, 0.1, 0)]
 
     def close(self) -> None:
         """See the protocol."""
 
 
-def planned(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTable, PlannedRun]:
+def pending_tasks(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTable, PlannedRun]:
     """Return a table of pending tasks."""
     table = TaskTable(folder / "idle" / "tasks.sqlite")
     request = SeedRequest(LevelSource(path=raster), ZoomRange(*zooms), (SunSpec(azimuth=225.0, altitude=20.0),), "color", "png")
@@ -119,11 +119,11 @@ def planned(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTab
 
 def coordinator_per_s(folder: Path, raster: Path) -> float:
     """Return the tasks a second that the coordinator dispatches and records."""
-    table, run = planned(folder, raster, (8, 15))
+    table, run = pending_tasks(folder, raster, (8, 15))
     with table:
-        count = len(table.waiting())
+        count = len(table.waiting_tasks())
         start = time.perf_counter()
-        run_tasks(table, run, Idle(), lambda end: None)
+        run_tasks(table, run, IdleRunner(), lambda end: None)
         return count / (time.perf_counter() - start)
 
 
@@ -133,19 +133,19 @@ def dask_per_s(folder: Path, tasks: int = 2000) -> float:
 
     index = bytes(448)
     with cluster(folder, 1) as address, distributed.Client(address) as client:
-        client.submit(_nothing, -1, index, pure=False).result()
+        client.submit(_no_op, -1, index, pure=False).result()
         start = time.perf_counter()
-        waiting = deque(range(tasks))
-        running = [client.submit(_nothing, waiting.popleft(), index, pure=False) for _ in range(20)]
-        done = distributed.as_completed(running)
-        for future in done:
+        waiting_tasks = deque(range(tasks))
+        running = [client.submit(_no_op, waiting_tasks.popleft(), index, pure=False) for _ in range(20)]
+        completed = distributed.as_completed(running)
+        for future in completed:
             future.result()
-            if waiting:
-                done.add(client.submit(_nothing, waiting.popleft(), index, pure=False))
+            if waiting_tasks:
+                completed.add(client.submit(_no_op, waiting_tasks.popleft(), index, pure=False))
         return tasks / (time.perf_counter() - start)
 
 
-def _nothing(number: int, index: bytes) -> TaskResult:
+def _no_op(number: int, index: bytes) -> TaskResult:
     return TaskResult(number, index, 0, 0.0, 0.0, 0)
 
 
@@ -155,7 +155,7 @@ def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tup
     store, indexes, first = FolderStore(folder / "pack"), [], (4**12 - 1) // 3
     for number in range(tiles // BLOCK_TILES_ALL):
         ids = range(first + number * 16, first + number * 16 + 16)
-        index, content = ShardIndex.of({each: body + each.to_bytes(8, "big") for each in ids})
+        index, content = ShardIndex.from_tiles({tile_id: body + tile_id.to_bytes(8, "big") for tile_id in ids})
         store.write(f"{number % 256:02x}/{number}", content)
         indexes.append(index)
     start = time.perf_counter()
@@ -165,7 +165,7 @@ def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tup
     return tiles * tile_bytes / took, tiles / took
 
 
-def measure(data: Path) -> Measured:
+def measure(data: Path) -> ScaleFigures:
     """Draw, and measure the rates."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -183,21 +183,22 @@ def measure(data: Path) -> Measured:
         ]
         subprocess.run([*command, "-o", str(output), "--workers", "1", "--json"], check=True, stdout=subprocess.DEVNULL)
         log = [json.loads(line) for line in (Path(f"{output}.seed") / "log.jsonl").read_text(encoding="utf-8").splitlines()]
-        done = [each for each in log if "seconds" in each]
+        finished = [entry for entry in log if "seconds" in entry]
         with TaskTable(Path(f"{output}.seed") / "tasks.sqlite") as table:
             counts = {
-                number: len(ShardIndex.from_bytes(index).ids) for number, _, index in table.done("azimuth=225.0&altitude=20.0")
+                number: len(ShardIndex.from_bytes(index).ids)
+                for number, _, index in table.finished_tasks("azimuth=225.0&altitude=20.0")
             }
-        tasks = [(each["zoom"], each["seconds"], counts[each["task"]], each["bytes"]) for each in done]
+        tasks = [(entry["zoom"], entry["seconds"], counts[entry["task"]], entry["bytes"]) for entry in finished]
         bytes_per_s, tiles_per_s = packing(folder)
-        return Measured(
-            tasks, max(each["peak_bytes"] for each in done), coordinator_per_s(folder, raster), dask_per_s(folder), bytes_per_s,
+        return ScaleFigures(
+            tasks, max(entry["peak_bytes"] for entry in finished), coordinator_per_s(folder, raster), dask_per_s(folder), bytes_per_s,
             tiles_per_s,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedRun:
     """A run of many workers: total hours, the share of the workers' time that is drawing, lost tasks."""
 
     hours: float
@@ -208,7 +209,7 @@ class Simulated:
 def simulate(
     task_s: np.ndarray, tasks: int, workers: int, per_s: float, slow_share: float, slow_factor: float, deaths_per_hour: float,
     heaviest_first: bool = True, seed: int = 1,
-) -> Simulated:  # fmt: skip
+) -> SimulatedRun:  # fmt: skip
     """Simulate workers that run tasks of measured times.
 
     Some workers are slow by a factor. A worker dies at a rate per hour, loses its task, and restarts after a minute. The
@@ -218,60 +219,60 @@ def simulate(
     times = rng.choice(task_s, tasks)
     if heaviest_first:
         times = np.sort(times)[::-1]
-    waiting = deque(times.tolist())
+    waiting_times = deque(times.tolist())
     slower = np.where(rng.random(workers) < slow_share, slow_factor, 1.0)
     free = [(0.0, worker) for worker in range(workers)]
     heapq.heapify(free)
-    coordinator, end, busy, lost = 0.0, 0.0, 0.0, 0
-    while waiting:
+    coordinator, end, busy, lost_count = 0.0, 0.0, 0.0, 0
+    while waiting_times:
         at, worker = heapq.heappop(free)
         coordinator = max(coordinator, at) + 1.0 / per_s
-        takes = waiting.popleft() * slower[worker]
+        duration_s = waiting_times.popleft() * slower[worker]
         dies = rng.exponential(3600.0 / deaths_per_hour) if deaths_per_hour else np.inf
-        if dies < takes:
-            lost += 1
-            waiting.append(takes / slower[worker])
+        if dies < duration_s:
+            lost_count += 1
+            waiting_times.append(duration_s / slower[worker])
             heapq.heappush(free, (coordinator + dies + 60.0, worker))
             continue
-        busy += takes
-        end = max(end, coordinator + takes)
-        heapq.heappush(free, (coordinator + takes, worker))
-    return Simulated(end / 3600.0, busy / (end * workers), lost)
+        busy += duration_s
+        end = max(end, coordinator + duration_s)
+        heapq.heappush(free, (coordinator + duration_s, worker))
+    return SimulatedRun(end / 3600.0, busy / (end * workers), lost_count)
 
 
-def tell(found: Measured, workers: int, money: float) -> None:
+def tell(figures: ScaleFigures, workers: int, money: float) -> None:
     """Print the tables."""
-    seconds = np.array([task[1] for task in found.tasks])
-    tiles = sum(task[2] for task in found.tasks)
-    rate, tile_bytes = tiles / seconds.sum(), sum(task[3] for task in found.tasks) / tiles
-    full = np.array([task[1] for task in found.tasks if task[2] == BLOCK_TILES_ALL])
-    print(f"tiles a second and core {rate:.0f}; bytes a tile {tile_bytes:.0f}; worker's peak {found.peak_bytes / 2**20:.0f} MiB")
+    seconds = np.array([task[1] for task in figures.tasks])
+    tiles = sum(task[2] for task in figures.tasks)
+    rate, tile_bytes = tiles / seconds.sum(), sum(task[3] for task in figures.tasks) / tiles
+    full = np.array([task[1] for task in figures.tasks if task[2] == BLOCK_TILES_ALL])
+    print(f"tiles a second and core {rate:.0f}; bytes a tile {tile_bytes:.0f}; worker's peak {figures.peak_bytes / 2**20:.0f} MiB")
     print(
         f"full tasks: {np.median(full):.3f} s in the median, {np.quantile(full, 0.95):.3f} in one of 20, {full.max():.3f} at most"
     )
-    print(f"coordinator {found.coordinator_per_s:.0f} tasks a second, Dask {found.dask_per_s:.0f}; ", end="")
-    print(f"packing {found.packing_bytes_per_s / 1e6:.0f} MB and {found.packing_tiles_per_s:.0f} tiles a second\n")
+    print(f"coordinator {figures.coordinator_per_s:.0f} tasks a second, Dask {figures.dask_per_s:.0f}; ", end="")
+    print(f"packing {figures.packing_bytes_per_s / 1e6:.0f} MB and {figures.packing_tiles_per_s:.0f} tiles a second\n")
     print(f"| place | last zoom | tiles, {TIMES_OF_DAY} times | core hours | bytes | money | packing, one disk |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
-    for place in PLACES:
+    for place in PYRAMID_AREAS:
         count = place.tiles * TIMES_OF_DAY
         hours = count / rate / 3600.0
-        packing_h = max(count * tile_bytes / found.packing_bytes_per_s, count / found.packing_tiles_per_s) / 3600.0
+        packing_h = max(count * tile_bytes / figures.packing_bytes_per_s, count / figures.packing_tiles_per_s) / 3600.0
         size = count * tile_bytes / 1e9
         print(
             f"| {place.name} | {place.zoom} | {count / 1e6:,.1f} million | {_short(hours)} | {_short(size)} GB | "
             f"{_short(hours * money)} | {_short(packing_h)} h |"
         )
-    tasks = int(PLACES[-1].tiles * TIMES_OF_DAY / BLOCK_TILES_ALL)
-    print(f"\n{PLACES[-1].name}, {TIMES_OF_DAY} times: {tasks} tasks of {BLOCK_TILES_ALL} tiles, {workers} workers\n")
+    tasks = int(PYRAMID_AREAS[-1].tiles * TIMES_OF_DAY / BLOCK_TILES_ALL)
+    print(f"\n{PYRAMID_AREAS[-1].name}, {TIMES_OF_DAY} times: {tasks} tasks of {BLOCK_TILES_ALL} tiles, {workers} workers\n")
     print("| | minutes | workers' time that is drawing | tasks lost |\n| --- | --- | --- | --- |")
     for name, per_s, slow, deaths, heaviest in (
         ("as measured, no coordinator's limit", 1e9, 0.0, 0.0, True),
-        ("the coordinator alone", found.coordinator_per_s, 0.0, 0.0, True),
-        ("by Dask", found.dask_per_s, 0.0, 0.0, True),
-        ("1 in 100 workers takes five times as long", found.coordinator_per_s, 0.01, 0.0, True),
-        ("and each dies once in 10 hours", found.coordinator_per_s, 0.01, 0.1, True),
-        ("the same, tasks in any order", found.coordinator_per_s, 0.01, 0.1, False),
+        ("the coordinator alone", figures.coordinator_per_s, 0.0, 0.0, True),
+        ("by Dask", figures.dask_per_s, 0.0, 0.0, True),
+        ("1 in 100 workers takes five times as long", figures.coordinator_per_s, 0.01, 0.0, True),
+        ("and each dies once in 10 hours", figures.coordinator_per_s, 0.01, 0.1, True),
+        ("the same, tasks in any order", figures.coordinator_per_s, 0.01, 0.1, False),
     ):
         run = simulate(seconds, tasks, workers, per_s, slow, 5.0, deaths, heaviest)
         print(f"| {name} | {60.0 * run.hours:.1f} | {run.busy:.0%} | {run.lost} |")
@@ -293,11 +294,11 @@ def main() -> None:
     telling.add_argument("file", type=Path)
     telling.add_argument("--workers", type=int, default=1000)
     telling.add_argument("--money", type=float, default=0.04)
-    asked = parser.parse_args()
-    if asked.command == "measure":
-        asked.json.write_text(json.dumps(asdict(measure(asked.data)), indent=1) + "\n", encoding="utf-8")
+    args = parser.parse_args()
+    if args.command == "measure":
+        args.json.write_text(json.dumps(asdict(measure(args.data)), indent=1) + "\n", encoding="utf-8")
     else:
-        tell(Measured(**json.loads(asked.file.read_text(encoding="utf-8"))), asked.workers, asked.money)
+        tell(ScaleFigures(**json.loads(args.file.read_text(encoding="utf-8"))), args.workers, args.money)
 
 
 if __name__ == "__main__":

@@ -122,15 +122,15 @@ def thinning(count: int) -> None:
             shares = []
             for stand_module.FULL_STAND_TREE_PX in (1e-6, whole_px):
                 scene = build_scene(load_level(wooded_hills(Path(folder), count)))  # a new scene each time: the scene caches stands
-                view, drawn, parts = scene.view(name), 0, []
+                view, tree_count, parts = scene.view(name), 0, []
                 for row, col in WINDOW_ORIGINS:
                     buffer = geometry_buffer(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
-                    drawn = len(buffer.tree_instances)
+                    tree_count = len(buffer.tree_instances)
                     lit = lit_mask(buffer, scene, "sun", ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
                     parts.append(block_shares(np.where(buffer.valid, 1.0 - lit, np.nan)))
                 shares.append(np.array(parts))
             means = [float(np.nanmean(share)) for share in shares]
-            print(f"{name}: {drawn} of {count} trees; shadow share {means[1]:.4f} against {means[0]:.4f}, "
+            print(f"{name}: {tree_count} of {count} trees; shadow share {means[1]:.4f} against {means[0]:.4f}, "
                   f"coverage {coverage_error(shares[1], shares[0]):.4f}", flush=True)  # fmt: skip
 
 

@@ -55,25 +55,25 @@ def mosaic(source: Path, copies: int, target: Path) -> None:
     with rasterio.open(source) as dataset:
         part, profile = dataset.read(1), dataset.profile
     rows = [[part[:: 1 if i % 2 == 0 else -1, :: 1 if j % 2 == 0 else -1] for j in range(copies)] for i in range(copies)]
-    whole = np.block(rows)
-    profile |= {"height": whole.shape[0], "width": whole.shape[1], "tiled": True, "compress": "deflate"}
+    mosaic_cells = np.block(rows)
+    profile |= {"height": mosaic_cells.shape[0], "width": mosaic_cells.shape[1], "tiled": True, "compress": "deflate"}
     profile |= {"blockxsize": 256, "blockysize": 256}
     with rasterio.open(target, "w", **profile) as dataset:
-        dataset.write(whole, 1)
+        dataset.write(mosaic_cells, 1)
 
 
-def seeded(folder: Path, name: str, raster: Path, zooms: str, *options: str) -> SeedRow:
+def run_seed(folder: Path, name: str, raster: Path, zooms: str, *options: str) -> SeedRow:
     """Run ``skugga seed`` into a new archive."""
     output = folder / f"{name.replace(' ', '-')}.pmtiles"
     command = [*SKUGGA, "seed", str(raster), "--zooms", zooms, *SUN, "-o", str(output), "--json", *options]
     start = time.perf_counter()
-    said = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+    report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
     took = time.perf_counter() - start
     log = [json.loads(line) for line in (Path(f"{output}.seed") / "log.jsonl").read_text(encoding="utf-8").splitlines()]
-    tasks = [each for each in log if "seconds" in each]
+    tasks = [entry for entry in log if "seconds" in entry]
     return SeedRow(
-        name, took, tiles_in(output), said["drawing_s"], said["publishing_s"], sum(each["seconds"] for each in tasks),
-        max(each["peak_bytes"] for each in tasks),
+        name, took, tiles_in(output), report["drawing_s"], report["publishing_s"], sum(entry["seconds"] for entry in tasks),
+        max(entry["peak_bytes"] for entry in tasks),
     )  # fmt: skip
 
 
@@ -86,9 +86,9 @@ def tiles_in(archive: Path) -> int:
 @contextmanager
 def cluster(folder: Path, workers: int) -> Iterator[str]:
     """Run a Dask cluster of processes on this machine."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        port = one.getsockname()[1]
+    with socket.socket() as probe_socket:
+        probe_socket.bind(("127.0.0.1", 0))
+        port = probe_socket.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
 
     def start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
@@ -111,22 +111,22 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
             process.wait()
 
 
-def others(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) -> list[SeedRow]:
+def run_other_tools(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) -> list[SeedRow]:
     """Run tools that tile and encode a hillshade of the raster."""
     if not shutil.which("gdaldem") or not shutil.which(gdal2tiles):
         print("gdaldem and gdal2tiles.py are absent: left out")
         return []
-    shade, rgb, found = folder / "hillshade.tif", folder / "rgb.tif", []
+    shade, rgb, result = folder / "hillshade.tif", folder / "rgb.tif", []
     quiet: dict[str, Any] = {"check": True, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     subprocess.run(["gdaldem", "hillshade", str(raster), str(shade), "-az", "225", "-alt", "20", "-co", "TILED=YES"], **quiet)
     tiles = folder / "gdal2tiles"
     command = [gdal2tiles, "--processes", "2", "-z", zooms, "--xyz", "-w", "none", "-r", "average", str(shade), str(tiles)]
     start = time.perf_counter()
     subprocess.run(command, **quiet)
-    found.append(SeedRow("gdal2tiles --processes 2", time.perf_counter() - start, sum(1 for _ in tiles.rglob("*.png"))))
+    result.append(SeedRow("gdal2tiles --processes 2", time.perf_counter() - start, sum(1 for _ in tiles.rglob("*.png"))))
     if not shutil.which(rio):
         print("rio is absent: left out")
-        return found
+        return result
     subprocess.run(["gdal_translate", "-b", "1", "-b", "1", "-b", "1", "-co", "TILED=YES", str(shade), str(rgb)], **quiet)
     archive = folder / "rio.pmtiles"
     first, last = zooms.split("-")
@@ -136,8 +136,8 @@ def others(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) ->
     ]  # fmt: skip
     start = time.perf_counter()
     subprocess.run(command, **quiet)
-    found.append(SeedRow("rio pmtiles -j 2", time.perf_counter() - start, tiles_in(archive)))
-    return found
+    result.append(SeedRow("rio pmtiles -j 2", time.perf_counter() - start, tiles_in(archive)))
+    return result
 
 
 def report(rows: list[SeedRow]) -> None:
@@ -149,19 +149,22 @@ def report(rows: list[SeedRow]) -> None:
         peak = "" if row.peak_bytes is None else f"{row.peak_bytes / 2**20:.0f} MiB"
         print(f"| {row.name} | {row.seconds:.1f} | {row.tiles} | {row.tiles / row.seconds:.0f} | {drawing} | {packing} | {peak} |")
     by_name = {row.name: row for row in rows}
-    one, two = by_name["one worker"], by_name["two workers"]
-    print(f"\ntwo workers: {one.seconds / two.seconds:.2f} times one (aim 1.8)")
-    assert one.task_s is not None and two.publishing_s is not None and two.drawing_s is not None
-    print(f"tiles a second and core, of tasks alone: {one.tiles / one.task_s:.0f} (aim 100, reach for 150)")
-    print(f"packing: {two.publishing_s / two.seconds:.1%} of the run of two workers (aim 5 %)")
+    one_worker, two_workers = by_name["one worker"], by_name["two workers"]
+    print(f"\ntwo workers: {one_worker.seconds / two_workers.seconds:.2f} times one (aim 1.8)")
+    assert one_worker.task_s is not None and two_workers.publishing_s is not None and two_workers.drawing_s is not None
+    print(f"tiles a second and core, of tasks alone: {one_worker.tiles / one_worker.task_s:.0f} (aim 100, reach for 150)")
+    print(f"packing: {two_workers.publishing_s / two_workers.seconds:.1%} of the run of two workers (aim 5 %)")
     if (dask := by_name.get("Dask, two workers")) is not None and dask.drawing_s is not None:
-        print(f"Dask: drawing takes {dask.drawing_s / two.drawing_s - 1.0:+.1%} beside two workers here (aim 5 %)")
+        print(f"Dask: drawing takes {dask.drawing_s / two_workers.drawing_s - 1.0:+.1%} beside two workers here (aim 5 %)")
     for name in ("gdal2tiles --processes 2", "rio pmtiles -j 2"):
         if name in by_name:
             other = by_name[name]
-            rate = (two.tiles / two.seconds) / (other.tiles / other.seconds)
+            rate = (two_workers.tiles / two_workers.seconds) / (other.tiles / other.seconds)
             print(
-                f"{name}: {rate:.2f} times as many tiles a second from two workers, {other.seconds / two.seconds:.2f} of its time"
+                
+                    f"{name}: {rate:.2f} times as many tiles a second from two workers, "
+                    f"{other.seconds / two_workers.seconds:.2f} of its time"
+                
             )
 
 
@@ -174,24 +177,24 @@ def main() -> None:
     parser.add_argument("--gdal2tiles", default="gdal2tiles.py")
     parser.add_argument("--rio", default="rio")
     parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    source = asked.data / "mountain" / "bigtujunga_30m_utm11.tif"
+    args = parser.parse_args()
+    source = args.data / "mountain" / "bigtujunga_30m_utm11.tif"
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         raster, small = folder / "mosaic.tif", folder / "small.tif"
-        mosaic(source, asked.copies, raster)
+        mosaic(source, args.copies, raster)
         mosaic(source, 1, small)
         with rasterio.open(raster) as dataset:
-            print(f"{dataset.width} x {dataset.height} cells of {dataset.transform.a:g} m, zooms {asked.zooms}\n")
-        seeded(folder, "warm-up", small, "11-13")
-        rows = [seeded(folder, f"{word} worker{'s' * (count > 1)}", raster, asked.zooms, "--workers", str(count))
+            print(f"{dataset.width} x {dataset.height} cells of {dataset.transform.a:g} m, zooms {args.zooms}\n")
+        run_seed(folder, "warm-up", small, "11-13")
+        rows = [run_seed(folder, f"{word} worker{'s' * (count > 1)}", raster, args.zooms, "--workers", str(count))
                 for word, count in (("one", 1), ("two", 2))]  # fmt: skip
         with cluster(folder, 2) as address:
-            rows.append(seeded(folder, "Dask, two workers", raster, asked.zooms, "--scheduler", address))
-        rows += others(folder, raster, asked.zooms, asked.gdal2tiles, asked.rio)
+            rows.append(run_seed(folder, "Dask, two workers", raster, args.zooms, "--scheduler", address))
+        rows += run_other_tools(folder, raster, args.zooms, args.gdal2tiles, args.rio)
     report(rows)
-    if asked.json is not None:
-        asked.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
+    if args.json is not None:
+        args.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

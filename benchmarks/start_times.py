@@ -74,7 +74,7 @@ def table(python: str, wheel_python: str | None, one_core: bool = True) -> Itera
     yield "| what | wall, s | CPU, s |"
     yield "| --- | --- | --- |"
     for row in _rows(python, wheel_python, one_core):
-        yield f"| {row.what} | {' / '.join(f'{each:.2f}' for each in row.seconds)} | {row.cpu_s:.1f} |"
+        yield f"| {row.what} | {' / '.join(f'{elapsed_s:.2f}' for elapsed_s in row.seconds)} | {row.cpu_s:.1f} |"
 
 
 def _rows(python: str, wheel_python: str | None, one_core: bool) -> Iterator[Row]:
@@ -133,8 +133,10 @@ def _environment(home: dict[str, str]) -> dict[str, str]:
 def _run(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[float, float, str]:
     """Run a command to its end; return wall and CPU seconds, and its output."""
     before, start = _children_cpu_s(), clock.perf_counter()
-    done = subprocess.run(command, env=_environment(home), cwd=cwd, stdout=subprocess.PIPE, text=True, check=True, timeout=LIMIT_S)
-    return clock.perf_counter() - start, _children_cpu_s() - before, done.stdout
+    process = subprocess.run(
+        command, env=_environment(home), cwd=cwd, stdout=subprocess.PIPE, text=True, check=True, timeout=LIMIT_S
+    )
+    return clock.perf_counter() - start, _children_cpu_s() - before, process.stdout
 
 
 def _command(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[tuple[float], float]:
@@ -183,11 +185,11 @@ def _get(url: str) -> bytes | None:
         return None
 
 
-def _until(true: object, start: float, what: str) -> None:
-    assert callable(true)
-    while not true():
+def _until(condition: object, start: float, event: str) -> None:
+    assert callable(condition)
+    while not condition():
         if clock.perf_counter() - start > LIMIT_S:
-            raise TimeoutError(f"{what}: not done after {LIMIT_S:g} s")
+            raise TimeoutError(f"{event}: not done after {LIMIT_S:g} s")
         clock.sleep(0.02)
 
 
@@ -198,5 +200,5 @@ def _free_port() -> int:
 
 
 def _children_cpu_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime

@@ -29,7 +29,7 @@ LIGHTS = {"noon": SunSpec(azimuth=195.0, altitude=48.0), "evening": SunSpec(azim
 
 
 @dataclass(frozen=True)
-class Place:
+class StyledPlace:
     """A level of a raster of the folder, or a bundled one, and a view; of a map the share of its middle."""
 
     source: str
@@ -39,22 +39,22 @@ class Place:
 
 
 PLACES = {
-    "mountains": Place("mountain/grenoble_copernicus_4326.tif", middle=0.6),
-    "high mountains": Place("mountain/vinschgau_250m_utm32.tif"),
-    "city": Place("urban/goteborg_1m/DSM.tif"),
-    "plain": Place("odd/texas_flat_3arcsec_4326.tif", keys={"style": {"slope_exaggeration": 3}}),
-    "forest": Place(
+    "mountains": StyledPlace("mountain/grenoble_copernicus_4326.tif", middle=0.6),
+    "high mountains": StyledPlace("mountain/vinschgau_250m_utm32.tif"),
+    "city": StyledPlace("urban/goteborg_1m/DSM.tif"),
+    "plain": StyledPlace("odd/texas_flat_3arcsec_4326.tif", keys={"style": {"slope_exaggeration": 3}}),
+    "forest": StyledPlace(
         "forest/quebec_DTM.tif", middle=0.5, keys={"forest": [{"source": "forest/quebec_CHM.tif", "species": "conifer"}]}
     ),
-    "valley, in perspective": Place("jacksboro_wooded", view="valley"),
-    "village, in perspective": Place("jacksboro_wooded", view="village"),
+    "valley, in perspective": StyledPlace("jacksboro_wooded", view="valley"),
+    "village, in perspective": StyledPlace("jacksboro_wooded", view="village"),
 }
 
-SHOWN = ("high mountains", "city")
+SHOWN_PLACES = ("high mountains", "city")
 """Places of the docs' picture, in the evening."""
 
 
-def scene_of(place: Place, folder: Path, scratch: Path) -> Scene:
+def scene_of(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
     """Return a place's level, read from a file that is written for it."""
     if "/" not in place.source:
         return build_scene(load_level(find_level(place.source)))
@@ -64,7 +64,7 @@ def scene_of(place: Place, folder: Path, scratch: Path) -> Scene:
     return build_scene(load_level(level))
 
 
-def picture(scene: Scene, place: Place, style: str, light: SunSpec, side: int) -> np.ndarray:
+def picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, side: int) -> np.ndarray:
     """Draw a place in a style under a sun: uint8 (rows, cols, 3), ``side`` pixels wide, white off the surface."""
     scene = scene.with_sun(light).with_style(style)
     view = scene.view(place.view)
@@ -95,17 +95,17 @@ def main() -> None:
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--side", type=int, default=480)
     parser.add_argument("--places", nargs="*", default=list(PLACES), choices=list(PLACES))
-    asked = parser.parse_args()
-    asked.output.mkdir(parents=True, exist_ok=True)
-    for name in asked.places:
+    args = parser.parse_args()
+    args.output.mkdir(parents=True, exist_ok=True)
+    for name in args.places:
         for light in LIGHTS:
-            target = asked.output / f"{name.replace(', ', '-').replace(' ', '-')}-{light}.png"
-            sheet(asked.folder.resolve(), name, light, asked.side).save(target)
+            target = args.output / f"{name.replace(', ', '-').replace(' ', '-')}-{light}.png"
+            sheet(args.folder.resolve(), name, light, args.side).save(target)
             print(f"{target}: {', '.join(STYLES)}", flush=True)
-    if asked.picture is not None:
-        rows = [np.asarray(sheet(asked.folder.resolve(), name, "evening", 320)) for name in SHOWN]
-        Image.fromarray(np.concatenate(rows)).save(asked.picture, quality=88, method=6)
-        print(asked.picture)
+    if args.picture is not None:
+        rows = [np.asarray(sheet(args.folder.resolve(), name, "evening", 320)) for name in SHOWN_PLACES]
+        Image.fromarray(np.concatenate(rows)).save(args.picture, quality=88, method=6)
+        print(args.picture)
 
 
 if __name__ == "__main__":

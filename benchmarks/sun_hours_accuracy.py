@@ -45,10 +45,10 @@ KINDS = {
 
 RAYS_MIN = 10.0 / 60.0
 
-OFF_HOLES = 3
+HOLE_MARGIN_CELLS = 3
 """The least distance of a sampled cell from the rim and from any hole, in cells."""
 
-AT_A_TIME = 100
+SUNS_PER_BATCH = 100
 """Number of suns per batch of rays."""
 
 
@@ -95,8 +95,8 @@ class CellRays:
     def over(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray) -> CellRays:
         """Return rays from cells of a map's block, against the triangles of the sweep, in the frame of ``bare_nodes``."""
         nodes = bare_nodes(scene, view, 1)
-        around = int(view.row0) - HALO, int(view.col0) - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO
-        surface = scene.surface(view.grid).window(*around, nodes.frame)  # includes the rim that casts
+        window = int(view.row0) - HALO, int(view.col0) - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO
+        surface = scene.surface(view.grid).window(*window, nodes.frame)  # includes the rim that casts
         start = surface.position_frame_m[row + HALO, col + HALO]
         upwards = start - scene.world.up_origin(nodes.frame)
         return CellRays(surface.casting.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
@@ -106,9 +106,9 @@ class CellRays:
         ``least_sine``.
         """
         over = np.flatnonzero(self._upwards @ direction > least_sine)
-        seen = np.zeros(len(self._start), bool)
-        seen[over] = ~self._rays.blocked(self._start[over], direction) if len(over) else False
-        return seen
+        visible = np.zeros(len(self._start), bool)
+        visible[over] = ~self._rays.blocked(self._start[over], direction) if len(over) else False
+        return visible
 
 
 def ray_truth(
@@ -119,37 +119,37 @@ def ray_truth(
     times = np.arange(every_min / 2, day.window.minutes, every_min)
     lit_min = np.zeros(len(row))
     first, last = np.full(len(row), np.nan), np.full(len(row), np.nan)
-    for begin in range(0, len(times), AT_A_TIME):
-        directions = frame.directions_from_earth(day.direction(times[begin : begin + AT_A_TIME]))
-        for minutes, direction in zip(times[begin : begin + AT_A_TIME], directions, strict=True):
-            seen = np.flatnonzero(rays.see(direction))
-            lit_min[seen] += every_min
-            first[seen] = np.fmin(first[seen], minutes - every_min / 2)
-            last[seen] = np.fmax(last[seen], minutes + every_min / 2)
+    for begin in range(0, len(times), SUNS_PER_BATCH):
+        directions = frame.directions_from_earth(day.direction(times[begin : begin + SUNS_PER_BATCH]))
+        for minutes, direction in zip(times[begin : begin + SUNS_PER_BATCH], directions, strict=True):
+            visible = np.flatnonzero(rays.see(direction))
+            lit_min[visible] += every_min
+            first[visible] = np.fmin(first[visible], minutes - every_min / 2)
+            last[visible] = np.fmax(last[visible], minutes + every_min / 2)
     return lit_min / 60.0, first, last
 
 
-def _wrong(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
-    wrong = np.abs(found_min - true_min)
-    wrong = wrong[np.isfinite(wrong)]
-    return WrongMinutes(float(wrong.mean()), float(np.percentile(wrong, 99)))
+def _wrong_minutes(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
+    error_min = np.abs(found_min - true_min)
+    error_min = error_min[np.isfinite(error_min)]
+    return WrongMinutes(float(error_min.mean()), float(np.percentile(error_min, 99)))
 
 
 def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
     """Return the figures of a raster, at each step."""
     scene = build_scene(load_level(path))
     view = raster_view(scene).view.as_nodes()
-    known = binary_erosion(bare_nodes(scene, view, 1).shown, iterations=OFF_HOLES)
-    row, col = np.nonzero(known)
-    some = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
-    row, col = row[some], col[some]
+    valid = binary_erosion(bare_nodes(scene, view, 1).shows_ground, iterations=HOLE_MARGIN_CELLS)
+    row, col = np.nonzero(valid)
+    sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
+    row, col = row[sample], col[sample]
     its_day = _day(scene, day)
     hours, first, last = ray_truth(scene, view, row, col, its_day)
     for step in steps:
-        found = _answers(scene, view, its_day, step)
+        answer = _answers(scene, view, its_day, step)
         yield AccuracyRow(
-            kind, path.stem, step, _wrong(60.0 * found.hours[row, col], 60.0 * hours), _wrong(found.first[row, col], first),
-            _wrong(found.last[row, col], last),
+            kind, path.stem, step, _wrong_minutes(60.0 * answer.hours[row, col], 60.0 * hours), _wrong_minutes(answer.first[row, col], first),
+            _wrong_minutes(answer.last[row, col], last),
         )  # fmt: skip
     scene.close()
 
@@ -189,8 +189,8 @@ def table(rows: list[AccuracyRow]) -> str:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
-        wrong = " | ".join(f"{each.mean:.2f}, {each.p99:.1f}" for each in (row.hours, row.first, row.last))
-        lines.append(f"| {row.kind} | {row.raster} | {_named(row.step_min)} | {wrong} |")
+        error_cells = " | ".join(f"{error.mean:.2f}, {error.p99:.1f}" for error in (row.hours, row.first, row.last))
+        lines.append(f"| {row.kind} | {row.raster} | {_named(row.step_min)} | {error_cells} |")
     return "\n".join(lines)
 
 
@@ -203,23 +203,23 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=3000)
     parser.add_argument("--seconds", action="store_true")
     parser.add_argument("--markdown", type=Path)
-    given = parser.parse_args()
-    steps = [None if step == "auto" else float(step) for step in given.steps.split(",")]
-    if given.seconds:
-        print_seconds(given.date, steps)
-    if given.folder is None:
+    args = parser.parse_args()
+    steps = [None if step == "auto" else float(step) for step in args.steps.split(",")]
+    if args.seconds:
+        print_seconds(args.date, steps)
+    if args.folder is None:
         return
     rows = []
     for kind, names in KINDS.items():
-        for path in (given.folder / kind / name for name in names):
+        for path in (args.folder / kind / name for name in names):
             if not path.exists():
                 print(f"{path}: not there")
                 continue
-            for row in rows_of(kind, path, given.date, steps, given.cells):
+            for row in rows_of(kind, path, args.date, steps, args.cells):
                 rows.append(row)
                 print(table([row]).splitlines()[-1], flush=True)
-    if given.markdown is not None:
-        given.markdown.write_text(table(rows) + "\n", encoding="utf-8")
+    if args.markdown is not None:
+        args.markdown.write_text(table(rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

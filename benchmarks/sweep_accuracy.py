@@ -30,7 +30,7 @@ from skugga.terrain.geo.world import WGS84
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 
-NO_HEIGHTS = ("landcover", "rgb")
+EXCLUDED_NAME_PARTS = ("landcover", "rgb")
 """Parts of the names of rasters that do not hold heights."""
 
 NODE_OFFSET = 1.0 / 8.0
@@ -96,13 +96,13 @@ class GridRays:
     """
 
     def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
-        around = np.pad(height_m, 1, mode="edge")
-        row, col = np.indices(around.shape) - 1
-        nodes = np.stack([col * cell_m[1], -row * cell_m[0], around.astype(np.float64)], axis=-1)
+        padded = np.pad(height_m, 1, mode="edge")
+        row, col = np.indices(padded.shape) - 1
+        nodes = np.stack([col * cell_m[1], -row * cell_m[0], padded.astype(np.float64)], axis=-1)
         self._nodes = nodes[1:-1, 1:-1].reshape(-1, 3)
         self._there = np.isfinite(height_m)
         sheet = sheet_of(nodes)
-        self._drawn, self._other = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.falls)])
+        self._drawn, self._other = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.is_cut_nw_se)])
 
     def truth(self, azimuth_deg: float, altitude_deg: float) -> GridTruth:
         """Return the classes of the nodes under a sun (azimuth clockwise from north) and where they are certain.
@@ -118,18 +118,18 @@ class GridRays:
         light, dark = lit.copy(), ~lit
         light[light] = self._sees(self._drawn, valid[light], lower, 1.0)
         dark[dark] = ~self._sees(self._drawn, valid[dark], higher, 4.0)
-        drawn = light | dark
+        is_certain = light | dark
         light[light] = self._sees(self._other, valid[light], lower, 1.0)
         dark[dark] = ~self._sees(self._other, valid[dark], higher, 4.0)
-        return GridTruth(*(self._grid(valid, values) for values in (lit, drawn, light | dark)))
+        return GridTruth(*(self._grid(valid, values) for values in (lit, is_certain, light | dark)))
 
     def _sees(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offsets: float) -> np.ndarray:
-        seen = np.empty(len(nodes), bool)
+        visible = np.empty(len(nodes), bool)
         for first in range(0, len(nodes), BATCH_RAYS):
             batch = slice(first, first + BATCH_RAYS)
             start = self._nodes[nodes[batch]] + np.array([0.0, 0.0, offsets * NODE_OFFSET * rays.offset_m])
-            seen[batch] = ~rays.blocked(start, to_sun)
-        return seen
+            visible[batch] = ~rays.blocked(start, to_sun)
+        return visible
 
     def _grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
         out = np.zeros(self._there.shape, bool)
@@ -146,9 +146,9 @@ def figures_of(
     raster: Raster, lit: np.ndarray, truth: GridTruth, certain: np.ndarray, azimuth_deg: float, altitude_deg: float
 ) -> SweepFigures:
     """Compare an answer (rows, cols), True where the sun is visible, with truth where ``certain``, one of its masks, is set."""
-    known = np.isfinite(raster.height_m)
+    valid = np.isfinite(raster.height_m)
     decided = certain & raster.valid
-    wrong = decided & (lit != truth.lit)
+    wrong_cells = decided & (lit != truth.lit)
     count = max(int(decided.sum()), 1)
     return SweepFigures(
         raster=raster.name,
@@ -156,10 +156,10 @@ def figures_of(
         altitude_deg=altitude_deg,
         cells=int(decided.sum()),
         shadow=int((decided & ~truth.lit).sum()) / count,
-        wrong=int(wrong.sum()) / count,
-        false_shadow=int((wrong & truth.lit).sum()) / count,
-        missed_shadow=int((wrong & ~truth.lit).sum()) / count,
-        interior=int(interior(wrong, ~truth.lit & known, known, INTERIOR_PX).sum()) / count,
+        wrong=int(wrong_cells.sum()) / count,
+        false_shadow=int((wrong_cells & truth.lit).sum()) / count,
+        missed_shadow=int((wrong_cells & ~truth.lit).sum()) / count,
+        interior=int(interior(wrong_cells, ~truth.lit & valid, valid, INTERIOR_PX).sum()) / count,
         undecided=float((~certain)[raster.valid].mean()),
     )
 
@@ -167,7 +167,7 @@ def figures_of(
 def rasters_of(folder: Path, crop: int) -> Iterator[Raster]:
     """Return the rasters of heights below a folder, at most ``crop`` cells a side; print those that are left out."""
     for path in sorted(folder.rglob("*.tif")):
-        if any(word in path.stem.lower() for word in NO_HEIGHTS):
+        if any(word in path.stem.lower() for word in EXCLUDED_NAME_PARTS):
             continue
         try:
             yield read(path, crop)
@@ -179,9 +179,9 @@ def read(path: Path, crop: int) -> Raster:
     """Read the middle of a raster's heights, round the median of its valid cells. Raises ``SourceError``."""
     elevation = Elevation(str(path))
     shape = elevation.shape
-    known = np.nonzero(np.isfinite(elevation.overview.heights_m))
+    valid_indices = np.nonzero(np.isfinite(elevation.overview.heights_m))
     size = [min(crop, length) for length in shape]
-    middle = [int(np.median(indices) + 0.5) * 2**elevation.overview.level for indices in known]
+    middle = [int(np.median(indices) + 0.5) * 2**elevation.overview.lod for indices in valid_indices]
     first = [int(np.clip(m - s // 2, 0, length - s)) for m, s, length in zip(middle, size, shape, strict=True)]
     row, col = np.meshgrid(*(f + np.arange(s, dtype=float) for f, s in zip(first, size, strict=True)), indexing="ij")
     height_m, valid = elevation.heights_at(0, row, col)
@@ -213,7 +213,7 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
     return figures
 
 
-def report(rasters: list[Raster], found: list[SweepFigures], lines: int) -> list[str]:
+def report(rasters: list[Raster], all_figures: list[SweepFigures], lines: int) -> list[str]:
     """Format Markdown: a row per raster, and a summary."""
     rows = [
         f"# The line sweep against rays: {lines} line(s) a cell",
@@ -225,7 +225,7 @@ def report(rasters: list[Raster], found: list[SweepFigures], lines: int) -> list
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for raster in sorted(rasters, key=lambda raster: -raster.steepest_deg):
-        figures = [row for row in found if row.raster == raster.name]
+        figures = [row for row in all_figures if row.raster == raster.name]
         worst = max(figures, key=lambda f: f.wrong)
         means = {key: np.mean([getattr(f, key) for f in figures]) for key in ("wrong", "interior", "undecided")}
         rows.append(
@@ -235,11 +235,11 @@ def report(rasters: list[Raster], found: list[SweepFigures], lines: int) -> list
             f"{100 * means['interior']:.5f} | {100 * max(f.interior for f in figures):.5f} | "
             f"{100 * means['undecided']:.3f} |"
         )
-    return rows + ["", *_over_all(found)]
+    return rows + ["", *_summary(all_figures)]
 
 
-def _over_all(figures: list[SweepFigures]) -> list[str]:
-    wrong = np.array([f.wrong for f in figures])
+def _summary(figures: list[SweepFigures]) -> list[str]:
+    wrong_shares = np.array([f.wrong for f in figures])
     azimuths, altitudes = (sorted({getattr(f, key) for f in figures}) for key in ("azimuth_deg", "altitude_deg"))
     per_azimuth = [np.mean([f.wrong for f in figures if f.azimuth_deg == azimuth]) for azimuth in azimuths]
     worst, middle = float(np.max(per_azimuth)), float(np.median(per_azimuth))
@@ -248,8 +248,8 @@ def _over_all(figures: list[SweepFigures]) -> list[str]:
     by_altitude = ", ".join(f"{a:g}°: {100 * np.mean([f.wrong for f in figures if f.altitude_deg == a]):.4f} %" for a in altitudes)
     shares = {key: 100 * np.mean([getattr(f, key) for f in figures]) for key in ("false_shadow", "missed_shadow", "interior")}
     return [
-        f"Over {len(figures)} pictures: wrong {100 * wrong.mean():.4f} % (false {shares['false_shadow']:.4f} %, missed "
-        f"{shares['missed_shadow']:.4f} %), worst {100 * wrong.max():.4f} %; by altitude {by_altitude}; "
+        f"Over {len(figures)} pictures: wrong {100 * wrong_shares.mean():.4f} % (false {shares['false_shadow']:.4f} %, missed "
+        f"{shares['missed_shadow']:.4f} %), worst {100 * wrong_shares.max():.4f} %; by altitude {by_altitude}; "
         f"{100 * count / max(cells, 1):.4f} % of all {cells / 1e6:.0f} million cells.",
         f"Interior {shares['interior']:.5f} %, worst {100 * max(f.interior for f in figures):.5f} %.",
         f"Azimuths: the worst ({azimuths[int(np.argmax(per_azimuth))]:g}°) has {100 * worst:.4f} %, the median one "
@@ -284,10 +284,10 @@ def main() -> None:
     start, figures = time.perf_counter(), []
     with ProcessPoolExecutor(args.processes) as pool:
         work = {pool.submit(measure, raster, part, args.lines): raster.name for raster in rasters for part in parts}
-        for done in as_completed(work):
-            figures += done.result()
-            mean, worst = (100 * f([row.wrong for row in done.result()]) for f in (np.mean, np.max))
-            print(f"{time.perf_counter() - start:4.0f} s  {work[done]}: wrong {mean:.4f} %, worst {worst:.4f} %", flush=True)
+        for future in as_completed(work):
+            figures += future.result()
+            mean, worst = (100 * f([row.wrong for row in future.result()]) for f in (np.mean, np.max))
+            print(f"{time.perf_counter() - start:4.0f} s  {work[future]}: wrong {mean:.4f} %, worst {worst:.4f} %", flush=True)
     lines = report(rasters, figures, args.lines)
     print("\n".join(lines))
     if args.markdown:

@@ -85,11 +85,11 @@ def check_convention(tool: SweepTool) -> None:
     height[100, 100] = 100.0
     for azimuth, (down, right) in {0.0: (1, 0), 90.0: (0, -1), 180.0: (-1, 0), 270.0: (0, 1), 45.0: (1, -1)}.items():
         dark = np.argwhere(~tool.lit(height, azimuth, 10.0)) - 100
-        along = dark @ np.array([down, right]) / np.hypot(down, right)
+        distance_cells = dark @ np.array([down, right]) / np.hypot(down, right)
         reach = 100.0 / np.tan(np.radians(10.0)) / CELL_M
-        if abs(along.max() - reach) > 2.0 or abs(np.median(along) - reach / 2) > 3.0:
+        if abs(distance_cells.max() - reach) > 2.0 or abs(np.median(distance_cells) - reach / 2) > 3.0:
             raise RuntimeError(
-                f"{tool.name}: at azimuth {azimuth:g} the pole's shadow ends {along.max():.1f} cells away, not {reach:.1f}"
+                f"{tool.name}: at azimuth {azimuth:g} the pole's shadow ends {distance_cells.max():.1f} cells away, not {reach:.1f}"
             )
 
 
@@ -166,14 +166,14 @@ def wrong_cells(tools: list[SweepTool], side: int) -> dict[SweepTool, np.ndarray
     """Return wrong, false, missed and interior shares of decided cells (suns, 4) of each tool, against the same rays."""
     terrain = Raster("mountains", mountains(side), np.ones((side, side), bool), (CELL_M, CELL_M))
     rays = GridRays(terrain.height_m, terrain.cell_m)
-    out = {tool: np.empty((len(SUNS), 4)) for tool in tools}
+    result = {tool: np.empty((len(SUNS), 4)) for tool in tools}
     for k, sun in enumerate(SUNS):
         truth = rays.truth(*sun)
         for tool in tools:
             certain = truth.drawn if tool.lines else truth.decidable
-            found = figures_of(terrain, tool.lit(terrain.height_m, *sun), truth, certain, *sun)
-            out[tool][k] = found.wrong, found.false_shadow, found.missed_shadow, found.interior
-    return out
+            figures = figures_of(terrain, tool.lit(terrain.height_m, *sun), truth, certain, *sun)
+            result[tool][k] = figures.wrong, figures.false_shadow, figures.missed_shadow, figures.interior
+    return result
 
 
 def report(
@@ -181,7 +181,7 @@ def report(
     seconds: dict[SweepTool, np.ndarray],
     memory: dict[SweepTool, int],
     truth_side: int,
-    wrong: dict[SweepTool, np.ndarray],
+    wrong_shares: dict[SweepTool, np.ndarray],
 ) -> list[str]:
     """Format Markdown: a row per tool, its wrong cells by sun, and the targets."""
     rows = [
@@ -205,28 +205,30 @@ def report(
         "| what | " + " | ".join(f"{a:g} / {h:g}" for a, h in SUNS) + " | mean | false | missed | interior |",
         "| --- |" + " --- |" * (len(SUNS) + 4),
     ]
-    for tool, found in wrong.items():
-        shares = [*found[:, 0], *found.mean(axis=0)]
+    for tool, tool_shares in wrong_shares.items():
+        shares = [*tool_shares[:, 0], *tool_shares.mean(axis=0)]
         rows.append(f"| {tool.name} | " + " | ".join(f"{100 * share:.4f}" for share in shares) + " |")
-    return rows + ["", *_targets(seconds, wrong, side)]
+    return rows + ["", *_targets(seconds, wrong_shares, side)]
 
 
-def _targets(seconds: dict[SweepTool, np.ndarray], wrong: dict[SweepTool, np.ndarray], side: int) -> list[str]:
+def _targets(seconds: dict[SweepTool, np.ndarray], wrong_shares: dict[SweepTool, np.ndarray], side: int) -> list[str]:
     """Format the targets and the results; ratios are medians over the pairs of one run."""
     by_threads = {(bool(tool.lines), tool.threads): tool_seconds[..., 0] for tool, tool_seconds in seconds.items()}
-    own = by_threads[True, 1]
-    found = [("million cells/s on one core", side**2 / np.median(own) / 1e6, CELLS_PER_S / 1e6)]
+    sweep_s = by_threads[True, 1]
+    result = [("million cells/s on one core", side**2 / np.median(sweep_s) / 1e6, CELLS_PER_S / 1e6)]
     if (True, 2) in by_threads:
-        found.append(("two cores against one", float(np.median(own / by_threads[True, 2])), CORES_RATIO))
+        result.append(("two cores against one", float(np.median(sweep_s / by_threads[True, 2])), CORES_RATIO))
     if (False, 1) in by_threads:
-        found.append(("speed against insolation's, one core", float(np.median(by_threads[False, 1] / own)), 1.0))
+        result.append(("speed against insolation's, one core", float(np.median(by_threads[False, 1] / sweep_s)), 1.0))
         our_wrong, their_wrong = (
-            float(np.mean([w[:, 0] for t, w in wrong.items() if bool(t.lines) == own])) for own in (True, False)
+            float(np.mean([w[:, 0] for t, w in wrong_shares.items() if bool(t.lines) == sweep_s])) for sweep_s in (True, False)
         )
-        found.append(
+        result.append(
             ("insolation's wrong cells against the sweep's", their_wrong / our_wrong if our_wrong else np.inf, WRONG_RATIO)
         )
-    return [f"- {target}: {value:.2f}, aim at least {aim:g}: {'met' if value >= aim else 'missed'}" for target, value, aim in found]
+    return [
+        f"- {target}: {value:.2f}, aim at least {aim:g}: {'met' if value >= aim else 'missed'}" for target, value, aim in result
+    ]
 
 
 def _processor() -> str:
@@ -252,12 +254,12 @@ def main() -> None:
     except ImportError:
         print("insolation is left out: it is not installed (pip install insolation)")
     else:
-        others = [SweepTool("insolation", count, 0) for count in sorted({1, cores})]  # all cores are its default
-        check_convention(others[0])
-        tools += others
+        other_tools = [SweepTool("insolation", count, 0) for count in sorted({1, cores})]  # all cores are its default
+        check_convention(other_tools[0])
+        tools += other_tools
     seconds, memory = timed(tools, args.side, args.repeats)
-    wrong = wrong_cells([tool for tool in tools if tool.threads == 1], args.truth_side)
-    lines = report(args.side, seconds, memory, args.truth_side, wrong)
+    wrong_shares = wrong_cells([tool for tool in tools if tool.threads == 1], args.truth_side)
+    lines = report(args.side, seconds, memory, args.truth_side, wrong_shares)
     print("\n".join(lines))
     if args.markdown:
         args.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -48,7 +48,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 MERCATOR = matrix_sets.get("WebMercatorQuad")
 ZOOMS = range(9, 15)
-AT_ONCE = 8
+CONCURRENCY = 8
 SERVICE_CORE, CLIENT_CORE = 0, 1
 LONGEST_START_S = 120.0
 
@@ -77,7 +77,7 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Running:
+class RunningService:
     """A running service: its process, its port, the seconds until it was ready, and the address of a tile under a sun."""
 
     process: subprocess.Popen[bytes]
@@ -86,7 +86,7 @@ class Running:
     path: Callable[[Tile, Sun], str]
 
 
-def ask(port: int, paths: list[str], at_once: int = AT_ONCE) -> Round:
+def request_all(port: int, paths: list[str], at_once: int = CONCURRENCY) -> Round:
     """Request paths, so many at a time over persistent connections. Raises ``RuntimeError`` if an answer is no picture."""
     left, took_s, sizes = list(reversed(paths)), [], []
 
@@ -119,32 +119,32 @@ def ask(port: int, paths: list[str], at_once: int = AT_ONCE) -> Round:
 
 
 @contextmanager
-def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun], str], **env: str) -> Iterator[Running]:
+def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun], str], **env: str) -> Iterator[RunningService]:
     """Run a service on one core as a context manager. Raises ``RuntimeError`` if it does not start."""
     start = time.perf_counter()
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
-            command, env={**os.environ, **env}, stdout=said, stderr=said, cwd=ROOT,
+            command, env={**os.environ, **env}, stdout=output, stderr=output, cwd=ROOT,
             preexec_fn=lambda: os.sched_setaffinity(0, {SERVICE_CORE}),
         )  # fmt: skip
         try:
             while True:
                 if process.poll() is not None or time.perf_counter() - start > LONGEST_START_S:
-                    said.seek(0)
-                    raise RuntimeError(f"{command[0]} did not start: {said.read()[-2000:].decode()}")
+                    output.seek(0)
+                    raise RuntimeError(f"{command[0]} did not start: {output.read()[-2000:].decode()}")
                 try:
                     with urlopen(f"http://127.0.0.1:{port}{ready}") as answer:
                         if answer.status == 200:
                             break
                 except OSError:
                     time.sleep(0.02)
-            yield Running(process, port, time.perf_counter() - start, path)
+            yield RunningService(process, port, time.perf_counter() - start, path)
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(20)
 
 
-def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[Running]:
+def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[RunningService]:
     """Run Skugga with one render process over a raster, with its default tuning."""
     level = folder / "cog.yaml"
     level.write_text(json.dumps({"version": 1, "terrain": {"source": str(cog)}, "sun": {"azimuth": 225, "altitude": 30}}))
@@ -159,13 +159,15 @@ def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[
     )
 
 
-def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[Running]:
+def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[RunningService]:
     """Run titiler with one process."""
 
     def path(tile: Tile, sun: Sun) -> str:
         z, x, y = tile
-        how = quote(json.dumps({"azimuth": sun[0], "angle_altitude": sun[1]}))
-        return f"/cog/tiles/WebMercatorQuad/{z}/{x}/{y}.png?url={cog}&algorithm=hillshade&buffer=3&algorithm_params={how}"
+        algorithm_params = quote(json.dumps({"azimuth": sun[0], "angle_altitude": sun[1]}))
+        return (
+            f"/cog/tiles/WebMercatorQuad/{z}/{x}/{y}.png?url={cog}&algorithm=hillshade&buffer=3&algorithm_params={algorithm_params}"
+        )
 
     command = [str(python), "-m", "uvicorn", "titiler.application.main:app", "--port", str(port), "--log-level", "warning"]
     return service(command, port, "/healthz", path, **TITILER_SETTINGS)
@@ -180,16 +182,16 @@ def tiles_of(cog: Path) -> list[Tile]:
     )
 
 
-def served_by_both(tiles: list[Tile], running: Running) -> list[Tile]:
+def served_by_both(tiles: list[Tile], running: RunningService) -> list[Tile]:
     """Return the tiles that titiler serves, too; it clips the corners of a tilted raster more tightly."""
-    found = []
+    result = []
     for tile in tiles:
         try:
             urlopen(f"http://127.0.0.1:{running.port}{running.path(tile, SUNS[0])}").read()
         except OSError:
             continue
-        found.append(tile)
-    return found
+        result.append(tile)
+    return result
 
 
 def viewport(tiles: list[Tile]) -> list[Tile]:
@@ -201,35 +203,35 @@ def viewport(tiles: list[Tile]) -> list[Tile]:
 
 
 Rounds = dict[str, list[Round]]
-Start = Callable[[], AbstractContextManager[Running]]
+Start = Callable[[], AbstractContextManager[RunningService]]
 
 
-def measure(tiles: list[Tile], start: Start, keeps: bool, rounds: Rounds, rest: dict[str, list[float]]) -> None:
+def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, rest: dict[str, list[float]]) -> None:
     """Measure one repeat of all rounds with a service; a service without a cache gets the repeated requests once only."""
-    shuffled, seen = random.Random(23).sample(tiles, len(tiles)), viewport(tiles)
+    shuffled, viewport_tiles = random.Random(23).sample(tiles, len(tiles)), viewport(tiles)
     with start() as running:
         rest.setdefault("ready s", []).append(running.ready_s)
 
-        def go(name: str, asked: list[tuple[Tile, Sun]], at_once: int = AT_ONCE) -> Round:
-            found = ask(running.port, [running.path(*each) for each in asked], at_once)
-            rounds.setdefault(name, []).append(found)
-            return found
+        def run_round(name: str, tile_requests: list[tuple[Tile, Sun]], at_once: int = CONCURRENCY) -> Round:
+            result = request_all(running.port, [running.path(*tile_request) for tile_request in tile_requests], at_once)
+            rounds.setdefault(name, []).append(result)
+            return result
 
-        first = go("first tile", [(seen[0], (200.0, 35.0))], 1)
+        first = run_round("first tile", [(viewport_tiles[0], (200.0, 35.0))], 1)
         rest.setdefault("first tile s", []).append(first.median_ms / 1e3)
-        go("cold, row order", [(tile, SUNS[6]) for tile in tiles])
-        go("24 suns", [(tile, sun) for sun in SUNS for tile in seen])
-        go("again", [(tile, SUNS[6]) for tile in tiles] * (4 if keeps else 1))
-        if keeps:
-            go("again, one alone", [(tile, SUNS[6]) for tile in tiles], 1)
+        run_round("cold, row order", [(tile, SUNS[6]) for tile in tiles])
+        run_round("24 suns", [(tile, sun) for sun in SUNS for tile in viewport_tiles])
+        run_round("again", [(tile, SUNS[6]) for tile in tiles] * (4 if has_cache else 1))
+        if has_cache:
+            run_round("again, one alone", [(tile, SUNS[6]) for tile in tiles], 1)
         rate = rounds["24 suns"][-1].per_second / 2
-        paths = [running.path(tile, (sun[0] + 1.0, sun[1])) for sun in SUNS[::3] for tile in seen]
+        paths = [running.path(tile, (sun[0] + 1.0, sun[1])) for sun in SUNS[::3] for tile in viewport_tiles]
         rounds.setdefault("24 suns, half the peak", []).append(asyncio.run(paced(running.port, paths, rate)))
     with start() as running:
-        go("cold, random order", [(tile, SUNS[6]) for tile in shuffled])
+        run_round("cold, random order", [(tile, SUNS[6]) for tile in shuffled])
     with start() as running:
-        alone = [tile for n, tile in enumerate(tiles) if n % 9 == 0]
-        go("cold, one alone", [(tile, SUNS[6]) for tile in alone], 1)
+        sampled_tiles = [tile for n, tile in enumerate(tiles) if n % 9 == 0]
+        run_round("cold, one alone", [(tile, SUNS[6]) for tile in sampled_tiles], 1)
 
 
 async def paced(port: int, paths: list[str], per_second: float) -> Round:
@@ -272,7 +274,7 @@ try:
     from skugga.api.workers.block_tiles import tiles_of_picture
     request = ProductRequest()
     def draw(scene, view, plan):
-        return draw_picture(scene, view, request.record, plan)
+        return draw_picture(scene, view, request.product_record, plan)
     def files_of(scene, view, drawn):
         return tiles_of_picture(drawn, request, scene, view, "png", 2)
 except ImportError:  # an older commit
@@ -330,27 +332,29 @@ def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
         preexec_fn=lambda: os.sched_setaffinity(0, {SERVICE_CORE}),
     )  # fmt: skip
     print(folder, process.stderr.splitlines()[-1], flush=True)
-    found = json.loads(process.stdout.splitlines()[-1])
-    medians = {name: statistics.median(found[name]) for name in ("new sun", "encoding") if found[name]}
-    return {"cold": found["cold"], **medians}
+    times_ms = json.loads(process.stdout.splitlines()[-1])
+    medians = {name: statistics.median(times_ms[name]) for name in ("new sun", "encoding") if times_ms[name]}
+    return {"cold": times_ms["cold"], **medians}
 
 
 def versions(python: Path) -> dict[str, str]:
     """Return versions of the software and the machine."""
     modules = "titiler.application, rio_tiler, rasterio, uvicorn"
-    said = f"import {modules}; print(*(m.__version__ for m in ({modules})), rasterio.__gdal_version__)"
-    theirs = subprocess.run([str(python), "-c", said], capture_output=True, text=True, check=True).stdout.split()
+    program = f"import {modules}; print(*(m.__version__ for m in ({modules})), rasterio.__gdal_version__)"
+    package_versions = subprocess.run([str(python), "-c", program], capture_output=True, text=True, check=True).stdout.split()
     names = ("titiler", "rio-tiler", "rasterio", "uvicorn", "GDAL")
-    return {**dict(zip(names, theirs, strict=True)), "Python": platform.python_version(), "processor": _processor()}
+    return {**dict(zip(names, package_versions, strict=True)), "Python": platform.python_version(), "processor": _processor()}
 
 
 def median_round(rounds: list[Round]) -> Round:
     """Return the medians of some rounds."""
-    return Round(*(statistics.median(values) for values in zip(*(asdict(each).values() for each in rounds), strict=True)))
+    return Round(
+        *(statistics.median(values) for values in zip(*(asdict(measured_round).values() for measured_round in rounds), strict=True))
+    )
 
 
 def _medians(values: list[dict[str, float]]) -> dict[str, float]:
-    return {what: statistics.median(each[what] for each in values) for what in values[0]}
+    return {name: statistics.median(entry[name] for entry in values) for name in values[0]}
 
 
 def main() -> None:
@@ -361,45 +365,47 @@ def main() -> None:
     parser.add_argument("--base", type=Path)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
+    args = parser.parse_args()
     os.sched_setaffinity(0, {CLIENT_CORE})
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         cog = folder / "cog.tif"
-        copy(given.raster, cog, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=256, OVERVIEW_RESAMPLING="AVERAGE")
-        with titiler(cog, given.titiler_python) as running:
+        copy(args.raster, cog, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=256, OVERVIEW_RESAMPLING="AVERAGE")
+        with titiler(cog, args.titiler_python) as running:
             tiles = served_by_both(tiles_of(cog), running)
-        found: dict[str, Rounds] = {"titiler": {}, "Skugga": {}}
+        rounds_by_service: dict[str, Rounds] = {"titiler": {}, "Skugga": {}}
         rest: dict[str, dict[str, list[float]]] = {"titiler": {}, "Skugga": {}}
         blocks: dict[str, list[dict[str, float]]] = {}
         with skugga(cog, folder):
             pass  # loops are compiled, and the device is calibrated, once on a machine
-        for _ in range(given.repeats):
-            measure(tiles, lambda: titiler(cog, given.titiler_python), False, found["titiler"], rest["titiler"])
-            measure(tiles, lambda: skugga(cog, folder), True, found["Skugga"], rest["Skugga"])
+        for _ in range(args.repeats):
+            measure(tiles, lambda: titiler(cog, args.titiler_python), False, rounds_by_service["titiler"], rest["titiler"])
+            measure(tiles, lambda: skugga(cog, folder), True, rounds_by_service["Skugga"], rest["Skugga"])
             bare, wooded = (ROOT / "configs" / f"jacksboro{kind}.yaml" for kind in ("", "_wooded"))
             of_blocks = {"now": (ROOT, folder / "cog.yaml"), "village's ground": (ROOT, bare), "village": (ROOT, wooded)}
-            if given.base is not None:
-                of_blocks["base"] = given.base, folder / "cog.yaml"
+            if args.base is not None:
+                of_blocks["base"] = args.base, folder / "cog.yaml"
             for key, (code, level) in of_blocks.items():
                 blocks.setdefault(key, []).append(block_cpu(code, level, ZOOMS[-1]))
         result = {
-            "versions": versions(given.titiler_python), "tiles": len(tiles), "repeats": given.repeats,
-            "rounds": {who: {name: asdict(median_round(each)) for name, each in rounds.items()} for who, rounds in found.items()},
-            "seconds": {who: {name: statistics.median(each) for name, each in values.items()} for who, values in rest.items()},
+            "versions": versions(args.titiler_python), "tiles": len(tiles), "repeats": args.repeats,
+            "rounds": {service_name: {name: asdict(median_round(samples)) for name, samples in rounds.items()} for service_name, rounds in rounds_by_service.items()},
+            "seconds": {service_name: {name: statistics.median(samples) for name, samples in values.items()} for service_name, values in rest.items()},
             "block CPU ms": {key: _medians(values) for key, values in blocks.items()},
         }  # fmt: skip
-    if given.json:
-        given.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
     print(json.dumps(result["versions"] | {"tiles": len(tiles)}))
     print("| what | titiler | Skugga | ratio |\n| --- | --- | --- | --- |")
-    for name, theirs in result["rounds"]["titiler"].items():
-        ours = result["rounds"]["Skugga"][name]
+    for name, titiler_round in result["rounds"]["titiler"].items():
+        skugga_round = result["rounds"]["Skugga"][name]
         value = "median_ms" if "alone" in name or name == "first tile" else "per_second"
         unit = "ms" if value == "median_ms" else "tiles/s"
-        ratio = theirs[value] / ours[value] if value == "median_ms" else ours[value] / theirs[value]
-        more = f"p99 {ours['p99_ms'] / ours['median_ms']:.1f} x median, {ours['mean_bytes'] / 1e3:.1f} kB"
-        print(f"| {name} | {theirs[value]:.1f} {unit} | {ours[value]:.1f} {unit}; {more} | {ratio:.2f} |")
+        ratio = titiler_round[value] / skugga_round[value] if value == "median_ms" else skugga_round[value] / titiler_round[value]
+        details = (
+            f"p99 {skugga_round['p99_ms'] / skugga_round['median_ms']:.1f} x median, {skugga_round['mean_bytes'] / 1e3:.1f} kB"
+        )
+        print(f"| {name} | {titiler_round[value]:.1f} {unit} | {skugga_round[value]:.1f} {unit}; {details} | {ratio:.2f} |")
     print(json.dumps(result["rounds"]["Skugga"]["again, one alone"]))
     print(json.dumps({**result["seconds"], **result["block CPU ms"]}))
 

@@ -26,7 +26,7 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of, daylight_in_frame
-from skugga.terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
 MAP_BITS = 16
 NEAR_M, FAR_M = 0.5, 20_000.0
@@ -135,7 +135,7 @@ void main() {}
 """
 
 
-class TaskResult(NamedTuple):
+class ProgramArrays(NamedTuple):
     """The vertex arrays of a program: the opaque surfaces, and the trees, if any."""
 
     opaque: moderngl.VertexArray
@@ -160,15 +160,17 @@ class Yardstick:
         self._vertices, self._indices = gl.ctx.buffer(vertices), gl.ctx.buffer(indices)
         self.triangles = len(indices)
         self._instances: moderngl.Buffer | None = None
-        stand = tree_instances_in_perspective(scene.objects, self._frame, tuple(view.eye_earth_m), view.focal_px)
-        self.trees = 0 if stand is None else len(stand)
+        tree_instances = tree_instances_in_perspective(scene.objects, self._frame, tuple(view.eye_earth_m), view.focal_px)
+        self.trees = 0 if tree_instances is None else len(tree_instances)
         bounds = [vertices[:, :3].min(axis=0), vertices[:, :3].max(axis=0)]
-        if stand is not None and self.trees:
+        if tree_instances is not None and self.trees:
             self._instances = gl.ctx.buffer(
-                np.concatenate([stand.base_frame_m, stand.shape, stand.variant[:, None]], axis=1).astype(np.float32)
+                np.concatenate([tree_instances.base_frame_m, tree_instances.shape, tree_instances.variant[:, None]], axis=1).astype(
+                    np.float32
+                )
             )
-            self._leaves = gl.layers(foliage().levels)
-            bounds[1] = bounds[1] + [0.0, 0.0, float(stand.shape[:, 2].max())]
+            self._leaves = gl.layers(foliage().mip_levels)
+            bounds[1] = bounds[1] + [0.0, 0.0, float(tree_instances.shape[:, 2].max())]
         self._bounds = np.array(bounds)
         self._colour = self._drawn(FRAGMENT.replace("TAPS", str(taps if map_size else 0)))
         self._depth = self._drawn(DEPTH_FRAGMENT) if map_size else None
@@ -189,50 +191,50 @@ class Yardstick:
         self._target.clear(*SKY, 1.0, depth=1.0)
         gl.ctx.enable_only(moderngl.DEPTH_TEST)
         uniforms = {"to_sun": tuple(to_sun), "sun": tuple(light.sun), "sky": tuple(light.sky), "depth_map": 1}
-        self._render(self._colour, _clip(view, eye, camera_from_frame), map_from_frame, camera_from_frame[2, :2], uniforms)
+        self._render(self._colour, _clip_matrix(view, eye, camera_from_frame), map_from_frame, camera_from_frame[2, :2], uniforms)
         gl.ctx.enable_only(moderngl.NOTHING)
         return gl.read(self._target, 0, "f1", 4)
 
-    def _drawn(self, fragment: str) -> TaskResult:
+    def _drawn(self, fragment: str) -> ProgramArrays:
         gl, arrays = device(), []
         for kind in ("OPAQUE", "TREES"):
             define = f"#version 430\n#define {kind}"
-            vertex, own = (text.strip().replace("#version 430", define) for text in (VERTEX, fragment))
-            program = gl.program(vertex, own)
+            vertex, fragment_source = (text.strip().replace("#version 430", define) for text in (VERTEX, fragment))
+            program = gl.program(vertex, fragment_source)
             names = ("position", "normal", "albedo") if kind == "OPAQUE" else ("base", "shape", "look")
             layout = "3f 3f 3f" if kind == "OPAQUE" else "3f 4f 1f/i"
             buffer = self._vertices if kind == "OPAQUE" else self._instances
             if buffer is None:
                 continue
-            used, layout = _used(program, names, layout)
+            used_names, layout = _used_attributes(program, names, layout)
             index = self._indices if kind == "OPAQUE" else None
-            arrays.append(gl.ctx.vertex_array(program, [(buffer, layout, *used)], index_buffer=index))
-        return TaskResult(arrays[0], arrays[1] if len(arrays) > 1 else None)
+            arrays.append(gl.ctx.vertex_array(program, [(buffer, layout, *used_names)], index_buffer=index))
+        return ProgramArrays(arrays[0], arrays[1] if len(arrays) > 1 else None)
 
     def _render(
-        self, drawn: TaskResult, clip_from_frame: np.ndarray, map_from_frame: np.ndarray, towards: np.ndarray, uniforms: dict
+        self, arrays: ProgramArrays, clip_from_frame: np.ndarray, map_from_frame: np.ndarray, towards: np.ndarray, uniforms: dict
     ) -> None:
         gl = device()
-        across = np.array([-towards[1], towards[0]]) / max(float(np.hypot(*towards)), 1e-9)
+        leaf_axis = np.array([-towards[1], towards[0]]) / max(float(np.hypot(*towards)), 1e-9)
         matrices = {"clip_from_frame": tuple(clip_from_frame.T.ravel()), "map_from_frame": tuple(map_from_frame.T.ravel())}
-        more = {"across": tuple(across), "leaves": 0, "threshold": THRESHOLD}
-        for array in drawn:
+        tree_uniforms = {"across": tuple(leaf_axis), "leaves": 0, "threshold": ALPHA_THRESHOLD}
+        for array in arrays:
             if array is not None:
-                for name, value in {**uniforms, **matrices, **more}.items():
+                for name, value in {**uniforms, **matrices, **tree_uniforms}.items():
                     if name in array.program:
                         array.program[name] = value
-        gl.render(drawn.opaque)
-        if drawn.trees is not None:
+        gl.render(arrays.opaque)
+        if arrays.trees is not None:
             self._leaves.use(0)
-            gl.render(drawn.trees, vertices=6, instances=self.trees)
+            gl.render(arrays.trees, vertices=6, instances=self.trees)
 
     def _map(self, eye: np.ndarray, camera_from_frame: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
         """Return the matrix (4, 4) from the frame to the depth map's clip space."""
         right = np.cross([0.0, 0.0, 1.0], to_sun)
         right = right / max(float(np.linalg.norm(right)), 1e-9)
         axes = np.stack([right, np.cross(to_sun, right), -to_sun])
-        ahead = np.array([*camera_from_frame[2, :2], 0.0])
-        middle = axes @ (eye + ahead * (0.5 * SHADOWED_M / max(float(np.linalg.norm(ahead)), 1e-9)))
+        forward = np.array([*camera_from_frame[2, :2], 0.0])
+        middle = axes @ (eye + forward * (0.5 * SHADOWED_M / max(float(np.linalg.norm(forward)), 1e-9)))
         corners = np.stack(np.meshgrid(*self._bounds.T, indexing="ij"), axis=-1).reshape(-1, 3) @ axes.T
         near, far = corners[:, 2].min(), corners[:, 2].max()
         half = 0.5 * SHADOWED_M
@@ -264,20 +266,20 @@ def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: Loca
     return np.concatenate(parts).astype(np.float32), np.concatenate(indices).astype(np.int32)
 
 
-def _used(program: moderngl.Program, names: tuple[str, ...], layout: str) -> tuple[list[str], str]:
+def _used_attributes(program: moderngl.Program, names: tuple[str, ...], layout: str) -> tuple[list[str], str]:
     """Return the attributes that a program has, and a layout that skips the others."""
     per_instance = layout.endswith("/i")
-    words, used = [], []
+    words, used_names = [], []
     for name, word in zip(names, layout.removesuffix("/i").split(), strict=True):
         if name in program:
-            used.append(name)
+            used_names.append(name)
             words.append(word)
         else:
             words.append(f"{4 * int(word[0])}x")
-    return used, " ".join(words) + ("/i" if per_instance else "")
+    return used_names, " ".join(words) + ("/i" if per_instance else "")
 
 
-def _clip(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.ndarray) -> np.ndarray:
+def _clip_matrix(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.ndarray) -> np.ndarray:
     """Return the matrix (4, 4) from the frame to clip space, row 0 of the picture first."""
     size = np.array([view.cols, view.rows])
     first = np.array([view.col0, view.row0])

@@ -69,10 +69,10 @@ def mosaic_of(raster: Path, folder: Path) -> Path:
 
 def own_zoom(scene: Scene) -> int:
     """Return the coarsest zoom of Web Mercator whose pixels use their own points."""
-    return next(zoom for zoom in range(25) if subdivision_level(scene, block_of(scene, zoom)) == 0 and narrow(scene, zoom))
+    return next(zoom for zoom in range(25) if subdivision_level(scene, block_of(scene, zoom)) == 0 and is_narrow(scene, zoom))
 
 
-def narrow(scene: Scene, zoom: int) -> bool:
+def is_narrow(scene: Scene, zoom: int) -> bool:
     """Return whether pixels of a zoom are less than 1.5 cells wide."""
     return scene.surface(tile_grid(MERCATOR, zoom)).cells_per_step < 1.5
 
@@ -94,49 +94,54 @@ def block_of(scene: Scene, zoom: int, east: float = 0.5) -> MapView:
 
 def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, algorithm: str) -> np.ndarray:
     """Return visibility (n,) of the pixels that show ground."""
-    asked = {} if algorithm == "auto" else {"algorithm": algorithm}
-    plan = make_plan(describe(scene, view, pixel_sampling=pixel_sampling), scene.loaded.level, asked)
+    overrides = {} if algorithm == "auto" else {"algorithm": algorithm}
+    plan = make_plan(describe(scene, view, pixel_sampling=pixel_sampling), scene.loaded.level, overrides)
     frame = render_frame(scene, view, plan, pixel_sampling=pixel_sampling)
     return frame.visibility[frame.valid]
 
 
 def shares(scene: Scene, algorithm: str) -> None:
     """Print mean shadow by zoom."""
-    own = own_zoom(scene)
+    finest_zoom = own_zoom(scene)
     print("| zoom | pieces of a pixel | shadow, % | own points, % | mask, % |\n| --- | --- | --- | --- | --- |")
-    for zoom in range(own, own - ZOOMS_BELOW - 1, -1):
+    for zoom in range(finest_zoom, finest_zoom - ZOOMS_BELOW - 1, -1):
         view = whole_view(scene, zoom)
-        shown, points = (visibility_of(scene, view, show, algorithm) for show in ("means", "points"))  # type: ignore[arg-type]
+        mean_visibility, point_visibility = (visibility_of(scene, view, show, algorithm) for show in ("means", "points"))  # type: ignore[arg-type]
         side = 2 ** subdivision_level(scene, view)
-        mask = (shown < 0.5).mean()
+        mask = (mean_visibility < 0.5).mean()
         print(
-            f"| {zoom} | {side} x {side} | {100 * (1 - shown.mean()):.2f} | {100 * (1 - points.mean()):.2f} | {100 * mask:.2f} |",
+            (
+                f"| {zoom} | {side} x {side} | {100 * (1 - mean_visibility.mean()):.2f} | "
+                f"{100 * (1 - point_visibility.mean()):.2f} | {100 * mask:.2f} |"
+            ),
             flush=True,
         )
 
 
 def times(scene: Scene, repeats: int) -> None:
     """Print times of blocks of coarse pixels."""
-    own = own_zoom(scene)
+    finest_zoom = own_zoom(scene)
     print("| zoom | pieces of a pixel | block, ms | by own points, ms | ratio |\n| --- | --- | --- | --- | --- |")
-    for zoom in range(own - 1, own - 5, -1):
-        view, found = block_of(scene, zoom), {}
-        ways: tuple[PixelSampling, ...] = ("means", "points")
+    for zoom in range(finest_zoom - 1, finest_zoom - 5, -1):
+        view, runs_by_sampling = block_of(scene, zoom), {}
+        samplings: tuple[PixelSampling, ...] = ("means", "points")
         plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
         for repeat in range(repeats + 1):
-            for show in ways:
+            for show in samplings:
                 clear_caches("light")
                 log, start = PassLog(), time.perf_counter()
                 render_block(scene, view, plan, log, show)
                 if repeat:  # the first round compiles
-                    found.setdefault(show, []).append(((time.perf_counter() - start) * 1000.0, log))
-        ms = {show: float(np.median([each for each, _ in runs])) for show, runs in found.items()}
-        ratio = float(np.median([a / b for (a, _), (b, _) in zip(found["means"], found["points"], strict=True)]))
+                    runs_by_sampling.setdefault(show, []).append(((time.perf_counter() - start) * 1000.0, log))
+        ms = {show: float(np.median([elapsed_ms for elapsed_ms, _ in runs])) for show, runs in runs_by_sampling.items()}
+        ratio = float(
+            np.median([a / b for (a, _), (b, _) in zip(runs_by_sampling["means"], runs_by_sampling["points"], strict=True)])
+        )
         side = 2 ** subdivision_level(scene, view)
         print(f"| {zoom} | {side} x {side} | {ms['means']:.0f} | {ms['points']:.0f} | {ratio:.2f} |", flush=True)
-        if zoom == own - 2:
-            for show in ways:
-                log = found[show][-1][1]
+        if zoom == finest_zoom - 2:
+            for show in samplings:
+                log = runs_by_sampling[show][-1][1]
                 print(f"  {show}: " + ", ".join(f"{name} {record.ms:.0f} ms" for name, record in log.records.items()))
     print(f"peak of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
@@ -146,16 +151,16 @@ def far_casters(scene: Scene, sun: tuple[float, float]) -> None:
     scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     view = block_of(scene, own_zoom(scene), east=0.12)
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
-    seen, nodes = [], reach.FULL_DETAIL_NODES
+    shadow_masks, nodes = [], reach.FULL_DETAIL_NODES
     limits = nodes, nodes // 4, nodes // 8
     for limit in (*limits, 2**20):
         reach.FULL_DETAIL_NODES = limit
         clear_caches("light")
-        seen.append(render_block(scene, view, plan, PassLog(), "means").visibility < 0.5)
+        shadow_masks.append(render_block(scene, view, plan, PassLog(), "means").visibility < 0.5)
     reach.FULL_DETAIL_NODES = nodes
-    truth = seen.pop()
+    truth = shadow_masks.pop()
     print(f"sun {sun[1]:g} degrees high, {100 * truth.mean():.1f} % in shadow")
-    for limit, dark in zip(limits, seen, strict=True):
+    for limit, dark in zip(limits, shadow_masks, strict=True):
         missed, false = (truth & ~dark).mean(), (dark & ~truth).mean()
         print(f"full detail up to {limit} nodes: {100 * (missed + false):.4f} % of the pixels differ, "
               f"{100 * missed:.4f} % missed and {100 * false:.4f} % false shadow")  # fmt: skip

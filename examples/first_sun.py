@@ -8,16 +8,16 @@ FROM, TO = (-84.235, 36.355), (-84.115, 36.430)  # up a valley of the Jacksboro 
 
 print("   lon     lat   ground   first    last   direct sun   before the first sun")
 with skugga.open_level("jacksboro") as level:
-    for share in np.linspace(0.0, 1.0, 7):
-        lon, lat = (start + share * (end - start) for start, end in zip(FROM, TO, strict=True))
-        at = level.point(lon, lat, date="2024-12-21", clock="America/New_York", height=1.6)
-        day = at.day
+    for fraction in np.linspace(0.0, 1.0, 7):
+        lon, lat = (start + fraction * (end - start) for start, end in zip(FROM, TO, strict=True))
+        report = level.point(lon, lat, date="2024-12-21", clock="America/New_York", height=1.6)
+        day = report.day
         if not day.sunlit:
-            print(f"{lon:8.4f} {lat:.4f} {at.elevation_m:5.0f} m   {day.remark}")
+            print(f"{lon:8.4f} {lat:.4f} {report.elevation_m:5.0f} m   {day.remark}")
             continue
         occluder = day.sunlit[0].after
         occluder_text = "the level horizon" if occluder is None else f"{occluder.kind}, {occluder.distance_m / 1000.0:.1f} km away"
         print(
-            f"{lon:8.4f} {lat:.4f} {at.elevation_m:5.0f} m   {day.first_sun:%H:%M}   {day.last_sun:%H:%M}"
+            f"{lon:8.4f} {lat:.4f} {report.elevation_m:5.0f} m   {day.first_sun:%H:%M}   {day.last_sun:%H:%M}"
             f"   {day.direct_h:4.1f} of {day.daylight_h:.1f} h   {occluder_text}"
         )

@@ -28,6 +28,8 @@ beam = dni * np.maximum(pvlib.irradiance.aoi_projection(TILT_DEG, PANEL_AZIMUTH_
 horizon_deg = np.interp(sun.azimuth, profile.index, profile.to_numpy(), period=360.0)
 is_visible = sun.apparent_elevation > horizon_deg
 kwh = 10.0 / 60.0 / 1000.0
-for month, part in beam.groupby(beam.index.month):
-    lost = 1.0 - part[is_visible[part.index]].sum() / part.sum()
-    print(f"{pd.Timestamp(2024, month, 1):%b}  {part.sum() * kwh:6.1f} kWh/m2, {lost:5.1%} of it behind the horizon")
+for month, month_beam in beam.groupby(beam.index.month):
+    occluded_share = 1.0 - month_beam[is_visible[month_beam.index]].sum() / month_beam.sum()
+    print(
+        f"{pd.Timestamp(2024, month, 1):%b}  {month_beam.sum() * kwh:6.1f} kWh/m2, {occluded_share:5.1%} of it behind the horizon"
+    )

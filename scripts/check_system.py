@@ -7,12 +7,12 @@ show whether a driver works.
 import importlib
 import sys
 
-COMPILED = ("numba", "numpy", "pyproj", "rasterio", "scipy", "PIL.Image")
+COMPILED_PACKAGES = ("numba", "numpy", "pyproj", "rasterio", "scipy", "PIL.Image")
 
 
 def main() -> int:
     try:
-        for name in COMPILED:
+        for name in COMPILED_PACKAGES:
             importlib.import_module(name)
         from skugga.terrain.gl.egl_devices import open_context
 

@@ -69,12 +69,15 @@ def main(arguments: list[str]) -> int:
         return int(problem is not None)
     listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     paths = [Path(argument) for argument in arguments] or [ROOT / name for name in listed]
-    found = [
-        (path, *each) for path in paths if path.is_file() and path.name != Path(__file__).name for each in forbidden_names(path)
+    problems = [
+        (path, *name_problem)
+        for path in paths
+        if path.is_file() and path.name != Path(__file__).name
+        for name_problem in forbidden_names(path)
     ]
-    for path, line, name, term in found:
+    for path, line, name, term in problems:
         print(f"{path}:{line}: '{name}' is not a term of the field. Use: {term}.", file=sys.stderr)
-    return int(bool(found))
+    return int(bool(problems))
 
 
 if __name__ == "__main__":

@@ -12,12 +12,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from skugga.terrain.compiling.bundle import FOLDER, TARGET, VERSIONS, installed_versions
+from skugga.terrain.compiling.bundle import FOLDER, NUMBA_TARGET, VERSIONS_FILE, installed_versions
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-COMPILE = """
+COMPILE_CODE = """
 import shutil, subprocess, sys
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 from skugga.terrain.compiling.farm import named_tasks
@@ -37,10 +37,12 @@ def main(folder: Path) -> None:
     try:
         FOLDER.mkdir()
         cores = str(len(os.sched_getaffinity(0)))
-        subprocess.run([sys.executable, "-c", COMPILE, cores, FOLDER], env={**os.environ, **TARGET}, cwd=ROOT, check=True)
+        subprocess.run(
+            [sys.executable, "-c", COMPILE_CODE, cores, FOLDER], env={**os.environ, **NUMBA_TARGET}, cwd=ROOT, check=True
+        )
         for entry in FOLDER.iterdir():
             entry.chmod(0o644)
-        (FOLDER / VERSIONS).write_text(json.dumps(installed_versions(), indent=1) + "\n", encoding="utf-8")
+        (FOLDER / VERSIONS_FILE).write_text(json.dumps(installed_versions(), indent=1) + "\n", encoding="utf-8")
         pip = [
             sys.executable,
             "-m",

@@ -68,13 +68,13 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
     from skugga.terrain.level.parts import SunSpec
 
     state = WorkerState(warm_up())
-    for level in ServedLevels(sources).known():
+    for level in ServedLevels(sources).cached_levels():
         zooms = level.zooms.get(DEFAULT_MATRIX_SET)
         if zooms is None:
             continue
-        own = max(zooms.last - OVERZOOMS, zooms.first)
-        colors = [(zoom, "color", sun) for zoom in dict.fromkeys((own, zooms.first, zooms.last)) for sun in (None, *suns)]
-        for zoom, layer, sun in [*colors, *((own, layer, None) for layer in layers)]:
+        native_zoom = max(zooms.last - OVERZOOMS, zooms.first)
+        colors = [(zoom, "color", sun) for zoom in dict.fromkeys((native_zoom, zooms.first, zooms.last)) for sun in (None, *suns)]
+        for zoom, layer, sun in [*colors, *((native_zoom, layer, None) for layer in layers)]:
             block = first_block(level, zoom)
             assert block is not None
             spec = None if sun is None else SunSpec(azimuth=sun[0], altitude=sun[1])
@@ -182,49 +182,53 @@ def record(product: str) -> list[tuple[str, Any]]:
     from skugga.terrain.compiling.loop_cache import recorders
     from skugga.terrain.compiling.signatures import decode_type, encode_type
 
-    found: list[tuple[str, Any]] = []
+    recorded_loops: list[tuple[str, Any]] = []
 
     def note(loop: Any, args: tuple[Any, ...]) -> None:
         function = loop.py_func
         if "<" in function.__qualname__:  # a closure, which no module can look up
             return
-        encoded = [encode_type(each) for each in args]
+        encoded = [encode_type(arg) for arg in args]
         assert tuple(map(decode_type, encoded)) == args, (function, args)
-        found.append((f"{function.__module__}:{function.__qualname__}", encoded))
+        recorded_loops.append((f"{function.__module__}:{function.__qualname__}", encoded))
 
     recorders.append(note)
     compile_lazily()
     with tempfile.TemporaryDirectory() as folder:
         PRODUCERS[product](write_rasters(Path(folder)), Path(folder))
-    return found
+    return recorded_loops
 
 
 def main(products: Sequence[str]) -> None:
     """Record products, each in a process with an empty store, two at a time, and write the signatures."""
-    from skugga.terrain.compiling.signatures import PATH, recorded_signatures
+    from skugga.terrain.compiling.signatures import SIGNATURES_FILE, recorded_signatures
 
     def recorded(product: str) -> list[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as store:
-            quick = {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}  # the machine code is discarded
-            environment = {**os.environ, "NUMBA_CACHE_DIR": store, "XDG_CACHE_HOME": f"{store}/cache", **quick}
+            numba_options = {
+                "NUMBA_OPT": "1",
+                "NUMBA_LOOP_VECTORIZE": "0",
+                "NUMBA_SLP_VECTORIZE": "0",
+            }  # the machine code is discarded
+            environment = {**os.environ, "NUMBA_CACHE_DIR": store, "XDG_CACHE_HOME": f"{store}/cache", **numba_options}
             command = [sys.executable, __file__, "--one", product, f"{store}/found.json"]
             subprocess.run(command, env=environment, check=True)
-            return [tuple(each) for each in json.loads(Path(store, "found.json").read_text(encoding="utf-8"))]
+            return [tuple(item) for item in json.loads(Path(store, "found.json").read_text(encoding="utf-8"))]
 
-    needed: dict[tuple[str, str], set[str]] = {}
-    for each in recorded_signatures():
-        if left := set(each.products) - set(products):
-            needed[each.loop, each.args] = left
+    products_by_loop: dict[tuple[str, str], set[str]] = {}
+    for item in recorded_signatures():
+        if other_products := set(item.products) - set(products):
+            products_by_loop[item.loop, item.args] = other_products
     with ThreadPoolExecutor(2) as pool:
-        for product, found in zip(products, pool.map(recorded, products), strict=True):
-            print(f"{product}: {len(found)} loops")
-            for loop, args in found:
-                needed.setdefault((loop, json.dumps(args)), set()).add(product)
+        for product, loops in zip(products, pool.map(recorded, products), strict=True):
+            print(f"{product}: {len(loops)} loops")
+            for loop, args in loops:
+                products_by_loop.setdefault((loop, json.dumps(args)), set()).add(product)
     rows = [
-        json.dumps({"loop": loop, "args": json.loads(args), "products": [each for each in PRODUCTS if each in by]})
-        for (loop, args), by in sorted(needed.items())
+        json.dumps({"loop": loop, "args": json.loads(args), "products": [item for item in PRODUCTS if item in loop_products]})
+        for (loop, args), loop_products in sorted(products_by_loop.items())
     ]
-    PATH.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+    SIGNATURES_FILE.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -64,17 +64,19 @@ def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
         for taps in DEFAULT_PLAN_FILTERS:
             with suppress(UnsupportedError):  # not every algorithm has every filter
                 yield make_plan(descriptor, level, {"algorithm": {light: default.algorithm.get(light, {})}, "filter": taps})
-    served = [each for each in ALGORITHMS.values() if each.served]
-    compared = [{"algorithm": each.name, **overrides} for each in served for overrides in each.search.compared]
-    for asked in [*({"algorithm": each.name} for each in served), *compared]:
-        yield from _widest_served_plans(descriptor, level, light, asked)
+    algorithms = [algorithm for algorithm in ALGORITHMS.values() if algorithm.is_served]
+    compared_overrides = [
+        {"algorithm": algorithm.name, **overrides} for algorithm in algorithms for overrides in algorithm.search.compared_overrides
+    ]
+    for algorithm_overrides in [*({"algorithm": algorithm.name} for algorithm in algorithms), *compared_overrides]:
+        yield from _widest_served_plans(descriptor, level, light, algorithm_overrides)
     if light == SUN and {"relief", "meshes"} <= set(descriptor.casters):
         for mix in (mix for mix in MIXES if mix.in_report):
             by_kind = {kind: mix.algorithm.get(kind, FALLBACK) for kind in ("relief", "meshes")}
             yield from _served_plans(descriptor, level, light, {"algorithm": by_kind})
-    for each in reversed(served):
-        for overrides in each.search.variants:
-            yield from _widest_served_plans(descriptor, level, light, {"algorithm": each.name, **overrides})
+    for algorithm in reversed(algorithms):
+        for overrides in algorithm.search.variants:
+            yield from _widest_served_plans(descriptor, level, light, {"algorithm": algorithm.name, **overrides})
 
 
 def _widest_served_plans(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:

@@ -53,11 +53,11 @@ class Choice:
         Algorithm by kind of casters.
     settings
         Fields of ``Shadows`` by name (``map_size``, ``cascades``).
-    why
+    reason
         Reasons: for algorithms by kind of casters, for settings by field.
     """
 
     name: str
     algorithm: Mapping[CasterKind, AlgorithmName]
     settings: Mapping[str, Any] = field(default_factory=dict)
-    why: Mapping[str, str] = field(default_factory=dict)
+    reason: Mapping[str, str] = field(default_factory=dict)

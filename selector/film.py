@@ -67,8 +67,8 @@ class FrameMoment:
     @property
     def words(self) -> str:
         """The frame in words for messages: its number, counted from 1, and its time."""
-        when = f"{self.elapsed_s:g} s" if self.time is None else self.time.isoformat()
-        return f"frame {self.number + 1} ({when})"
+        time_text = f"{self.elapsed_s:g} s" if self.time is None else self.time.isoformat()
+        return f"frame {self.number + 1} ({time_text})"
 
     def scene(self, scene: Scene) -> Scene:
         """Return the film's scene at this time."""
@@ -87,14 +87,14 @@ class PlanSwitch:
         The previous choice, in words.
     after
         The new choice, in words.
-    why
+    reason
         The reason for the change.
     """
 
     number: int
     before: str
     after: str
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ def frame_moments(scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAM
     if span.start is not None:
         scene.with_sun(SunSpec(time=span.start))  # raises an error in a flat world, which has no dates
     first_second = scene.seconds if span.first_second is None else span.first_second
-    path = None if request.path is None else camera_path(request.path, scene.place, span.start)
+    path = None if request.path is None else camera_path(request.path, scene.geolocator, span.start)
     resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
     moments: list[FrameMoment] = []
     for number in range(span.frames) if only is None else (only,):
@@ -144,8 +144,8 @@ def frame_moments(scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAM
         try:
             view = resting if path is None else path.view_at(elapsed_s, *reversed(_size(request)))
         except InputError as error:
-            where = FrameMoment(number, elapsed_s, span.parse_time(number), 0.0, None).words  # type: ignore[arg-type]
-            raise error.renamed(f"path, {where}: {error.name}") from None
+            frame_text = FrameMoment(number, elapsed_s, span.parse_time(number), 0.0, None).words  # type: ignore[arg-type]
+            raise error.renamed(f"path, {frame_text}: {error.name}") from None
         assert view is not None
         moments.append(FrameMoment(number, elapsed_s, span.parse_time(number), first_second + elapsed_s, view))
     return moments
@@ -196,35 +196,35 @@ def _frame_makers(
     level, overrides = scene.loaded.level, dict(request.overrides)
     before = None if replanner.state is None else replanner.state.plan
     for moment in moments:
-        now = moment.scene(scene)
-        plan = replanner.plan(describe(now, moment.view, request.view_name), level, overrides)
-        switch = None if before is None else _switch(moment, before, plan, replanner.why)
+        frame_scene = moment.scene(scene)
+        plan = replanner.plan(describe(frame_scene, moment.view, request.view_name), level, overrides)
+        switch = None if before is None else _switch(moment, before, plan, replanner.reason)
         if switch is not None:
-            log.info("%s: %s instead of %s: %s", moment.words, switch.after, switch.before, switch.why)
+            log.info("%s: %s instead of %s: %s", moment.words, switch.after, switch.before, switch.reason)
         before = plan
         if replanner.transition is not None:
-            new, previous = (render_frame(now, moment.view, each) for each in (plan, replanner.transition.plan))
+            new, previous = (render_frame(frame_scene, moment.view, shown_plan) for shown_plan in (plan, replanner.transition.plan))
             color = mix_pictures(previous.color, new.color, replanner.share(previous.visibilities, new.visibilities))
             yield partial(FilmFrame, moment, color, plan, replanner.transition, switch)
             continue
-        drawn: Callable[[], Picture] = partial(draw, now, moment.view, plan, COLOR)
-        if threads is not None and moment.number > 0 and heights_suffice(now, moment.view, plan, COLOR):
-            drawn = threads.submit(drawn).result
-        yield partial(_film_frame, moment, drawn, plan, switch)
+        draw_picture: Callable[[], Picture] = partial(draw, frame_scene, moment.view, plan, COLOR)
+        if threads is not None and moment.number > 0 and heights_suffice(frame_scene, moment.view, plan, COLOR):
+            draw_picture = threads.submit(draw_picture).result
+        yield partial(_film_frame, moment, draw_picture, plan, switch)
 
 
-def _film_frame(moment: FrameMoment, drawn: Callable[[], Picture], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
-    color = drawn().color
+def _film_frame(moment: FrameMoment, draw_picture: Callable[[], Picture], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
+    color = draw_picture().color
     assert color is not None
     return FilmFrame(moment, color, plan, None, switch)
 
 
-def _switch(moment: FrameMoment, before: Plan, after: Plan, why: str | None) -> PlanSwitch | None:
-    """Return the change between two successive plans, or ``None``. ``why`` is the replanner's reason if it took another choice."""
+def _switch(moment: FrameMoment, before: Plan, after: Plan, reason: str | None) -> PlanSwitch | None:
+    """Return the change between two successive plans, or ``None``. ``reason`` is the replanner's reason if it took another choice."""
     names = _choice_text(before), _choice_text(after)
     if names[0] == names[1]:
         return None
-    return PlanSwitch(moment.number, *names, why or _casting_changes_text(before, after))
+    return PlanSwitch(moment.number, *names, reason or _casting_changes_text(before, after))
 
 
 def _choice_text(plan: Plan) -> str:
@@ -237,10 +237,12 @@ def _choice_text(plan: Plan) -> str:
 
 def _casting_changes_text(before: Plan, after: Plan) -> str:
     """Describe how the casting kinds of two plans differ."""
-    was, now = ({(light, kind) for light, kinds in casting(plan).items() for kind in kinds} for plan in (before, after))
-    if not now:
+    casting_before, casting_after = (
+        {(light, kind) for light, kinds in casting(plan).items() for kind in kinds} for plan in (before, after)
+    )
+    if not casting_after:
         return "nothing casts shadows now"
-    if was == now:
+    if casting_before == casting_after:
         return "settings follow the view"
-    changes = (was - now, "shadows of {} ended"), (now - was, "shadows of {} began")
+    changes = (casting_before - casting_after, "shadows of {} ended"), (casting_after - casting_before, "shadows of {} began")
     return "; ".join(words.format(format_list(sorted({kind for _, kind in kinds}))) for kinds, words in changes if kinds)

@@ -42,7 +42,7 @@ class SharedVariance(BaseModel):
     family: float = Field(ge=0, le=1)
 
     @property
-    def own(self) -> float:
+    def individual(self) -> float:
         """The share of each candidate alone."""
         return max(1.0 - self.view - self.family, 0.0)
 
@@ -72,9 +72,11 @@ class GaussianEstimate:
         families of the candidates.
         """
         count = len(families)
-        same = np.array([[one == other for other in families] for one in families], np.float64).reshape(count, count)
+        same_family = np.array(
+            [[row_family == column_family for column_family in families] for row_family in families], np.float64
+        ).reshape(count, count)
         sd = LOGISTIC_SD * np.array(scales, np.float64)
-        correlation = shared.view + shared.family * same + shared.own * np.eye(len(families))
+        correlation = shared.view + shared.family * same_family + shared.individual * np.eye(len(families))
         return cls(np.array(expected_log, np.float64), correlation * np.outer(sd, sd))
 
     def after_observation(self, which: int, value_log: float, noise: float) -> GaussianEstimate:
@@ -98,8 +100,8 @@ class GaussianEstimate:
         return logistic_probability_over(float(self.mean[which]) - limit_log, self.scale(which))
 
 
-def logistic_probability_over(off: float, scale: float) -> float:
-    """Return the probability, in [0, 1], that a logistic variable exceeds a limit. Its mean lies ``off`` above the limit."""
+def logistic_probability_over(excess: float, scale: float) -> float:
+    """Return the probability, in [0, 1], that a logistic variable exceeds a limit. Its mean lies ``excess`` above the limit."""
     if scale <= 0.0:
-        return float(off > 0.0)
-    return 1.0 / (1.0 + exp(-max(min(off / scale, MAX_EXPONENT), -MAX_EXPONENT)))
+        return float(excess > 0.0)
+    return 1.0 / (1.0 + exp(-max(min(excess / scale, MAX_EXPONENT), -MAX_EXPONENT)))

@@ -75,22 +75,22 @@ class MapProbes(BaseModel):
 
         The noises include the differences between blocks, since the map may show another part of the level.
         """
-        for each in self.classes:
-            if (each.scale, each.sun) == target:
-                return {light: tuple(map(_with_block_noise, seen)) for light, seen in each.seen.items()}
+        for probed_class in self.classes:
+            if (probed_class.scale, probed_class.sun) == target:
+                return {light: tuple(map(_with_block_noise, observations)) for light, observations in probed_class.seen.items()}
         return None
 
     def merged_with(self, other: MapProbes) -> MapProbes:
         """Return these probes combined with others, sorted by class. The other ones replace classes that both have."""
-        both = {(each.scale, each.sun): each for each in (*self.classes, *other.classes)}
-        return MapProbes(classes=tuple(both[key] for key in sorted(both)))
+        by_class = {(probed_class.scale, probed_class.sun): probed_class for probed_class in (*self.classes, *other.classes)}
+        return MapProbes(classes=tuple(by_class[key] for key in sorted(by_class)))
 
 
-def _with_block_noise(seen: Observation) -> Observation:
-    return seen.model_copy(
+def _with_block_noise(observation: Observation) -> Observation:
+    return observation.model_copy(
         update={
-            "error_noise": hypot(seen.error_noise, BLOCK_ERROR_SD),
-            "interior_noise": hypot(seen.interior_noise, BLOCK_ERROR_SD),
-            "ms_noise": hypot(seen.ms_noise, BLOCK_TIME_SD),
+            "error_noise": hypot(observation.error_noise, BLOCK_ERROR_SD),
+            "interior_noise": hypot(observation.interior_noise, BLOCK_ERROR_SD),
+            "ms_noise": hypot(observation.ms_noise, BLOCK_TIME_SD),
         }
     )

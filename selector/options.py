@@ -81,7 +81,7 @@ class LightOptions:
         Distribution of the interior error's logarithm.
     time
         Distribution of the time's logarithm.
-    seen
+    observations
         Observations by number.
     refused
         Numbers of the options that their algorithms refused to draw.
@@ -91,14 +91,14 @@ class LightOptions:
     error: GaussianEstimate
     interior: GaussianEstimate
     time: GaussianEstimate
-    seen: Mapping[int, Observation] = field(default_factory=dict)
+    observations: Mapping[int, Observation] = field(default_factory=dict)
     refused: frozenset[int] = frozenset()
 
     @classmethod
     def expected(cls, options: Sequence[PredictedChoice], model: ErrorModel | None = None) -> LightOptions:
         """Return the options with their prior distributions, before any observation."""
         model = model or packaged_model()
-        families, errors, shared = [each.family for each in options], [each.errors for each in options], model.shared
+        families, errors, shared = [option.family for option in options], [option.errors for option in options], model.shared
         return cls(
             tuple(options),
             GaussianEstimate.prior(
@@ -114,25 +114,27 @@ class LightOptions:
                 shared.interior,
             ),
             GaussianEstimate.prior(
-                [log(max(each.ms, MIN_MS)) for each in options], [model.time_spread] * len(options), families, shared.time
+                [log(max(option.ms, MIN_MS)) for option in options], [model.time_spread] * len(options), families, shared.time
             ),
         )
 
-    def after(self, seen: Iterable[Observation]) -> LightOptions:
+    def after(self, observations: Iterable[Observation]) -> LightOptions:
         """Return the options after observations. The last one of each choice counts, and those of other choices are ignored."""
         numbers = {option.choice.name: number for number, option in enumerate(self.options)}
-        out = self
-        for observation in seen:
+        posterior = self
+        for observation in observations:
             if observation.choice in numbers:
                 which = numbers[observation.choice]
-                out = replace(
-                    out,
-                    error=out.error.after_observation(which, log_error(observation.error), observation.error_noise),
-                    interior=out.interior.after_observation(which, log_interior(observation.interior), observation.interior_noise),
-                    time=out.time.after_observation(which, log(max(observation.ms, MIN_MS)), observation.ms_noise),
-                    seen={**out.seen, which: observation},
+                posterior = replace(
+                    posterior,
+                    error=posterior.error.after_observation(which, log_error(observation.error), observation.error_noise),
+                    interior=posterior.interior.after_observation(
+                        which, log_interior(observation.interior), observation.interior_noise
+                    ),
+                    time=posterior.time.after_observation(which, log(max(observation.ms, MIN_MS)), observation.ms_noise),
+                    observations={**posterior.observations, which: observation},
                 )
-        return out
+        return posterior
 
     def figures(self, which: int) -> CandidateFigures:
         """Return the expected time and errors of an option."""
@@ -188,7 +190,7 @@ def predicted_choices(
     descriptor, model = planner.descriptor, errors or packaged_model()
     options: dict[tuple[object, ...], PredictedChoice] = {}
     predictions: dict[object, tuple[float, float]] = {}
-    for choice in portfolio(descriptor, light, kinds, planner.asked):
+    for choice in portfolio(descriptor, light, kinds, planner.requested_shadows):
         steps = planner.steps(light, choice)
         # Many choices share steps. A planner returns equal settings as one object, and comparing values is slow.
         keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
@@ -201,10 +203,10 @@ def predicted_choices(
                     predictions[key] = ms, step_wrong_share(descriptor, light, step, model)
         except UnmeasuredError as error:
             if unmeasured is not None:
-                unmeasured[error.algorithm] = error.why
+                unmeasured[error.algorithm] = error.reason
             continue
-        wrong = [(step, predictions[key][1]) for key, step in zip(keys, steps, strict=True)]
+        wrong_shares = [(step, predictions[key][1]) for key, step in zip(keys, steps, strict=True)]
         options[keys] = PredictedChoice(
-            choice, steps, sum(predictions[key][0] for key in keys), combine_errors(descriptor, light, wrong, model)
+            choice, steps, sum(predictions[key][0] for key in keys), combine_errors(descriptor, light, wrong_shares, model)
         )
     return list(options.values())

@@ -45,8 +45,8 @@ PINNED_KEYS_COMMENT = "#: Pinned keys: "
 COMMENT_WIDTH = 116
 """Characters of a comment's line, at most."""
 
-_PIN = re.compile(rf"^[ \t]*{PIN_COMMENT}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
-_KEYS = re.compile(rf"^[ \t]*{PINNED_KEYS_COMMENT}([a-z_, ]+)\.", re.MULTILINE)
+_PIN_BLOCK = re.compile(rf"^[ \t]*{PIN_COMMENT}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
+_PINNED_KEYS = re.compile(rf"^[ \t]*{PINNED_KEYS_COMMENT}([a-z_, ]+)\.", re.MULTILINE)
 _DOCUMENT_END = re.compile(r"^\.\.\.", re.MULTILINE)
 _COMMENT = re.compile(r"#[^\r\n]*")
 _ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
@@ -64,12 +64,12 @@ class ItemComments(NamedTuple):
     ----------
     above
         Comments on the lines above it.
-    behind
+    trailing
         Comments on its own line.
     """
 
     above: list[str]
-    behind: list[str]
+    trailing: list[str]
 
 
 def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
 
 def pinned_keys(path: Path) -> tuple[str, ...]:
     """Return the keys of ``shadows`` that an earlier pin wrote into a level file. Raises ``LevelError``."""
-    match = _PIN.search(_read(path))
+    match = _PIN_BLOCK.search(_read(path))
     return _keys_of(match.group()) if match else ()
 
 
@@ -105,7 +105,7 @@ def default_values(keys: Iterable[str]) -> dict[str, Any]:
     return {key: [] if key == PINS else "auto" for key in keys}
 
 
-def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
+def pin(path: Path, chosen: Mapping[str, Any], reasons: Sequence[str]) -> None:
     """Write chosen keys of ``shadows`` into a level file with a comment, in the place of an earlier pin.
 
     The file is replaced by an atomic write. Raises ``LevelError`` if it cannot be written, or only with changes elsewhere.
@@ -114,7 +114,7 @@ def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
     before = _read(path)
     if not (path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH) and os.access(path, os.W_OK)):
         raise LevelError(str(path), Problem("read-only"), "Make the file writable")
-    after = pinned_text(before, chosen, why)
+    after = pinned_text(before, chosen, reasons)
     if after is None:
         raise LevelError(
             f"{path}: shadows",
@@ -127,24 +127,24 @@ def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
         raise LevelError(str(path), Problem(error.strerror or str(error)), "Use a folder in which files can be written") from None
 
 
-def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str | None:
+def pinned_text(text: str, chosen: Mapping[str, Any], reasons: Sequence[str]) -> str | None:
     """Return a level's text with the chosen keys under ``shadows`` and a comment above, or ``None``.
 
     ``None`` means that this would change the meaning of other parts of the text.
     """
     before = _load(text)
-    earlier = _PIN.search(text)
-    unpinned = _PIN.sub("", text)
+    earlier = _PIN_BLOCK.search(text)
+    unpinned = _PIN_BLOCK.sub("", text)
     new_values = {**default_values(_keys_of(earlier.group()) if earlier else ()), **chosen}
     with suppress(YAMLError, ValueError, IndexError):
-        after = _rewrite(unpinned, new_values, [*why, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
+        after = _rewritten_text(unpinned, new_values, [*reasons, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
         expected = {**before, "shadows": {**before.get("shadows", {}), **new_values}}
         if _load(after) == expected:
             return after
     return None
 
 
-def _rewrite(text: str, new_values: Mapping[str, Any], why: Sequence[str]) -> str:
+def _rewritten_text(text: str, new_values: Mapping[str, Any], reasons: Sequence[str]) -> str:
     line_end = "\r\n" if "\r\n" in text else "\n"
     root = YAML(typ="safe", pure=True).compose(text)
     shadows_pair = next(((key, value) for key, value in root.value if key.value == "shadows"), None)
@@ -160,7 +160,7 @@ def _rewrite(text: str, new_values: Mapping[str, Any], why: Sequence[str]) -> st
         rest = text[ended.start() :] if ended else ""
         text = text.removesuffix(rest)
         gap = "" if text.endswith(("\n", "\r")) else line_end
-        return f"{text}{gap}{line_end.join([*_comment(why, indent), *lines])}{'' if gap else line_end}{rest}"
+        return f"{text}{gap}{line_end.join([*_comment(reasons, indent), *lines])}{'' if gap else line_end}{rest}"
     elif _is_alias(*shadows_pair):
         start, end = _span(text, shadows_pair)
         edits.append((start, end, _flow_text({**_load(text)["shadows"], **new_values}, quoted)))
@@ -168,7 +168,7 @@ def _rewrite(text: str, new_values: Mapping[str, Any], why: Sequence[str]) -> st
         edits += _mapping_edits(text, shadows_pair[1], new_values, quoted, line_end)
     start = _line_start(text, head.start_mark.index)
     indent = " " * (head.start_mark.column if head is not root else 0)
-    edits.append((start, start, "".join(f"{line}{line_end}" for line in _comment(why, indent))))
+    edits.append((start, start, "".join(f"{line}{line_end}" for line in _comment(reasons, indent))))
     for start, end, new in reversed(sorted(edits, key=lambda edit: edit[:2])):  # edits at one position keep their order
         text = text[:start] + new + text[end:]
     return text
@@ -240,9 +240,9 @@ def _list_edits(
         if number is None:
             orphaned_comments.append(comment)
             continue
-        above, behind = item_comments.setdefault(number, ItemComments([], []))
+        above, trailing = item_comments.setdefault(number, ItemComments([], []))
         is_behind = at >= _end(text, node) and _line_start(text, at) <= node.start_mark.index
-        (behind if is_behind and not behind else above).append(comment)
+        (trailing if is_behind and not trailing else above).append(comment)
     return [
         *behind_key,
         (end_of_line, end, _block_text(items, indent, line_end, item_comments) if items else ""),
@@ -318,8 +318,8 @@ def _block_text(value: Any, indent: str, line_end: str, item_comments: Mapping[i
         return f" {_flow_text(value, quoted=False)}"
     lines: list[str] = []
     for number, item in enumerate(value):
-        above, behind = (item_comments or {}).get(number, ItemComments([], []))
-        lines += [*above, "  ".join([f"- {_flow_text(item, quoted=False)}", *behind])]
+        above, trailing = (item_comments or {}).get(number, ItemComments([], []))
+        lines += [*above, "  ".join([f"- {_flow_text(item, quoted=False)}", *trailing])]
     return "".join(f"{line_end}{indent}  {line}" for line in lines)
 
 
@@ -334,8 +334,8 @@ def _flow_text(value: Any, quoted: bool) -> str:
     return json.dumps(value, ensure_ascii=not (isinstance(value, str) and value.isprintable()))
 
 
-def _comment(why: Sequence[str], indent: str) -> list[str]:
-    lines = ["".join(letter if letter.isprintable() else " " for letter in line) for line in why]
+def _comment(reasons: Sequence[str], indent: str) -> list[str]:
+    lines = ["".join(letter if letter.isprintable() else " " for letter in line) for line in reasons]
     return [f"{indent}#: {part}" for line in lines for part in wrap(line, COMMENT_WIDTH)]
 
 
@@ -350,7 +350,7 @@ def _setting_values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
 
 
 def _keys_of(comment: str) -> tuple[str, ...]:
-    match = _KEYS.search(comment)
+    match = _PINNED_KEYS.search(comment)
     return tuple(key.strip() for key in match.group(1).split(",")) if match else ()
 
 

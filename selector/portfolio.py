@@ -27,37 +27,44 @@ def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
     First comes each algorithm alone, for the kinds that it serves, then the mixes. Shadow maps draw the kinds without an entry.
     """
     by_themselves = [
-        (_solo_name(each), {kind: each.name for kind in get_args(CasterKind) if kind not in each.refuses})
-        for each in selectable_algorithms()
+        (_solo_name(algorithm), {kind: algorithm.name for kind in get_args(CasterKind) if kind not in algorithm.refusals})
+        for algorithm in selectable_algorithms()
     ]
     return [*by_themselves, *((mix.name, mix.algorithm) for mix in MIXES if mix.in_portfolio)]
 
 
 def tuned_settings() -> tuple[str, ...]:
     """Return the fields of ``Shadows`` that choices set."""
-    return tuple(dict.fromkeys(key for each in selectable_algorithms() for key in each.search.tuned))
+    return tuple(dict.fromkeys(key for algorithm in selectable_algorithms() for key in algorithm.search.search_space))
 
 
-def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind], asked: Shadows | None = None) -> list[Choice]:
+def portfolio(
+    descriptor: Descriptor, light: str, kinds: Collection[CasterKind], requested_shadows: Shadows | None = None
+) -> list[Choice]:
     """Return the choices for a light and the kinds of casters that cast under it.
 
-    There are at most ``MAX_CHOICES``, no two of them equivalent. All of them support the ``asked`` shadow settings.
+    There are at most ``MAX_CHOICES``, no two of them equivalent. All of them support the ``requested_shadows`` shadow settings.
     """
     return list(
-        islice(_distinct_choices(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], asked), MAX_CHOICES)
+        islice(
+            _distinct_choices(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], requested_shadows),
+            MAX_CHOICES,
+        )
     )
 
 
 def _solo_name(algorithm: Algorithm) -> str:
     """Return the name of an algorithm alone. It includes the fallback's name if the algorithm refuses meshes."""
-    return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refuses else algorithm.name
+    return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refusals else algorithm.name
 
 
-def _distinct_choices(descriptor: Descriptor, light: str, kinds: list[CasterKind], asked: Shadows | None) -> Iterator[Choice]:
+def _distinct_choices(
+    descriptor: Descriptor, light: str, kinds: list[CasterKind], requested_shadows: Shadows | None
+) -> Iterator[Choice]:
     yielded = set()
     for combination, named_algorithms in combinations():
         algorithm = {kind: named_algorithms.get(kind, FALLBACK) for kind in kinds}
-        if not all(can_serve(name, descriptor, light, kind, asked) for kind, name in algorithm.items()):
+        if not all(can_serve(name, descriptor, light, kind, requested_shadows) for kind, name in algorithm.items()):
             continue
         if any(ALGORITHMS[name].search.is_excluded(descriptor, kind) for kind, name in algorithm.items()):
             continue
@@ -71,13 +78,13 @@ def _distinct_choices(descriptor: Descriptor, light: str, kinds: list[CasterKind
 
 def _settings(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -> Iterator[dict[str, Any]]:
     """Yield the settings to try for algorithms that work together."""
-    tuned: dict[str, tuple[Any, ...]] = {}
-    for each in algorithms:
-        for key, values in each.search.tuned.items():
-            possible = [value if each.search.is_tunable(descriptor, light, key, value) else None for value in values]
-            tuned[key] = tuple(dict.fromkeys([*tuned.get(key, ()), *possible]))
-    companion_sizes = [each.search.companion_map_sizes for each in algorithms if each.search.companion_map_sizes is not None]
-    if companion_sizes and "map_size" in tuned:
-        tuned = {"map_size": companion_sizes[0]}
-    for values in product(*tuned.values()):
-        yield {key: value for key, value in zip(tuned, values, strict=True) if value is not None}
+    search_space: dict[str, tuple[Any, ...]] = {}
+    for name in algorithms:
+        for key, values in name.search.search_space.items():
+            possible = [value if name.search.is_tunable(descriptor, light, key, value) else None for value in values]
+            search_space[key] = tuple(dict.fromkeys([*search_space.get(key, ()), *possible]))
+    companion_sizes = [name.search.companion_map_sizes for name in algorithms if name.search.companion_map_sizes is not None]
+    if companion_sizes and "map_size" in search_space:
+        search_space = {"map_size": companion_sizes[0]}
+    for values in product(*search_space.values()):
+        yield {key: value for key, value in zip(search_space, values, strict=True) if value is not None}

@@ -19,7 +19,7 @@ from skugga.selector.options import LightOptions, predicted_choices
 from skugga.selector.planner.advice import choices_by_rules
 from skugga.selector.planner.planner import Planner, planner_of
 from skugga.selector.ranking import RankingResult
-from skugga.shadows.algorithm import Reasoned
+from skugga.shadows.algorithm import NamedReason
 from skugga.shadows.plan import Plan, Predicted, Target
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.facts.descriptor import Descriptor
@@ -51,23 +51,23 @@ class PlanOptions:
 
     def basis(self, light: str, which: int) -> str:
         """Return the word for the origin of an option's figures: observed or ``expected``."""
-        return self.observed_basis if which in self.lights[light].seen else "expected"
+        return self.observed_basis if which in self.lights[light].observations else "expected"
 
     @property
     def max_error(self) -> float:
-        return self.planner.asked.max_error
+        return self.planner.requested_shadows.max_error
 
     def time_limits_ms(self) -> dict[str, float | None]:
         """Return the part of the time limit for each light, in proportion to its time without a limit."""
-        max_ms = self.planner.asked.max_ms
+        max_ms = self.planner.requested_shadows.max_ms
         if max_ms is None:
             return dict.fromkeys(self.lights)
-        needed = {
+        unlimited_verdicts = {
             light: least_expected_loss(light_options.forecasts(self.max_error), self.max_error)
             for light, light_options in self.lights.items()
         }
-        needed_ms = max(sum(verdict.winner.ms for verdict in needed.values()), 1e-9)
-        return {light: max_ms * verdict.winner.ms / needed_ms for light, verdict in needed.items()}
+        unlimited_ms = max(sum(verdict.winner.ms for verdict in unlimited_verdicts.values()), 1e-9)
+        return {light: max_ms * verdict.winner.ms / unlimited_ms for light, verdict in unlimited_verdicts.items()}
 
 
 def predicted_plan(
@@ -76,7 +76,7 @@ def predicted_plan(
     overrides: dict[str, Any] | None,
     device: DeviceProfile,
     errors: ErrorModel | None = None,
-    seen: Mapping[str, Sequence[Observation]] | None = None,
+    observations: Mapping[str, Sequence[Observation]] | None = None,
 ) -> Plan:
     """Return the plan of the choices with the least expected loss (``skugga.selector.expected_loss``).
 
@@ -95,7 +95,7 @@ def predicted_plan(
         Calibration of the device.
     errors
         Error model instead of the packaged one.
-    seen
+    observations
         Observations of choices by light.
 
     Raises
@@ -106,28 +106,36 @@ def predicted_plan(
         An override cannot be served.
     """
     expected = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
-    if not seen:
+    if not observations:
         return plan_from_options(expected, "predict")
-    corrected = {light: light_options.after(seen.get(light, ())) for light, light_options in expected.lights.items()}
+    corrected = {light: light_options.after(observations.get(light, ())) for light, light_options in expected.lights.items()}
     options = replace(expected, lights=corrected, observed_basis="probed")
     return plan_from_options(options, "predict", _observation_reasons(expected, options))
 
 
-def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[Reasoned]:
+def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[NamedReason]:
     """Return the observations of choices, and the change that they made."""
-    reasons: list[Reasoned] = []
+    reasons: list[NamedReason] = []
     if not all(light_options.numbers for light_options in after.lights.values()):
         return reasons
     for light, light_options in after.lights.items():
-        if not light_options.seen:
+        if not light_options.observations:
             continue
-        shown = [
-            f"{each.choice} {format_percent(each.error)} wrong in {format_duration(each.ms)}"
-            for each in light_options.seen.values()
+        observation_texts = [
+            f"{observation.choice} {format_percent(observation.error)} wrong in {format_duration(observation.ms)}"
+            for observation in light_options.observations.values()
         ]
-        was, now = (options.lights[light].options[_winner_number(options, light)].choice.name for options in (before, after))
-        verdict = f"the choice remains {now}" if was == now else f"the choice is {now} instead of {was}"
-        reasons.append(Reasoned(name=f"{light}: probe", reason=f"maps like this one were probed: {', '.join(shown)}; {verdict}"))
+        name_before, name_after = (
+            options.lights[light].options[_winner_number(options, light)].choice.name for options in (before, after)
+        )
+        verdict = (
+            f"the choice remains {name_after}"
+            if name_before == name_after
+            else f"the choice is {name_after} instead of {name_before}"
+        )
+        reasons.append(
+            NamedReason(name=f"{light}: probe", reason=f"maps like this one were probed: {', '.join(observation_texts)}; {verdict}")
+        )
     return reasons
 
 
@@ -149,7 +157,7 @@ def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | N
     return PlanOptions(planner, lights, unmeasured)
 
 
-def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequence[Reasoned] = ()) -> Plan:
+def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequence[NamedReason] = ()) -> Plan:
     """Return the plan of the best options, with the reasons for them. ``reasons`` are further reasons of the plan."""
     planner, max_error = options.planner, options.max_error
     if not all(light_options.numbers for light_options in options.lights.values()):
@@ -171,7 +179,7 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
                 wrong_cast=max((light_options.figures(which).error for light_options, which in winning_options), default=0.0),
             ),
             "target": Target(
-                max_error=max_error, max_ms=planner.asked.max_ms, met=all(verdict.met for verdict in verdicts.values())
+                max_error=max_error, max_ms=planner.requested_shadows.max_ms, met=all(verdict.met for verdict in verdicts.values())
             ),
             "reasons": [*_missed_reasons(options, winners, verdicts), *plan.reasons, *reasons],
         }
@@ -181,9 +189,11 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
 def _rules_plan(options: PlanOptions) -> Plan:
     """Return the plan of the rules, for a view with a light whose options are all unmeasured."""
     planner = options.planner
-    plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked, planner.lights), options.unmeasured)
-    why = "; ".join(f"{name}: {why}" for name, why in options.unmeasured.items())
-    return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=f"{NOT_PREDICTED}: {why}")]})
+    plan = planner.plan(choices_by_rules(planner.descriptor, planner.requested_shadows, planner.lights), options.unmeasured)
+    reason = "; ".join(f"{name}: {reason}" for name, reason in options.unmeasured.items())
+    return plan.model_copy(
+        update={"reasons": [*plan.reasons, NamedReason(name="policy rules", reason=f"{NOT_PREDICTED}: {reason}")]}
+    )
 
 
 def _with_reasons(options: PlanOptions, light: str, which: int, verdict: RankingResult) -> Choice:
@@ -195,27 +205,29 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
     )
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.met:
-        why = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"
+        reason = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"
     else:
-        why = f"{expectation}, {_chance_text(light_options, which, max_error)}; "
-        others = [number for number in light_options.numbers if light_options.options[number].algorithms != winner.algorithms]
-        likely = [number for number in others if light_options.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
+        reason = f"{expectation}, {_chance_text(light_options, which, max_error)}; "
+        other_numbers = [
+            number for number in light_options.numbers if light_options.options[number].algorithms != winner.algorithms
+        ]
+        likely = [number for number in other_numbers if light_options.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
         fastest_other = min(likely, key=lambda number: light_options.figures(number).ms, default=None)
         if fastest_other is None:
-            why += f"no other choice is expected to stay within {_limit_text(max_error)}"
+            reason += f"no other choice is expected to stay within {_limit_text(max_error)}"
         elif (ms := light_options.figures(fastest_other).ms) >= figures.ms:
-            why += (
+            reason += (
                 f"the fastest other choice within {_limit_text(max_error)} is "
                 f"{light_options.options[fastest_other].choice.name}, {format_duration(ms)}"
             )
         else:
-            why += (
+            reason += (
                 f"{light_options.options[fastest_other].choice.name} would take {format_duration(ms)} "
                 f"{_chance_text(light_options, fastest_other, max_error)}"
             )
-    sizes = f"chosen for the target ({settings})"
+    setting_reason = f"chosen for the target ({settings})"
     kinds = options.planner.casting(light)
-    return replace(winner.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(winner.choice.settings, sizes)})
+    return replace(winner.choice, reason={**dict.fromkeys(kinds, reason), **dict.fromkeys(winner.choice.settings, setting_reason)})
 
 
 def _chance_text(light_options: LightOptions, which: int, max_error: float) -> str:
@@ -253,9 +265,9 @@ def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict
     return reasons
 
 
-def _missed_reasons(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[str, RankingResult]) -> list[Reasoned]:
+def _missed_reasons(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[str, RankingResult]) -> list[NamedReason]:
     return [
-        Reasoned(
+        NamedReason(
             name=f"{light}: target missed",
             reason=f"{options.basis(light, winners[light])}: {verdict.missed_by}",
         )

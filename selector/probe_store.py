@@ -10,7 +10,7 @@ from skugga.selector.map_probes import MapProbes
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.user_cache import user_cache
 
-MAX_KEPT = 200
+MAX_FILES = 200
 """Files kept for a device. The oldest ones are deleted: levels change, and their earlier versions are not needed again."""
 
 
@@ -28,8 +28,8 @@ def save_probes(renderer: str, version: str, level_version: str, probes: MapProb
     path = folder / f"{level_version}.json"
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(path, load_probes(path).merged_with(probes).model_dump_json(indent=1))
-    kept = sorted(folder.glob("*.json"), key=lambda file: file.stat().st_mtime_ns, reverse=True)
-    for old in kept[MAX_KEPT:]:
+    files = sorted(folder.glob("*.json"), key=lambda file: file.stat().st_mtime_ns, reverse=True)
+    for old in files[MAX_FILES:]:
         with suppress(OSError):
             old.unlink()
     return path

@@ -115,8 +115,8 @@ def _missed_by(figures: CandidateFigures, max_error: float, max_ms: float | None
             f"than {format_percent(max_error)}"
         )
     if figures.interior > MAX_INTERIOR:
-        more = format_percent(figures.interior - MAX_INTERIOR)
-        over.append(f"an interior error of {format_percent(figures.interior)}, {more} more than {format_percent(MAX_INTERIOR)}")
+        excess = format_percent(figures.interior - MAX_INTERIOR)
+        over.append(f"an interior error of {format_percent(figures.interior)}, {excess} more than {format_percent(MAX_INTERIOR)}")
     if max_ms is not None and figures.ms > max_ms:
         over.append(f"{format_duration(figures.ms)}, {format_duration(figures.ms - max_ms)} more than {format_duration(max_ms)}")
     return "; ".join(over)

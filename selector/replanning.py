@@ -89,7 +89,7 @@ class PlanState:
         The plan.
     choices
         Its choices by light.
-    asked
+    request
         The request: it must not change while choices are kept.
     patience
         Better plans in a row that the next switch takes.
@@ -103,20 +103,20 @@ class PlanState:
         Growth of this share with the next frame.
     transition
         The switch under way, or ``None``.
-    why
+    reason
         Why this plan has other choices than the one before, or ``None``.
     """
 
     plan: Plan
     choices: Mapping[str, Choice]
-    asked: tuple[object, ...]
+    request: tuple[object, ...]
     patience: int
     better_count: int = 0
     previous_choices: Mapping[str, Choice] | None = None
     previous_share: float = 0.0
     step: float = 0.0
     transition: PlanTransition | None = None
-    why: str | None = None
+    reason: str | None = None
 
 
 class Replanner:
@@ -175,9 +175,9 @@ class Replanner:
         return None if self._state is None else self._state.transition
 
     @property
-    def why(self) -> str | None:
+    def reason(self) -> str | None:
         """Why the last plan has other choices than the one before, or ``None``."""
-        return None if self._state is None else self._state.why
+        return None if self._state is None else self._state.reason
 
 
 def next_state(
@@ -188,44 +188,44 @@ def next_state(
     plans: PlanFunction,
 ) -> PlanState:
     """Return the state after the next plan."""
-    fresh = plans(descriptor, plan_request, overrides)
+    new_plan = plans(descriptor, plan_request, overrides)
     pin = plan_request.shadows.pin_number(descriptor.view, descriptor.sun_altitude_deg)
     request = (descriptor.view_kind, plan_request.shadows, pin, plan_request.effects, overrides or {})
-    choices = choices_from_plan(fresh)
-    fresh = fresh.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
-    new_state = PlanState(fresh, choices, request, PATIENCE)
+    choices = choices_from_plan(new_plan)
+    new_plan = new_plan.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
+    new_state = PlanState(new_plan, choices, request, PATIENCE)
     if state is None:
         return new_state
-    if state.asked != request:
-        return replace(new_state, why="the request changed, or another pin of the level applies")
-    state = replace(state, why=None)
+    if state.request != request:
+        return replace(new_state, reason="the request changed, or another pin of the level applies")
+    state = replace(state, reason=None)
     try:
-        kept = make_plan(descriptor, plan_request, overrides, state.choices)
-        same_choices = _comparable_choices(choices_from_plan(kept)) == _comparable_choices(choices)
-        kept = fresh if same_choices else _with_prediction(kept, descriptor, plan_request, overrides, plans)
+        kept_plan = make_plan(descriptor, plan_request, overrides, state.choices)
+        same_choices = _comparable_choices(choices_from_plan(kept_plan)) == _comparable_choices(choices)
+        kept_plan = new_plan if same_choices else _with_prediction(kept_plan, descriptor, plan_request, overrides, plans)
     except UnsupportedError as error:
-        return replace(new_state, why=f"the previous choice cannot draw this view: {error.allowed}")
-    state = replace(state, plan=kept)
+        return replace(new_state, reason=f"the previous choice cannot draw this view: {error.allowed}")
+    state = replace(state, plan=kept_plan)
     if state.transition is not None and state.previous_choices is not None:
         return _continue_transition(state, state.transition, state.previous_choices, descriptor, plan_request, overrides)
     if same_choices:
         return replace(state, choices=_merge_choices(state.choices, choices), better_count=0)
-    cast = {(light, kind) for light, kinds in casting(fresh).items() for kind in kinds}
+    cast = {(light, kind) for light, kinds in casting(new_plan).items() for kind in kinds}
     without_choice = cast - {(light, kind) for light, choice in state.choices.items() for kind in choice.algorithm}
-    if not without_choice and not is_better(fresh, kept):
+    if not without_choice and not is_better(new_plan, kept_plan):
         return replace(state, better_count=0)
     if (
         not without_choice
         and state.better_count + 1 < state.patience
-        and _overshoot(kept) - _overshoot(fresh) <= IMMEDIATE_SWITCH_OVERSHOOT
+        and _overshoot(kept_plan) - _overshoot(new_plan) <= IMMEDIATE_SWITCH_OVERSHOOT
     ):
         return replace(state, better_count=state.better_count + 1)
-    new_state = replace(new_state, why=_switch_reason(fresh, kept, without_choice, state.better_count + 1))
+    new_state = replace(new_state, reason=_switch_reason(new_plan, kept_plan, without_choice, state.better_count + 1))
     new_state = new_state if without_choice else replace(new_state, patience=2 * state.patience)
     if without_choice == cast:  # none of it was drawn before, so no transition is needed
         return new_state
-    step = 1.0 / max(expected_transition_frames(kept, fresh), MIN_TRANSITION_FRAMES)
-    return replace(new_state, previous_choices=state.choices, step=step, transition=PlanTransition(kept, step))
+    step = 1.0 / max(expected_transition_frames(kept_plan, new_plan), MIN_TRANSITION_FRAMES)
+    return replace(new_state, previous_choices=state.choices, step=step, transition=PlanTransition(kept_plan, step))
 
 
 def _continue_transition(
@@ -248,39 +248,41 @@ def _continue_transition(
     return replace(state, previous_share=transition.share, transition=PlanTransition(plan, share))
 
 
-def is_better(fresh: Plan, kept: Plan) -> bool:
+def is_better(new_plan: Plan, kept_plan: Plan) -> bool:
     """Return whether a plan is better than the kept one by a margin.
 
     Without predictions, the policy's own plan counts as better.
     """
-    if fresh.predicted is None or kept.predicted is None:
+    if new_plan.predicted is None or kept_plan.predicted is None:
         return True
-    if _overshoot(kept) > _overshoot(fresh):
-        return _overshoot(kept) - _overshoot(fresh) > SWITCH_ERROR_GAIN
-    return _overshoot(kept) == _overshoot(fresh) and fresh.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept.predicted.ms
+    if _overshoot(kept_plan) > _overshoot(new_plan):
+        return _overshoot(kept_plan) - _overshoot(new_plan) > SWITCH_ERROR_GAIN
+    return (
+        _overshoot(kept_plan) == _overshoot(new_plan) and new_plan.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept_plan.predicted.ms
+    )
 
 
-def _switch_reason(fresh: Plan, kept: Plan, without_choice: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
+def _switch_reason(new_plan: Plan, kept_plan: Plan, without_choice: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
     """Return the reason for a plan that replaces the kept one."""
     if without_choice:
         return f"no algorithm was chosen yet for shadows of {format_list(sorted({kind for _, kind in without_choice}))}"
-    if fresh.predicted is None or kept.predicted is None:
+    if new_plan.predicted is None or kept_plan.predicted is None:
         return f"chosen by the rules for {plans_in_a_row} frames in a row"
     expected = [
         f"{format_duration(plan.predicted.ms)} and {format_percent(plan.predicted.wrong_cast)} wrong"
-        for plan in (fresh, kept)
+        for plan in (new_plan, kept_plan)
         if plan.predicted is not None
     ]
     return f"expected {expected[0]} instead of {expected[1]}, for {plans_in_a_row} frames in a row"
 
 
-def expected_transition_frames(kept: Plan, fresh: Plan) -> int:
+def expected_transition_frames(kept_plan: Plan, new_plan: Plan) -> int:
     """Return the expected number of frames of a switch.
 
     Pixels that differ between two plans are wrong in one of them. Pixels on edges differ, too, without counting as wrong; their
     number is unknown.
     """
-    predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept, fresh)]
+    predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept_plan, new_plan)]
     return int(np.clip(np.ceil(sum(predicted) / MAX_CHANGED), 1, MAX_TRANSITION_FRAMES))
 
 
@@ -295,8 +297,8 @@ def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]
     valid = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
     order = _pixel_order(*differ.shape)
     waiting = np.sort(order[differ & (order >= last_share)])
-    most = max(int(MAX_CHANGED * valid.sum()), 1)
-    return float(waiting[most]) if most < len(waiting) else 1.0
+    max_changed = max(int(MAX_CHANGED * valid.sum()), 1)
+    return float(waiting[max_changed]) if max_changed < len(waiting) else 1.0
 
 
 def mix_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
@@ -330,45 +332,47 @@ def choices_from_plan(plan: Plan) -> dict[str, Choice]:
     for light, per_kind in plan.algorithm.items():
         algorithm = {kind: name for kind, name in per_kind.items() if name != NO_SHADOWS}
         resolved = [settings.as_overrides for settings in plan.settings.get(light, {}).values()]
-        found = {key: {asked[key] for asked in resolved if key in asked} for key in tuned_settings()}
-        settings = {key: values.pop() for key, values in found.items() if len(values) == 1}
+        values_by_key = {key: {overrides[key] for overrides in resolved if key in overrides} for key in tuned_settings()}
+        settings = {key: values.pop() for key, values in values_by_key.items() if len(values) == 1}
         words = [*dict.fromkeys(algorithm.values()), *map(str, settings.values())]
-        why = dict.fromkeys([*algorithm, *settings], "kept: no other choice is clearly better")
-        choices[light] = Choice(" ".join(words), algorithm, settings, why)
+        reason = dict.fromkeys([*algorithm, *settings], "kept: no other choice is clearly better")
+        choices[light] = Choice(" ".join(words), algorithm, settings, reason)
     return choices
 
 
 def _with_prediction(
-    kept: Plan, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
+    kept_plan: Plan, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
 ) -> Plan:
     """Return the kept plan with the policy's predictions of it."""
-    judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_from_plan(kept))})
-    reasons = [*kept.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
+    judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_from_plan(kept_plan))})
+    reasons = [*kept_plan.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
-    return kept.model_copy(update=expected)
+    return kept_plan.model_copy(update=expected)
 
 
-def _merge_choices(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
+def _merge_choices(choices: Mapping[str, Choice], new_choices: Mapping[str, Choice]) -> dict[str, Choice]:
     """Return choices that agree on the present casters, joined. A kind that casts no longer keeps its choice."""
-    before = {light: choices.get(light, choice) for light, choice in more.items()}
+    before = {light: choices.get(light, choice) for light, choice in new_choices.items()}
     return {
         light: replace(
             choice,
             algorithm={**before[light].algorithm, **choice.algorithm},
             settings={**before[light].settings, **choice.settings},
         )
-        for light, choice in more.items()
+        for light, choice in new_choices.items()
     }  # fmt: skip
 
 
 def _as_overrides(choices: Mapping[str, Choice]) -> dict[str, Any]:
     """Return the overrides that lead to choices. The policy decides on a setting that differs between lights."""
-    out: dict[str, Any] = {"algorithm": {light: dict(choice.algorithm) for light, choice in choices.items() if choice.algorithm}}
+    overrides: dict[str, Any] = {
+        "algorithm": {light: dict(choice.algorithm) for light, choice in choices.items() if choice.algorithm}
+    }
     for key in tuned_settings():
         values = {choice.settings[key] for choice in choices.values() if key in choice.settings}
         if len(values) == 1:
-            out[key] = values.pop()
-    return out
+            overrides[key] = values.pop()
+    return overrides
 
 
 def _comparable_choices(choices: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from skugga.selector.choices import PlanRequest, PolicyName
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.algorithm import Reasoned
+from skugga.shadows.algorithm import NamedReason
 from skugga.shadows.plan import Plan
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError
@@ -29,11 +29,11 @@ def select(
     overrides: dict[str, Any] | None = None,
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
-    seen: Mapping[str, Sequence[Observation]] | None = None,
+    observations: Mapping[str, Sequence[Observation]] | None = None,
 ) -> Plan:
     """Return the plan of a view by the policy ``rules`` or ``predict``.
 
-    Without a calibration of the device, ``predict`` falls back to ``rules``, and the plan says so. ``seen`` has earlier
+    Without a calibration of the device, ``predict`` falls back to ``rules``, and the plan says so. ``observations`` has earlier
     observations of choices by light.
 
     Raises ``InputError`` for wrong input, including the policies ``probe`` and ``measure``, and ``UnsupportedError`` for
@@ -44,11 +44,11 @@ def select(
     if policy == "predict" and device is not None:
         from skugga.selector.predict import predicted_plan
 
-        return predicted_plan(descriptor, plan_request, overrides, device, seen=seen)
+        return predicted_plan(descriptor, plan_request, overrides, device, observations=observations)
     plan = make_plan(descriptor, plan_request, overrides)
     if policy == "rules":
         return plan
-    return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=UNCALIBRATED)]})
+    return plan.model_copy(update={"reasons": [*plan.reasons, NamedReason(name="policy rules", reason=UNCALIBRATED)]})
 
 
 def plan_of_view(
@@ -59,16 +59,16 @@ def plan_of_view(
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
     budget_s: float | None = None,
-    seen: Mapping[str, Sequence[Observation]] | None = None,
+    observations: Mapping[str, Sequence[Observation]] | None = None,
 ) -> Plan:
     """Return the plan of a scene's view by any policy.
 
-    ``budget_s`` is the time limit of the policy ``probe``, seconds. ``seen`` has earlier observations of choices by light, for
-    ``predict``. Raises the errors of ``select``.
+    ``budget_s`` is the time limit of the policy ``probe``, seconds. ``observations`` has earlier observations of choices by light,
+    for ``predict``. Raises the errors of ``select``.
     """
     if policy in ("probe", "measure"):
         from skugga.selector.measure.probe import DEFAULT_BUDGET_S, probed_plan
 
         budget_s = None if policy == "measure" else budget_s or DEFAULT_BUDGET_S
         return probed_plan(scene, view, name, overrides, device=device, budget_s=budget_s).plan
-    return select(describe(scene, view, name), scene.loaded.level, overrides, policy, device, seen)
+    return select(describe(scene, view, name), scene.loaded.level, overrides, policy, device, observations)

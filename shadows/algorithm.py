@@ -52,7 +52,7 @@ BENT_MAP_REASON = "the map bends: at this scale no affine camera fits it to a qu
 """The reason with which such an algorithm refuses a ``bent map``."""
 
 
-FEW_MAP_SIZES = (1024, 2048, 4096)
+COMPANION_MAP_SIZES = (1024, 2048, 4096)
 """Sizes of maps that are tried beside an algorithm without maps. A short list limits the number of candidates."""
 
 
@@ -110,7 +110,7 @@ def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind
     return (*view, light, caster, "level" if level_ground else "uneven", *rays, *extent)
 
 
-class Reasoned(BaseModel):
+class NamedReason(BaseModel):
     """A name with the reason why it is listed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -135,17 +135,19 @@ class AlgorithmSettings(BaseModel):
         required = [str(getattr(self, name)) for name, field in type(self).model_fields.items() if field.is_required()]
         return [*required, *self.changed()]
 
-    def changed(self, *but: str) -> list[str]:
+    def changed(self, *excluded: str) -> list[str]:
         """Return the values that differ from their defaults, as text.
 
         Parameters
         ----------
-        *but
+        *excluded
             Names of fields that are left out. Fields that are no keys of a level's ``shadows`` are always left out.
         """
-        defaults = {name: each.default for name, each in type(self).model_fields.items() if not each.is_required()}
-        named = [name for name in defaults if name in Shadows.model_fields and name not in but]
-        return [str(getattr(self, name)) for name in named if getattr(self, name) != defaults[name]]
+        defaults = {
+            name: field_info.default for name, field_info in type(self).model_fields.items() if not field_info.is_required()
+        }
+        names = [name for name in defaults if name in Shadows.model_fields and name not in excluded]
+        return [str(getattr(self, name)) for name in names if getattr(self, name) != defaults[name]]
 
 
 class AreaSettings(AlgorithmSettings):
@@ -181,9 +183,9 @@ class SettingsRequest:
         return self.shadows.model_copy(update={"filter": 1}) if self._forces_hard_edges else self.shadows
 
     @property
-    def hard_edges_reasons(self) -> list[Reasoned]:
+    def hard_edges_reasons(self) -> list[NamedReason]:
         """The reason for hard edges; empty if the requested filter is not changed."""
-        return [Reasoned(name="filter 1", reason=f"hard edges: {self.hard_edges_reason}")] if self._forces_hard_edges else []
+        return [NamedReason(name="filter 1", reason=f"hard edges: {self.hard_edges_reason}")] if self._forces_hard_edges else []
 
     @property
     def is_area(self) -> bool:
@@ -195,7 +197,7 @@ class SettingsRequest:
         """The number of point lights that an area light is averaged over."""
         return max(light_points(self.descriptor, self.light), MIN_POINTS) if self.is_area else MAX_POINTS
 
-    def ignored_filter_reasons(self, name: str, *filters: int | str) -> list[Reasoned]:
+    def ignored_filter_reasons(self, name: str, *filters: int | str) -> list[NamedReason]:
         """Return the reason why a requested filter has no effect, for an algorithm that ignores it.
 
         Parameters
@@ -210,17 +212,17 @@ class SettingsRequest:
         list of Reasoned
             One entry; empty if the algorithm has the requested filter.
         """
-        asked = self.effective_shadows.filter
-        if asked in ("auto", 1, *filters):
+        requested_filter = self.effective_shadows.filter
+        if requested_filter in ("auto", 1, *filters):
             return []
-        return [Reasoned(name=f"filter {asked}", reason=f"no effect: {name} has hard edges only")]
+        return [NamedReason(name=f"filter {requested_filter}", reason=f"no effect: {name} has hard edges only")]
 
     @property
     def _forces_hard_edges(self) -> bool:
         return self.light == SUN and self.hard_edges_reason is not None and self.shadows.filter != 1
 
 
-ResolvedSettings = tuple[AlgorithmSettings | None, list[Reasoned]]
+ResolvedSettings = tuple[AlgorithmSettings | None, list[NamedReason]]
 """The settings, if the algorithm has any, and the reasons for automatic values."""
 
 Overrides = Mapping[str, Any]
@@ -233,7 +235,7 @@ class Search:
 
     Attributes
     ----------
-    tuned
+    search_space
         Fields of ``Shadows`` that policies vary, each with its values in the order in which they are tried.
     is_tunable
         Function of a descriptor, a light's name, a field and a value: whether the value makes sense there. If it does not, the
@@ -243,17 +245,17 @@ class Search:
         sizes.
     is_excluded
         Function of a descriptor and a kind of casters: whether the algorithm is no candidate there, although it could serve it.
-    compared
+    compared_overrides
         Overrides that vary the resolution, for the accuracy report.
     variants
         Further overrides for the accuracy report. They are dropped first if there are too many.
     """
 
-    tuned: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    search_space: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     is_tunable: Callable[[Descriptor, str, str, Any], bool] = lambda descriptor, light, key, value: True
     companion_map_sizes: tuple[int, ...] | None = None
     is_excluded: Callable[[Descriptor, CasterKind], bool] = lambda descriptor, kind: False
-    compared: tuple[Overrides, ...] = ()
+    compared_overrides: tuple[Overrides, ...] = ()
     variants: tuple[Overrides, ...] = ()
 
 
@@ -268,7 +270,7 @@ class Cost:
         and triangles, in one part with the algorithm's name.
     passes
         Parts (without the kind of view or light) whose pass is recorded separately. The last part takes the rest of a step's time.
-    calibrated
+    calibration_settings
         Function of a descriptor, a light's name and the extent of the calibration, that returns the settings to measure on a
         synthetic scene. The extent is ``full`` (all settings), ``some`` (fewer) or ``few`` (only those that need the scene).
         ``None``: the automatic settings.
@@ -276,7 +278,7 @@ class Cost:
 
     work: Callable[[Workload, Any], Work] | None = None
     passes: Mapping[str, str] = field(default_factory=dict)
-    calibrated: Callable[[Descriptor, str, str], Iterable[AlgorithmSettings | None]] | None = None
+    calibration_settings: Callable[[Descriptor, str, str], Iterable[AlgorithmSettings | None]] | None = None
 
 
 @dataclass(frozen=True)
@@ -388,11 +390,11 @@ class Algorithm:
         The names of the passes that ``fill`` runs, in order.
     plural
         The name of the algorithm's shadows in headings.
-    refuses
+    refusals
         The requirements that the algorithm cannot serve, each with the reason as a sentence.
     layers
         Intermediate pictures that it keeps on request.
-    served
+    is_served
         Whether a request over HTTP may ask for it and the selector may choose it.
     needs_opengl
         Whether it draws with OpenGL.
@@ -400,7 +402,7 @@ class Algorithm:
         The types of its settings.
     resolve
         Function that resolves its settings. It raises ``UnsupportedError`` for a request that the algorithm cannot serve.
-    keeps
+    cache_names
         The names of the caches (``skugga.terrain.cache``) that it fills. Each cache says how long its values last.
     search
         The settings that the selector searches.
@@ -419,24 +421,24 @@ class Algorithm:
     ignores_idle_casters: Callable[[Any], bool] = lambda settings: False
     passes: tuple[str, ...] = ()
     plural: str = ""
-    refuses: Mapping[Requirement, str] = field(default_factory=dict)
+    refusals: Mapping[Requirement, str] = field(default_factory=dict)
     layers: tuple[PassLayer, ...] = ()
-    served: bool = True
+    is_served: bool = True
     needs_opengl: bool = True
     settings: tuple[type[AlgorithmSettings], ...] = ()
     resolve: Callable[[SettingsRequest], ResolvedSettings] = lambda request: (None, [])
-    keeps: tuple[str, ...] = ()
+    cache_names: tuple[str, ...] = ()
     search: Search = Search()
     cost: Cost = Cost()
     accuracy: Accuracy = Accuracy()
     mark: Mark = Mark("cross", "black")
 
-    def refusal(self, parts: Iterable[Requirement]) -> str | None:
+    def refusal(self, requirements: Iterable[Requirement]) -> str | None:
         """Return the reason why the algorithm cannot serve some requirements together.
 
         Parameters
         ----------
-        parts
+        requirements
             The requirements.
 
         Returns
@@ -444,7 +446,7 @@ class Algorithm:
         str or None
             The reason for the first requirement that it refuses; ``None`` if it serves them all.
         """
-        return next((self.refuses[part] for part in parts if part in self.refuses), None)
+        return next((self.refusals[requirement] for requirement in requirements if requirement in self.refusals), None)
 
     def work(self, task: Workload, settings: AlgorithmSettings | None) -> Work:
         """Return the work of one step, as counts by part.
@@ -460,7 +462,7 @@ class Algorithm:
             return self.cost.work(task, settings)
         return {self.name: {"blocks": 1.0, "pixels": task.pixels, "triangles": task.all_triangles}} if self.passes else {}
 
-    def calibrated(self, descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
+    def calibration_settings(self, descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
         """Yield the settings that a calibration measures.
 
         Parameters
@@ -472,8 +474,8 @@ class Algorithm:
         grid
             The extent of the calibration: ``full``, ``some`` or ``few`` (``Cost``).
         """
-        if self.cost.calibrated is not None:
-            yield from self.cost.calibrated(descriptor, light, grid)
+        if self.cost.calibration_settings is not None:
+            yield from self.cost.calibration_settings(descriptor, light, grid)
         else:
             yield self.resolve(SettingsRequest(descriptor, light, Shadows()))[0]
 
@@ -486,8 +488,8 @@ class Algorithm:
         """Return the name under which the errors in a view are fitted."""
         return self.name if self.accuracy.group_of is None else self.accuracy.group_of(descriptor)
 
-    def forget(self) -> None:
+    def clear_caches(self) -> None:
         """Clear the caches that the algorithm fills."""
         for cache in caches():
-            if cache.name in self.keeps:
+            if cache.name in self.cache_names:
                 cache.clear()

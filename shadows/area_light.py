@@ -29,16 +29,16 @@ GOLDEN_ANGLE = float(np.pi * (3.0 - 5.0**0.5))
 def disc_points(samples: int) -> np.ndarray:
     """Return points (samples, 2) of the unit disc, of equal areas: Vogel's spiral (1979)."""
     number = np.arange(samples)
-    angle, away = number * GOLDEN_ANGLE, np.sqrt((number + 0.5) / samples)
-    return away[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    angle, radius = number * GOLDEN_ANGLE, np.sqrt((number + 0.5) / samples)
+    return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
     """Return unit directions (samples, 3) over the sun's disc, of equal areas."""
-    across = np.cross(to_sun, [0.0, 0.0, 1.0] if abs(to_sun[2]) < 0.9 else [1.0, 0.0, 0.0])
-    across /= np.linalg.norm(across)
+    right = np.cross(to_sun, [0.0, 0.0, 1.0] if abs(to_sun[2]) < 0.9 else [1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
     places = np.tan(np.radians(radius_deg)) * disc_points(samples)
-    directions = to_sun + places @ np.stack([across, np.cross(across, to_sun)])
+    directions = to_sun + places @ np.stack([right, np.cross(right, to_sun)])
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
@@ -49,12 +49,12 @@ def ball_points(samples: int) -> np.ndarray:
     all equal. With r = sin t, the share within t is (2 t - sin 2t) / pi. Consecutive directions have radii that lie far apart.
     """
     number = np.arange(samples)
-    up, turn = 1.0 - (2.0 * number + 1.0) / samples, number * GOLDEN_ANGLE
+    up, angle = 1.0 - (2.0 * number + 1.0) / samples, number * GOLDEN_ANGLE
     t = np.linspace(0.0, np.pi / 2.0, 4096)
     rank = np.argsort(np.argsort((number * 0.7548776662466927) % 1.0))
     radius = np.sin(np.interp((rank + 0.5) / samples, (2.0 * t - np.sin(2.0 * t)) / np.pi, t))
     flat = np.sqrt(1.0 - up**2)
-    return radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), up], axis=1)
+    return radius[:, None] * np.stack([flat * np.cos(angle), flat * np.sin(angle), up], axis=1)
 
 
 def point_light_scenes(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
@@ -92,10 +92,10 @@ def mean_over_light(
     """
     passes = log.named(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.valid.shape, np.float32), settings.model_copy(update=changes)
-    for moved in point_light_scenes(scene, light, settings.light_points):
-        seen = fill(buffer, moved, light, kinds, casters, of_point, log)
-        seen[attached(buffer, moved, light)] = 0.0
-        visibility += seen
+    for point_scene in point_light_scenes(scene, light, settings.light_points):
+        point_visibility = fill(buffer, point_scene, light, kinds, casters, of_point, log)
+        point_visibility[attached(buffer, point_scene, light)] = 0.0
+        visibility += point_visibility
         log = replace(log, requested_layers=frozenset())
     for record in log.records.values():
         if record.name.startswith(passes):

@@ -32,7 +32,7 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
     cosine, out = float(np.cos(np.radians(lamp.cutoff_deg))), np.ones(buffer.valid.shape, np.bool_)
-    run_in_chunks(len(out), _beside_lamp, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
+    run_in_chunks(len(out), _outside_lamp_cone, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
     return out
 
 
@@ -53,12 +53,12 @@ def _turned_away(first, last, normal, leaves, to_light, out):
 
 
 @compiled
-def _beside_lamp(first, last, point, normal, leaves, position, axis, cosine, out):
+def _outside_lamp_cone(first, last, point, normal, leaves, position, axis, cosine, out):
     for i in range(first, last):
         for j in range(normal.shape[1]):
             x, y, z = position[0] - point[i, j, 0], position[1] - point[i, j, 1], position[2] - point[i, j, 2]
             facing = normal[i, j, 0] * x + normal[i, j, 1] * y + normal[i, j, 2] * z
-            along = -(axis[0] * x + axis[1] * y + axis[2] * z)
+            along_axis = -(axis[0] * x + axis[1] * y + axis[2] * z)
             length = np.sqrt(x * x + y * y + z * z)
-            inside = along >= cosine * length
+            inside = along_axis >= cosine * length
             out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > MIN_LIGHT_SINE * length and inside)

@@ -41,10 +41,15 @@ def sun_extent_m(descriptor: Descriptor) -> float | None:
 
 def _level_extent_m(descriptor: Descriptor) -> float | None:
     """Return the side, in metres, of a square of the level's area, which follows from the share of it that is seen."""
-    seen = descriptor.lights.get(SUN)
-    if descriptor.sun_altitude_deg is None or descriptor.receivers_light_m is None or seen is None or seen.area_share <= 0.0:
+    sun_facts = descriptor.lights.get(SUN)
+    if (
+        descriptor.sun_altitude_deg is None
+        or descriptor.receivers_light_m is None
+        or sun_facts is None
+        or sun_facts.area_share <= 0.0
+    ):
         return None
     right_m, up_m, _ = descriptor.receivers_light_m
     sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # an overflow is infinitely wide
-        return float(np.sqrt(right_m * up_m / (seen.area_share * sine)))
+        return float(np.sqrt(right_m * up_m / (sun_facts.area_share * sine)))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from skugga.shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.plan import Plan, Step
 from skugga.shadows.registry import ALGORITHMS
-from skugga.terrain.casters.caster_culling import culled_patches, own_ground_is_clear
+from skugga.terrain.casters.caster_culling import block_ground_casts_no_shadow, culled_patches
 from skugga.terrain.casters.reach import Casters, Receivers
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
@@ -46,7 +46,13 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
     where intermediate pictures are requested.
     """
     idle = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _ignores_idle_casters(step)]
-    if not idle or log.requested_layers or casters.casting or not scene.sun_is_up or not own_ground_is_clear(scene, receivers):
+    if (
+        not idle
+        or log.requested_layers
+        or casters.casting
+        or not scene.sun_is_up
+        or not block_ground_casts_no_shadow(scene, receivers)
+    ):
         return list(steps)
     for step in idle:
         log.leave_out(log.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NOTHING_CASTS)

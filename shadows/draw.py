@@ -63,7 +63,7 @@ def draw(
         if len(blocks) == 1 and (block.rows, block.cols) == (view.rows, view.cols):
             picture = part
         else:
-            picture = _with_part(picture or _empty(view, needs), part, *windows_of(view, block, row, col))
+            picture = _copy_window(picture or _empty(view, needs), part, *windows_of(view, block, row, col))
         if on_block is not None:
             on_block(done, len(blocks))
     assert picture is not None
@@ -110,12 +110,12 @@ def _empty(view: MapView, needs: Needs) -> Picture:
     )
 
 
-def _with_part(picture: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
+def _copy_window(picture: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
     """Copy a window of a part into the whole picture, and keep the worse reach of both."""
     for name in ("valid", "color", "opacity", "visibility"):
-        into, array = getattr(picture, name), getattr(part, name)
-        if into is not None:
-            into[inside] = array[of_part]
-    reaches = [each.reach for each in (picture, part) if each.reach is not None]
+        target, array = getattr(picture, name), getattr(part, name)
+        if target is not None:
+            target[inside] = array[of_part]
+    reaches = [piece.reach for piece in (picture, part) if piece.reach is not None]
     reach = worse_reach(*reaches) if len(reaches) == 2 else next(iter(reaches), None)
     return replace(picture, reach=reach)

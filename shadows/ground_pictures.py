@@ -28,7 +28,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sky_view_factor import SkyView, sky_view
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import open_sky, shaded_ground
+from skugga.terrain.shading import shaded_ground, slope_sky_view_factor
 
 SKY_PASS = "sky_view"
 
@@ -58,8 +58,8 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         if ground is None:
             return None
         if not ground.valid.any():
-            nothing = np.zeros(ground.valid.shape, np.uint8)
-            return Picture(ground.valid, (), np.zeros((*nothing.shape, 3), np.uint8), nothing, reach=NO_CASTERS.reach)
+            zeros = np.zeros(ground.valid.shape, np.uint8)
+            return Picture(ground.valid, (), np.zeros((*zeros.shape, 3), np.uint8), zeros, reach=NO_CASTERS.reach)
         reach = find_reach_of_nodes(scene, bare_nodes(scene, _nodes_under(ground.window_view), 1)) if "reach" in needs else None
     lit = _lit_shares(scene, ground, plan, log)
     if lit is None:
@@ -84,14 +84,14 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
     Its sky view accounts for the ground's own horizon if ``sky`` is given.
     """
     buffer = geometry_buffer(scene, view)
-    share = open_sky(buffer, scene)
+    share = slope_sky_view_factor(buffer, scene)
     if sky is not None:
         apply_sky_view(share, ShadingBlock(scene, view, buffer, {}))
     up = buffer.position_frame_m - scene.world.up_origin(buffer.frame)
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
-    whole = slice(0, view.rows), slice(0, view.cols)
+    full_window = slice(0, view.rows), slice(0, view.cols)
     return BareGround(
-        view, buffer.frame, buffer.valid, whole, buffer.height_m, buffer.shading_normal_frame, up.astype(np.float32), share
+        view, buffer.frame, buffer.valid, full_window, buffer.height_m, buffer.shading_normal_frame, up.astype(np.float32), share
     )
 
 

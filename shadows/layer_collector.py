@@ -61,10 +61,10 @@ class LayerCollector:
 def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
     """Return pictures (rows, cols) of one dtype tiled row by row, in a grid about as wide as high, with NaN (or 0) between them."""
     rows, cols = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
-    across = int(np.ceil(np.sqrt(len(pictures))))
-    out = _empty((-(-len(pictures) // across) * rows, across * cols), pictures[0].dtype)
+    tile_cols = int(np.ceil(np.sqrt(len(pictures))))
+    out = _empty((-(-len(pictures) // tile_cols) * rows, tile_cols * cols), pictures[0].dtype)
     for number, picture in enumerate(pictures):
-        row, col = number // across * rows, number % across * cols
+        row, col = number // tile_cols * rows, number % tile_cols * cols
         out[row : row + picture.shape[0], col : col + picture.shape[1]] = picture
     return out
 

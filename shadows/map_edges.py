@@ -23,7 +23,7 @@ from skugga.shadows.passes import GEOMETRY_PASS, PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_outside_casters
 from skugga.shadows.visibility import visibilities_at
-from skugga.terrain.casters.caster_culling import own_ground_faces_sun
+from skugga.terrain.casters.caster_culling import block_ground_faces_sun
 from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.antialias import SAMPLES_PER_SIDE, MultisampledBuffer
@@ -36,7 +36,7 @@ from skugga.terrain.scene import Scene
 
 Arrays = dict[str, np.ndarray]
 
-EDGE = 0.5
+EDGE_CHANGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
 
 PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
@@ -49,72 +49,77 @@ SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame
 
 
 def anti_aliased(
-    scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: Arrays, log: PassLog
+    scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: Arrays, log: PassLog
 ) -> tuple[MultisampledBuffer, Arrays]:
     """Return a map's block with its samples, and each light's visibility as it is shown.
 
     Samples lie below the block's own rows, and have only the arrays that shading reads. ``visibilities`` are those at the pixels'
     own points.
     """
-    view = own.view
+    view = block_buffer.view
     assert isinstance(view, MapView)
-    kept, requested_layers, log.requested_layers = log.take(), log.requested_layers, frozenset()
+    kept_layers, requested_layers, log.requested_layers = log.take(), log.requested_layers, frozenset()
     pixels = edge_supersampling(scene, view, plan)
     if pixels is None:
-        shown = _edge_sampled(scene, plan, own, view, visibilities, log)
+        result = _edge_sampled(scene, plan, block_buffer, view, visibilities, log)
     else:
-        shown = MultisampledBuffer(own, view.rows), mean_visibilities(pixels, own, log)
-    log.layers, log.requested_layers = kept, requested_layers
-    return shown
+        result = MultisampledBuffer(block_buffer, view.rows), mean_visibilities(pixels, block_buffer, log)
+    log.layers, log.requested_layers = kept_layers, requested_layers
+    return result
 
 
 def _edge_sampled(
-    scene: Scene, plan: Plan, own: GeometryBuffer, view: MapView, visibilities: Arrays, log: PassLog
+    scene: Scene, plan: Plan, block_buffer: GeometryBuffer, view: MapView, visibilities: Arrays, log: PassLog
 ) -> tuple[MultisampledBuffer, Arrays]:
-    if _is_evenly_lit(scene, plan, own, visibilities):
-        return MultisampledBuffer(own, view.rows), visibilities
-    edges = edge_pixels(own, list(visibilities.values()))
+    if _is_evenly_lit(scene, plan, block_buffer, visibilities):
+        return MultisampledBuffer(block_buffer, view.rows), visibilities
+    edges = edge_pixels(block_buffer, list(visibilities.values()))
     pixels, samples = [], []
     for down, right in _parts(edges):
         part = edges[down, right]
         pixels.append(np.argwhere(part) + [down.start, right.start])
-        finer = _sample_buffer(scene, own, view.part(down.start, right.start, *part.shape), part, log)
-        beside = needs_outside_casters(plan, own, (down, right))
-        casters = find_outside_casters(scene, plan, finer, partial(_casters, scene, finer, beside), log)
+        finer = _sample_buffer(scene, block_buffer, view.part(down.start, right.start, *part.shape), part, log)
+        search_outside = needs_outside_casters(plan, block_buffer, (down, right))
+        casters = find_outside_casters(scene, plan, finer, partial(_casters, scene, finer, search_outside), log)
         samples.append(_samples(finer, visibilities_at(scene, plan, finer, casters, log), part))
     if not samples:
-        return MultisampledBuffer(own, view.rows), visibilities
+        return MultisampledBuffer(block_buffer, view.rows), visibilities
     row, col = np.concatenate(pixels).T
-    arrays = {name: np.concatenate([each[name] for each in samples]) for name in samples[0]}
+    arrays = {name: np.concatenate([part_arrays[name] for part_arrays in samples]) for name in samples[0]}
     missing = ~arrays["valid"]  # beyond the ground's rim the pixel's own point replaces the sample
-    differ = arrays["kind"] != own.kind[row, col][:, None]
+    differ = arrays["kind"] != block_buffer.kind[row, col][:, None]
     for light, visibility in visibilities.items():
         differ |= arrays[light] != visibility[row, col][:, None]
-    ends = (differ & ~missing).any(axis=1)
-    row, col, missing, arrays = row[ends], col[ends], missing[ends], {name: value[ends] for name, value in arrays.items()}
+    is_edge = (differ & ~missing).any(axis=1)
+    row, col, missing, arrays = (
+        row[is_edge],
+        col[is_edge],
+        missing[is_edge],
+        {name: value[is_edge] for name, value in arrays.items()},
+    )
     if not len(row):
-        return MultisampledBuffer(own, view.rows), visibilities
+        return MultisampledBuffer(block_buffer, view.rows), visibilities
     changes: dict[str, Any] = {}
     for name in SHADING_ARRAYS:
-        value = getattr(own, name)
+        value = getattr(block_buffer, name)
         if value is not None:
             changes[name] = _with_samples(value, arrays[name], missing, row, col)
-    seen = {light: _with_samples(value, arrays[light], missing, row, col) for light, value in visibilities.items()}
-    return MultisampledBuffer(replace(own, **changes), view.rows, (row, col), SAMPLES_PER_PIXEL), seen
+    sampled_visibilities = {light: _with_samples(value, arrays[light], missing, row, col) for light, value in visibilities.items()}
+    return MultisampledBuffer(replace(block_buffer, **changes), view.rows, (row, col), SAMPLES_PER_PIXEL), sampled_visibilities
 
 
-def _is_evenly_lit(scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: Arrays) -> bool:
+def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: Arrays) -> bool:
     """Return whether no edge can cross a block or its sides.
 
     That is where the block has bare ground, nothing casts, and all ground faces the sun.
     """
     if plan.casts or not is_terrain_only(scene) or not scene.sun_is_up:
         return False
-    return bool((visibilities[SUN][own.valid] == 1.0).all()) and own_ground_faces_sun(scene, own)
+    return bool((visibilities[SUN][block_buffer.valid] == 1.0).all()) and block_ground_faces_sun(scene, block_buffer)
 
 
-def _casters(scene: Scene, finer: GeometryBuffer, beside: bool) -> Casters:
-    return find_casters(scene, finer) if beside else NO_CASTERS
+def _casters(scene: Scene, finer: GeometryBuffer, search_outside: bool) -> Casters:
+    return find_casters(scene, finer) if search_outside else NO_CASTERS
 
 
 def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.ndarray:
@@ -125,7 +130,7 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
     edges = np.zeros(buffer.valid.shape, np.bool_)
     _mark_changes(buffer.kind, 0.0, edges)
     for visibility in visibilities:
-        _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), EDGE, edges)
+        _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), EDGE_CHANGE, edges)
     if visibilities:
         for side in (edges[0], edges[-1], edges[:, 0], edges[:, -1]):
             side[:] = True
@@ -142,11 +147,11 @@ def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
                 yield down, right
 
 
-def _sample_buffer(scene: Scene, own: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
+def _sample_buffer(scene: Scene, block_buffer: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
     """Return the samples of the ``edges`` pixels of a part."""
     with log.run(GEOMETRY_PASS):
         pixel_mask = np.repeat(np.repeat(edges, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
-        return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), own.frame, pixel_mask=pixel_mask)
+        return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
 
 
 def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) -> Arrays:
@@ -157,23 +162,25 @@ def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) ->
     arrays = {name: value for name in SHADING_ARRAYS if (value := getattr(buffer, name)) is not None}
     arrays.update(visibilities)
     row, col = np.nonzero(edges)
-    places = [
+    positions = [
         (row * SAMPLES_PER_SIDE + k // SAMPLES_PER_SIDE, col * SAMPLES_PER_SIDE + k % SAMPLES_PER_SIDE)
         for k in range(SAMPLES_PER_PIXEL)
     ]
-    return {name: np.stack([value[place] for place in places], axis=1) for name, value in arrays.items()}
+    return {name: np.stack([value[position] for position in positions], axis=1) for name, value in arrays.items()}
 
 
-def _with_samples(own: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+def _with_samples(
+    pixel_values: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray
+) -> np.ndarray:
     """Return a buffer's array with samples (n, ``SAMPLES_PER_PIXEL``, ...) in rows below it. Missing samples take the pixel's own
     value.
     """
-    of_pixels = own[row, col][:, None]
-    gone = missing.reshape(missing.shape + (1,) * (samples.ndim - 2))
-    flat = np.where(gone, of_pixels, samples).reshape(-1, *own.shape[2:])
-    spare = -len(flat) % own.shape[1]
+    of_pixels = pixel_values[row, col][:, None]
+    is_missing = missing.reshape(missing.shape + (1,) * (samples.ndim - 2))
+    flat = np.where(is_missing, of_pixels, samples).reshape(-1, *pixel_values.shape[2:])
+    spare = -len(flat) % pixel_values.shape[1]
     flat = np.concatenate([flat, flat[-1:].repeat(spare, axis=0)])
-    return np.concatenate([own, flat.reshape(-1, *own.shape[1:])]).astype(own.dtype, copy=False)
+    return np.concatenate([pixel_values, flat.reshape(-1, *pixel_values.shape[1:])]).astype(pixel_values.dtype, copy=False)
 
 
 @compiled
@@ -182,9 +189,9 @@ def _mark_changes(values, threshold, edges):
     rows, cols = values.shape
     for i in range(rows):
         for j in range(cols):
-            here = np.float64(values[i, j])
+            center = np.float64(values[i, j])
             for k in range(4):  # east, south-west, south, south-east
                 a, b = i + (k > 0), j + (1 if k == 0 else k - 2)
-                if a < rows and 0 <= b < cols and abs(np.float64(values[a, b]) - here) > threshold:
+                if a < rows and 0 <= b < cols and abs(np.float64(values[a, b]) - center) > threshold:
                     edges[i, j] = True
                     edges[a, b] = True

@@ -133,11 +133,11 @@ class PassLog:
                 record.programs = tuple(dict.fromkeys([*record.programs, *(program.label for program in drawn_with)]))
                 record.textures = tuple(sorted({*record.textures, *(name for program in drawn_with for name in program.textures)}))
 
-    def leave_out(self, names: Iterable[str], why: str) -> None:
+    def leave_out(self, names: Iterable[str], reason: str) -> None:
         """Record that a part of the picture leaves out some passes of the plan, and the reason."""
         for name in names:
             record = self.records.setdefault(name, PassRecord(name))
-            record.parts, record.left_out, record.note = record.parts + 1, record.left_out + 1, why
+            record.parts, record.left_out, record.note = record.parts + 1, record.left_out + 1, reason
 
     def keep(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
         """Keep the picture ``make(*args)`` of a layer and a light. ``make`` is called only if the layer is wanted.

@@ -61,6 +61,6 @@ class Picture:
     def part(self, window: PixelWindow) -> Picture:
         """Return a window of the picture, without a frame."""
         color, opacity, visibility = (
-            None if each is None else each[window] for each in (self.color, self.opacity, self.visibility)
+            None if array is None else array[window] for array in (self.color, self.opacity, self.visibility)
         )  # fmt: skip
         return Picture(self.valid[window], self.passes, color, opacity, visibility, self.reach, shows_sky=self.shows_sky)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, SerializeAsAny, TypeAdapter, ValidationInfo, field_validator
 from pydantic_core import CoreSchema
 
-from skugga.shadows.algorithm import AlgorithmSettings, Reasoned
+from skugga.shadows.algorithm import AlgorithmSettings, NamedReason
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind
@@ -23,7 +23,7 @@ class _Value(BaseModel):
 
 def settings_type(*names: AlgorithmName) -> Any:
     """Return the union of the settings types of some algorithms, for pydantic; ``AlgorithmSettings`` if none has any."""
-    types = [each for name in names for each in ALGORITHMS[name].settings]
+    types = [settings for name in names for settings in ALGORITHMS[name].settings]
     return reduce(or_, types) if types else AlgorithmSettings
 
 
@@ -71,13 +71,13 @@ class Plan(_Value):
     policy: Literal["rules", "predict", "probe", "measure"]
     algorithm: dict[str, dict[CasterKind, AlgorithmName]]
     settings: dict[str, dict[CasterKind, Annotated[SerializeAsAny[AlgorithmSettings], _SettingsSchema()]]]
-    effects: list[Reasoned]
-    left_out: list[Reasoned]
-    rejected: list[Reasoned]
+    effects: list[NamedReason]
+    left_out: list[NamedReason]
+    rejected: list[NamedReason]
     passes: list[str]
     predicted: Predicted | None = None
     target: Target
-    reasons: list[Reasoned]
+    reasons: list[NamedReason]
 
     @field_validator("settings", mode="before")
     @classmethod
@@ -86,8 +86,10 @@ class Plan(_Value):
         algorithm = info.data.get("algorithm", {})
         return {
             light: {
-                kind: each if isinstance(each, AlgorithmSettings) else _read_settings(algorithm.get(light, {}).get(kind), each)
-                for kind, each in per_kind.items()
+                kind: kind_settings
+                if isinstance(kind_settings, AlgorithmSettings)
+                else _read_settings(algorithm.get(light, {}).get(kind), kind_settings)
+                for kind, kind_settings in per_kind.items()
             }
             for light, per_kind in value.items()
         }

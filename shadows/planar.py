@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skugga.shadows.algorithm import FEW_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
+from skugga.shadows.algorithm import COMPANION_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
 from skugga.shadows.maps.windows import POSITION_ERROR
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.work import Work, Workload
@@ -50,7 +50,7 @@ from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.gl.device import Device, device
 from skugga.terrain.level.level import SUN, CasterKind
 from skugga.terrain.scene import Scene
-from skugga.terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
 if TYPE_CHECKING:
     from moderngl import Framebuffer
@@ -102,18 +102,20 @@ def fill(
     It is 1 on everything but the ground. Raises ``GraphicsError``.
     """
     passes = log.named(light, kinds, PASSES)
-    projected = _projected(buffer, scene, light, kinds)
+    projection = _make_projection(buffer, scene, light, kinds)
     view, ground = buffer.view, buffer.valid & (buffer.kind == RELIEF)
     stencil = np.zeros(ground.shape, np.uint8)
-    stencil[: view.rows] = _stencil(scene.world, buffer.frame, view, ground[: view.rows], projected, passes, log)
+    stencil[: view.rows] = _stencil(scene.world, buffer.frame, view, ground[: view.rows], projection, passes, log)
     if buffer.sample_pixels is not None:
         assert isinstance(view, PerspectiveView)
-        finer = finer_view(view)
-        below = ground[view.rows :]
-        pixels = tuple(index[below] for index in buffer.sample_pixels)
-        receivers = np.zeros((finer.rows, finer.cols), bool)
+        sample_view = finer_view(view)
+        sample_mask = ground[view.rows :]
+        pixels = tuple(index[sample_mask] for index in buffer.sample_pixels)
+        receivers = np.zeros((sample_view.rows, sample_view.cols), bool)
         receivers[pixels] = True
-        stencil[view.rows :][below] = _stencil(scene.world, buffer.frame, finer, receivers, projected, passes, log)[pixels]
+        stencil[view.rows :][sample_mask] = _stencil(scene.world, buffer.frame, sample_view, receivers, projection, passes, log)[
+            pixels
+        ]
     log.keep("stencil", light, stencil.copy)
     return np.where(stencil == SHADED_VALUE, np.float32(0.0), np.float32(1.0))
 
@@ -133,7 +135,7 @@ def clip_from_plane(world: World, frame: LocalFrame, view: MapView | Perspective
     return map_clip(world, frame, view, origin_frame_m, (origin_frame_m[2] - 1.0, origin_frame_m[2] + 1.0))
 
 
-def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...]) -> Projection:
+def _make_projection(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...]) -> Projection:
     """Return the casters, relative to the point of the plane below the eye, or in the middle of a map."""
     view, frame = buffer.view, buffer.frame
     if isinstance(view, MapView):
@@ -158,12 +160,12 @@ def _stencil(
     frame: LocalFrame,
     view: MapView | PerspectiveView,
     receivers: np.ndarray,
-    projected: Projection,
+    projection: Projection,
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
     """Return the stencil (rows, cols) uint8 of a view that shows the ground at ``receivers``."""
-    if not (receivers.any() and projected.reaches_ground):
+    if not (receivers.any() and projection.reaches_ground):
         for name in passes:
             with log.run(name):
                 pass
@@ -180,28 +182,30 @@ def _stencil(
         texture.release()
         record.bytes = max(record.bytes, 9 * receivers.size)
     with log.run(passes[1]) as record:
-        clip_from_caster = clip_from_plane(world, frame, view, projected.origin_frame_m) @ plane_projection(projected.light_m)
-        _draw_casters(gl, target, clip_from_caster, projected, record)
+        clip_from_caster = clip_from_plane(world, frame, view, projection.origin_frame_m) @ plane_projection(projection.light_m)
+        _draw_casters(gl, target, clip_from_caster, projection, record)
         return gl.stencil.read(target)
 
 
-def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projected: Projection, record: PassRecord) -> None:
+def _draw_casters(
+    gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projection: Projection, record: PassRecord
+) -> None:
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.once_pass(target, LIT_VALUE, clip_distances=1):
-        if projected.meshes:
+        if projection.meshes:
             program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/maps/depth.frag"))
             set_uniforms(program, uniforms)
-            for vertices, triangles in projected.meshes:
+            for vertices, triangles in projection.meshes:
                 record.triangles += gl.draw_triangles(program, vertices, triangles)
-        if projected.trees is not None:
+        if projection.trees is not None:
             vertex = shader("shadows/planar", "terrain/gbuffer/tree", "shadows/planar_tree.vert")
             program = gl.program(vertex, shader("shadows/planar_tree.frag"))
-            set_uniforms(program, {**uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": 0.0})
-            instances = projected.trees
-            gl.layers(foliage().levels).use(0)
+            set_uniforms(program, {**uniforms, "foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": 0.0})
+            instances = projection.trees
+            gl.layers(foliage().mip_levels).use(0)
             base, variant = (
-                instances.base_frame_m - projected.origin_frame_m,
-                np.concatenate([instances.turn, instances.variant[:, None]], axis=1),
+                instances.base_frame_m - projection.origin_frame_m,
+                np.concatenate([instances.yaw_cos_sin, instances.variant[:, None]], axis=1),
             )
             record.triangles += gl.draw_instances(
                 program, QUAD_TRIANGLES, [("base", base), ("shape", instances.shape), ("look", variant)]
@@ -213,8 +217,8 @@ def _resolve(request: SettingsRequest) -> ResolvedSettings:
 
 
 def _work(task: Workload, settings: None) -> Work:
-    drawn = {"triangles": task.pictures * task.triangles("meshes"), "trees": task.pictures * task.trees}
-    return {"planar": {"blocks": 1.0, "pixels": task.picture_pixels, **drawn}}
+    caster_counts = {"triangles": task.pictures * task.triangles("meshes"), "trees": task.pictures * task.trees}
+    return {"planar": {"blocks": 1.0, "pixels": task.picture_pixels, **caster_counts}}
 
 
 def _wrong_share(casting: Casting) -> float:
@@ -228,13 +232,13 @@ ALGORITHM = Algorithm(
     plural="planar",
     fill=fill,
     passes=PASSES,
-    refuses={
+    refusals={
         "uneven": "the ground is not flat: planar projects casters onto one plane",
         "area light": "planar projects casters from one point, into a stencil that is dark or not: it has hard edges only",
     },
     layers=("stencil",),
     resolve=_resolve,
-    search=Search(companion_map_sizes=FEW_MAP_SIZES),
+    search=Search(companion_map_sizes=COMPANION_MAP_SIZES),
     cost=Cost(_work),
     accuracy=Accuracy(wrong_share=_wrong_share),
     mark=Mark("wedge", "purple"),

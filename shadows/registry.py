@@ -32,9 +32,9 @@ def register_algorithm(algorithm: Algorithm) -> None:
     ALGORITHMS[algorithm.name] = algorithm
     if algorithm.name not in ALGORITHM_NAMES:
         ALGORITHM_NAMES.append(algorithm.name)
-    if algorithm.served and algorithm.name in REFERENCE_NAMES:
+    if algorithm.is_served and algorithm.name in REFERENCE_NAMES:
         REFERENCE_NAMES.remove(algorithm.name)
-    if not algorithm.served and algorithm.name not in REFERENCE_NAMES:
+    if not algorithm.is_served and algorithm.name not in REFERENCE_NAMES:
         REFERENCE_NAMES.append(algorithm.name)
 
 
@@ -52,7 +52,7 @@ def selectable_algorithms() -> list[Algorithm]:
     list of Algorithm
         The algorithms that cast shadows, without the references.
     """
-    return [each for each in ALGORITHMS.values() if each.passes and each.served]
+    return [algorithm for algorithm in ALGORITHMS.values() if algorithm.passes and algorithm.is_served]
 
 
 def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
@@ -72,7 +72,9 @@ def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
     return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal(parts) is None]
 
 
-def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind, asked: Shadows | None = None) -> bool:
+def can_serve(
+    name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind, requested_shadows: Shadows | None = None
+) -> bool:
     """Return whether an algorithm can serve a kind of casters under a light of a view.
 
     Parameters
@@ -85,7 +87,7 @@ def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: C
         The name of the light.
     caster
         The kind of casters.
-    asked
+    requested_shadows
         The requested shadow settings; ``None``: the defaults.
 
     Returns
@@ -98,5 +100,5 @@ def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: C
     KeyError
         The name is not registered, or the view has no such light.
     """
-    area = is_area(descriptor, light, asked or Shadows())
+    area = is_area(descriptor, light, requested_shadows or Shadows())
     return ALGORITHMS[name].refusal(requirements_of(descriptor, descriptor.light_kinds[light], caster, area)) is None

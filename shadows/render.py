@@ -30,7 +30,7 @@ from skugga.terrain.geo.grid import MapView, blocks_of, windows_of
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.level.level import SUN, EffectName
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import albedo_of, open_sky, shade, srgb_encoded
+from skugga.terrain.shading import albedo_of, shade, slope_sky_view_factor, srgb_encoded
 from skugga.terrain.sky import sky
 
 RENDERER_VERSION = 4
@@ -97,8 +97,8 @@ class Frame:
     @property
     def opacity(self) -> np.ndarray:
         """The opacity (rows, cols) uint8 of the first light's shadow as it is shown; 0 off the surface."""
-        shown = next(iter(self.shown_visibilities.values()))
-        return np.rint(255.0 * (1.0 - np.where(self.valid, shown, 1.0))).astype(np.uint8)
+        shown_visibility = next(iter(self.shown_visibilities.values()))
+        return np.rint(255.0 * (1.0 - np.where(self.valid, shown_visibility, 1.0))).astype(np.uint8)
 
     @cached_property
     def position_earth_m(self) -> np.ndarray | None:
@@ -122,14 +122,16 @@ class Frame:
         """Where the colour is valid, bool (rows, cols): on the surface, and in the sky of a perspective view."""
         return self.valid if isinstance(self.view, MapView) else np.ones(self.valid.shape, bool)
 
-    def under(self, light: str | None) -> Frame:
+    def with_light_first(self, light: str | None) -> Frame:
         """Return the frame with a light's visibility first (``None`` changes nothing). Raises ``InputError``."""
         if light is None:
             return self
         if light not in self.visibilities:
             raise InputError("light", light, f"{', '.join(self.visibilities)} (the lights that reach the view)")
-        seen, shown = ({light: values[light], **values} for values in (self.visibilities, self.shown_visibilities))
-        return replace(self, visibilities=seen, shown_visibilities=shown)
+        visibilities, shown_visibilities = (
+            {light: values[light], **values} for values in (self.visibilities, self.shown_visibilities)
+        )
+        return replace(self, visibilities=visibilities, shown_visibilities=shown_visibilities)
 
 
 def check_pixels(view: MapView | PerspectiveView) -> None:
@@ -144,9 +146,20 @@ def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
     def parts(stage: Stage) -> list[str]:
         return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
 
-    first, outside = ([name for name in (pass_name,) if name in effects] for pass_name in (REFRACTION_PASS, CASTERS_PASS))
-    before = [name for stage in BEFORE_SHADING for name in parts(stage)]
-    return [*first, GEOMETRY_PASS, *outside, *shadow_passes, ATTACHED_PASS, *before, SHADING_PASS, *parts("color")]
+    refraction_passes, caster_passes = (
+        [name for name in (pass_name,) if name in effects] for pass_name in (REFRACTION_PASS, CASTERS_PASS)
+    )
+    effect_passes = [name for stage in BEFORE_SHADING for name in parts(stage)]
+    return [
+        *refraction_passes,
+        GEOMETRY_PASS,
+        *caster_passes,
+        *shadow_passes,
+        ATTACHED_PASS,
+        *effect_passes,
+        SHADING_PASS,
+        *parts("color"),
+    ]
 
 
 def render_frame(
@@ -193,27 +206,27 @@ def render_frame(
     log, reach, collector = PassLog(requested_layers=layers), Reach(0.0, 0.0, False), LayerCollector(size)
     scene = apply_refraction(scene, plan, log)
     parts: Sequence[tuple[MapView | PerspectiveView, int, int]] = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
-    whole = None
-    for done, (part, row, col) in enumerate(parts, start=1):
+    frame = None
+    for completed, (part, row, col) in enumerate(parts, start=1):
         block = render_block(scene, part, plan, log, pixel_sampling)
         reach = worse_reach(reach, block.reach)
         frame_window, block_window = windows_of(view, part, row, col)
-        if whole is None:  # a single part provides the arrays of the whole view
-            whole = block if len(parts) == 1 and block.valid.shape == size else _empty(view, plan, block)
-        if whole is not block:
-            whole.color[frame_window], whole.height_m[frame_window] = block.color[block_window], block.height_m[block_window]
+        if frame is None:  # a single part provides the arrays of the whole view
+            frame = block if len(parts) == 1 and block.valid.shape == size else _empty_frame(view, plan, block)
+        if frame is not block:
+            frame.color[frame_window], frame.height_m[frame_window] = block.color[block_window], block.height_m[block_window]
             for light in plan.lights:
-                whole.visibilities[light][frame_window] = block.visibilities[light][block_window]
-                whole.shown_visibilities[light][frame_window] = block.shown_visibilities[light][block_window]
-            if whole.position_frame_m is not None and block.position_frame_m is not None:
-                whole.position_frame_m[frame_window] = block.position_frame_m[block_window]
+                frame.visibilities[light][frame_window] = block.visibilities[light][block_window]
+                frame.shown_visibilities[light][frame_window] = block.shown_visibilities[light][block_window]
+            if frame.position_frame_m is not None and block.position_frame_m is not None:
+                frame.position_frame_m[frame_window] = block.position_frame_m[block_window]
         collector.add(log.take(), frame_window, block_window)
         if on_block is not None:
-            on_block(done, len(parts))
+            on_block(completed, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
-    assert whole is not None
-    return replace(whole, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.whole)
+    assert frame is not None
+    return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.whole)
 
 
 def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
@@ -226,13 +239,13 @@ def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
     return subsampled_points(own_pixels, REACH_STRIDE_PX)
 
 
-def _empty(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Frame:
+def _empty_frame(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Frame:
     """Return the frame of a view before any part is drawn, with arrays like those of a part."""
     size = view.rows, view.cols
-    visibilities, shown = ({light: np.full(size, np.nan, np.float32) for light in plan.lights} for _ in range(2))
+    visibilities, shown_visibilities = ({light: np.full(size, np.nan, np.float32) for light in plan.lights} for _ in range(2))
     position = None if part.position_frame_m is None else np.full((*size, 3), np.nan)
     color, height = np.zeros((*size, 3), np.uint8), np.full(size, np.nan, np.float32)
-    return Frame(view, plan, color, visibilities, shown, height, position, part.frame, (), part.reach)
+    return Frame(view, plan, color, visibilities, shown_visibilities, height, position, part.frame, (), part.reach)
 
 
 def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
@@ -262,7 +275,7 @@ def render_block(
     """Render a part of a view, or a block of a map, of a scene from ``apply_refraction``. Raises as ``render_frame``."""
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
-        buffer, own_pixels = picture.buffer, picture.own
+        buffer, own_pixels = picture.buffer, picture.pixel_buffer
         reach = find_reach(scene, _reach_points(own_pixels, plan)) if CASTERS_PASS not in plan.runs else None
     if reach is None:
         casters = find_outside_casters(scene, plan, own_pixels, lambda: find_casters(scene, own_pixels), log)
@@ -273,38 +286,38 @@ def render_block(
         visibilities = visibilities_at(scene, plan, buffer, casters, log)
     else:
         visibilities = mean_visibilities(pixels, own_pixels, log)
-    seen = visibilities
+    shading_visibilities = visibilities
     if isinstance(view, MapView) and pixels is None and pixel_sampling == "means":
-        picture, seen = anti_aliased(scene, plan, own_pixels, visibilities, log)
-    block = ShadingBlock(scene, view, picture.buffer, seen)
-    linear = _shaded(block, plan, log)
+        picture, shading_visibilities = anti_aliased(scene, plan, own_pixels, visibilities, log)
+    block = ShadingBlock(scene, view, picture.buffer, shading_visibilities)
+    linear = _shade_block(block, plan, log)
     with log.run(SHADING_PASS):
         if not isinstance(view, MapView):
-            _put_sky(scene, view, picture, linear)
+            _draw_sky(scene, view, picture, linear)
     _run_parts("color", {"color": linear}, block, plan, log)
     with log.run(SHADING_PASS):
         color = srgb_encoded(picture.averaged(linear))
-        valid, missing = own_pixels.valid, np.float32(np.nan)
-        visibilities = {light: np.where(valid, values[: view.rows], missing) for light, values in visibilities.items()}
-        shown = visibilities
+        valid, nodata = own_pixels.valid, np.float32(np.nan)
+        visibilities = {light: np.where(valid, values[: view.rows], nodata) for light, values in visibilities.items()}
+        shown_visibilities = visibilities
         if isinstance(view, MapView):
-            means = {light: picture.averaged(values[..., None])[..., 0] for light, values in seen.items()}
-            shown = {light: np.where(valid, values, missing) for light, values in means.items()}
+            means = {light: picture.averaged(values[..., None])[..., 0] for light, values in shading_visibilities.items()}
+            shown_visibilities = {light: np.where(valid, values, nodata) for light, values in means.items()}
     position, frame = (None, None) if isinstance(view, MapView) else (own_pixels.position_frame_m, own_pixels.frame)
-    return Frame(view, plan, color, visibilities, shown, own_pixels.height_m, position, frame, (), casters.reach)
+    return Frame(view, plan, color, visibilities, shown_visibilities, own_pixels.height_m, position, frame, (), casters.reach)
 
 
-def _shaded(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
+def _shade_block(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
     """Return the linear display colour (rows, cols, 3) of a block's surface."""
     light: dict[Stage, np.ndarray] = {}
     for stage in BEFORE_SHADING:
         _run_parts(stage, light, block, plan, log)
     with log.run(SHADING_PASS):
-        sunlight = light["sunlight"] if "sunlight" in light else _unlit(block, "sunlight")
+        sunlight = light["sunlight"] if "sunlight" in light else _initial_values(block, "sunlight")
         return shade(block.buffer, block.scene, sunlight, light.get("albedo"), light.get("skylight"), light.get("lamplight"))
 
 
-def _unlit(block: ShadingBlock, stage: Stage) -> np.ndarray:
+def _initial_values(block: ShadingBlock, stage: Stage) -> np.ndarray:
     """Return the array with which the first effect of a stage starts."""
     shape = block.buffer.valid.shape
     if stage == "albedo":
@@ -312,21 +325,21 @@ def _unlit(block: ShadingBlock, stage: Stage) -> np.ndarray:
     if stage == "sunlight":
         return block.visibilities[SUN].copy() if SUN in block.visibilities else np.zeros(shape, np.float32)
     if stage == "skylight":
-        return open_sky(block.buffer, block.scene)
+        return slope_sky_view_factor(block.buffer, block.scene)
     return np.zeros((*shape, 3), np.float32)
 
 
 def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBlock, plan: Plan, log: PassLog) -> None:
     """Run the parts of a stage's effects, each as a pass of its own."""
     for name, effect in EFFECTS.items():
-        if effect.stage == stage and effect.part is not None and name in plan.runs:
+        if effect.stage == stage and effect.apply is not None and name in plan.runs:
             with log.run(name):
                 if stage not in values:
-                    values[stage] = _unlit(block, stage)
-                effect.part(values[stage], block)
+                    values[stage] = _initial_values(block, stage)
+                effect.apply(values[stage], block)
 
 
-def _put_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
+def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
     """Colour the pixels and samples without a surface."""
     row, col = np.nonzero(~picture.buffer.valid)
     pixel_row, pixel_col = picture.pixels_of(row, col)

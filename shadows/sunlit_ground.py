@@ -42,8 +42,10 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
             return Picture(ground.valid, (), visibility=visibility, reach=NO_CASTERS.reach)
         reach = find_reach_of_nodes(scene, bare_nodes(scene, view, 1)) if "reach" in needs else None
     if scene.sun_is_up:
-        _, seen = lit_nodes(Supersampling(scene, plan, view.grid, 1, heights_only=True), view, CASTERS_PASS in plan.runs, log)
-        lit = seen[SUN] & ground.valid
+        _, visibilities = lit_nodes(
+            Supersampling(scene, plan, view.grid, 1, heights_only=True), view, CASTERS_PASS in plan.runs, log
+        )
+        lit = visibilities[SUN] & ground.valid
         with log.run(ATTACHED_PASS):
             rim = rim_points(scene, view)
             if rim is not None:

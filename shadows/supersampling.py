@@ -77,10 +77,10 @@ class Supersampling:
         """Return the upper bounds of the nodes in one part: in all, and along a side."""
         if not self.heights_only:
             return MAX_POINTS_AT_ONCE, BLOCK_PX * 8
-        along = BLOCK_PX * 8
+        max_side = BLOCK_PX * 8
         if not self.scene.world.flat:
-            along = max(min(along, int(MAX_PARALLEL_RAYS_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
-        return MAX_BARE_AT_ONCE, along
+            max_side = max(min(max_side, int(MAX_PARALLEL_RAYS_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
+        return MAX_BARE_AT_ONCE, max_side
 
 
 def supersampling(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> Supersampling | None:
@@ -114,22 +114,26 @@ def needs_heights_only(scene: Scene, plan: Plan) -> bool:
     return is_terrain_only(scene) and scene.sun_is_up and all(fills)
 
 
-def mean_visibilities(pixels: Supersampling, own: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
+def mean_visibilities(pixels: Supersampling, block_buffer: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
     """Return each light's mean visibility (rows, cols) float32 in the pixels of a map's block.
 
     It is 1 in pixels whose nodes show no ground. Layers are means over the nodes, too; layers of counts and marks are the maximum.
     """
-    view = own.view
+    view = block_buffer.view
     assert isinstance(view, MapView)
-    visibilities = {light: np.ones(own.valid.shape, np.float32) for light in pixels.plan.lights}
-    layers = LayerCollector(own.valid.shape)
-    if isinstance(own, GeometryBuffer) and not own.valid.any():  # the plan's passes run without any work
-        return visibilities_at(pixels.scene, pixels.plan, own, find_casters(pixels.scene, own), log)
-    for window in _parts(pixels, own):
-        part, beside = _part(view, window), needs_outside_casters(pixels.plan, own, window)
+    visibilities = {light: np.ones(block_buffer.valid.shape, np.float32) for light in pixels.plan.lights}
+    layers = LayerCollector(block_buffer.valid.shape)
+    if isinstance(block_buffer, GeometryBuffer) and not block_buffer.valid.any():  # the plan's passes run without any work
+        return visibilities_at(pixels.scene, pixels.plan, block_buffer, find_casters(pixels.scene, block_buffer), log)
+    for window in _parts(pixels, block_buffer):
+        part, search_outside = _part(view, window), needs_outside_casters(pixels.plan, block_buffer, window)
         nodes = pixels.nodes(part)
-        seen = lit_nodes(pixels, nodes, beside, log) if pixels.heights_only else _lit_points(pixels, nodes, beside, log)
-        valid, filled = seen
+        node_visibilities = (
+            lit_nodes(pixels, nodes, search_outside, log)
+            if pixels.heights_only
+            else _lit_points(pixels, nodes, search_outside, log)
+        )
+        valid, filled = node_visibilities
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
                 if values.dtype == np.bool_ and values.all():
@@ -150,62 +154,62 @@ def _part(view: MapView, window: PixelWindow) -> MapView:
     return view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
 
 
-def _parts(pixels: Supersampling, own: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
+def _parts(pixels: Supersampling, block_buffer: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
     """Yield the pixels of a block that show a surface, in rectangles whose nodes are processed at a time."""
-    view = own.view
+    view = block_buffer.view
     assert isinstance(view, MapView)
-    rows, cols = np.flatnonzero(own.valid.any(axis=1)), np.flatnonzero(own.valid.any(axis=0))
+    rows, cols = np.flatnonzero(block_buffer.valid.any(axis=1)), np.flatnonzero(block_buffer.valid.any(axis=0))
     if not len(rows):
         return
-    todo = [(slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1))]
-    while todo:
-        window = todo.pop()
-        if not own.valid[window].any():
+    pending = [(slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1))]
+    while pending:
+        window = pending.pop()
+        if not block_buffer.valid[window].any():
             continue
         nodes, sides = pixels.nodes(_part(view, window)), [side.stop - side.start for side in window]
-        max_nodes, along = pixels.max_nodes(nodes)
-        if (nodes.rows * nodes.cols <= max_nodes and max(nodes.rows, nodes.cols) <= along) or max(sides) == 1:
+        max_nodes, max_side = pixels.max_nodes(nodes)
+        if (nodes.rows * nodes.cols <= max_nodes and max(nodes.rows, nodes.cols) <= max_side) or max(sides) == 1:
             yield window
             continue
         axis = int(sides[1] > sides[0])
         middle = window[axis].start + sides[axis] // 2
         for half in (slice(middle, window[axis].stop), slice(window[axis].start, middle)):
-            todo.append((half, window[1]) if axis == 0 else (window[0], half))
+            pending.append((half, window[1]) if axis == 0 else (window[0], half))
 
 
-def needs_outside_casters(plan: Plan, own: GeometryBuffer | BareGround, window: PixelWindow) -> bool:
+def needs_outside_casters(plan: Plan, block_buffer: GeometryBuffer | BareGround, window: PixelWindow) -> bool:
     """Return whether casters beside a part of a map's block are searched.
 
     The effect ``outside_casters`` always searches them. Without it they are searched only where the block shows more than the part,
     since parts of one block cast on each other.
     """
-    return CASTERS_PASS in plan.runs or bool(own.valid[window].sum() < own.valid.sum())
+    return CASTERS_PASS in plan.runs or bool(block_buffer.valid[window].sum() < block_buffer.valid.sum())
 
 
-def lit_nodes(pixels: Supersampling, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def lit_nodes(pixels: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and the sun's visibility at them, from heights alone."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, pixels.per_pixel)
 
     def find_casters() -> Casters:
-        return Casters(find_sun_casters(scene, nodes) if beside else (), NO_CASTERS.reach)
+        return Casters(find_sun_casters(scene, nodes) if search_outside else (), NO_CASTERS.reach)
 
     casters = find_outside_casters(scene, plan, nodes, find_casters, log)
-    lit = np.ones(nodes.shown.shape, np.bool_)
+    lit = np.ones(nodes.shows_ground.shape, np.bool_)
     for step in needed_steps(scene, plan.steps_under(SUN), nodes, casters, log):
         fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
         assert fill is not None, step.algorithm
         lit &= fill(nodes, scene, step.light, step.kinds, casters, step.settings, log)
-    return nodes.shown, {SUN: lit}
+    return nodes.shows_ground, {SUN: lit}
 
 
-def _lit_points(pixels: Supersampling, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def _lit_points(pixels: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and each light's visibility at them, from a geometry buffer."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         buffer = geometry_buffer(scene, view)
-    casters = find_outside_casters(scene, plan, buffer, lambda: find_casters(scene, buffer) if beside else NO_CASTERS, log)
+    casters = find_outside_casters(scene, plan, buffer, lambda: find_casters(scene, buffer) if search_outside else NO_CASTERS, log)
     return buffer.valid, visibilities_at(scene, plan, buffer, casters, log)
 
 

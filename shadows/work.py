@@ -86,14 +86,14 @@ class Workload:
         return self.descriptor.pixels * (1.0 + (SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
-    def seen(self) -> float:
+    def visible_pixels(self) -> float:
         """Pixels and samples that show a surface."""
         return self.pixels * self.descriptor.seen_share
 
     @property
     def facing(self) -> float:
         """Pixels and samples that show a surface that faces the light."""
-        return self.seen * self.facts.facing_share
+        return self.visible_pixels * self.facts.facing_share
 
     @cached_property
     def facing_away_share(self) -> float:
@@ -102,12 +102,12 @@ class Workload:
         The visible share underestimates it, since an eye sees few far sides. Under the sun, gradients are assumed to be normally
         distributed with the level's mean slope, in every direction alike; their lengths then have a Rayleigh distribution.
         """
-        seen = 1.0 - self.facts.facing_share
+        away_share = 1.0 - self.facts.facing_share
         mean = np.tan(np.radians(min(self.descriptor.mean_slope_deg, 89.0)))
         if self.light != SUN or self.descriptor.sun_altitude_deg is None or mean <= 0.0:
-            return seen
+            return away_share
         rise = np.tan(np.radians(min(max(self.descriptor.sun_altitude_deg, 0.0), 89.0)))
-        return max(seen, 0.5 * erfc(rise / (mean * sqrt(2.0 / pi)) / sqrt(2.0)))
+        return max(away_share, 0.5 * erfc(rise / (mean * sqrt(2.0 / pi)) / sqrt(2.0)))
 
     def caster_facts(self, kind: CasterKind) -> CasterFacts | None:
         """Return the facts of a kind of casters; ``None`` if the step does not serve it, or the level has none."""

@@ -48,14 +48,14 @@ def atomic_path(path: Path) -> Iterator[Path]:
     folder = target.parent / temp_name
     try:
         mode = _writable_mode(target)
-        special = mode is not None and not stat.S_ISREG(mode)
-        if special:
+        is_special = mode is not None and not stat.S_ISREG(mode)
+        if is_special:
             folder = Path(tempfile.gettempdir()) / temp_name
         folder.mkdir(0o700)
         part = folder / target.name
         yield part
         _sync(part)
-        if special:
+        if is_special:
             with part.open("rb") as source, target.open("wb") as sink:
                 shutil.copyfileobj(source, sink)
             return
@@ -70,7 +70,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         number = error.errno or errno.EIO
         raise OSError(number, error.strerror or str(error) or os.strerror(number), str(path)) from error
     finally:
-        _remove(folder)
+        _remove_folder(folder)
 
 
 @contextmanager
@@ -93,7 +93,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
         if is_new:
             os.replace(part, target)
         else:
-            _move_all(part, target)
+            _move_files(part, target)
         with suppress(OSError):  # the folder may be unreadable; the files are in place
             _sync(target)
     except OSError as error:
@@ -102,13 +102,13 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
         number = error.errno or errno.EIO
         raise OSError(number, error.strerror or str(error) or os.strerror(number), str(folder)) from error
     finally:
-        _remove(part)
+        _remove_folder(part)
 
 
-def _move_all(part: Path, target: Path) -> None:
+def _move_files(part: Path, target: Path) -> None:
     """Move all files of a folder into another one on the same disk, or none. Replaced files are backed up until all are moved."""
     backup = part / ".before"
-    moved: list[Path] = []
+    moved_paths: list[Path] = []
     names = sorted(path.name for path in part.iterdir())
     for name in names:
         if (target / name).is_dir():
@@ -118,17 +118,17 @@ def _move_all(part: Path, target: Path) -> None:
         for name in names:
             with suppress(FileNotFoundError):
                 os.replace(target / name, backup / name)
-            moved.append(target / name)
+            moved_paths.append(target / name)
             os.replace(part / name, target / name)
     except BaseException:
-        for path in moved:
+        for path in moved_paths:
             path.unlink(missing_ok=True)
         for path in backup.iterdir():
             os.replace(path, target / path.name)
         raise
 
 
-def _remove(folder: Path) -> None:
+def _remove_folder(folder: Path) -> None:
     try:
         shutil.rmtree(folder, ignore_errors=True)
     except BaseException:  # an interrupt while it runs

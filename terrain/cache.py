@@ -42,9 +42,9 @@ class IdentityKey(weakref.ref[Any]):
     __slots__ = ("object_id",)
     object_id: int
 
-    def __new__(cls, of: object, on_collected: Callable[[Any], None] | None = None) -> IdentityKey:
-        self = super().__new__(cls, of, on_collected)
-        self.object_id = id(of)
+    def __new__(cls, referent: object, on_collected: Callable[[Any], None] | None = None) -> IdentityKey:
+        self = super().__new__(cls, referent, on_collected)
+        self.object_id = id(referent)
         return self
 
     def __eq__(self, other: object) -> bool:
@@ -166,7 +166,7 @@ class Cache(Generic[V]):
         with _lock:
             for key in list(self._values):
                 sources = [part() for part in key if isinstance(part, IdentityKey)]
-                if any(each is owner or getattr(each, "elevation", None) is owner for each in sources):
+                if any(source is owner or getattr(source, "elevation", None) is owner for source in sources):
                     self._drop(key)
 
     def _key(self, parts: Iterable[object]) -> tuple[Hashable, ...]:
@@ -270,22 +270,22 @@ def clear_scene_caches(elevation: object) -> None:
 
 def bytes_of(value: object) -> int:
     """Estimate the bytes of a value and of all objects that it references."""
-    seen: set[int] = set()
+    visited_ids: set[int] = set()
     pending, total = [value], 0
     while pending:
-        each = pending.pop()
-        if each is None or id(each) in seen:
+        item = pending.pop()
+        if item is None or id(item) in visited_ids:
             continue
-        seen.add(id(each))
-        nbytes = getattr(each, "nbytes", None)
+        visited_ids.add(id(item))
+        nbytes = getattr(item, "nbytes", None)
         if isinstance(nbytes, int):
             total += nbytes
             continue
-        total += sys.getsizeof(each)
-        if isinstance(each, dict):
-            pending += [*each.keys(), *each.values()]
-        elif isinstance(each, list | tuple | set | frozenset):
-            pending += each
-        elif hasattr(each, "__dict__") and not isinstance(each, type | _Function):
-            pending += vars(each).values()
+        total += sys.getsizeof(item)
+        if isinstance(item, dict):
+            pending += [*item.keys(), *item.values()]
+        elif isinstance(item, list | tuple | set | frozenset):
+            pending += item
+        elif hasattr(item, "__dict__") and not isinstance(item, type | _Function):
+            pending += vars(item).values()
     return total

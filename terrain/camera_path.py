@@ -29,7 +29,7 @@ class CameraPath:
 
     Attributes
     ----------
-    place
+    geolocator
         Locates positions on the level's ground.
     times_s
         (n,), the times of the keyframes in seconds.
@@ -40,7 +40,7 @@ class CameraPath:
         (n,), the vertical fields of view.
     """
 
-    place: Geolocator
+    geolocator: Geolocator
     times_s: np.ndarray
     eyes: np.ndarray
     targets: np.ndarray
@@ -53,24 +53,26 @@ class CameraPath:
 
         Raises ``InputError`` where the eye is outside of the ground's data or not above it, or where it coincides with the target.
         """
-        eye, target = (np.concatenate([places.at(time_s), heights.at(time_s)]) for places, heights in self._curves)
-        point, up = self.place.at_height((eye[0], eye[1]), eye[2])
-        ground_m = self.place.ground_m((eye[0], eye[1]))
+        eye, target = (
+            np.concatenate([position_curve.at(time_s), height_curve.at(time_s)]) for position_curve, height_curve in self._curves
+        )
+        point, up = self.geolocator.at_height((eye[0], eye[1]), eye[2])
+        ground_m = self.geolocator.ground_m((eye[0], eye[1]))
         if not np.isfinite(ground_m):
-            outside = Problem(f"{eye[0]:.6g}, {eye[1]:.6g} lies outside of the terrain's data")
-            raise InputError("eye", outside, "Keep the camera over the terrain's data")
+            problem = Problem(f"{eye[0]:.6g}, {eye[1]:.6g} lies outside of the terrain's data")
+            raise InputError("eye", problem, "Keep the camera over the terrain's data")
         if not eye[2] > ground_m:
-            below = Problem(f"the camera is {ground_m - eye[2]:.3g} m below the ground")
-            raise InputError("eye", below, "Keep the camera above the ground")
-        target_point, _ = self.place.at_height((target[0], target[1]), target[2])
+            problem = Problem(f"the camera is {ground_m - eye[2]:.3g} m below the ground")
+            raise InputError("eye", problem, "Keep the camera above the ground")
+        target_point, _ = self.geolocator.at_height((target[0], target[1]), target[2])
         return look_at(point, target_point, up, float(self._fov.at(time_s)[0]), rows, cols)
 
     @cached_property
     def _curves(self) -> tuple[tuple[KeyedCurve, KeyedCurve], ...]:
         """The curves of position and height: of the eye, and of the target."""
         return tuple(
-            (KeyedCurve(self.times_s, places[:, :2]), KeyedCurve(self.times_s, places[:, 2:]))
-            for places in (self.eyes, self.targets)
+            (KeyedCurve(self.times_s, points[:, :2]), KeyedCurve(self.times_s, points[:, 2:]))
+            for points in (self.eyes, self.targets)
         )
 
     @cached_property
@@ -78,7 +80,7 @@ class CameraPath:
         return KeyedCurve(self.times_s, self.fov_deg[:, None])
 
 
-def camera_path(spec: CameraPathSpec, place: Geolocator, start: datetime | None) -> CameraPath:
+def camera_path(spec: CameraPathSpec, geolocator: Geolocator, start: datetime | None) -> CameraPath:
     """Return a camera's path over a ground.
 
     ``start`` is the date at which the film begins, if it has one. Raises ``InputError`` for keyframes outside of the ground's data,
@@ -87,16 +89,16 @@ def camera_path(spec: CameraPathSpec, place: Geolocator, start: datetime | None)
     try:
         times_s = spec.times_s(start)
     except ValueError:
-        dated = Problem(f"'{spec.keys[0].at}' is a date, but the film has no date")
-        raise InputError("keys", dated, "Give times since the first frame, such as 0s") from None
+        problem = Problem(f"'{spec.keys[0].at}' is a date, but the film has no date")
+        raise InputError("keys", problem, "Give times since the first frame, such as 0s") from None
     eyes, targets = np.empty((len(times_s), 3)), np.empty((len(times_s), 3))
     for number, key in enumerate(spec.keys):
         for name, out, position in (("eye", eyes, key.eye), ("target", targets, key.target)):
-            ground_m = place.ground_m(position[:2])
+            ground_m = geolocator.ground_m(position[:2])
             if not np.isfinite(ground_m):
                 raise InputError(f"keys.{number}.{name}", position, "a position on the terrain's data")
             out[number] = *position[:2], ground_m + position[2]
-    if not place.world.flat:  # take the shorter way round the earth between keyframes
+    if not geolocator.world.flat:  # take the shorter way round the earth between keyframes
         eyes[:, 0] = np.unwrap(eyes[:, 0], period=360.0)
         targets[:, 0] = np.unwrap(targets[:, 0], period=360.0)
-    return CameraPath(place, np.array(times_s), eyes, targets, np.array([key.fov for key in spec.keys]))
+    return CameraPath(geolocator, np.array(times_s), eyes, targets, np.array([key.fov for key in spec.keys]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from skugga.terrain.interpolation import smoothstep
 
-Ramp = tuple[tuple[float, str], ...]
+ColorRamp = tuple[tuple[float, str], ...]
 
 SNOW_LINE_M = (
     (-90.0, -700.0), (-64.0, -400.0), (-60.0, 150.0), (-55.0, 700.0), (-48.0, 1250.0), (-44.0, 1900.0), (-38.0, 2800.0),
@@ -27,7 +27,7 @@ SNOW_LINE_M = (
 Rounded from the lower ends of glaciers in the Alps, Scandinavia, Svalbard, the Himalaya, the Andes, New Zealand and Antarctica.
 """
 
-ICE_EDGE_M = 250.0
+ICE_BLEND_M = 250.0
 """Ground blends into ice from this far below the snow line to this far above it."""
 
 MAX_ARID, ARID_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
@@ -39,30 +39,34 @@ TUNDRA_DEG = (60.0, 70.0), (-52.0, -60.0)
 SEA_FLOOR_M = -500.0, -440.0
 """Heights between which the sea floor, which has no climate, blends into land. The Dead Sea's shore is the lowest land."""
 
-ARID: Ramp = (
+ARID_RAMP: ColorRamp = (
     (0.0, "#d8c8a2"), (500.0, "#dbcdab"), (1100.0, "#ded1b3"), (1700.0, "#dfd4ba"), (2400.0, "#e0d6c2"), (3100.0, "#e3dccf"),
     (3800.0, "#e9e6e1"), (4600.0, "#f6f6f6"), (6000.0, "#fdfdfe"),
 )  # fmt: skip
-TUNDRA: Ramp = (
+TUNDRA_RAMP: ColorRamp = (
     (0.0, "#bcbda6"), (400.0, "#c5c3ae"), (1000.0, "#cec9b7"), (1700.0, "#d6cfc1"), (2400.0, "#dcd6cb"), (3100.0, "#e2ddd6"),
     (3800.0, "#e9e6e1"), (4600.0, "#f6f6f6"), (6000.0, "#fdfdfe"),
 )  # fmt: skip
-ICE: Ramp = ((0.0, "#ebf1f5"), (2500.0, "#f1f5f8"), (4600.0, "#f7f9fa"), (6000.0, "#fdfdfe"))
+ICE_RAMP: ColorRamp = ((0.0, "#ebf1f5"), (2500.0, "#f1f5f8"), (4600.0, "#f7f9fa"), (6000.0, "#fdfdfe"))
 
-LATITUDES = 181
+LATITUDE_ROWS = 181
 """Rows of a tint table, at even steps of the latitude's sine from -1 to 1: 0.6 degrees at the equator, 1.3 at 60 degrees."""
 
 
-def climate_srgb(own: Ramp, heights_m: np.ndarray) -> np.ndarray:
-    """Return the ground's sRGB colours (``LATITUDES``, n, 3) in [0, 1] at heights (n,). ``own`` is the style's own ramp."""
-    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDES)))[:, None]
-    on_land, ground = smoothstep((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(own, heights_m)[None]
-    for ramp, share in ((ARID, _arid(latitude)), (TUNDRA, _tundra(latitude)), (ICE, _ice(latitude, heights_m))):
+def climate_srgb(style_ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
+    """Return the ground's sRGB colours (``LATITUDE_ROWS``, n, 3) in [0, 1] at heights (n,). ``style_ramp`` is the style's own ramp."""
+    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDE_ROWS)))[:, None]
+    on_land, ground = smoothstep((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(style_ramp, heights_m)[None]
+    for ramp, share in (
+        (ARID_RAMP, _arid_share(latitude)),
+        (TUNDRA_RAMP, _tundra_share(latitude)),
+        (ICE_RAMP, _ice_share(latitude, heights_m)),
+    ):
         ground = ground + (on_land * share)[..., None] * (ramp_srgb(ramp, heights_m) - ground)
     return ground
 
 
-def ramp_srgb(ramp: Ramp, heights_m: np.ndarray) -> np.ndarray:
+def ramp_srgb(ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
     """Return the sRGB colours (n, 3) in [0, 1] of a ramp at heights (n,)."""
     colors = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in ramp])
     return np.stack([np.interp(heights_m, [height for height, _ in ramp], colors[:, k]) for k in range(3)], axis=-1)
@@ -70,21 +74,25 @@ def ramp_srgb(ramp: Ramp, heights_m: np.ndarray) -> np.ndarray:
 
 def snow_line_m(latitude_deg: np.ndarray) -> np.ndarray:
     """Return the height of the snow line in metres."""
-    return np.asarray(np.interp(latitude_deg, [at for at, _ in SNOW_LINE_M], [height for _, height in SNOW_LINE_M]))
+    return np.asarray(np.interp(latitude_deg, [latitude for latitude, _ in SNOW_LINE_M], [height for _, height in SNOW_LINE_M]))
 
 
-def _ice(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
-    return smoothstep(0.5 + 0.5 * (heights_m - snow_line_m(latitude_deg)) / ICE_EDGE_M)
+def _ice_share(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
+    return smoothstep(0.5 + 0.5 * (heights_m - snow_line_m(latitude_deg)) / ICE_BLEND_M)
 
 
-def _arid(latitude_deg: np.ndarray) -> np.ndarray:
+def _arid_share(latitude_deg: np.ndarray) -> np.ndarray:
     """Return the share of desert colours at latitudes."""
-    (rises, full), (falls, none) = ARID_DEG
-    away = np.abs(latitude_deg)
-    return MAX_ARID * smoothstep((away - rises) / (full - rises)) * smoothstep((none - away) / (none - falls))
+    (rise_start, rise_end), (fall_start_deg, fade_end) = ARID_DEG
+    abs_latitude = np.abs(latitude_deg)
+    return (
+        MAX_ARID
+        * smoothstep((abs_latitude - rise_start) / (rise_end - rise_start))
+        * smoothstep((fade_end - abs_latitude) / (fade_end - fall_start_deg))
+    )
 
 
-def _tundra(latitude_deg: np.ndarray) -> np.ndarray:
+def _tundra_share(latitude_deg: np.ndarray) -> np.ndarray:
     """Return the share of tundra colours at latitudes."""
-    shares = [smoothstep((latitude_deg - begins) / (ends - begins)) for begins, ends in TUNDRA_DEG]
+    shares = [smoothstep((latitude_deg - begin_deg) / (end_deg - begin_deg)) for begin_deg, end_deg in TUNDRA_DEG]
     return np.maximum(*shares)

@@ -64,9 +64,9 @@ def run_in_chunks(rows: int, loop: Callable[..., Any], *args: Any) -> None:
         loop(0, rows, *args)
         return
     ends = [rows * n // (CHUNKS_PER_CORE * CORES) for n in range(CHUNKS_PER_CORE * CORES + 1)]
-    shares = [(first, last) for first, last in zip(ends, ends[1:], strict=False) if last > first]
-    for share in [_threads().submit(loop, first, last, *args) for first, last in shares]:
-        share.result()
+    chunks = [(first, last) for first, last in zip(ends, ends[1:], strict=False) if last > first]
+    for future in [_thread_pool().submit(loop, first, last, *args) for first, last in chunks]:
+        future.result()
 
 
 def map_on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
@@ -85,7 +85,7 @@ _pool: list[ThreadPoolExecutor] = []
 os.register_at_fork(after_in_child=_pool.clear)  # a forked process has none of its parent's threads
 
 
-def _threads() -> ThreadPoolExecutor:
+def _thread_pool() -> ThreadPoolExecutor:
     if not _pool:
         _pool.append(ThreadPoolExecutor(CORES, "skugga-rows"))
     return _pool[0]

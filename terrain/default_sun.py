@@ -77,7 +77,7 @@ def _steepness_deg(world: World, elevation: Elevation, azimuth_deg: float) -> fl
     heights = elevation.overview.heights_m
     if min(heights.shape) < 2:
         return 0.0
-    cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.level
+    cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.lod
     south, east = np.gradient(heights.astype(np.float64), cell_m)
     azimuth = np.radians(azimuth_deg)
     rise = east * np.sin(azimuth) - south * np.cos(azimuth)  # towards the sun

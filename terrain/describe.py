@@ -38,14 +38,14 @@ def describe(
     A coarse map has the descriptor of the finer map whose pixels it averages.
     """
     pieces = 1 if pixel_sampling == "points" or not isinstance(view, MapView) else 2 ** subdivision_level(scene, view)
-    drawn = supersampled_view(scene, view, pixel_sampling)
+    sampled_view = supersampled_view(scene, view, pixel_sampling)
     low, high = scene.height_range_m
     coarse_view = None if isinstance(view, MapView) else coarse_view_of(scene, view)
-    reaching = visible_lamps(scene, view, coarse_view)
+    visible_lamp_names = visible_lamps(scene, view, coarse_view)
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
-            reaches=lamp.name in reaching, radius_m=lamp.radius_m,
+            reaches=lamp.name in visible_lamp_names, radius_m=lamp.radius_m,
         )
         for lamp in scene.lamps.values()
     )  # fmt: skip
@@ -53,14 +53,14 @@ def describe(
     all_lamps = effects != "auto" and effects.get("lamps") == "on"
     lamp_names = [lamp.name for lamp in lamps if lamp.reaches or all_lamps]
     mean_deg, p95_deg, highest_deg = slopes_deg(scene.world, scene.elevation)
-    trees = trees_of(scene, drawn)
-    if isinstance(drawn, MapView):
-        view_facts = _map_facts(scene, drawn)
+    trees = trees_of(scene, sampled_view)
+    if isinstance(sampled_view, MapView):
+        view_facts = _map_facts(scene, sampled_view)
         if pieces > 1 and isinstance(view, MapView):
             shown_pixels = min(min(view.rows, BLOCK_PX) * min(view.cols, BLOCK_PX), ground_pixels(scene, view))
             view_facts["pixels"] = max(int(shown_pixels * pieces**2), 1)
         probes = ViewProbes(scene, None, probes_in_map(scene, view_facts["pixel_m"], trees), trees)
-        rows, cols = min(drawn.rows, BLOCK_PX), min(drawn.cols, BLOCK_PX)
+        rows, cols = min(sampled_view.rows, BLOCK_PX), min(sampled_view.cols, BLOCK_PX)
     else:
         assert coarse_view is not None and isinstance(view, PerspectiveView)
         view_facts = _perspective_facts(scene, view, coarse_view)
@@ -68,7 +68,7 @@ def describe(
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.objects.kinds, lamps=lamps, relief_m=high - low,
         rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
-        pieces=pieces, stands=caster_facts_of(scene, drawn, trees), moves=bool(scene.loaded.level.moving_keys),
+        pieces=pieces, stands=caster_facts_of(scene, sampled_view, trees), moves=bool(scene.loaded.level.moving_keys),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,
@@ -84,13 +84,13 @@ def _nan_to_none(facts: dict[str, Fact]) -> dict[str, Fact]:
     return {key: None if isinstance(fact, float) and np.isnan(fact) else fact for key, fact in facts.items()}
 
 
-def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -> float:
+def _area_share(scene: Scene, visible_extent_m: tuple[float, float, float] | None) -> float:
     """Return the share of the level's area that one block or view shows, as seen from the sun."""
-    if seen_light_m is None or scene.light is None:
+    if visible_extent_m is None or scene.light is None:
         return 1.0
     ground_light = scene.light.from_earth(ground_points(scene.world, scene.elevation).point_earth_m)
     extent = np.maximum(np.ptp(ground_light, axis=0), 1e-9) if len(ground_light) else np.ones(3)
-    return float(np.prod(np.minimum(np.array(seen_light_m[:2]) / extent[:2], 1.0)))
+    return float(np.prod(np.minimum(np.array(visible_extent_m[:2]) / extent[:2], 1.0)))
 
 
 def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
     extent = None
     if scene.light is not None:
         rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
-        reach = _reach_at_distance_1(view, rotation @ coarse_view.buffer.frame.frame_from_earth)
+        reach = _bounds_at_unit_distance(view, rotation @ coarse_view.buffer.frame.frame_from_earth)
         visible = _VisiblePointsInLight(
             points @ rotation.T + translation, coarse_view.eye_frame_m @ rotation.T + translation, *reach
         )
@@ -148,7 +148,7 @@ class _VisiblePointsInLight:
     high: np.ndarray
 
 
-def _reach_at_distance_1(view: PerspectiveView, light_from_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _bounds_at_unit_distance(view: PerspectiveView, light_from_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return bounds (3,), (3,) of the offsets from the eye along the light's axes of anything that a view shows up to distance 1.
 
     They bound the cone that encloses the view's corners.
@@ -159,10 +159,10 @@ def _reach_at_distance_1(view: PerspectiveView, light_from_earth: np.ndarray) ->
     )
     corners = np.array([[x, y, 1.0] for x in (left, right) for y in (top, bottom)])
     corners /= np.linalg.norm(corners, axis=1, keepdims=True)
-    middle = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
-    half = np.arccos(np.clip((corners @ middle).min(), -1.0, 1.0))
-    along = np.clip(light_from_earth @ view.earth_from_camera @ middle, -1.0, 1.0)
-    low, high = (np.maximum(np.cos(np.maximum(np.arccos(each) - half, 0.0)), 0.0) for each in (-along, along))
+    axis = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
+    half_angle = np.arccos(np.clip((corners @ axis).min(), -1.0, 1.0))
+    cosine = np.clip(light_from_earth @ view.earth_from_camera @ axis, -1.0, 1.0)
+    low, high = (np.maximum(np.cos(np.maximum(np.arccos(axis_cosine) - half_angle, 0.0)), 0.0) for axis_cosine in (-cosine, cosine))
     return -low, high
 
 
@@ -203,21 +203,21 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
     if valid.any():
         spans = []
         for values, step in ((row[valid], view.row_step), (col[valid], view.col_step)):
-            side = min(BLOCK_PX * step, float(np.ptp(values)) + 2.0 * 2**scene.elevation.overview.level)
+            side = min(BLOCK_PX * step, float(np.ptp(values)) + 2.0 * 2**scene.elevation.overview.lod)
             spans.append((np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side))
         (mid_rows, height), (mid_cols, width) = spans
-        middle, across = float(np.mean(scene.height_range_m)), np.linspace(-0.5, 0.5, 17)
-        rows = (mid_rows[:, None] + across * height)[:, None, :, None]
-        cols = (mid_cols[:, None] + across * width)[None, :, None, :]
+        mean_height_m, offsets = float(np.mean(scene.height_range_m)), np.linspace(-0.5, 0.5, 17)
+        rows = (mid_rows[:, None] + offsets * height)[:, None, :, None]
+        cols = (mid_cols[:, None] + offsets * width)[None, :, None, :]
         point, up = scene.world.ground(view.grid.crs, *np.broadcast_arrays(view.grid.x(cols), view.grid.y(rows)))
-        points = scene.light.from_earth(point + middle * up).reshape(9, -1, 3)
+        points = scene.light.from_earth(point + mean_height_m * up).reshape(9, -1, 3)
         valid = np.isfinite(points).all(axis=2, keepdims=True)
         ends = np.where(valid, points, -np.inf).max(axis=1) - np.where(valid, points, np.inf).min(axis=1)
         max_extent = np.maximum(max_extent, ends.max(axis=0))
     altitude = np.radians(scene.light.altitude_deg)
     max_extent += relief_m * np.array([0.0, abs(np.cos(altitude)), abs(np.sin(altitude))])
-    right, up, along = np.maximum(max_extent, step_at_anchor_m(scene.world, view.grid)).tolist()
-    return right, up, along
+    right, up, along_light = np.maximum(max_extent, step_at_anchor_m(scene.world, view.grid)).tolist()
+    return right, up, along_light
 
 
 @cached("scene", MIB)
@@ -226,7 +226,7 @@ def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float
     from scipy.ndimage import maximum_filter, minimum_filter
 
     overview = elevation.overview
-    cell_m = elevation.cell_size_m(metres_per_unit) * 2**overview.level
+    cell_m = elevation.cell_size_m(metres_per_unit) * 2**overview.lod
     size = [int(np.clip(np.ceil(block_m / cell_m) + 1, 1, n)) for n in overview.heights_m.shape]
     top = maximum_filter(np.nan_to_num(overview.high_m, nan=-np.inf), size=size, mode="nearest")
     bottom = minimum_filter(np.nan_to_num(overview.heights_m, nan=np.inf), size=size, mode="nearest")

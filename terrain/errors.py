@@ -61,21 +61,21 @@ class InputError(SkuggaError):
 
     Attributes
     ----------
-    others
+    further_errors
         Further errors of the same input (``combined_error``); the message has a line for each.
     conflicting_name
         The other parameter of a ``conflict``.
     """
 
-    others: tuple[InputError, ...] = ()
+    further_errors: tuple[InputError, ...] = ()
     conflicting_name: str | None = None
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         self.name = name
         self.value = value
         self.allowed = allowed
-        problem = f"{value}. {allowed}" if isinstance(value, Problem) else f"{_short(value)} is not allowed. Allowed: {allowed}"
-        super().__init__(_line(name, problem))
+        problem = f"{value}. {allowed}" if isinstance(value, Problem) else f"{_quoted(value)} is not allowed. Allowed: {allowed}"
+        super().__init__(_message_line(name, problem))
 
     @classmethod
     def missing(cls, name: str, remedy: str) -> Self:
@@ -90,9 +90,9 @@ class InputError(SkuggaError):
         return error
 
     @classmethod
-    def over_limit(cls, name: str, given: str, limit: str, remedy: str) -> Self:
+    def over_limit(cls, name: str, amount: str, limit: str, remedy: str) -> Self:
         """Return the error of an amount, with its unit in words, over a limit."""
-        return cls(name, Problem(f"{given}, more than the limit of {limit}"), remedy)
+        return cls(name, Problem(f"{amount}, more than the limit of {limit}"), remedy)
 
     def renamed(self, name: str) -> Self:
         """Return the same error of a parameter by another name."""
@@ -145,15 +145,15 @@ class UnsupportedError(InputError):
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         super().__init__(name, value, allowed)
-        self.args = (_line(name, f"{_short(value)} is not supported here: {allowed}"),)
+        self.args = (_message_line(name, f"{_quoted(value)} is not supported here: {allowed}"),)
 
 
 def combined_error(errors: Sequence[InputErrorT]) -> InputErrorT:
     """Return the first of some errors (at least one), with a message that lists them all, a line each."""
-    first, *others = errors[:MAX_ERRORS]
-    first.others = tuple(others)
-    further = [f"{len(errors) - MAX_ERRORS} more are wrong"] if len(errors) > MAX_ERRORS else []
-    first.args = ("\n".join([*map(str, (first, *others)), *further]),)
+    first, *further_errors = errors[:MAX_ERRORS]
+    first.further_errors = tuple(further_errors)
+    overflow_lines = [f"{len(errors) - MAX_ERRORS} more are wrong"] if len(errors) > MAX_ERRORS else []
+    first.args = ("\n".join([*map(str, (first, *further_errors)), *overflow_lines]),)
     return first
 
 
@@ -189,11 +189,11 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
-def _line(name: str, problem: str) -> str:
+def _message_line(name: str, problem: str) -> str:
     return printable(f"{name}: {problem}" if problem.endswith((".", "?")) else f"{name}: {problem}.")
 
 
-def _short(value: object) -> str:
+def _quoted(value: object) -> str:
     text = value if isinstance(value, str) else repr(value)
     text = " ".join(text.split())
     return f"'{text}'" if len(text) <= 120 else f"'{text[:117]}...'"

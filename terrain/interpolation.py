@@ -37,7 +37,7 @@ def bilinear(values: np.ndarray, row: np.ndarray, col: np.ndarray, layer: np.nda
     grids = () if layer is None else (layer,)
     corners = (values[(*grids, *corner)] for corner in ((r0, c0), (r0, c1), (r1, c0), (r1, c1)))
     north_west, north_east, south_west, south_east = corners
-    down, across = row - r0, col - c0
-    north = north_west * (1.0 - across) + north_east * across
-    south = south_west * (1.0 - across) + south_east * across
-    return np.asarray(north * (1.0 - down) + south * down, np.float64)
+    row_fraction, col_fraction = row - r0, col - c0
+    north = north_west * (1.0 - col_fraction) + north_east * col_fraction
+    south = south_west * (1.0 - col_fraction) + south_east * col_fraction
+    return np.asarray(north * (1.0 - row_fraction) + south * row_fraction, np.float64)

@@ -13,26 +13,26 @@ def smoothstep_value(share):
 
 
 @internal
-def cell_interval(place, count):
+def cell_interval(position, count):
     """Return the cell at or before a fractional index, the next cell, and the fraction of the way between them.
 
     The index runs from 0 to ``count`` - 1.
     """
-    before = min(int(place), max(count - 2, 0))
-    return before, min(before + 1, count - 1), place - before
+    before = min(int(position), max(count - 2, 0))
+    return before, min(before + 1, count - 1), position - before
 
 
 @internal
-def blend_corners(north_west, north_east, south_west, south_east, down, across):
+def blend_corners(north_west, north_east, south_west, south_east, row_fraction, col_fraction):
     """Return the bilinear mean of four corners for fractions down and across. Exact at every corner."""
-    north = north_west * (1.0 - across) + north_east * across
-    south = south_west * (1.0 - across) + south_east * across
-    return north * (1.0 - down) + south * down
+    north = north_west * (1.0 - col_fraction) + north_east * col_fraction
+    south = south_west * (1.0 - col_fraction) + south_east * col_fraction
+    return north * (1.0 - row_fraction) + south * row_fraction
 
 
 @internal
-def lerp_corners(north_west, north_east, south_west, south_east, down, across):
+def lerp_corners(north_west, north_east, south_west, south_east, row_fraction, col_fraction):
     """Return the same mean as ``blend_corners`` by differences. Cheaper, but exact at the north-western corner only."""
-    north = north_west + across * (north_east - north_west)
-    south = south_west + across * (south_east - south_west)
-    return north + down * (south - north)
+    north = north_west + col_fraction * (north_east - north_west)
+    south = south_west + col_fraction * (south_east - south_west)
+    return north + row_fraction * (south - north)

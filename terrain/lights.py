@@ -11,16 +11,16 @@ import numpy as np
 from skugga.terrain.errors import LevelError, Problem
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.ground.geolocate import Geolocator
-from skugga.terrain.ground.ground_path import GroundPath, Standpoint, path_over_ground
+from skugga.terrain.ground.ground_path import GroundPath, GroundPosition, path_over_ground
 from skugga.terrain.level.parts import LightSpec
 
-CONE_EDGE = 0.1
+CONE_FADE_SHARE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""
 
-MIN_AIM_M = 1e-6
+MIN_TARGET_DISTANCE_M = 1e-6
 """Minimum distance between a static spot and its static target."""
 
-MIN_WAY_M = 0.1
+MIN_MOVING_DISTANCE_M = 0.1
 """Minimum distance between a spot and its target where either moves. If they were nearer, the spot would turn about at once."""
 
 
@@ -114,8 +114,8 @@ class LampRig:
 
     name: str
     spec: LightSpec
-    position: Standpoint | GroundPath
-    target: Standpoint | GroundPath | None
+    position: GroundPosition | GroundPath
+    target: GroundPosition | GroundPath | None
     reference_m: float
 
     def at_second(self, seconds: float) -> Lamp:
@@ -127,65 +127,65 @@ class LampRig:
         return self._lamp_at(0.0)
 
     def _lamp_at(self, seconds: float) -> Lamp:
-        spec, (position, up, _) = self.spec, _standpoint_at(self.position, seconds)
+        spec, (position, up, _) = self.spec, _ground_position_at(self.position, seconds)
         forward, cutoff = -up, 180.0
         if self.target is not None:
-            to_target, cutoff = _standpoint_at(self.target, seconds).point_earth_m - position, spec.cutoff
+            to_target, cutoff = _ground_position_at(self.target, seconds).point_earth_m - position, spec.cutoff
             distance_m = float(np.linalg.norm(to_target))
-            forward = to_target / distance_m if distance_m > MIN_AIM_M else forward
+            forward = to_target / distance_m if distance_m > MIN_TARGET_DISTANCE_M else forward
         axes = axes_along(forward, up)
         return Lamp(self.name, spec.kind, position, axes, cutoff, spec.color, spec.intensity, self.reference_m, spec.radius)
 
 
-def lamp_rig(name: str, spec: LightSpec, place: Geolocator, where: str) -> LampRig:
+def lamp_rig(name: str, spec: LightSpec, geolocator: Geolocator, key_path: str) -> LampRig:
     """Return the rig of a level's lamp.
 
     Raises ``LevelError`` for a position outside of the ground's data. Raises it also for a path that leaves the terrain or goes
     under the ground, and for a spot that meets its target.
     """
     first_s = 0.0 if spec.motion is None else spec.motion.path[0].seconds
-    position = _standpoint_or_path(spec, "position", place, where)
-    standing = _standpoint_at(position, first_s)
+    position = _ground_position_or_path(spec, "position", geolocator, key_path)
+    start_position = _ground_position_at(position, first_s)
     if spec.kind == "omni":
-        return LampRig(name, spec, position, None, max(standing.above_ground_m, 1.0))
-    target = _standpoint_or_path(spec, "target", place, where)
-    reference_m = float(np.linalg.norm(_standpoint_at(target, first_s).point_earth_m - standing.point_earth_m))
-    if spec.motion is None and not reference_m > MIN_AIM_M:
-        raise LevelError(f"{where}.target", spec.target, "a point other than the position")
-    _check_distance(position, target, f"{where}.motion.path")
+        return LampRig(name, spec, position, None, max(start_position.above_ground_m, 1.0))
+    target = _ground_position_or_path(spec, "target", geolocator, key_path)
+    reference_m = float(np.linalg.norm(_ground_position_at(target, first_s).point_earth_m - start_position.point_earth_m))
+    if spec.motion is None and not reference_m > MIN_TARGET_DISTANCE_M:
+        raise LevelError(f"{key_path}.target", spec.target, "a point other than the position")
+    _check_distance(position, target, f"{key_path}.motion.path")
     return LampRig(name, spec, position, target, reference_m)
 
 
-def _standpoint_or_path(
-    spec: LightSpec, key: Literal["position", "target"], place: Geolocator, where: str
-) -> Standpoint | GroundPath:
+def _ground_position_or_path(
+    spec: LightSpec, key: Literal["position", "target"], geolocator: Geolocator, key_path: str
+) -> GroundPosition | GroundPath:
     """Return the standpoint or the path of a light's position or target."""
     position: tuple[float, float, float] | None = getattr(spec, key)
     if position is not None:
-        return Standpoint(*place.above_ground(position, f"{where}.{key}"), position[2])
-    motion, name = spec.motion, f"{where}.motion.path"
+        return GroundPosition(*geolocator.above_ground(position, f"{key_path}.{key}"), position[2])
+    motion, name = spec.motion, f"{key_path}.motion.path"
     assert motion is not None
-    keys = [(each.seconds, getattr(each, key)) for each in motion.path]
-    path = path_over_ground(keys, motion.loop, motion.above, place, name, key)
+    keys = [(keyframe.seconds, getattr(keyframe, key)) for keyframe in motion.path]
+    path = path_over_ground(keys, motion.loop, motion.above, geolocator, name, key)
     path.check(name, may_be_under_ground=key == "target")
     return path
 
 
-def _check_distance(position: Standpoint | GroundPath, target: Standpoint | GroundPath, name: str) -> None:
+def _check_distance(position: GroundPosition | GroundPath, target: GroundPosition | GroundPath, name: str) -> None:
     """Raise ``LevelError`` where a spot comes so near to its target that its direction is undefined."""
     path = position if isinstance(position, GroundPath) else target
     if not isinstance(path, GroundPath):
         return
     seconds = path.sample_times_s()
     points = [end.points_earth_m(seconds) if isinstance(end, GroundPath) else end.point_earth_m for end in (position, target)]
-    meet = np.linalg.norm(points[1] - points[0], axis=-1) < MIN_WAY_M
-    if meet.any():
-        fault = Problem(f"the light meets its target at second {seconds[meet][0]:.6g}")
-        raise LevelError(name, fault, f"Keep the light at least {MIN_WAY_M} m from its target")
+    is_too_near = np.linalg.norm(points[1] - points[0], axis=-1) < MIN_MOVING_DISTANCE_M
+    if is_too_near.any():
+        problem = Problem(f"the light meets its target at second {seconds[is_too_near][0]:.6g}")
+        raise LevelError(name, problem, f"Keep the light at least {MIN_MOVING_DISTANCE_M} m from its target")
 
 
-def _standpoint_at(where: Standpoint | GroundPath, seconds: float) -> Standpoint:
-    return where.at_second(seconds) if isinstance(where, GroundPath) else where
+def _ground_position_at(position: GroundPosition | GroundPath, seconds: float) -> GroundPosition:
+    return position.at_second(seconds) if isinstance(position, GroundPath) else position
 
 
 def axes_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:

@@ -50,9 +50,9 @@ DEFAULT_VIEW_PX = 1024
 MAX_PERSPECTIVE_PX = 4096
 """Maximum side of a perspective view in pixels."""
 
-UTM_WIDTH_DEG = 18.0
+MAX_UTM_WIDTH_DEG = 18.0
 
-MAX_AWAY_DEG = 0.05
+ROUND_TRIP_TOLERANCE_DEG = 0.05
 """Tolerance of a round trip into a CRS and back, in degrees. Datums differ by some hundred metres."""
 
 SAMPLES_PER_SIDE = 33
@@ -98,7 +98,7 @@ class Scene:
     sun_is_default: bool = False
 
     @property
-    def place(self) -> Geolocator:
+    def geolocator(self) -> Geolocator:
         """Locates positions on the level's ground."""
         return Geolocator(self.world, self.elevation)
 
@@ -235,7 +235,7 @@ class Scene:
     def map_crs(self) -> CRS:
         """The CRS of map views that name none: the source's if it is projected or engineering, else the level's UTM zone.
 
-        Longitude and latitude serve a level wider than ``UTM_WIDTH_DEG``, which fits no zone, and a level of another celestial
+        Longitude and latitude serve a level wider than ``MAX_UTM_WIDTH_DEG``, which fits no zone, and a level of another celestial
         body. The source's CRS does not serve if its axes do not run east and north.
         """
         source_crs = self.elevation.crs
@@ -244,7 +244,7 @@ class Scene:
         if not self.world.on_earth:
             return source_crs if axes_of(source_crs).are_standard else longitude_latitude_of(source_crs)
         west, _, east, _ = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
-        if east - west > UTM_WIDTH_DEG:
+        if east - west > MAX_UTM_WIDTH_DEG:
             return source_crs if source_crs.is_geographic and axes_of(source_crs).are_standard else LONGITUDE_LATITUDE
         lon = (self.world.anchor_lon_deg + 180.0) % 360.0 - 180.0
         lat = self.world.anchor_lat_deg
@@ -272,8 +272,8 @@ class Scene:
         for parameter, value in (("bounds", bounds), ("crs", crs)):
             if value is not None:
                 raise InputError(parameter, Problem(f"does not apply to '{name}', a perspective view"), f"Omit {parameter}")
-        where = f"{self.loaded.path}: views.{name}"
-        return self._perspective_view(spec, size, f"{where}.eye", f"{where}.target")
+        key_path = f"{self.loaded.path}: views.{name}"
+        return self._perspective_view(spec, size, f"{key_path}.eye", f"{key_path}.target")
 
     def view_from(self, spec: PerspectiveSpec, size: tuple[int, int] | None = None) -> PerspectiveView:
         """Return a perspective view that the level does not list.
@@ -292,8 +292,8 @@ class Scene:
         if max(width, height) > MAX_PERSPECTIVE_PX:
             limit = f"{MAX_PERSPECTIVE_PX} pixels a side in a perspective view"
             raise InputError.over_limit("size", f"{width}x{height}", limit, "Use a smaller size")
-        eye, up = self.place.above_ground(spec.eye, eye_name)
-        target, _ = self.place.above_ground(spec.target, target_name)
+        eye, up = self.geolocator.above_ground(spec.eye, eye_name)
+        target, _ = self.geolocator.above_ground(spec.target, target_name)
         return look_at(eye, target, up, spec.fov, height, width)
 
     def _map_view(
@@ -314,14 +314,16 @@ class Scene:
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
         if bounds is not None and not self.overlaps(target, extent):
-            own = ",".join(f"{value:.9g}" for value in self.default_bounds(target))
-            raise InputError("bounds", extent, f"bounds that overlap the level's, which are {own} in units of {target.name}")
+            level_bounds_text = ",".join(f"{value:.9g}" for value in self.default_bounds(target))
+            raise InputError(
+                "bounds", extent, f"bounds that overlap the level's, which are {level_bounds_text} in units of {target.name}"
+            )
         size = size or spec.size
         if size is None:  # square pixels; the shorter side grows to a whole number of pixels
             pixel = max(east - west, north - south) / DEFAULT_VIEW_PX
             size = max(int(np.rint((east - west) / pixel)), 1), max(int(np.rint((north - south) / pixel)), 1)
-            wider, higher = (size[0] * pixel - (east - west)) / 2, (size[1] * pixel - (north - south)) / 2
-            extent = west, south, east, north = west - wider, south - higher, east + wider, north + higher
+            margin_x, margin_y = (size[0] * pixel - (east - west)) / 2, (size[1] * pixel - (north - south)) / 2
+            extent = west, south, east, north = west - margin_x, south - margin_y, east + margin_x, north + margin_y
         return map_view(self.world, target, extent, rows=size[1], cols=size[0])
 
     def overlaps(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
@@ -335,8 +337,8 @@ class Scene:
             rows, cols = (np.linspace(-0.5, count - 0.5, SAMPLES_PER_SIDE) for count in (self.elevation.rows, self.elevation.cols))
             x, y = self.elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
             x, y = (x, y) if crs == self.elevation.crs else transformer(self.elevation.crs, crs).transform(x, y)
-            turns = (-360.0, 0.0, 360.0) if crs.is_geographic else (0.0,)
-            return any(bool(((x + t >= west) & (x + t <= east) & (y >= south) & (y <= north)).any()) for t in turns)
+            longitude_shifts = (-360.0, 0.0, 360.0) if crs.is_geographic else (0.0,)
+            return any(bool(((x + t >= west) & (x + t <= east) & (y >= south) & (y <= north)).any()) for t in longitude_shifts)
 
     def _crs(self, text: str | None) -> CRS:
         if text is None:
@@ -376,7 +378,7 @@ class Scene:
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None
         if self.bounds_lon_lat[2] > 180.0 and not crs.is_geographic and crs != self.elevation.crs:
-            return self._bounds_across(crs, self.bounds_lon_lat)
+            return self._bounds_across_antimeridian(crs, self.bounds_lon_lat)
         try:
             bounds = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*self.bounds_lon_lat, densify_pts=21)
         except ProjError:
@@ -385,19 +387,19 @@ class Scene:
             raise InputError("crs", crs.name, "a CRS that covers the level")
         return bounds
 
-    def _bounds_across(self, crs: CRS, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    def _bounds_across_antimeridian(self, crs: CRS, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
         """Return the bounds in a CRS of a level across the antimeridian. Raises ``InputError`` where the CRS ends there."""
         lon, lat = np.meshgrid(
             np.linspace(bounds[0], bounds[2], SAMPLES_PER_SIDE), np.linspace(bounds[1], bounds[3], SAMPLES_PER_SIDE)
         )
-        places = np.stack(transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat))
+        positions = np.stack(transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat))
         with np.errstate(invalid="ignore"):  # points outside of a CRS have infinite coordinates
-            extent = np.ptp(places, axis=(1, 2))
-            torn = np.abs(np.diff(places, axis=2)).max(axis=(1, 2)) > extent / 2
-        if not np.isfinite(extent).all() or torn.any():
-            ends = Problem(f"'{crs.name}' ends at the antimeridian, which the level crosses")
-            raise InputError("crs", ends, "Use a CRS that continues there, such as a UTM zone, or give bounds")
-        (west, south), (east, north) = places.min(axis=(1, 2)), places.max(axis=(1, 2))
+            extent = np.ptp(positions, axis=(1, 2))
+            is_split = np.abs(np.diff(positions, axis=2)).max(axis=(1, 2)) > extent / 2
+        if not np.isfinite(extent).all() or is_split.any():
+            problem = Problem(f"'{crs.name}' ends at the antimeridian, which the level crosses")
+            raise InputError("crs", problem, "Use a CRS that continues there, such as a UTM zone, or give bounds")
+        (west, south), (east, north) = positions.min(axis=(1, 2)), positions.max(axis=(1, 2))
         return float(west), float(south), float(east), float(north)
 
 
@@ -456,14 +458,14 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
         raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform") from None
 
 
-def _round_trips(crs: CRS, lon: float, lat: float) -> bool:
+def _survives_round_trip(crs: CRS, lon: float, lat: float) -> bool:
     """Return whether a round trip into a CRS and back keeps a position. For a few CRSs PROJ forgets the prime meridian one way."""
     if is_longitude_latitude(crs):
         return True
     projected = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
     restored = transformer(crs, LONGITUDE_LATITUDE).transform(*projected)
-    away_lon = (restored[0] - lon + 180.0) % 360.0 - 180.0
-    return bool(max(abs(away_lon) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < MAX_AWAY_DEG)
+    lon_error = (restored[0] - lon + 180.0) % 360.0 - 180.0
+    return bool(max(abs(lon_error) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < ROUND_TRIP_TOLERANCE_DEG)
 
 
 def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
@@ -480,12 +482,12 @@ def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
         lon, lat = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
         x, y = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
         cell = elevation.cell_of(x, y)
-        inside = -0.5 <= cell[0] <= elevation.rows - 0.5 and -0.5 <= cell[1] <= elevation.cols - 0.5
-        if not inside:
+        is_on_raster = -0.5 <= cell[0] <= elevation.rows - 0.5 and -0.5 <= cell[1] <= elevation.cols - 0.5
+        if not is_on_raster:
             raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "bounds whose centre lies on the raster")
     else:
         lon, lat = (x, y) if is_longitude_latitude(crs) else transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    if not (np.isfinite([lon, lat]).all() and _round_trips(crs, float(lon), float(lat))):
+    if not (np.isfinite([lon, lat]).all() and _survives_round_trip(crs, float(lon), float(lat))):
         problem = f"PROJ cannot transform its CRS '{crs.name}' into longitude and latitude and back"
         raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform")
     return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

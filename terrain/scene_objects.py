@@ -74,12 +74,12 @@ class SceneObjects:
     @property
     def notes(self) -> tuple[str, ...]:
         """Statements on what was read from the files of trees and footprints."""
-        return tuple(note for found in (self.placement, self.planting) if found is not None for note in found.notes)
+        return tuple(note for part in (self.placement, self.planting) if part is not None for note in part.notes)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Statements on parts of these files that may not be as intended."""
-        return tuple(text for found in (self.placement, self.planting) if found is not None for text in found.warnings)
+        return tuple(text for part in (self.placement, self.planting) if part is not None for text in part.warnings)
 
     @cached_property
     def placement(self) -> Placement | None:
@@ -93,8 +93,8 @@ class SceneObjects:
     @cached_property
     def lamp_rigs(self) -> dict[str, LampRig]:
         """The rigs of the level's lamps by name, independent of the clock."""
-        where, place = f"{self.loaded.path}: lights", Geolocator(self.world, self.elevation)
-        return {name: lamp_rig(name, spec, place, f"{where}.{name}") for name, spec in self.loaded.level.lights.items()}
+        key_path, geolocator = f"{self.loaded.path}: lights", Geolocator(self.world, self.elevation)
+        return {name: lamp_rig(name, spec, geolocator, f"{key_path}.{name}") for name, spec in self.loaded.level.lights.items()}
 
     @cached_property
     def solids(self) -> Solids | None:
@@ -117,20 +117,20 @@ class SceneObjects:
         from skugga.terrain.meshes.facets import creases, face_normals, node_faces
 
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
-        faces, around = face_normals(vertices, triangles), node_faces(len(vertices), triangles)
-        return creases(vertices, faces, triangles, around, CREASE_DISTANCE, np.ones(len(triangles), np.bool_))
+        normals, adjacency = face_normals(vertices, triangles), node_faces(len(vertices), triangles)
+        return creases(vertices, normals, triangles, adjacency, CREASE_DISTANCE, np.ones(len(triangles), np.bool_))
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:
         """Heights (n,) of the trees' feet in metres."""
-        return self.trees_on(self.elevation.crs)[:, 2]
+        return self.trees_in_crs(self.elevation.crs)[:, 2]
 
-    def solids_on(self, crs: CRS) -> np.ndarray:
+    def solids_in_crs(self, crs: CRS) -> np.ndarray:
         """Return x, y in a CRS and height in metres (n, 3) of the meshes' vertices."""
         assert self.solids is not None
         return _map_positions(self.world, self.solids.vertices_earth_m, crs)
 
-    def trees_on(self, crs: CRS) -> np.ndarray:
+    def trees_in_crs(self, crs: CRS) -> np.ndarray:
         """Return x, y in a CRS and height in metres (n, 3) of the trees' feet."""
         assert self.trees is not None
         return _map_positions(self.world, self.trees.base_earth_m, crs)
@@ -159,7 +159,7 @@ class SceneObjects:
         tree_m = 0.0 if self.trees is None else float(self.trees.height_m.max())
         if self.solids is None:
             return tree_m
-        solid_positions = self.solids_on(self.elevation.crs)
+        solid_positions = self.solids_in_crs(self.elevation.crs)
         above = solid_positions[:, 2] - self.elevation.filled_ground_m(solid_positions[:, 0], solid_positions[:, 1])
         return max(tree_m, float(np.nanmax(above, initial=0.0)))
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.climate import Ramp
+from skugga.terrain.climate import ColorRamp
 from skugga.terrain.compiled import run_in_chunks
 from skugga.terrain.gbuffer.bare_ground import BareGround
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -29,12 +29,12 @@ from skugga.terrain.shading_loops import (
     luminance_of,
     shade_bare_ground,
     shade_rows,
-    slopes_sky,
+    slope_sky_rows,
 )
 from skugga.terrain.srgb import srgb_of_linear
 from skugga.terrain.style import TINT_COUNT, tint_table, veil_table
 
-LEVEL_ALBEDO = 0.42
+FLAT_GROUND_ALBEDO = 0.42
 """Linear albedo of ground without relief, which has no heights to tint."""
 
 NORTH_EARTH, NO_DIRECTION = np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -43,17 +43,17 @@ NORTH_EARTH, NO_DIRECTION = np.array([0.0, 0.0, 1.0]), np.zeros(3)
 SKY_SHARE = 0.28
 """Irradiance from the whole sky as a share of the sun's on level ground, for a sun down to ``EXPOSURE_FLOOR_DEG``."""
 
-LEVEL_GROUND = 0.86
+LEVEL_GROUND_EXPOSURE = 0.86
 """Linear exposure of level, sunlit, white ground. The same for every sun down to ``EXPOSURE_FLOOR_DEG``."""
 
 EXPOSURE_FLOOR_DEG = 18.0
-NIGHT_SKY = 0.08
+NIGHT_SKY_SHARE = 0.08
 """Sky light at night as a share of the day's, so that a map stays readable."""
 
-LAMP_ROOM_LIGHT = 0.4
+LAMP_AMBIENT_SHARE = 0.4
 """Ambient light as a share of the day's sky light, in scenes with lamps and without a sun."""
 
-MAP_FOLIAGE = 2.0
+MAP_FOLIAGE_FACTOR = 2.0
 """Factor of foliage's albedo in maps. Woods seen from above, with their own shadows, would be nearly black."""
 
 LEAF_GLOW = 0.3
@@ -62,10 +62,10 @@ LEAF_GLOW = 0.3
 CLOUD_LIGHT = (0.94, 0.97, 1.00)
 """Linear colour of the light that passes through clouds."""
 
-OVERCAST_GROUND = 0.56
+OVERCAST_GROUND_EXPOSURE = 0.56
 """Linear exposure of level, white ground under an overcast sky."""
 
-SHORE_M = 1e-3
+WATER_TOLERANCE_M = 1e-3
 """Ground within this distance of the water's height is water."""
 
 _SRGB_STEPS = 4096
@@ -93,9 +93,12 @@ def daylight_of(scene: Scene) -> Daylight:
     An overcast sky has no direct sun. Under other clouds the effect ``clouds`` attenuates it. Clouds make the sky's light grey.
     """
     cover, style = scene.loaded.level.weather.cloud_cover, scene.style
-    clear, grey = np.array(style.skylight) * LEVEL_GROUND * SKY_SHARE / (1.0 + SKY_SHARE), np.array(CLOUD_LIGHT) * OVERCAST_GROUND
+    clear_sky_light, grey = (
+        np.array(style.skylight) * LEVEL_GROUND_EXPOSURE * SKY_SHARE / (1.0 + SKY_SHARE),
+        np.array(CLOUD_LIGHT) * OVERCAST_GROUND_EXPOSURE,
+    )
     sun = np.array(style.sunlight) * exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
-    return Daylight(np.zeros(3) if scene.loaded.level.weather.is_overcast else sun, (1.0 - cover) * clear + cover * grey)
+    return Daylight(np.zeros(3) if scene.loaded.level.weather.is_overcast else sun, (1.0 - cover) * clear_sky_light + cover * grey)
 
 
 def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> Look:
@@ -105,16 +108,16 @@ def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | N
     bright side. Without a sun the sky has neither, and the veil of air is missing. A perspective view has no veil by height.
     """
     style = scene.style
-    clear = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
+    clear_sky_share = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
     in_map = isinstance(view, MapView)
     exaggeration = (
         style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
     )
     return Look(
         tints_of(scene), NO_DIRECTION if frame is None else frame.directions_from_earth(NORTH_EARTH),
-        style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, exaggeration, style.slope_limit,
-        veil_table(style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m),
-        MAP_FOLIAGE if in_map else 1.0,
+        style.sky_greying * clear_sky_share, style.sky_towards_sun * clear_sky_share, style.terminator, exaggeration, style.slope_limit,
+        veil_table(style.aerial_share if in_map and scene.sun is not None else 0.0, style.aerial_scale_height_m),
+        MAP_FOLIAGE_FACTOR if in_map else 1.0,
     )  # fmt: skip
 
 
@@ -125,8 +128,8 @@ def tints_of(scene: Scene) -> Tints:
 
 
 @cached("process", 16 * MIB)
-def _tints(ramp: Ramp | None, has_climate: bool) -> Tints:
-    colors = np.full((1, TINT_COUNT, 3), LEVEL_ALBEDO) if ramp is None else tint_table(ramp, has_climate)
+def _tints(ramp: ColorRamp | None, has_climate: bool) -> Tints:
+    colors = np.full((1, TINT_COUNT, 3), FLAT_GROUND_ALBEDO) if ramp is None else tint_table(ramp, has_climate)
     channels = np.moveaxis(colors, -1, 0)
     table = np.stack([*channels, luminance_of(*channels)], axis=1)
     differ = (table[1:] != table[:-1]).any(axis=1)
@@ -185,7 +188,7 @@ def shade(
 def daylight_in_frame(scene: Scene, frame: LocalFrame) -> DaylightInFrame:
     """Return the daylight of a scene in a frame."""
     light, to_sun = daylight_of(scene), np.zeros(3) if scene.sun is None else scene.sun.in_frame(frame)
-    return DaylightInFrame(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene))
+    return DaylightInFrame(scene.sun is not None, to_sun, light.sun, light.sky, night_sky_share(scene))
 
 
 def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
@@ -205,17 +208,17 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
     return out
 
 
-def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
+def slope_sky_view_factor(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the share of the sky (rows, cols) float32 that a slope itself leaves: a half if vertical, all of it if level."""
     out = np.zeros(buffer.valid.shape, np.float32)
     centre = scene.world.up_origin(buffer.frame)
-    run_in_chunks(len(out), slopes_sky, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
+    run_in_chunks(len(out), slope_sky_rows, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
     return out
 
 
-def night_of(scene: Scene) -> float:
+def night_sky_share(scene: Scene) -> float:
     """Return the sky light at night, or the ambient light of a room, as a share of the day's."""
-    return LAMP_ROOM_LIGHT if scene.lamps and scene.sun is None else NIGHT_SKY
+    return LAMP_AMBIENT_SHARE if scene.lamps and scene.sun is None else NIGHT_SKY_SHARE
 
 
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
@@ -233,7 +236,7 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 
 def water_in(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the mask (rows, cols) of pixels that show standing water: ground at the water's height."""
-    return (buffer.kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= SHORE_M)
+    return (buffer.kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= WATER_TOLERANCE_M)
 
 
 def srgb_encoded(linear: np.ndarray) -> np.ndarray:
@@ -250,8 +253,8 @@ def exposure_of(altitude_deg: float | None) -> float:
     Level, sunlit, white ground keeps its brightness down to ``EXPOSURE_FLOOR_DEG``. Its sky light is the same for every sun.
     """
     if altitude_deg is None:
-        return LEVEL_GROUND
-    return LEVEL_GROUND / ((1.0 + SKY_SHARE) * float(np.sin(np.radians(max(altitude_deg, EXPOSURE_FLOOR_DEG)))))
+        return LEVEL_GROUND_EXPOSURE
+    return LEVEL_GROUND_EXPOSURE / ((1.0 + SKY_SHARE) * float(np.sin(np.radians(max(altitude_deg, EXPOSURE_FLOOR_DEG)))))
 
 
 @cached("process", MIB)

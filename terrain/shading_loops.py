@@ -17,16 +17,16 @@ from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_ST
 SHOULDER, SHOULDER_RANGE = 0.6, 0.4
 """Linear colour at which the tone curve's shoulder begins, and the range from there to white."""
 
-MIN_SKY = 0.3
+MIN_SKY_FACTOR = 0.3
 """Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
 
-MIN_ACROSS = 0.15
+MIN_ALTITUDE_COSINE = 0.15
 """Minimum cosine of the sun's altitude for its horizontal direction. Near the zenith that direction is undefined."""
 
-MIN_GRAZING = 1e-9
+MIN_LIT_COSINE = 1e-9
 """Minimum cosine to the sun that counts as lit."""
 
-AIR = (0.66, 0.74, 0.84)
+AIR_VEIL_COLOR = (0.66, 0.74, 0.84)
 """Linear colour by day of the veil of air over low ground."""
 
 HIGH_SUN_DEG = 6.01
@@ -70,12 +70,12 @@ class Tints(NamedTuple):
     table
         (m, 4, n), linear colours and their luminance, at even steps of the latitude's sine from -1 to 1 and by height. With m = 1
         one row serves all latitudes.
-    differs_from
+    first_difference
         (m - 1,), index of the height from which on a row differs from the next one.
     """
 
     table: np.ndarray
-    differs_from: np.ndarray
+    first_difference: np.ndarray
 
 
 class Look(NamedTuple):
@@ -140,41 +140,41 @@ def luminance_of(red, green, blue):
 
 
 @compiled
-def _on_slope(facing, upright, sine, exaggeration, limit):
+def _exaggerated_cosines(cos_sun, cos_zenith, sine, exaggeration, limit):
     """Return a slope's cosines to the sun and to the zenith, with the slope exaggerated and limited.
 
-    The slope t becomes t' = a t / sqrt(1 + (a t / limit)**2). For a normal n, ``facing`` is n.s and ``upright`` n.u, with s the
+    The slope t becomes t' = a t / sqrt(1 + (a t / limit)**2). For a normal n, ``cos_sun`` is n.s and ``cos_zenith`` n.u, with s the
     sun's direction and u up; ``sine`` is s.u.
     """
-    if upright <= 0.0:
-        return facing, upright
-    flat = np.sqrt(max(1.0 - upright * upright, 0.0))
-    slope = exaggeration * flat / upright
+    if cos_zenith <= 0.0:
+        return cos_sun, cos_zenith
+    flat = np.sqrt(max(1.0 - cos_zenith * cos_zenith, 0.0))
+    slope = exaggeration * flat / cos_zenith
     factor = exaggeration / np.sqrt(1.0 + slope * slope / (limit * limit))
-    slope = factor * flat / upright
+    slope = factor * flat / cos_zenith
     cosine = 1.0 / np.sqrt(1.0 + slope * slope)
-    return (facing - sine * upright) * factor * cosine / upright + sine * cosine, cosine
+    return (cos_sun - sine * cos_zenith) * factor * cosine / cos_zenith + sine * cosine, cosine
 
 
 @compiled
-def _sky_on_slope(facing, upright, sine, directional_share):
+def _slope_sky_factor(cos_sun, cos_zenith, sine, directional_share):
     """Return the factor of the sky's light on a slope; 1 on level ground.
 
     The share ``directional_share`` of the light comes from 45 degrees above the horizon at the sun's azimuth.
     """
-    across = (facing - sine * upright) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), MIN_ACROSS)
-    return max(1.0 + directional_share * (across + upright - 1.0), MIN_SKY)
+    cos_sun_azimuth = (cos_sun - sine * cos_zenith) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), MIN_ALTITUDE_COSINE)
+    return max(1.0 + directional_share * (cos_sun_azimuth + cos_zenith - 1.0), MIN_SKY_FACTOR)
 
 
 @compiled
-def _direct_on_slope(facing, sine, terminator):
+def _slope_direct_light(cos_sun, sine, terminator):
     """Return the direct light on a slope: Lambert's cosine, reduced near the terminator.
 
     The reduction begins where the cosine is below the share ``terminator`` of level ground's. Without it, facets of a raster that
     face away would show as dark squares on slopes that the light grazes.
     """
-    cosine = max(facing, 0.0)
-    share = min(cosine / max(terminator * sine, MIN_GRAZING), 1.0)
+    cosine = max(cos_sun, 0.0)
+    share = min(cosine / max(terminator * sine, MIN_LIT_COSINE), 1.0)
     return cosine * share * share * (3.0 - 2.0 * share)
 
 
@@ -187,7 +187,7 @@ def _direct_fade(sine):
 
 
 @compiled
-def slopes_sky(first, last, valid, normal, position, centre, out):
+def slope_sky_rows(first, last, valid, normal, position, centre, out):
     """Compute the share of the sky that slopes themselves leave, for some rows."""
     for i in range(first, last):
         for j in range(valid.shape[1]):
@@ -205,14 +205,14 @@ def encode_rows(first, last, linear, table, out):
 
 
 @compiled
-def shade_rows(first, last, shown, look, daylight_in_frame, centre, glow, albedo, sunlight, skylight, lamplight, out):
+def shade_rows(first, last, shading_inputs, look, daylight_in_frame, centre, glow, albedo, sunlight, skylight, lamplight, out):
     """Compute the linear display colour of some rows of a buffer.
 
     ``glow`` is the foliage's share of light (``LEAF_GLOW``).
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
-    valid, kind, position, height, normal = shown
-    tints, north, greying, towards, terminator, exaggeration, limit, veils, foliage = look
+    valid, kind, position, height, normal = shading_inputs
+    tints, north, greying, directional_share, terminator, exaggeration, limit, veils, foliage = look
     has_sun, to_sun, sun, sky, night = daylight_in_frame
     has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     for i in range(first, last):
@@ -223,20 +223,20 @@ def shade_rows(first, last, shown, look, daylight_in_frame, centre, glow, albedo
             leaf = glow if kind[i, j] == FOREST else 0.0
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
-            seen = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
+            sky_view = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
             # Rounded as in ``shade_bare_ground``, so that both give the same picture.
             ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
             sine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz if has_sun else -1.0
-            upright = n[0] * ux + n[1] * uy + n[2] * uz
-            facing = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
+            cos_zenith = n[0] * ux + n[1] * uy + n[2] * uz
+            cos_sun = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
             if has_sun:
                 if kind[i, j] == RELIEF and not has_true_slopes:
-                    facing, upright = _on_slope(facing, upright, sine, exaggeration, limit)
-                seen = seen * _sky_on_slope(facing, upright, sine, towards)
+                    cos_sun, cos_zenith = _exaggerated_cosines(cos_sun, cos_zenith, sine, exaggeration, limit)
+                sky_view = sky_view * _slope_sky_factor(cos_sun, cos_zenith, sine, directional_share)
                 if kind[i, j] == RELIEF:
-                    facing = _direct_on_slope(facing, sine, terminator)
-            sky_here = night + (1.0 - night) * dusk_of(sine)
-            direct = (leaf + (1.0 - leaf) * max(facing, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
+                    cos_sun = _slope_direct_light(cos_sun, sine, terminator)
+            sky_light_share = night + (1.0 - night) * dusk_of(sine)
+            direct = (leaf + (1.0 - leaf) * max(cos_sun, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
             tint_index, fraction = _tint_position(height[i, j])
             veil = veils[tint_index] + (veils[tint_index + 1] - veils[tint_index]) * fraction
             red, green, blue = _tinted(tints.table, north[0] * ux + north[1] * uy + north[2] * uz, tint_index, fraction)
@@ -245,14 +245,16 @@ def shade_rows(first, last, shown, look, daylight_in_frame, centre, glow, albedo
                     red, green, blue = albedo[i, j, 0], albedo[i, j, 1], albedo[i, j, 2]
             if kind[i, j] == FOREST:
                 red, green, blue = min(foliage * red, 1.0), min(foliage * green, 1.0), min(foliage * blue, 1.0)
-            own = red, green, blue
+            surface_color = red, green, blue
             grey = luminance_of(red, green, blue)
             for k in range(3):
-                light = own[k] * sun[k] * direct + (own[k] + greying * (grey - own[k])) * sky[k] * (sky_here * seen)
+                light = surface_color[k] * sun[k] * direct + (surface_color[k] + greying * (grey - surface_color[k])) * sky[k] * (
+                    sky_light_share * sky_view
+                )
                 if lamplight is not None:
-                    light += own[k] * lamplight[i, j, k]
+                    light += surface_color[k] * lamplight[i, j, k]
                 light = shoulder(light)
-                out[i, j, k] = light + veil * (AIR[k] * sky_here - light)
+                out[i, j, k] = light + veil * (AIR_VEIL_COLOR[k] * sky_light_share - light)
 
 
 @internal
@@ -311,44 +313,57 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, dayl
 
     Inner loops compile to vector instructions; table look-ups run between them.
     """
-    tints, north, greying, towards, terminator, exaggeration, limit, veils, _ = look
+    tints, north, greying, directional_share, terminator, exaggeration, limit, veils, _ = look
     _, to_sun, sun, sky, night = daylight_in_frame
     cols = valid.shape[1]
-    direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
-    facing, high, seen = np.empty(cols), np.empty(cols), np.empty(cols)
+    direct, sky_light_share, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
+    cos_sun, cos_zenith, sky_light = np.empty(cols), np.empty(cols), np.empty(cols)
     has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     fraction, tint_index = np.empty(cols), np.empty(cols, np.int32)
-    own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
+    tint, grey, srgb_index = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
     latitude, row_fraction, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
     for i in range(valid.shape[0]):
         _cosines_to_sun(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
-        high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
+        is_high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
         for j in range(cols):
-            high_everywhere = high_everywhere and not sines[j] <= HIGH_SUN_SINE
+            is_high_everywhere = is_high_everywhere and not sines[j] <= HIGH_SUN_SINE
         for j in range(cols):
-            direct[j], sky_here[j] = sunlight[i, j], 1.0
-        if not high_everywhere:
+            direct[j], sky_light_share[j] = sunlight[i, j], 1.0
+        if not is_high_everywhere:
             for j in range(cols):
                 direct[j] *= _direct_fade(sines[j])
-                sky_here[j] = night + (1.0 - night) * dusk_of(sines[j])
-        _cosines_to_sun(normal[i], (to_sun[0], to_sun[1], to_sun[2]), facing)
-        _cosines_to_zenith(normal[i], up[i], high)
+                sky_light_share[j] = night + (1.0 - night) * dusk_of(sines[j])
+        _cosines_to_sun(normal[i], (to_sun[0], to_sun[1], to_sun[2]), cos_sun)
+        _cosines_to_zenith(normal[i], up[i], cos_zenith)
         if not has_true_slopes:
-            _exaggerate_row(facing, high, sines, exaggeration, limit)
-        _sky_on_row(facing, high, sines, towards, sky_share[i], sky_here, seen)
-        _sun_on_row(facing, sines, terminator, direct)
+            _exaggerate_row(cos_sun, cos_zenith, sines, exaggeration, limit)
+        _sky_light_of_row(cos_sun, cos_zenith, sines, directional_share, sky_share[i], sky_light_share, sky_light)
+        _direct_light_of_row(cos_sun, sines, terminator, direct)
         _tint_positions(height[i], fraction, tint_index)
         _look_up_tint(veils, tint_index, fraction, veil)
         has_one_row, row = tints.table.shape[0] == 1, 0
         if not has_one_row:
             _cosines_to_sun(up[i], (north[0], north[1], north[2]), latitude)
             _latitude_positions(latitude, tints.table.shape[0], row_fraction, rows)
-            has_one_row, row = _is_one_climate(tints.differs_from, valid[i], rows, tint_index)
+            has_one_row, row = _is_one_climate(tints.first_difference, valid[i], rows, tint_index)
         _look_up_colors(tints.table, has_one_row, row, 3, rows, row_fraction, tint_index, fraction, grey)
         for k in range(3):
-            _look_up_colors(tints.table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, own)
-            _srgb_steps_of(own, grey, greying, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
-            _look_up_srgb(valid[i], step, table, out[i, :, k])
+            _look_up_colors(tints.table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, tint)
+            _srgb_indices(
+                tint,
+                grey,
+                greying,
+                sun[k],
+                sky[k],
+                direct,
+                sky_light,
+                veil,
+                sky_light_share,
+                AIR_VEIL_COLOR[k],
+                table.size,
+                srgb_index,
+            )
+            _look_up_srgb(valid[i], srgb_index, table, out[i, :, k])
 
 
 @internal
@@ -367,24 +382,24 @@ def _cosines_to_zenith(normal, up, out):
 
 
 @internal
-def _exaggerate_row(facing, upright, sines, exaggeration, limit):
-    """Apply ``_on_slope`` to a row, in place."""
-    for j in range(facing.size):
-        facing[j], upright[j] = _on_slope(facing[j], upright[j], sines[j], exaggeration, limit)
+def _exaggerate_row(cos_sun, cos_zenith, sines, exaggeration, limit):
+    """Apply ``_exaggerated_cosines`` to a row, in place."""
+    for j in range(cos_sun.size):
+        cos_sun[j], cos_zenith[j] = _exaggerated_cosines(cos_sun[j], cos_zenith[j], sines[j], exaggeration, limit)
 
 
 @internal
-def _sky_on_row(facing, upright, sines, towards, sky_share, sky_here, out):
+def _sky_light_of_row(cos_sun, cos_zenith, sines, directional_share, sky_share, sky_light_share, out):
     """Compute the sky's light on a row's slopes."""
     for j in range(out.size):
-        out[j] = sky_share[j] * _sky_on_slope(facing[j], upright[j], sines[j], towards) * sky_here[j]
+        out[j] = sky_share[j] * _slope_sky_factor(cos_sun[j], cos_zenith[j], sines[j], directional_share) * sky_light_share[j]
 
 
 @internal
-def _sun_on_row(facing, sines, terminator, direct):
+def _direct_light_of_row(cos_sun, sines, terminator, direct):
     """Multiply a row's direct light by its factor on the slopes, in place."""
     for j in range(direct.size):
-        direct[j] *= _direct_on_slope(facing[j], sines[j], terminator)
+        direct[j] *= _slope_direct_light(cos_sun[j], sines[j], terminator)
 
 
 @internal
@@ -402,14 +417,14 @@ def _latitude_positions(sines, count, row_fraction, rows):
 
 
 @internal
-def _is_one_climate(differs_from, valid, rows, tint_index):
+def _is_one_climate(first_difference, valid, rows, tint_index):
     """Return whether one row of the tints serves all valid pixels of a row, and its index."""
-    first, last, highest = np.int32(differs_from.size), np.int32(-1), np.int32(0)
+    first, last, highest = np.int32(first_difference.size), np.int32(-1), np.int32(0)
     for j in range(tint_index.size):
         if valid[j]:
             first, last, highest = min(first, rows[j]), max(last, rows[j]), max(highest, tint_index[j])
     for n in range(first, last + 1):
-        if highest + 1 >= differs_from[n]:
+        if highest + 1 >= first_difference[n]:
             return False, 0
     return True, first if last >= 0 else 0
 
@@ -432,28 +447,28 @@ def _look_up_tint(tints, tint_index, fraction, out):
 
 
 @internal
-def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, air, steps, out):
-    """Compute the indices in an sRGB table of ``steps`` for the colour of lit ground, after tone curve and veil of air."""
-    count = np.float32(steps)
+def _srgb_indices(tint, grey, greying, sun, sky, direct, sky_light, veil, sky_light_share, air, table_size, out):
+    """Compute the indices in an sRGB table of ``table_size`` for the colour of lit ground, after tone curve and veil of air."""
+    count = np.float32(table_size)
     for j in range(out.size):
-        light = own[j] * (sun * direct[j]) + (own[j] + greying * (grey[j] - own[j])) * (sky * seen[j])
+        light = tint[j] * (sun * direct[j]) + (tint[j] + greying * (grey[j] - tint[j])) * (sky * sky_light[j])
         light = light if light <= SHOULDER else 1.0 - SHOULDER_RANGE**2 / (light + SHOULDER_RANGE - SHOULDER)
-        linear = np.float32(light + veil[j] * (air * sky_here[j] - light))
-        step = linear * count
-        out[j] = min(np.int32(step if step > 0.0 else 0.0), np.int32(steps - 1))
+        linear = np.float32(light + veil[j] * (air * sky_light_share[j] - light))
+        index = linear * count
+        out[j] = min(np.int32(index if index > 0.0 else 0.0), np.int32(table_size - 1))
 
 
 @internal
-def _look_up_srgb(valid, step, table, out):
-    for j in range(step.size):
+def _look_up_srgb(valid, srgb_index, table, out):
+    for j in range(srgb_index.size):
         if valid[j]:
-            out[j] = table[step[j]]
+            out[j] = table[srgb_index[j]]
 
 
 @compiled
-def albedo_rows(first, last, shown, centre, albedo, look, out):
+def albedo_rows(first, last, shading_inputs, centre, albedo, look, out):
     """Compute the linear albedo of some rows of a buffer: the tint, unless ``albedo`` has a value."""
-    valid, _, position, height, _ = shown
+    valid, _, position, height, _ = shading_inputs
     tints, north = look.tints, look.north_frame
     for i in range(first, last):
         for j in range(valid.shape[1]):

@@ -62,7 +62,7 @@ LOBES = ((0.72, 0.40), (0.965, 0.55))
 TWILIGHT_DEG = 9.0
 """Depression of the sun below the horizon down to which it colours the foot of the sky."""
 
-PIXEL_RUN = 1024
+BATCH_PIXELS = 1024
 """Pixels per batch."""
 
 HORIZON_AZIMUTHS = 129
@@ -101,21 +101,21 @@ def sky_of(scene: Scene) -> Sky:
     """Return the sky of a scene, by the sun's altitude and the clouds. Dark at night."""
     altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
     sine = np.sin(np.radians(altitude_deg))
-    light, cover = 0.02 + 0.98 * float(dusk_of(sine)), scene.loaded.level.weather.cloud_cover
+    brightness, cover = 0.02 + 0.98 * float(dusk_of(sine)), scene.loaded.level.weather.cloud_cover
     twilight = float(smoothstep(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG))
-    low = float(smoothstep((LOW_SUN_DEG[1] - altitude_deg) / (LOW_SUN_DEG[1] - LOW_SUN_DEG[0]))) * twilight
+    low_sun_share = float(smoothstep((LOW_SUN_DEG[1] - altitude_deg) / (LOW_SUN_DEG[1] - LOW_SUN_DEG[0]))) * twilight
     grey, horizon = np.array(CLOUDY_SKY), np.array(SKY_HORIZON)
     reddened = _sunlight_color(altitude_deg)
     lit = reddened / reddened.max()
 
-    def foot(share: float) -> np.ndarray:
-        return ((1.0 - cover) * (horizon + (lit - horizon) * low * share) + cover * grey) * light
+    def horizon_color(share: float) -> np.ndarray:
+        return ((1.0 - cover) * (horizon + (lit - horizon) * low_sun_share * share) + cover * grey) * brightness
 
-    zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - ZENITH_DARKENING * low) + cover * grey) * light
+    zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - ZENITH_DARKENING * low_sun_share) + cover * grey) * brightness
     aureole = (1.0 - cover) * twilight
-    fade = np.array(DAY_FADE) + (np.array(LOW_SUN_FADE) - np.array(DAY_FADE)) * low
+    fade = np.array(DAY_FADE) + (np.array(LOW_SUN_FADE) - np.array(DAY_FADE)) * low_sun_share
     sun = np.array([sine, np.sqrt(max(1.0 - sine * sine, 0.0))])
-    return Sky(foot(1.0), foot(OPPOSITE_SHARE), zenith, np.sqrt(lit) * light, aureole, fade, sun)
+    return Sky(horizon_color(1.0), horizon_color(OPPOSITE_SHARE), zenith, np.sqrt(lit) * brightness, aureole, fade, sun)
 
 
 def horizon_colors(scene: Scene) -> np.ndarray:
@@ -131,19 +131,21 @@ def horizon_colors(scene: Scene) -> np.ndarray:
 
 def horizontal_sun_direction(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Return the horizontal unit direction (3,) towards the sun's azimuth; 0 if the sun is at the zenith or missing."""
-    level = to_sun - (to_sun @ up) * up
-    length = float(np.linalg.norm(level))
-    return level / length if length > 1e-9 else np.zeros(3)
+    horizontal = to_sun - (to_sun @ up) * up
+    length = float(np.linalg.norm(horizontal))
+    return horizontal / length if length > 1e-9 else np.zeros(3)
 
 
 def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     """Return the linear display colour (n, 3) of the sky in some pixels of a view, dithered by up to half an 8-bit step."""
     up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
-    level = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.to_sun_earth, up)
+    horizontal_to_sun = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.to_sun_earth, up)
     pixels = np.array([view.col0, view.row0, view.step])
     axes = view.earth_from_camera.T
     out = np.empty((rows.size, 3), np.float32)
-    run_in_chunks(rows.size, _sky, rows, cols, pixels, view.focal_px, axes @ up, axes @ level, sky_of(scene), out)
+    run_in_chunks(
+        rows.size, _sky_pixels, rows, cols, pixels, view.focal_px, axes @ up, axes @ horizontal_to_sun, sky_of(scene), out
+    )
     return out
 
 
@@ -159,15 +161,15 @@ def sky_color(sky, sine, azimuth_cosine, out):
     facing *= facing
     light = 0.0
     if aureole > 0.0:
-        between = sine * sun[0] + np.sqrt(max(1.0 - sine * sine, 0.0)) * sun[1] * azimuth_cosine
+        cos_sun_angle = sine * sun[0] + np.sqrt(max(1.0 - sine * sine, 0.0)) * sun[1] * azimuth_cosine
         for asymmetry, peak in LOBES:
-            lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
+            lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * cos_sun_angle)
             light += peak * lobe * np.sqrt(lobe)
         light *= aureole
     for k in range(3):
-        foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
+        horizon_color = opposite[k] + (below_sun[k] - opposite[k]) * facing
         share = 1.0 - np.exp(-fade[k] * sine) if sine > 0.0 else 0.0
-        color = (1.0 - share) * foot + share * zenith[k]
+        color = (1.0 - share) * horizon_color + share * zenith[k]
         out[k] = color + (glow[k] - color) * light
 
 
@@ -179,9 +181,11 @@ def sky_colors(sky, sine, azimuth_cosine, out):
     if aureole > 0.0:
         for asymmetry, peak in LOBES:
             for n in range(sine.size):
-                height = max(sine[n], 0.0)
-                between = height * sun[0] + np.sqrt(max(1.0 - height * height, 0.0)) * sun[1] * azimuth_cosine[n]
-                lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
+                clamped_sine = max(sine[n], 0.0)
+                cos_sun_angle = (
+                    clamped_sine * sun[0] + np.sqrt(max(1.0 - clamped_sine * clamped_sine, 0.0)) * sun[1] * azimuth_cosine[n]
+                )
+                lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * cos_sun_angle)
                 light[n] += peak * lobe * np.sqrt(lobe)
         light *= aureole
     for k in range(3):
@@ -189,8 +193,8 @@ def sky_colors(sky, sine, azimuth_cosine, out):
         for n in range(sine.size):
             facing = 0.5 + 0.5 * azimuth_cosine[n]
             facing *= facing
-            foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
-            color = share[n] * foot + (1.0 - share[n]) * zenith[k]
+            horizon_color = opposite[k] + (below_sun[k] - opposite[k]) * facing
+            color = share[n] * horizon_color + (1.0 - share[n]) * zenith[k]
             out[k, n] = color + (glow[k] - color) * light[n]
 
 
@@ -218,26 +222,29 @@ def gradient_noise(x, y):
 
 
 @compiled
-def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
+def _sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, sky, out):
     """Compute the sky's colour of some pixels in batches, by ``sky_colors``."""
-    px, py, sine, azimuth_cosine = np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN)
-    color = np.empty((3, PIXEL_RUN))
-    for begin in range(first, last, PIXEL_RUN):
-        count = min(PIXEL_RUN, last - begin)
+    px, py, sine, azimuth_cosine = np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS)
+    color = np.empty((3, BATCH_PIXELS))
+    for begin in range(first, last, BATCH_PIXELS):
+        count = min(BATCH_PIXELS, last - begin)
         for n in range(count):
             px[n], py[n] = pixels[0] + cols[begin + n] * pixels[2], pixels[1] + rows[begin + n] * pixels[2]
         for n in range(count):
             x, y = px[n] / focal, py[n] / focal
             length = np.sqrt(1.0 + x * x + y * y)
             sine[n] = (x * up[0] + y * up[1] + up[2]) / length
-            across = np.sqrt(max(1.0 - sine[n] * sine[n], 1e-12))
-            azimuth_cosine[n] = min(max((x * level[0] + y * level[1] + level[2]) / (length * across), -1.0), 1.0)
+            cos_altitude = np.sqrt(max(1.0 - sine[n] * sine[n], 1e-12))
+            azimuth_cosine[n] = min(
+                max((x * horizontal_to_sun[0] + y * horizontal_to_sun[1] + horizontal_to_sun[2]) / (length * cos_altitude), -1.0),
+                1.0,
+            )
         sky_colors(sky, sine[:count], azimuth_cosine[:count], color[:, :count])
         for k in range(3):
             for n in range(count):
                 # sRGB is about the root of linear light, so that a step of 1/255 is twice that root over 255.
-                own = color[k, n]
-                dithered = own + gradient_noise(px[n] + 37.0 * k, py[n] + 17.0 * k) * 2.1 / 255.0 * np.sqrt(own)
+                value = color[k, n]
+                dithered = value + gradient_noise(px[n] + 37.0 * k, py[n] + 17.0 * k) * 2.1 / 255.0 * np.sqrt(value)
                 out[begin + n, k] = min(max(dithered, 0.0), 1.0)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.climate import Ramp, climate_srgb, ramp_srgb
+from skugga.terrain.climate import ColorRamp, climate_srgb, ramp_srgb
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import Level
 from skugga.terrain.level.parts import StyleSpec
@@ -37,14 +37,14 @@ TINT_LOW_M, TINT_STEP_M, TINT_COUNT = -512.0, 8.0, 1193
 FINE_CELL_M = 2.5
 """Ground with smaller cells counts as a city's surface, unless it is a wood."""
 
-WOOD_SHARE = 0.25
+MIN_WOOD_SHARE = 0.25
 """Share of the ground under crowns from which on it counts as a wood.
 
 Canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in an open wood in Quebec.
 """
 
 EXAGGERATION_POWER, MAX_EXAGGERATION = 0.25, 3.0
-"""Power by which slopes grow with a map's pixel size beyond ``exaggerates_from_m``, and the maximum factor."""
+"""Power by which slopes grow with a map's pixel size beyond ``exaggeration_from_pixel_m``, and the maximum factor."""
 
 NO_SLOPE_LIMIT = 1e3
 """A slope limit without effect."""
@@ -74,18 +74,18 @@ class Style:
         Share of the sky's light that comes from the sun's side, 0 to 1.
     terminator
         Share of level ground's direct light below which slopes fade into attached shadow; 0: Lambert's law alone.
-    aerial, aerial_m
+    aerial_share, aerial_scale_height_m
         Share of the veil at height 0, and the height in metres over which it falls to 1/e.
     slope_exaggeration, slope_limit
         Factor of slopes in shading, and the slope (a tangent) that they approach.
-    exaggerates_from_m
+    exaggeration_from_pixel_m
         Side of a map's pixels in metres from which on slopes are exaggerated more. Pixels of a country's map are means over whole
         valleys, whose slopes are too gentle to see.
     """
 
     name: str
     about: str
-    ramp: Ramp
+    ramp: ColorRamp
     has_climate: bool = False
     water: tuple[float, float, float] = (0.102, 0.246, 0.392)
     sunlight: tuple[float, float, float] = (1.0, 0.95, 0.86)
@@ -93,16 +93,16 @@ class Style:
     sky_greying: float = 0.6
     sky_towards_sun: float = 0.75
     terminator: float = 0.5
-    aerial: float = 0.0
-    aerial_m: float = 1500.0
+    aerial_share: float = 0.0
+    aerial_scale_height_m: float = 1500.0
     slope_exaggeration: float = 1.0
     slope_limit: float = NO_SLOPE_LIMIT
-    exaggerates_from_m: float = 60.0
+    exaggeration_from_pixel_m: float = 60.0
 
     def slope_exaggeration_at(self, pixel_m: float) -> float:
         """Return the factor of slopes in a map with pixels of a side in metres."""
-        coarse = (pixel_m / self.exaggerates_from_m) ** EXAGGERATION_POWER
-        return self.slope_exaggeration * float(np.clip(coarse, 1.0, MAX_EXAGGERATION))
+        pixel_factor = (pixel_m / self.exaggeration_from_pixel_m) ** EXAGGERATION_POWER
+        return self.slope_exaggeration * float(np.clip(pixel_factor, 1.0, MAX_EXAGGERATION))
 
 
 STYLES = {
@@ -112,13 +112,13 @@ STYLES = {
             "natural", "colours of land by its height and latitude, soft bluish shadows",
             ((0.0, "#a9be98"), (250.0, "#b7c79f"), (600.0, "#c7cea4"), (1100.0, "#d5d2aa"), (1700.0, "#dad2b0"),
              (2400.0, "#dcd3bd"), (3100.0, "#e0d9ce"), (3800.0, "#e9e6e1"), (4600.0, "#f6f6f6"), (6000.0, "#fdfdfe")),
-            has_climate=True, aerial=0.06,
+            has_climate=True, aerial_share=0.06,
         ),
         Style(
             "swiss", "after Swiss relief maps: warm light, violet-blue shade, air over the valleys",
             ((0.0, "#a9bdb4"), (400.0, "#b6c7b2"), (900.0, "#c9d2b4"), (1600.0, "#dcdabb"), (2400.0, "#ebe3c8"),
              (3200.0, "#f6efdd"), (4200.0, "#fffdf6")),
-            sunlight=(1.0, 0.93, 0.76), skylight=(0.60, 0.68, 1.0), sky_greying=0.7, sky_towards_sun=0.8, aerial=0.22,
+            sunlight=(1.0, 0.93, 0.76), skylight=(0.60, 0.68, 1.0), sky_greying=0.7, sky_towards_sun=0.8, aerial_share=0.22,
             slope_exaggeration=1.25,
         ),
         Style(
@@ -135,7 +135,7 @@ STYLES = {
             "analysis", "white ground, plain Lambert's law, even blue shadow: to look at the shadows themselves",
             ((0.0, "#f4f4f4"),),
             sunlight=(1.0, 1.0, 1.0), skylight=(0.42, 0.60, 1.0), sky_greying=1.0, sky_towards_sun=0.0,
-            terminator=0.0, exaggerates_from_m=np.inf,
+            terminator=0.0, exaggeration_from_pixel_m=np.inf,
         ),
     )
 }  # fmt: skip
@@ -149,20 +149,20 @@ def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_share: Callable
     """
     name = spec.name
     if name == "auto":
-        fine = level.terrain.surface == "blocks" or (level.terrain.source is not None and cell_m < FINE_CELL_M)
-        name = "urban" if fine and crown_share() < WOOD_SHARE else "natural"
+        is_fine = level.terrain.surface == "blocks" or (level.terrain.source is not None and cell_m < FINE_CELL_M)
+        name = "urban" if is_fine and crown_share() < MIN_WOOD_SHARE else "natural"
     style = STYLES[name]
     if spec.ramp is not None:
         style = replace(style, ramp=spec.ramp, has_climate=False)
     return replace(style, slope_exaggeration=style.slope_exaggeration * spec.slope_exaggeration)
 
 
-def style_spec(own: StyleSpec, name: str | None, slope_exaggeration: float | None) -> StyleSpec:
+def style_spec(level_style: StyleSpec, name: str | None, slope_exaggeration: float | None) -> StyleSpec:
     """Return a level's style with a request's changes (``None``: no change). Raises ``InputError``."""
     changes = {"name": name, "slope_exaggeration": slope_exaggeration}
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
-        return StyleSpec.model_validate({**(own.model_dump(exclude={"ramp"} if name is not None else set())), **changes})
+        return StyleSpec.model_validate({**(level_style.model_dump(exclude={"ramp"} if name is not None else set())), **changes})
     except ValidationError as error:
         detail = error.errors()[0]
         key = str(detail["loc"][0])
@@ -171,18 +171,18 @@ def style_spec(own: StyleSpec, name: str | None, slope_exaggeration: float | Non
 
 
 @cached("process", 16 * MIB)
-def tint_table(ramp: Ramp, has_climate: bool = False) -> np.ndarray:
+def tint_table(ramp: ColorRamp, has_climate: bool = False) -> np.ndarray:
     """Return the ground's linear colours (m, n, 3) by latitude and height.
 
-    Latitudes are ``LATITUDES`` steps of the latitude's sine (m = 1: one row for all). Heights are ``TINT_LOW_M + k * TINT_STEP_M``.
-    Colours between a ramp's heights are mixed in sRGB.
+    Latitudes are ``LATITUDE_ROWS`` steps of the latitude's sine (m = 1: one row for all). Heights are ``TINT_LOW_M + k *
+    TINT_STEP_M``. Colours between a ramp's heights are mixed in sRGB.
     """
     heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
     return linear_of_srgb(climate_srgb(ramp, heights) if has_climate else ramp_srgb(ramp, heights)[None])
 
 
 @cached("process", MIB)
-def veil_table(share: float, falls_over_m: float) -> np.ndarray:
+def veil_table(share: float, scale_height_m: float) -> np.ndarray:
     """Return the share (n,) of the veil of air at the heights of ``tint_table``. It is ``share`` at 0 and below."""
     heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
-    return share * np.exp(-np.maximum(heights, 0.0) / falls_over_m)
+    return share * np.exp(-np.maximum(heights, 0.0) / scale_height_m)

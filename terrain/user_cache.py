@@ -15,7 +15,7 @@ def user_cache(name: str) -> Path:
 
     The folder may not exist, and may be impossible to create.
     """
-    return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache") / "skugga" / name
+    return Path(os.environ.get("XDG_CACHE_HOME") or _home_folder() / ".cache") / "skugga" / name
 
 
 def load_arrays(path: Path) -> dict[str, np.ndarray] | None:
@@ -26,7 +26,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray] | None:
     return None
 
 
-def _home() -> Path:
+def _home_folder() -> Path:
     """Return the user's home folder. A user unknown to the system, as in a container, has none."""
     try:
         return Path.home()

@@ -49,7 +49,7 @@ HEIGHT_SHARES = (0.1, 0.15, 0.22)
 MIN_HEIGHT_CELLS = 12.0
 """Minimum height of the eye in cells. From nearer, the ground shows no detail."""
 
-RAYS = (9, 11)
+RAY_GRID = (9, 11)
 """Rows and columns of rays per candidate."""
 
 GROUND_SHARE_POWER = 40.0
@@ -113,15 +113,15 @@ def good_view(world: World, elevation: Elevation, sun: Sun | None) -> Perspectiv
     row0, col0 = eyes[eye]
     down = np.radians(PITCHES_DEG[pitch])
     direction = np.array([np.sin(azimuths[azimuth]) * np.cos(down), np.cos(azimuths[azimuth]) * np.cos(down), -np.sin(down)])
-    hit = _ray_hit(lattice.height_m, lattice.step_m, row0, col0, lattice.height_m[row0, col0] + eye_m, *direction)
-    if not np.isfinite(hit[0]):
+    ray_hit = _ray_hit(lattice.height_m, lattice.step_m, row0, col0, lattice.height_m[row0, col0] + eye_m, *direction)
+    if not np.isfinite(ray_hit[0]):
         return None
-    target = lattice.points_earth_m[int(np.rint(hit[1])), int(np.rint(hit[2]))]
-    places = _places(world, elevation, np.stack([lattice.points_earth_m[row0, col0], target]))
-    return PerspectiveSpec(kind="perspective", eye=(*places[0], eye_m), target=(*places[1], 0.0), fov=FOV_DEG)
+    target = lattice.points_earth_m[int(np.rint(ray_hit[1])), int(np.rint(ray_hit[2]))]
+    coordinates = _level_coordinates(world, elevation, np.stack([lattice.points_earth_m[row0, col0], target]))
+    return PerspectiveSpec(kind="perspective", eye=(*coordinates[0], eye_m), target=(*coordinates[1], 0.0), fov=FOV_DEG)
 
 
-def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> list[tuple[float, float]]:
+def _level_coordinates(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> list[tuple[float, float]]:
     """Return positions in the coordinates of level files: degrees, or metres from the anchor in a flat world.
 
     Rounded to a tenth of a cell.
@@ -171,7 +171,7 @@ def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, cells
     """
     from scipy.ndimage import uniform_filter
 
-    heights, factor = elevation.overview.heights_m.astype(np.float64), 2**elevation.overview.level
+    heights, factor = elevation.overview.heights_m.astype(np.float64), 2**elevation.overview.lod
     valid = np.isfinite(heights)
     side = max(round(cells / factor), 3)
     share = uniform_filter(valid.astype(np.float64), side, mode="constant")
@@ -181,8 +181,8 @@ def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, cells
         spread = np.sqrt(np.maximum(uniform_filter(filled**2, side, mode="constant") / share - mean**2, 0.0))
     scores = np.where(valid, spread * share**4, -1.0)
     if sun is not None:
-        at = ((np.arange(count) + 0.5) * factor - 0.5 for count in heights.shape)
-        _, up = world.ground(elevation.crs, *elevation.xy(*np.meshgrid(*at, indexing="ij")))
+        cell_positions = ((np.arange(count) + 0.5) * factor - 0.5 for count in heights.shape)
+        _, up = world.ground(elevation.crs, *elevation.xy(*np.meshgrid(*cell_positions, indexing="ij")))
         scores *= np.clip(np.nan_to_num(up @ sun.to_sun_earth) / max(np.sin(np.radians(sun.altitude_deg)), 0.01), 0.0, 1.0)
     row, col = np.unravel_index(scores.argmax(), scores.shape)
     return (float(row) + 0.5) * factor - 0.5, (float(col) + 0.5) * factor - 0.5
@@ -201,8 +201,8 @@ def _brightness(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.n
 def _ray_hit(height_m, step_m, row, col, z_m, east, north, up):
     """Return the intersection of a ray with the ground: its horizontal distance in metres, row and column; NaN without one."""
     rows, cols = height_m.shape
-    along = np.sqrt(east**2 + north**2)
-    d_row, d_col, rise = -north / along / step_m, east / along / step_m, up / along
+    horizontal_length = np.sqrt(east**2 + north**2)
+    d_row, d_col, rise = -north / horizontal_length / step_m, east / horizontal_length / step_m, up / horizontal_length
     t = 0.7 * step_m
     while t < 1e7:
         r, c = row + t * d_row, col + t * d_col
@@ -233,7 +233,7 @@ def _lit_mask(height_m, step_m, east, north, up):
 @compiled
 def _view_scores(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
     """Return the score of each candidate (eyes, heights, azimuths, pitches); 0 for an unusable one."""
-    rows, cols = RAYS
+    rows, cols = RAY_GRID
     half_height = np.tan(np.radians(FOV_DEG) / 2.0)
     out = np.zeros((len(eyes), len(eye_heights_m), len(azimuths), len(pitches)))
     hits = np.empty((3, rows * cols))

@@ -10,7 +10,7 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-PARTS = frozenset({"api", "configs", "selector", "shadows", "terrain"})
+PACKAGE_FOLDERS = frozenset({"api", "configs", "selector", "shadows", "terrain"})
 """Folders that are packages inside ``skugga``."""
 
 
@@ -18,7 +18,7 @@ class BareNameFinder(MetaPathFinder):
     """Import finder that raises an error for every bare name, before any other finder searches for it."""
 
     def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if fullname.partition(".")[0] in PARTS:
+        if fullname.partition(".")[0] in PACKAGE_FOLDERS:
             raise ImportError(f"{fullname} is a second copy of skugga.{fullname}; import that", name=fullname)
         return None
 

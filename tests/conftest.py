@@ -58,7 +58,7 @@ def gl():
 
 
 @pytest.fixture(autouse=True)
-def _no_gl_error_left() -> Iterator[None]:
+def _check_gl_errors() -> Iterator[None]:
     yield
     from skugga.terrain.gl import device as module
 
@@ -67,7 +67,7 @@ def _no_gl_error_left() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _own_cache(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[None]:
+def _isolated_cache(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[None]:
     """Keep the machine's caches, its calibration among them, from tests and from services that many tests share.
 
     Services must not calibrate the device either. Compiled code stays from run to run: Mesa's shaders in pytest's cache,
@@ -83,7 +83,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Co
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> Iterator[None]:
+def _forked_render_processes(_isolated_cache: None, pytestconfig: pytest.Config) -> Iterator[None]:
     """Fork render processes of services in the tests' own process from one that has imported their modules and has no
     OpenGL.
 
@@ -113,7 +113,7 @@ def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _log_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+def _propagate_log(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the log propagate again: a service of another test may have stopped that."""
     monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
 

@@ -17,7 +17,7 @@ from PIL import Image
 RENDERER = "llvmpipe"
 TOLERANCE = 1
 
-TOLERANCE_ELSEWHERE, MAX_OFF_ELSEWHERE = 32, 0.005
+TOLERANCE_ELSEWHERE, MAX_DIFFERING_SHARE_ELSEWHERE = 32, 0.005
 """On another renderer than ``RENDERER`` five pixels in a thousand may differ by more than 32 of 255.
 
 OpenGL does not specify the rounding of vertices, the interpolation of depths, and the pixels that a line covers. So a pixel whose
@@ -32,18 +32,21 @@ OUTPUT = Path(__file__).parent / "output"
 
 
 def assert_golden(
-    name: str, picture: np.ndarray, renderer: str, regenerate: bool, tolerance: int = TOLERANCE, most_off: float = 0.0
+    name: str, picture: np.ndarray, renderer: str, regenerate: bool, tolerance: int = TOLERANCE, max_differing_share: float = 0.0
 ) -> None:
     """Compare a uint8 picture (gray, RGB or RGBA) with ``golden/NAME.png``.
 
-    A share ``most_off`` of its pixels may differ by more than ``tolerance`` of 255. On another renderer, more may.
+    A share ``max_differing_share`` of its pixels may differ by more than ``tolerance`` of 255. On another renderer, more may.
     """
-    at_home = renderer.startswith(RENDERER)  # not true for "zink (llvmpipe)"
-    if not at_home:
+    is_reference_renderer = renderer.startswith(RENDERER)  # not true for "zink (llvmpipe)"
+    if not is_reference_renderer:
         assert not regenerate, f"golden pictures are made on {RENDERER}; this is {renderer}"
-        tolerance, most_off = max(tolerance, TOLERANCE_ELSEWHERE), max(most_off, MAX_OFF_ELSEWHERE)
+        tolerance, max_differing_share = (
+            max(tolerance, TOLERANCE_ELSEWHERE),
+            max(max_differing_share, MAX_DIFFERING_SHARE_ELSEWHERE),
+        )
     path = FOLDER / f"{name}.png"
-    if regenerate or (not path.is_file() and not os.environ.get("CI") and at_home):
+    if regenerate or (not path.is_file() and not os.environ.get("CI") and is_reference_renderer):
         FOLDER.mkdir(exist_ok=True)
         Image.fromarray(picture).save(path, optimize=True)
         return
@@ -52,7 +55,7 @@ def assert_golden(
     assert expected.shape == picture.shape, f"{name}: {picture.shape} instead of {expected.shape}"
     difference = np.abs(expected.astype(int) - picture.astype(int))
     share = (difference.reshape(*picture.shape[:2], -1).max(axis=-1) > tolerance).mean()
-    if share <= most_off:
+    if share <= max_differing_share:
         return
     OUTPUT.mkdir(exist_ok=True)
     magnified = np.rint(255 * (difference / 255) ** 0.25).astype(np.uint8)

@@ -11,7 +11,7 @@ import pytest
 def quick(values: Iterable[Any], *chosen: Any) -> list[Any]:
     """Return values as parameters, all but the chosen ones marked ``long``. Fail if a chosen value is missing."""
     values = list(values)
-    assert all(one in values for one in chosen), chosen
+    assert all(choice in values for choice in chosen), chosen
     return [
         value if value in chosen else pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.long)
         for value in values

@@ -53,7 +53,7 @@ TILES = "/levels/hills/tiles/WebMercatorQuad/12/2144/1432"
 TILE, SNAPSHOT, PLAN = f"{TILES}.png", "/levels/hills/snapshot.png", "/levels/hills/plan"
 
 
-def told(pipe: Connection, config: WorkerConfig) -> None:
+def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
     """Run a render process that answers with the job's options and the sun that it would draw under."""
     pipe.send(Ready("told"))
     while True:
@@ -67,10 +67,10 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
         if isinstance(job, DescriptorJob | DescribedPlanJob):
             pipe.send(run_job(job, WorkerState("told")))
             continue
-        sun = job.request.seen(build_scene(load_level(job.level.path))).sun
-        said = json.dumps([job.request.overrides.for_selector(), None if sun is None else sun.altitude_deg])
+        sun = job.request.applied_to(build_scene(load_level(job.level.path))).sun
+        payload = json.dumps([job.request.overrides.for_selector(), None if sun is None else sun.altitude_deg])
         if isinstance(job, PlanJob):
-            pipe.send(PlanAnswer(said))
+            pipe.send(PlanAnswer(payload))
             continue
         side = BLOCK_PX
         valid, quarter = np.ones((side, side), np.bool_), np.full((side, side), 0.25, np.float32)
@@ -81,11 +81,11 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
         )
         if isinstance(job, BlockJob):
             tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
-            pipe.send(BlockTiles(tiles, 0.0, said, (), 0.0, 0.0, False, "told"))  # type: ignore[arg-type]
+            pipe.send(BlockTiles(tiles, 0.0, payload, (), 0.0, 0.0, False, "told"))  # type: ignore[arg-type]
         else:
             part = picture.part((slice(0, 8), slice(0, 8)))
-            body = encode_picture(job.request.record.compute(Part(scene, scene.view(), None, part)), job.format)
-            pipe.send(Snapshot(body, 0.0, said, (), 0.0, 0.0, False, "told"))
+            body = encode_picture(job.request.product_record.compute(Part(scene, scene.view(), None, part)), job.format)
+            pipe.send(Snapshot(body, 0.0, payload, (), 0.0, 0.0, False, "told"))
 
 
 def command(*arguments: str) -> tuple[int, str, str]:
@@ -100,7 +100,7 @@ def command(*arguments: str) -> tuple[int, str, str]:
     return status, out.getvalue(), err.getvalue()
 
 
-def asked_of(document: dict[str, Any], name: str) -> dict[str, Any]:
+def parameter_by_path(document: dict[str, Any], name: str) -> dict[str, Any]:
     """Return the description of a parameter by the paths that accept it."""
     return {
         path: parameter
@@ -117,12 +117,12 @@ def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     from skugga.selector.pin import pinned_text, pins
     from skugga.selector.planner.planner import make_plan
 
-    more = level.with_name("glossy.json")
-    more.write_text(json.dumps({**json.loads(level.read_text()), "shadows": {"gloss": "bright"}}))
-    wrong = level.with_name("wrong.json")
-    wrong.write_text(json.dumps({**json.loads(level.read_text()), "shadows": {"gloss": "loud"}}))
+    glossy_level = level.with_name("glossy.json")
+    glossy_level.write_text(json.dumps({**json.loads(level.read_text()), "shadows": {"gloss": "bright"}}))
+    invalid_level = level.with_name("wrong.json")
+    invalid_level.write_text(json.dumps({**json.loads(level.read_text()), "shadows": {"gloss": "loud"}}))
     try:
-        refusal = str(load_level(wrong).level.shadows)
+        refusal = str(load_level(invalid_level).level.shadows)
     except SkuggaError as error:
         refusal = str(error)
     loaded = load_level(level)
@@ -134,14 +134,14 @@ def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
         gloss: str = "dull"
 
     settings = {
-        light: {kind: Glossy(**its.model_dump(), gloss="bright") for kind, its in kinds.items()}
+        light: {kind: Glossy(**kind_settings.model_dump(), gloss="bright") for kind, kind_settings in kinds.items()}
         for light, kinds in plan.settings.items()
     }
     plan = plan.model_copy(update={"settings": settings})
     chosen = pins(plan, descriptor, loaded.level)
     picture = level.with_name("picture.png")
     stats = level.with_name("stats.json")
-    drawn = command(
+    render_output = command(
         "render",
         str(level),
         "--size",
@@ -156,30 +156,30 @@ def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
         str(stats),
     )
     facts = client.get("/levels/hills/descriptor").json()
-    asked = {"gloss": "bright"}
+    params = {"gloss": "bright"}
     return {
-        "level file": [load_level(more).level.shadows.model_dump()["gloss"], refusal],
+        "level file": [load_level(glossy_level).level.shadows.model_dump()["gloss"], refusal],
         "help": {name: command(name, "--help")[1] for name in ("render", "select")},
-        "render": [drawn, json.loads(stats.read_text())["plan"]["reasons"]],
+        "render": [render_output, json.loads(stats.read_text())["plan"]["reasons"]],
         "select": command("select", str(level), "--policy", "rules", "--gloss", "bright", "--json"),
         "refused": command("select", str(level), "--gloss", "loud"),
-        "openapi": asked_of(client.get("/openapi.json").json(), "gloss"),
+        "openapi": parameter_by_path(client.get("/openapi.json").json(), "gloss"),
         "http": {
-            "tile": client.get(TILE, params=asked).headers["x-skugga-algorithm"],
-            "snapshot": client.get(SNAPSHOT, params=asked).headers["x-skugga-algorithm"],
-            "plan": client.get(PLAN, params=asked).json(),
-            "tilejson": client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=asked).json()["tiles"],
+            "tile": client.get(TILE, params=params).headers["x-skugga-algorithm"],
+            "snapshot": client.get(SNAPSHOT, params=params).headers["x-skugga-algorithm"],
+            "plan": client.get(PLAN, params=params).json(),
+            "tilejson": client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=params).json()["tiles"],
         },
-        "plan of facts": client.post("/plan", params={**asked, "policy": "rules"}, json=facts).json()["reasons"],
+        "plan of facts": client.post("/plan", params={**params, "policy": "rules"}, json=facts).json()["reasons"],
         "refusals": [client.get(path, params={"gloss": "loud"}).json() for path in (TILE, SNAPSHOT, PLAN)],
-        "tags": {path: [client.get(path, params=query).headers["etag"] for query in ({}, asked)] for path in (TILE, SNAPSHOT)},
+        "tags": {path: [client.get(path, params=query).headers["etag"] for query in ({}, params)] for path in (TILE, SNAPSHOT)},
         "pin": pinned_text(level.read_text(), chosen, ["Chosen."]),
         "words": format_plan(plan, "A plan."),
         "candidate": name_of(plan),
     }
 
 
-def plane(raster: Path) -> None:
+def write_inclined_plane(raster: Path) -> None:
     """Overwrite a raster with ground that rises 0.75 to the east for each unit of the map."""
     import rasterio
 
@@ -200,18 +200,18 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
     import skugga
     from skugga.api.products import product_table
 
-    asked, folder = {"layer": "steepness", "gain": 2}, level.parent
+    params, folder = {"layer": "steepness", "gain": 2}, level.parent
     raster, archive = folder / "steepness.tif", folder / "steepness.pmtiles"
 
     def inside(array: np.ndarray, rim: int = 4) -> list[float]:
         """Return the minimum and maximum within the data, and the share of valid pixels there."""
-        known = np.isfinite(array)
-        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        valid = np.isfinite(array)
+        rows, cols = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
         part = array[rows[0] + rim : rows[-1] - rim + 1, cols[0] + rim : cols[-1] - rim + 1]
         return [float(np.nanmin(part)), float(np.nanmax(part)), float(np.isfinite(part).mean())]
 
-    def values(path: str, **more: object) -> np.ndarray:
-        answer = client.get(path, params={**asked, **more})
+    def values(path: str, **extra_params: object) -> np.ndarray:
+        answer = client.get(path, params={**params, **extra_params})
         assert answer.status_code == 200, answer.text
         return np.load(io.BytesIO(answer.content))
 
@@ -222,26 +222,26 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
         part = picture[rows[0] + 4 : rows[-1] - 3, cols[0] + 4 : cols[-1] - 3]
         return np.unique(part.reshape(-1, 4), axis=0).tolist()
 
-    done = command("compute", str(level), "--product", "steepness", "--gain", "2", "-o", str(raster))
-    assert done[0] == 0, done
+    output = command("compute", str(level), "--product", "steepness", "--gain", "2", "-o", str(raster))
+    assert output[0] == 0, output
     with rasterio.open(raster) as dataset, skugga.open_level(level) as opened:
-        by_command, by_python = dataset.read(1), opened.compute("steepness", gain=2.0)
-    around = [[values(TILES.replace("2144/1432", f"{x}/{y}") + ".npy") for x in (2143, 2144)] for y in (1431, 1432)]
+        command_array, python_array = dataset.read(1), opened.compute("steepness", gain=2.0)
+    neighbour_tiles = [[values(TILES.replace("2144/1432", f"{x}/{y}") + ".npy") for x in (2143, 2144)] for y in (1431, 1432)]
     bounds = matrix_sets.get("WebMercatorQuad").xy_bounds(2144, 1432, 12)
     wms = {
         "SERVICE": "WMS", "REQUEST": "GetMap", "LAYERS": "hills:steepness", "CRS": "EPSG:3857", "BBOX": ",".join(map(str, bounds)),
         "WIDTH": 200, "HEIGHT": 200, "FORMAT": "image/png", "TRANSPARENT": "TRUE", "GAIN": 2,
     }  # fmt: skip
-    done = command(
+    output = command(
         "seed", str(level), "--zooms", "12-12", "--layer", "steepness", "--gain", "2", "--workers", "1", "-o", str(archive)
     )
-    assert done[0] == 0, done
+    assert output[0] == 0, output
     with archive.open("rb") as file:
         seeded = Reader(MmapSource(file)).get(12, 2144, 1432)
-    tile = client.get(TILE, params=asked)
+    tile = client.get(TILE, params=params)
     assert seeded == tile.content, "the archive has the tile that the service has"
-    said = client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=asked).json()
-    level_said = client.get("/levels/hills").json()
+    tilejson = client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=params).json()
+    level_document = client.get("/levels/hills").json()
     documents = {
         name: client.get(address).text
         for name, address in (
@@ -250,19 +250,19 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
     }  # fmt: skip
     mask = ("--product", "mask", "--gain", "2", "-o", str(raster))
     return {
-        "command": inside(by_command), "python": inside(by_python), "tile": inside(values(f"{TILES}.npy")),
-        "double tile": inside(values(f"{TILES}@2x.npy")), "across blocks": inside(np.block(around)),
+        "command": inside(command_array), "python": inside(python_array), "tile": inside(values(f"{TILES}.npy")),
+        "double tile": inside(values(f"{TILES}@2x.npy")), "across blocks": inside(np.block(neighbour_tiles)),
         "map": inside(values("/levels/hills/map.npy", width=300)), "colors": colors(tile.content),
         "wms": colors(client.get("/wms", params=wms).content), "seeded": colors(seeded),
-        "map_layers": level_said["map_layers"], "products": {each["name"]: each for each in level_said["products"]},
-        "tilejson": {"tiles": said["tiles"][0], "legend": said["skugga"]["legend"]["title"]},
-        "legend": [client.get(f"/levels/hills/legend.{kind}", params=asked).headers["content-type"] for kind in ("png", "svg")],
+        "map_layers": level_document["map_layers"], "products": {item["name"]: item for item in level_document["products"]},
+        "tilejson": {"tiles": tilejson["tiles"][0], "legend": tilejson["skugga"]["legend"]["title"]},
+        "legend": [client.get(f"/levels/hills/legend.{kind}", params=params).headers["content-type"] for kind in ("png", "svg")],
         **{f"{name} capabilities": ["hills:steepness" in text, "LegendURL" in text] for name, text in documents.items()},
         "help": " ".join(command("compute", "--help")[1].split()),
-        "openapi": asked_of(client.get("/openapi.json").json(), "gain"), "docs": product_table(),
-        "tags": [client.get(TILE, params={**asked, "gain": gain}).headers["etag"] for gain in (2, 3)],
+        "openapi": parameter_by_path(client.get("/openapi.json").json(), "gain"), "docs": product_table(),
+        "tags": [client.get(TILE, params={**params, "gain": gain}).headers["etag"] for gain in (2, 3)],
         "refusals": [
-            client.get(TILE, params=query).json() for query in ({"gain": 2}, {**asked, "gain": 99}, {**asked, "gain": "x"})
+            client.get(TILE, params=query).json() for query in ({"gain": 2}, {**params, "gain": 99}, {**params, "gain": "x"})
         ],
         "refused": [
             command("compute", str(level), *mask),
@@ -274,21 +274,21 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
 
 def parameter(level: Path, client: httpx.Client) -> dict[str, Any]:
     """Return answers about a parameter ``raised``: degrees added to the sun's altitude."""
-    asked = {"azimuth": 200, "altitude": 30, "raised": 12}
-    suns = ({"azimuth": 200, "altitude": 30}, asked)
+    params = {"azimuth": 200, "altitude": 30, "raised": 12}
+    suns = ({"azimuth": 200, "altitude": 30}, params)
     return {
-        "openapi": asked_of(client.get("/openapi.json").json(), "raised"),
-        "http": [client.get(path, params=asked).headers["x-skugga-algorithm"] for path in (TILE, SNAPSHOT)],
-        "tilejson": client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=asked).json()["tiles"],
+        "openapi": parameter_by_path(client.get("/openapi.json").json(), "raised"),
+        "http": [client.get(path, params=params).headers["x-skugga-algorithm"] for path in (TILE, SNAPSHOT)],
+        "tilejson": client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=params).json()["tiles"],
         "tags": {path: [client.get(path, params=sun).headers["etag"] for sun in suns] for path in (TILE, SNAPSHOT)},
         "refusal": client.get(TILE, params={"raised": "high"}).json(),
     }
 
 
 if __name__ == "__main__":
-    level_file, what = Path(sys.argv[1]), sys.argv[2]
-    if what == "product":
-        plane(level_file.with_suffix(".tif"))
-    worker = run_worker if what == "product" else told
+    level_file, feature = Path(sys.argv[1]), sys.argv[2]
+    if feature == "product":
+        write_inclined_plane(level_file.with_suffix(".tif"))
+    worker = run_worker if feature == "product" else echo_worker
     with running(create_app(Settings(workers=1), [level_file], worker)) as served:
-        print(json.dumps({"setting": setting, "product": product, "parameter": parameter}[what](level_file, served)))
+        print(json.dumps({"setting": setting, "product": product, "parameter": parameter}[feature](level_file, served)))

@@ -50,7 +50,7 @@ def drawn(scene: Scene, view: MapView, plan: Plan) -> Picture:
     return draw(scene, view, plan, SHADED)
 
 
-def drawn_by_heights(scene: Scene, view: MapView, plan: Plan) -> Picture | None:
+def draw_by_heights(scene: Scene, view: MapView, plan: Plan) -> Picture | None:
     """Return the picture of a block with its passes, drawn by the loops over heights; ``None`` if these do not suffice."""
     log = PassLog()
     picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADED, log)

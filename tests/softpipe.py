@@ -6,7 +6,7 @@ own:
 * It drops triangles whose fragment shader reads ``gl_PrimitiveID``. The plugin draws their vertices one by one, which
   numbers them.
 * With a polygon offset it clamps depths at a triangle's corners instead of its pixels, so infinite volumes are skewed. In
-  maps, where they begin far away, parts of their shadows are missing (``BEYOND_IT``).
+  maps, where they begin far away, parts of their shadows are missing (``UNSUPPORTED_LEVELS``).
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ from skugga.terrain.gl.device import Device
 
 SOFTPIPE = {"GALLIUM_DRIVER": "softpipe", "MESA_GL_VERSION_OVERRIDE": "4.5", "MESA_GLSL_VERSION_OVERRIDE": "450"}
 
-BEYOND_IT = ("thesis_water_tower",)
+UNSUPPORTED_LEVELS = ("thesis_water_tower",)
 
-_program, _uploaded = Device.program, Device.uploaded_mesh
-_numbered: set[int] = set()
+_original_program, _original_uploaded_mesh = Device.program, Device.uploaded_mesh
+_numbered_programs: set[int] = set()
 
 
-def _numbering(self: Device, vertex: str, fragment: str, *args: Any, **kwargs: Any) -> moderngl.Program:
-    asked = "gl_PrimitiveID" in fragment
-    if asked:
-        declared = r"\1flat {} int primitive_number;\n"
-        fragment = re.sub(r"(#version[^\n]*\n)", declared.format("in"), fragment, count=1)
+def _program_with_primitive_numbers(self: Device, vertex: str, fragment: str, *args: Any, **kwargs: Any) -> moderngl.Program:
+    needs_numbers = "gl_PrimitiveID" in fragment
+    if needs_numbers:
+        declaration = r"\1flat {} int primitive_number;\n"
+        fragment = re.sub(r"(#version[^\n]*\n)", declaration.format("in"), fragment, count=1)
         fragment = fragment.replace("gl_PrimitiveID", "primitive_number")
-        vertex = re.sub(r"(#version[^\n]*\n)", declared.format("out"), vertex, count=1)
+        vertex = re.sub(r"(#version[^\n]*\n)", declaration.format("out"), vertex, count=1)
         vertex = vertex.replace("void main() {", "void main() { primitive_number = gl_VertexID / 3;")
-    program = _program(self, vertex, fragment, *args, **kwargs)
-    if asked:
-        _numbered.add(program.glo)
+    program = _original_program(self, vertex, fragment, *args, **kwargs)
+    if needs_numbers:
+        _numbered_programs.add(program.glo)
     return program
 
 
 @contextmanager
-def _one_by_one(
+def _mesh_without_indices(
     self: Device, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray, *args: Any, **kwargs: Any
 ) -> Iterator[moderngl.VertexArray]:
-    if program.glo in _numbered:
+    if program.glo in _numbered_programs:
         vertices, indices = np.asarray(vertices)[np.ravel(indices)], np.arange(np.size(indices), dtype=np.int32)
-    with _uploaded(self, program, vertices, indices, *args, **kwargs) as array:
+    with _original_uploaded_mesh(self, program, vertices, indices, *args, **kwargs) as array:
         yield array
 
 
 def pytest_configure() -> None:
     """Install the workarounds: this module is a plugin of the process."""
-    Device.program, Device.uploaded_mesh = _numbering, _one_by_one  # type: ignore[method-assign]
+    Device.program, Device.uploaded_mesh = _program_with_primitive_numbers, _mesh_without_indices  # type: ignore[method-assign]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.api.conftest import write_level
-from tests.copies import Edits, copy_with, said_in
+from tests.copies import Edits, copy_with, run_module_json
 
 A_SETTING: Edits = {
     "terrain/level/level.py": (
@@ -59,9 +59,9 @@ A_PRODUCT: Edits = {"api/products/steepness.py": (("", STEEPNESS),)}
 A_PARAMETER: Edits = {
     "api/http/parameters.py": (
         (
-            "    **asked: Any,\n) -> PictureRequest:",
+            "    **shadow_settings: Any,\n) -> PictureRequest:",
             '    raised: Annotated[float | None, Query(description="Degrees more.")] = None,\n'
-            "    **asked: Any,\n) -> PictureRequest:",
+            "    **shadow_settings: Any,\n) -> PictureRequest:",
         ),
         ("    return PictureRequest(\n        sun=sun,", "    return PictureRequest(\n        raised=raised, sun=sun,"),
     ),
@@ -81,17 +81,19 @@ A_PARAMETER: Edits = {
 }  # fmt: skip
 
 
-ACROSS = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0]}
+PERSPECTIVE_VIEW = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0]}
 
 
 @pytest.fixture
-def said(tmp_path: Path):
-    """Return ``said(edits, what)``, which returns the output of the probe on a copy with those edits."""
+def probe_output(tmp_path: Path):
+    """Return ``probe_output(edits, topic)``, which returns the output of the probe on a copy with those edits."""
 
-    def say(edits: Edits, what: str) -> dict:
-        return said_in(copy_with(tmp_path, edits), "tests.probe", write_level(tmp_path, "hills", views={"across": ACROSS}), what)
+    def run_probe(edits: Edits, topic: str) -> dict:
+        return run_module_json(
+            copy_with(tmp_path, edits), "tests.probe", write_level(tmp_path, "hills", views={"across": PERSPECTIVE_VIEW}), topic
+        )
 
-    return say
+    return run_probe
 
 
 def test_additions_edit_the_documented_number_of_files():
@@ -99,27 +101,27 @@ def test_additions_edit_the_documented_number_of_files():
     assert [len(edits) for edits in (A_SETTING, A_PRODUCT, A_PARAMETER)] == [1, 1, 2]
 
 
-def test_a_new_setting_appears_in_every_interface(said):
-    found = said(A_SETTING, "setting")
+def test_a_new_setting_appears_in_every_interface(probe_output):
+    output = probe_output(A_SETTING, "setting")
 
-    value, refusal = found["level file"]
+    value, refusal = output["level file"]
     assert value == "bright" and "shadows.gloss" in refusal and "'dull'" in refusal
-    for name, text in found["help"].items():
+    for name, text in output["help"].items():
         assert "--gloss" in text and "How shadows shine (dull or bright)." in text, name
 
-    left_out = {
+    unused_reason = {
         "name": "gloss bright",
         "reason": "set by the request, without effect: no chosen algorithm has this setting",
     }
-    (status, _, err), reasons = found["render"]
-    assert status == 0 and left_out in reasons, err
-    status, out, err = found["select"]
-    assert status == 0 and left_out in json.loads(out)["reasons"], err
-    assert left_out in found["plan of facts"]
-    status, _, err = found["refused"]
+    (status, _, err), reasons = output["render"]
+    assert status == 0 and unused_reason in reasons, err
+    status, out, err = output["select"]
+    assert status == 0 and unused_reason in json.loads(out)["reasons"], err
+    assert unused_reason in output["plan of facts"]
+    status, _, err = output["refused"]
     assert status == 2 and "gloss" in err and "loud" in err and "'bright'" in err
 
-    documented = found["openapi"]
+    documented = output["openapi"]
     assert {path.rpartition("/")[2] for path in documented} == {
         "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "legend.{format}", "map.{format}", "snapshot.{format}", "plan",
         "lines.json",
@@ -128,63 +130,63 @@ def test_a_new_setting_appears_in_every_interface(said):
         assert parameter["description"] == "How shadows shine."
         assert {"enum": ["dull", "bright"], "type": "string"} in parameter["schema"]["anyOf"]
     for name in ("tile", "snapshot"):
-        assert json.loads(found["http"][name])[0] == {"gloss": "bright"}, "it has crossed to the render process"
-    assert found["http"]["plan"][0] == {"gloss": "bright"}
-    assert found["http"]["tilejson"][0].endswith("?gloss=bright")
-    for problem in found["refusals"]:
+        assert json.loads(output["http"][name])[0] == {"gloss": "bright"}, "it has crossed to the render process"
+    assert output["http"]["plan"][0] == {"gloss": "bright"}
+    assert output["http"]["tilejson"][0].endswith("?gloss=bright")
+    for problem in output["refusals"]:
         assert problem["status"] == 422 and problem["parameter"] == "gloss" and "'dull' or 'bright'" in problem["detail"]
-    for tags in found["tags"].values():
+    for tags in output["tags"].values():
         assert len(set(tags)) == 2
 
-    assert '"gloss": "bright"' in found["pin"]
-    assert "Bright gloss" in found["words"]
-    assert found["candidate"].endswith("-bright")
+    assert '"gloss": "bright"' in output["pin"]
+    assert "Bright gloss" in output["words"]
+    assert output["candidate"].endswith("-bright")
 
 
-def test_a_new_product_appears_in_every_interface(said, tmp_path):
+def test_a_new_product_appears_in_every_interface(probe_output, tmp_path):
     """The ground rises 0.75 to the east for each metre of the map. By a factor of 2 the result is 1.5 in every interface."""
-    found = said(A_PRODUCT, "product")
-    for door in ("command", "python", "tile", "double tile", "map", "across blocks"):
-        low, high, share = found[door]
-        assert low == pytest.approx(1.5, abs=1e-3) and high == pytest.approx(1.5, abs=1e-3), (door, low, high)
-        assert share == 1.0, f"{door}: a seam, or nothing"
-    assert found["colors"] == found["wms"] == found["seeded"], "a picture has the colour of 1.5 by the scale, at every door"
-    assert len(found["colors"]) == 1 and found["colors"][0][3] == 255
+    output = probe_output(A_PRODUCT, "product")
+    for interface in ("command", "python", "tile", "double tile", "map", "across blocks"):
+        low, high, share = output[interface]
+        assert low == pytest.approx(1.5, abs=1e-3) and high == pytest.approx(1.5, abs=1e-3), (interface, low, high)
+        assert share == 1.0, f"{interface}: a seam, or nothing"
+    assert output["colors"] == output["wms"] == output["seeded"], "a picture has the colour of 1.5 by the scale, at every door"
+    assert len(output["colors"]) == 1 and output["colors"][0][3] == 255
     assert (
-        "steepness" in found["map_layers"]
-        and {"name": "steepness", "legend": True}.items() <= found["products"]["steepness"].items()
+        "steepness" in output["map_layers"]
+        and {"name": "steepness", "legend": True}.items() <= output["products"]["steepness"].items()
     )
-    assert found["tilejson"]["tiles"].endswith("?layer=steepness&gain=2.0") and found["tilejson"]["legend"] == "Steepness"
-    assert found["legend"] == ["image/png", "image/svg+xml"]
+    assert output["tilejson"]["tiles"].endswith("?layer=steepness&gain=2.0") and output["tilejson"]["legend"] == "Steepness"
+    assert output["legend"] == ["image/png", "image/svg+xml"]
     for capabilities in ("wms capabilities", "wmts capabilities"):
-        assert found[capabilities] == [True, True], capabilities
-    assert "steepness: Factor of the steepness." in found["help"] and "--gain" in found["help"]
-    assert {path.rpartition("/")[2] for path in found["openapi"]} == {
+        assert output[capabilities] == [True, True], capabilities
+    assert "steepness: Factor of the steepness." in output["help"] and "--gain" in output["help"]
+    assert {path.rpartition("/")[2] for path in output["openapi"]} == {
         "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "legend.{format}", "map.{format}", "lines.json",
     }  # fmt: skip
-    assert all("Factor of the steepness." in each["description"] for each in found["openapi"].values())
-    assert "| `steepness` | made-up steepness of the ground |" in found["docs"]
-    assert found["tags"][0] != found["tags"][1]
-    for problem in found["refusals"]:
+    assert all("Factor of the steepness." in parameter["description"] for parameter in output["openapi"].values())
+    assert "| `steepness` | made-up steepness of the ground |" in output["docs"]
+    assert output["tags"][0] != output["tags"][1]
+    for problem in output["refusals"]:
         assert problem["status"] == 422 and problem["parameter"] == "gain", problem
-    for status, _, err in found["refused"]:
+    for status, _, err in output["refused"]:
         assert status == 2 and err.count("\n") == 1 and "gain" in err, err
-    status, _, err = found["in perspective"]
+    status, _, err = output["in perspective"]
     assert status == 2 and "layer: 'steepness' is not allowed. Allowed: the layers of a perspective view: color" in err
 
 
-def test_without_its_record_a_product_is_unknown(said):
+def test_without_its_record_a_product_is_unknown(probe_output):
     """This shows that the probe depends on the record."""
     with pytest.raises(AssertionError, match="No such option: --gain"):
-        said({}, "product")
+        probe_output({}, "product")
 
 
-def test_a_new_parameter_reaches_picture_and_entity_tags(said):
-    found = said(A_PARAMETER, "parameter")
-    assert len(found["openapi"]) == 7
-    for headline in found["http"]:
+def test_a_new_parameter_reaches_picture_and_entity_tags(probe_output):
+    output = probe_output(A_PARAMETER, "parameter")
+    assert len(output["openapi"]) == 7
+    for headline in output["http"]:
         assert json.loads(headline) == [{}, 42.0]
-    assert "raised=12" in found["tilejson"][0]
-    for tags in found["tags"].values():
+    assert "raised=12" in output["tilejson"][0]
+    for tags in output["tags"].values():
         assert len(set(tags)) == 2
-    assert found["refusal"]["parameter"] == "raised"
+    assert output["refusal"]["parameter"] == "raised"

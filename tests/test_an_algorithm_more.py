@@ -35,7 +35,7 @@ from skugga.shadows.algorithm import (
     Cost,
     ErrorConstants,
     Mark,
-    Reasoned,
+    NamedReason,
     ResolvedSettings,
     Search,
     SettingsRequest,
@@ -56,12 +56,12 @@ from skugga.terrain.scene import Scene, build_scene
 ROOT = Path(__file__).resolve().parents[1]
 
 PASSES = ("coarse rays",)
-TOO_NEAR = "coarse rays are for what is far away, as the sun is"
+REFUSAL_REASON = "coarse rays are for what is far away, as the sun is"
 
-answers: dict[str, Cache[np.ndarray]] = {}
+visibility_caches: dict[str, Cache[np.ndarray]] = {}
 """The algorithm's cache while it is registered. Other caches belong to all tests of a process."""
 
-cast: list[int] = []
+ray_counts: list[int] = []
 """Number of rays that each call cast."""
 
 
@@ -75,29 +75,32 @@ def fill(buffer, scene, light, kinds, casters, settings, log):
     """Return visibility by rays from one pixel of each square, which stands for all of the square."""
     (rays_pass,) = log.named(light, kinds, PASSES)
     with log.run(rays_pass):
-        found = answers["kept"].get(scene, buffer.view, light, kinds, settings)
-        if isinstance(found, Missing):
+        visibility = visibility_caches["kept"].get(scene, buffer.view, light, kinds, settings)
+        if isinstance(visibility, Missing):
             lit = lit_mask(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
             side = settings.square_px
-            chosen = lit[side // 2 :: side, side // 2 :: side]
-            rows, cols = (np.minimum(np.arange(size) // side, most - 1) for size, most in zip(lit.shape, chosen.shape, strict=True))
-            found = chosen[np.ix_(rows, cols)].astype(np.float32)
-            cast.append(chosen.size)
-            answers["kept"].put(scene, buffer.view, light, kinds, settings, value=found)
-        return found.copy()
+            chosen_lit = lit[side // 2 :: side, side // 2 :: side]
+            rows, cols = (
+                np.minimum(np.arange(size) // side, chosen_size - 1)
+                for size, chosen_size in zip(lit.shape, chosen_lit.shape, strict=True)
+            )
+            visibility = chosen_lit[np.ix_(rows, cols)].astype(np.float32)
+            ray_counts.append(chosen_lit.size)
+            visibility_caches["kept"].put(scene, buffer.view, light, kinds, settings, value=visibility)
+        return visibility.copy()
 
 
 def resolve(request: SettingsRequest) -> ResolvedSettings:
-    asked = request.effective_shadows.map_size
-    side = 4 if asked == "auto" else max(4096 // asked, 1)
-    return CoarseRaysSettings(square_px=side), [Reasoned(name=f"square_px {side}", reason="fewer rays would be seen")]
+    map_size = request.effective_shadows.map_size
+    side = 4 if map_size == "auto" else max(4096 // map_size, 1)
+    return CoarseRaysSettings(square_px=side), [NamedReason(name=f"square_px {side}", reason="fewer rays would be seen")]
 
 
 def work(task: Workload, settings: CoarseRaysSettings) -> Work:
-    return {"coarse rays": {"blocks": 1.0, "rays": task.seen / settings.square_px**2, "triangles": task.all_triangles}}
+    return {"coarse rays": {"blocks": 1.0, "rays": task.visible_pixels / settings.square_px**2, "triangles": task.all_triangles}}
 
 
-GOOD = ErrorConstants(floor=0.004, interior=0.0, spread=0.05, interior_spread=0.05)
+ACCURATE_CONSTANTS = ErrorConstants(floor=0.004, interior=0.0, spread=0.05, interior_spread=0.05)
 
 ALGORITHM = Algorithm(
     name="coarse_rays",
@@ -105,13 +108,15 @@ ALGORITHM = Algorithm(
     plural="coarse rays",
     fill=fill,
     passes=PASSES,
-    refuses={"omni": TOO_NEAR, "spot": TOO_NEAR},
+    refusals={"omni": REFUSAL_REASON, "spot": REFUSAL_REASON},
     settings=(CoarseRaysSettings,),
     resolve=resolve,
-    keeps=("tests.coarse_rays",),
-    search=Search(compared=({"map_size": 4096}, {"map_size": 512})),
-    cost=Cost(work, calibrated=lambda descriptor, light, grid: [CoarseRaysSettings(square_px=side) for side in (1, 4, 16)]),
-    accuracy=Accuracy(constants={"coarse_rays": GOOD}),
+    cache_names=("tests.coarse_rays",),
+    search=Search(compared_overrides=({"map_size": 4096}, {"map_size": 512})),
+    cost=Cost(
+        work, calibration_settings=lambda descriptor, light, grid: [CoarseRaysSettings(square_px=side) for side in (1, 4, 16)]
+    ),
+    accuracy=Accuracy(constants={"coarse_rays": ACCURATE_CONSTANTS}),
     mark=Mark("cross", "vermilion"),
 )
 
@@ -129,10 +134,10 @@ def registered() -> Iterator[Callable[[Algorithm], None]]:
 @pytest.fixture
 def coarse_rays(registered) -> Iterator[None]:
     registered(ALGORITHM)
-    answers["kept"] = Cache("tests.coarse_rays", "light", 2**26)
-    cast.clear()
+    visibility_caches["kept"] = Cache("tests.coarse_rays", "light", 2**26)
+    ray_counts.clear()
     yield
-    answers.clear()
+    visibility_caches.clear()
 
 
 LEVEL = {
@@ -155,8 +160,8 @@ def scene(tmp_path: Path) -> Scene:
     return build_scene(load_level(level_file(tmp_path, lights={})))
 
 
-def plan_by(scene: Scene, view, **asked) -> Plan:
-    return make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **asked})
+def plan_by(scene: Scene, view, **overrides) -> Plan:
+    return make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **overrides})
 
 
 def test_a_level_may_name_a_new_algorithm(coarse_rays, tmp_path):
@@ -179,42 +184,44 @@ def test_a_plan_has_the_new_settings_and_survives_json(coarse_rays, scene):
     assert plan.settings[SUN]["relief"] == CoarseRaysSettings(square_px=4)
     assert coarser.settings[SUN]["relief"] == CoarseRaysSettings(square_px=8)
     assert "sun/relief: coarse rays" in plan.passes
-    assert {one.name: one.reason for one in plan.reasons}["square_px 4"] == "fewer rays would be seen"
+    assert {entry.name: entry.reason for entry in plan.reasons}["square_px 4"] == "fewer rays would be seen"
     assert Plan.model_validate_json(plan.model_dump_json()) == plan
     assert json.loads(plan.model_dump_json())["settings"][SUN]["relief"] == {"square_px": 4}
     by_maps = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"})
-    assert "coarse_rays" in {one.name for one in by_maps.rejected}
+    assert "coarse_rays" in {entry.name for entry in by_maps.rejected}
 
 
 def test_a_new_algorithm_is_refused_where_unsupported(coarse_rays, tmp_path):
-    lit = build_scene(load_level(level_file(tmp_path)))
-    view = lit.view(size=(64, 64))
-    with pytest.raises(UnsupportedError, match=f"coarse_rays for relief under lamp.*{TOO_NEAR}; algorithms that can: shadow_map"):
-        make_plan(describe(lit, view), lit.loaded.level, {"algorithm": "coarse_rays"})
+    lamp_scene = build_scene(load_level(level_file(tmp_path)))
+    view = lamp_scene.view(size=(64, 64))
+    with pytest.raises(
+        UnsupportedError, match=f"coarse_rays for relief under lamp.*{REFUSAL_REASON}; algorithms that can: shadow_map"
+    ):
+        make_plan(describe(lamp_scene, view), lamp_scene.loaded.level, {"algorithm": "coarse_rays"})
     assert "coarse_rays" in algorithms_serving(("map", "sun", "relief", "uneven")) and "coarse_rays" not in algorithms_serving(
         ("map", "omni", "relief")
     )
 
 
 def test_a_new_algorithm_draws_and_its_cache_is_cleared(gl, coarse_rays, scene):
-    drawn = partial(render_frame, pixel_sampling="points")  # antialiasing of edges would cast more rays
+    render_points = partial(render_frame, pixel_sampling="points")  # antialiasing of edges would cast more rays
     view = scene.view(size=(64, 64))
-    whole = drawn(scene, view, plan_by(scene, view, map_size=4096)).visibility
-    truth = drawn(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
-    assert np.array_equal(whole, truth, equal_nan=True) and 0.05 < (truth == 0.0).mean() < 0.95
-    frame = drawn(scene, view, plan_by(scene, view))
+    fine_visibility = render_points(scene, view, plan_by(scene, view, map_size=4096)).visibility
+    truth = render_points(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
+    assert np.array_equal(fine_visibility, truth, equal_nan=True) and 0.05 < (truth == 0.0).mean() < 0.95
+    frame = render_points(scene, view, plan_by(scene, view))
     assert [record.name for record in frame.passes] == frame.plan.passes
     differs = frame.visibility[frame.valid] != truth[frame.valid]
-    assert 0.0 < differs.mean() < 0.2 and len(cast) == 2
-    again = drawn(scene, view, plan_by(scene, view))
-    assert np.array_equal(again.visibility, frame.visibility, equal_nan=True) and len(cast) == 2  # it was cached
+    assert 0.0 < differs.mean() < 0.2 and len(ray_counts) == 2
+    cached_frame = render_points(scene, view, plan_by(scene, view))
+    assert np.array_equal(cached_frame.visibility, frame.visibility, equal_nan=True) and len(ray_counts) == 2  # it was cached
 
-    (cache,) = (each for each in caches("light") if each.name in ALGORITHM.keeps)
+    (cache,) = (light_cache for light_cache in caches("light") if light_cache.name in ALGORITHM.cache_names)
     assert len(cache) > 0
-    ALGORITHM.forget()
+    ALGORITHM.clear_caches()
     assert len(cache) == 0
-    drawn(scene, view, plan_by(scene, view))
-    assert len(cache) > 0 and len(cast) == 3
+    render_points(scene, view, plan_by(scene, view))
+    assert len(cache) > 0 and len(ray_counts) == 3
     clear_caches("light")
     assert len(cache) == 0
 
@@ -225,9 +232,9 @@ def test_a_new_algorithm_is_compared(gl, coarse_rays, scene):
     assert {"coarse_rays-4", "coarse_rays-1", "coarse_rays-8"} <= names
     plans = [plan_by(scene, view, map_size=size) for size in (4096, 1024, 256)]
     rows = compare(scene, view, plans=plans).rows
-    wrong = [row.figures["wrong_cast"] for row in rows]
+    cast_errors = [row.figures["wrong_cast"] for row in rows]
     assert [row.figures["algorithm"][SUN]["relief"] for row in rows] == ["coarse_rays"] * 3
-    assert wrong[0] == 0.0 < wrong[1] < wrong[2]
+    assert cast_errors[0] == 0.0 < cast_errors[1] < cast_errors[2]
     assert mark_of("coarse_rays") == ALGORITHM.mark
 
 
@@ -236,22 +243,22 @@ def test_a_new_algorithm_is_calibrated(gl, coarse_rays, monkeypatch):
     monkeypatch.setattr(
         calibration,
         "calibration_views",
-        lambda folder: (replace(each, grid="few") for each in calibration_views(folder) if each.name == "few_balls_small"),
+        lambda folder: (replace(view, grid="few") for view in calibration_views(folder) if view.name == "few_balls_small"),
     )
-    found = calibrate()
-    assert found.residuals["coarse_rays"].rows == 3
-    assert sum(found.rates_ns["coarse rays"].values()) > 0.0
+    profile = calibrate()
+    assert profile.residuals["coarse_rays"].rows == 3
+    assert sum(profile.rates_ns["coarse rays"].values()) > 0.0
 
 
 def device(**rates: dict[str, float]) -> DeviceProfile:
     """Return a device on which maps and volumes are slow."""
-    slow = {
+    slow_rates_ns = {
         "shadow_map, map": {"blocks": 90e6}, "silhouettes, map": {"blocks": 90e6}, "counting, map": {"blocks": 90e6},
         "conservative map, map": {"blocks": 90e6}, "mask": {"blocks": 90e6}, "sweep, map": {"blocks": 40e6},
     }  # fmt: skip
     return DeviceProfile(
         renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2026, 1, 1, tzinfo=UTC), took_s=1.0,
-        rates_ns={**slow, **rates},
+        rates_ns={**slow_rates_ns, **rates},
     )  # fmt: skip
 
 
@@ -267,14 +274,16 @@ def test_a_new_algorithm_is_chosen_by_its_error_model(coarse_rays, registered, r
     level = scene.loaded.level
     plan = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
     assert plan.algorithm[SUN]["relief"] == "coarse_rays" and plan.predicted is not None and plan.predicted.ms == pytest.approx(1.0)
-    assert plan.predicted.wrong_cast == pytest.approx(GOOD.floor)
+    assert plan.predicted.wrong_cast == pytest.approx(ACCURATE_CONSTANTS.floor)
 
-    ten_times = replace(GOOD, floor=10.0 * GOOD.floor)  # the planner trusts this wrong error model, and rejects it
-    registered(replace(ALGORITHM, accuracy=Accuracy(constants={"coarse_rays": ten_times})))
-    other = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
-    assert other.algorithm[SUN]["relief"] == "sweep"
-    said = {one.name: one.reason for one in other.rejected}
-    assert "chance of an error over 2 %" in said["coarse_rays"] or said["coarse_rays"].startswith(
+    worse_constants = replace(
+        ACCURATE_CONSTANTS, floor=10.0 * ACCURATE_CONSTANTS.floor
+    )  # the planner trusts this wrong error model, and rejects it
+    registered(replace(ALGORITHM, accuracy=Accuracy(constants={"coarse_rays": worse_constants})))
+    revised_plan = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
+    assert revised_plan.algorithm[SUN]["relief"] == "sweep"
+    rejection_reasons = {entry.name: entry.reason for entry in revised_plan.rejected}
+    assert "chance of an error over 2 %" in rejection_reasons["coarse_rays"] or rejection_reasons["coarse_rays"].startswith(
         "expected at best: an error of 4.0 %"
     )
 
@@ -283,22 +292,24 @@ def test_a_probe_detects_a_wrong_error_model(gl, coarse_rays, registered, scene)
     """The error model claims a tenth of the real error. The planner trusts it until the probe draws once."""
     view, level = scene.view(size=(64, 64)), scene.loaded.level
     square = {"map_size": 256}  # a ray for each square of 16 pixels
-    real = probed_plan(scene, view, overrides={"algorithm": "coarse_rays", **square, "max_error": 0.9}, device=device(**RATES))
-    really = real.plan.predicted.wrong_cast
-    assert really > 0.05 and not any(each.interior_noise for each in real.seen[SUN])
-    claimed = replace(GOOD, floor=really / 10.0)
-    registered(replace(ALGORITHM, resolve=coarse, accuracy=Accuracy(constants={"coarse_rays": claimed})))
-    asked = {"max_error": really / 3.0}
-    believed = predicted_plan(describe(scene, view), level, asked, device(**RATES))
-    assert believed.algorithm[SUN]["relief"] == "coarse_rays" and believed.target.met
-    probed = probed_plan(scene, view, overrides=asked, device=device(**RATES)).plan
+    probe_result = probed_plan(
+        scene, view, overrides={"algorithm": "coarse_rays", **square, "max_error": 0.9}, device=device(**RATES)
+    )
+    real_error = probe_result.plan.predicted.wrong_cast
+    assert real_error > 0.05 and not any(measurement.interior_noise for measurement in probe_result.seen[SUN])
+    claimed_constants = replace(ACCURATE_CONSTANTS, floor=real_error / 10.0)
+    registered(replace(ALGORITHM, resolve=resolve_coarse, accuracy=Accuracy(constants={"coarse_rays": claimed_constants})))
+    overrides = {"max_error": real_error / 3.0}
+    predicted = predicted_plan(describe(scene, view), level, overrides, device(**RATES))
+    assert predicted.algorithm[SUN]["relief"] == "coarse_rays" and predicted.target.met
+    probed = probed_plan(scene, view, overrides=overrides, device=device(**RATES)).plan
     assert probed.policy == "probe" and probed.algorithm[SUN]["relief"] != "coarse_rays" and probed.target.met
-    said = {one.name: one.reason for one in probed.reasons}
-    assert "sun: probed coarse_rays" in said and "(expected: " in said["sun: probed coarse_rays"]
-    assert "instead of coarse_rays" in said["sun: probe"]
+    reasons = {entry.name: entry.reason for entry in probed.reasons}
+    assert "sun: probed coarse_rays" in reasons and "(expected: " in reasons["sun: probed coarse_rays"]
+    assert "instead of coarse_rays" in reasons["sun: probe"]
 
 
-def coarse(request: SettingsRequest) -> ResolvedSettings:
+def resolve_coarse(request: SettingsRequest) -> ResolvedSettings:
     """Return the coarse settings of the probe's test."""
     return CoarseRaysSettings(square_px=16), []
 
@@ -317,14 +328,18 @@ def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
     level, measured = scene.loaded.level, device(**rates)
     plan = predicted_plan(ridges, level, None, measured)
     assert plan.policy == "predict" and plan.algorithm[SUN]["relief"] == "sweep"
-    assert {one.name: one.reason for one in plan.rejected}["coarse_rays"] == why
-    named = select(ridges, level, {"algorithm": "coarse_rays"}, "predict", measured)
-    assert named.algorithm[SUN]["relief"] == "coarse_rays" and named.predicted is None and named.target.met is None
-    reason = next(one.reason for one in named.reasons if one.name == "policy rules")
+    assert {entry.name: entry.reason for entry in plan.rejected}["coarse_rays"] == why
+    requested_plan = select(ridges, level, {"algorithm": "coarse_rays"}, "predict", measured)
+    assert (
+        requested_plan.algorithm[SUN]["relief"] == "coarse_rays"
+        and requested_plan.predicted is None
+        and requested_plan.target.met is None
+    )
+    reason = next(entry.reason for entry in requested_plan.reasons if entry.name == "policy rules")
     assert reason == f"no prediction is possible, so fixed rules choose: coarse_rays: {why}"
 
 
-OF_ITS_OWN = {
+OWN_PATHS = {
     "shadow_map": "shadows/maps/",
     "perspective_shadow_map": "shadows/maps/",
     "shadow_volume": "shadows/volumes/",
@@ -334,7 +349,7 @@ OF_ITS_OWN = {
     "truth": "shadows/truth/",
 }
 
-MAY_NAME = {
+ALLOWED_MODULES = {
     "terrain/level/algorithm_names.py": "the words that a level may use",
     "selector/mixes.py": "algorithms that are tried together",
     "selector/planner/advice_rules.py": "what each rule of advice takes",
@@ -344,19 +359,19 @@ MAY_NAME = {
 
 def named_elsewhere(root: Path) -> dict[str, set[str]]:
     """Return modules outside an algorithm's own package with its name as a word -> those names."""
-    found: dict[str, set[str]] = {}
-    for floor in ("terrain", "shadows", "selector", "api"):
-        for path in (root / floor).rglob("*.py"):
+    names_by_module: dict[str, set[str]] = {}
+    for package in ("terrain", "shadows", "selector", "api"):
+        for path in (root / package).rglob("*.py"):
             name = path.relative_to(root).as_posix()
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Constant) and node.value in OF_ITS_OWN and not name.startswith(OF_ITS_OWN[str(node.value)]):
-                    found.setdefault(name, set()).add(str(node.value))
-    return found
+                if isinstance(node, ast.Constant) and node.value in OWN_PATHS and not name.startswith(OWN_PATHS[str(node.value)]):
+                    names_by_module.setdefault(name, set()).add(str(node.value))
+    return names_by_module
 
 
 def test_algorithms_are_named_in_three_other_modules_only():
-    assert set(OF_ITS_OWN) | {"none"} == set(ALGORITHMS)
-    assert set(named_elsewhere(ROOT)) == set(MAY_NAME)
+    assert set(OWN_PATHS) | {"none"} == set(ALGORITHMS)
+    assert set(named_elsewhere(ROOT)) == set(ALLOWED_MODULES)
 
 
 def test_a_planted_chain_over_names_is_found(tmp_path):
@@ -370,10 +385,10 @@ def test_a_planted_chain_over_names_is_found(tmp_path):
 def test_caches_of_algorithm_packages_are_listed_in_records(gl):
     """Every cache that a record lists exists, and a record lists every cache of the packages of algorithms."""
     cache_names = {cache.name for cache in caches()}
-    kept = {name for each in ALGORITHMS.values() for name in each.keeps}
-    assert kept <= cache_names
-    rooms = tuple(f"shadows.{room}." for room in ("maps", "volumes", "hybrid", "sweep", "truth.truth", "planar"))
-    assert {name for name in cache_names if name.startswith(rooms)} - {
+    listed_names = {name for algorithm in ALGORITHMS.values() for name in algorithm.cache_names}
+    assert listed_names <= cache_names
+    package_prefixes = tuple(f"shadows.{package}." for package in ("maps", "volumes", "hybrid", "sweep", "truth.truth", "planar"))
+    assert {name for name in cache_names if name.startswith(package_prefixes)} - {
         "skugga.shadows.maps.resolve._of_runs",
         "skugga.shadows.maps.resolve._splits",
-    } <= kept
+    } <= listed_names

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from pyproj import CRS
+from skugga.shadows.point.lon_lat_at import place_at
 
 from skugga.api.compute import compute
 from skugga.api.request import ProductRequest
@@ -18,7 +19,6 @@ from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
 from skugga.shadows.ground_pictures import _ground_between_nodes
 from skugga.shadows.point.horizon import horizon_profile, load_surroundings
-from skugga.shadows.point.place import place_at
 from skugga.shadows.render import render_frame
 from skugga.shadows.sunlit_ground import rim_points
 from skugga.terrain.cache import caches, clear_caches
@@ -43,18 +43,18 @@ X, Y = 500_000.0, 5_300_480.0
 """North-west corner of the ground."""
 
 
-def place(east_m: float, south_m: float) -> list[float]:
+def lon_lat_at(east_m: float, south_m: float) -> list[float]:
     """Return longitude and latitude of a place at some distance from the corner."""
     return list(transformer(CRS.from_epsg(32633), LONGITUDE_LATITUDE).transform(X + east_m, Y - south_m))
 
 
 @pytest.fixture
-def scene(scene_of_its_own) -> Scene:
-    return scene_of_its_own()
+def scene(scene_factory) -> Scene:
+    return scene_factory()
 
 
 @pytest.fixture
-def scene_of_its_own(tmp_path) -> Callable[[], Scene]:
+def scene_factory(tmp_path) -> Callable[[], Scene]:
     """Return a function that builds hills with a pond, a wood, a house, a lamp, clouds, haze and imagery."""
     rows, cols = np.mgrid[0:48, 0:48]
     heights = (20.0 * np.sin(rows / 6.0) * np.cos(cols / 7.0)).astype(np.float32)
@@ -63,18 +63,18 @@ def scene_of_its_own(tmp_path) -> Callable[[], Scene]:
     house = [[200, 200], [220, 200], [220, 215], [200, 215], [200, 200]]
     wood = [[250, 150], [330, 150], [330, 230], [250, 230], [250, 150]]
     for name, ring, tags in (("houses", house, {"height_m": 9}), ("woods", wood, {})):
-        polygon = {"type": "Polygon", "coordinates": [[place(*corner) for corner in ring]]}
+        polygon = {"type": "Polygon", "coordinates": [[lon_lat_at(*corner) for corner in ring]]}
         feature = {"type": "Feature", "properties": tags, "geometry": polygon}
         collection = {"type": "FeatureCollection", "features": [feature]}
         (tmp_path / f"{name}.geojson").write_text(json.dumps(collection), encoding="utf-8")
-    towards = {"eye": [*place(150, 120), 25], "target": [*place(240, 200), 5]}
+    camera = {"eye": [*lon_lat_at(150, 120), 25], "target": [*lon_lat_at(240, 200), 5]}
     level = {
         "version": 1, "terrain": {"source": "dem.tif", "imagery": "ortho.tif"}, "water": {"level": -15},
         "meshes": [{"source": "houses.geojson", "height": "height_m"}],
         "forest": [{"source": "woods.geojson", "density": 300, "height": [8, 12]}],
-        "lights": {"lamp": {"kind": "omni", "position": [*place(240, 190), 12]}},
+        "lights": {"lamp": {"kind": "omni", "position": [*lon_lat_at(240, 190), 12]}},
         "sun": {"azimuth": 235, "altitude": 25}, "weather": {"visibility": 3000, "cloud_cover": 0.4},
-        "views": {"eye": {"kind": "perspective", **towards, "fov": 60, "size": [96, 64]}},
+        "views": {"eye": {"kind": "perspective", **camera, "fov": 60, "size": [96, 64]}},
     }  # fmt: skip
     path = tmp_path / "level.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
@@ -82,7 +82,7 @@ def scene_of_its_own(tmp_path) -> Callable[[], Scene]:
 
 
 KINDS = ("relief", "meshes")
-EVERYTHING = [
+ALL_OVERRIDES = [
     {"algorithm": "shadow_map", "filter": "sun"},
     {"algorithm": {"sun": dict.fromkeys((*KINDS, "forest"), "perspective_shadow_map")}},
     {"algorithm": {"sun": {"relief": "sweep"}}},
@@ -96,13 +96,13 @@ def draw_with_everything(scene: Scene) -> list[object]:
     """Fill all caches. Return the objects that are keys of some caches, since entries end with them."""
     for view in (scene.view(size=(64, 64)), scene.view("eye")):
         descriptor = describe(scene, view)
-        for asked in EVERYTHING:
-            if "perspective_shadow_map" not in str(asked) or not isinstance(view, MapView):
-                render_frame(scene, view, make_plan(descriptor, scene.loaded.level, asked))
+        for overrides in ALL_OVERRIDES:
+            if "perspective_shadow_map" not in str(overrides) or not isinstance(view, MapView):
+                render_frame(scene, view, make_plan(descriptor, scene.loaded.level, overrides))
     probes = probes_in_map(scene, descriptor.pixel_m, None)
     overview_probes(scene.world, scene.elevation, probes)
     plan = make_plan(descriptor, scene.loaded.level, {"algorithm": "shadow_map"})
-    buffer, real = geometry_buffer(scene, view), truth_of_view(scene, view, "sun")
+    buffer, view_truth = geometry_buffer(scene, view), truth_of_view(scene, view, "sun")
     block = geometry_buffer(scene, scene.view(size=(64, 64)))
     attached(block, scene)
     assert isinstance(view, PerspectiveView)
@@ -116,26 +116,26 @@ def draw_with_everything(scene: Scene) -> list[object]:
     patch_ground(scene.world, scene.elevation, block.view.grid, [Patch(0, 0, 0)])
     rim_points(scene, nodes)
     compute(scene, nodes, ProductRequest(product="height"), None)
-    point = place_at(scene, tuple(place(240, 200)))
+    point = place_at(scene, tuple(lon_lat_at(240, 200)))
     horizon_profile(load_surroundings(scene, point))
-    real.errors([np.ones(buffer.valid.shape)], plan.steps_under("sun"), 1.0)
-    return [probes, buffer, real, block, point]
+    view_truth.errors([np.ones(buffer.valid.shape)], plan.steps_under("sun"), 1.0)
+    return [probes, buffer, view_truth, block, point]
 
 
 def test_a_closed_scene_leaves_no_cache_entry(gl, scene):
     clear_caches("light", "scene")
-    alive = draw_with_everything(scene)
+    cache_keys = draw_with_everything(scene)
     assert [cache.name for cache in caches("light", "scene") if not len(cache)] == [], "not filled, so not tested"
     scene.close()
-    del alive
+    del cache_keys
     gc.collect()
     assert {cache.name: len(cache) for cache in caches("light", "scene") if len(cache)} == {}
     assert sum(cache.nbytes for cache in caches("light", "scene") if cache.name != "skugga.terrain.gl.depth_targets") == 0
 
 
-def test_an_unreferenced_scene_leaves_no_cache_entry(gl, scene_of_its_own):
+def test_an_unreferenced_scene_leaves_no_cache_entry(gl, scene_factory):
     clear_caches("light", "scene")
-    scene = scene_of_its_own()
+    scene = scene_factory()
     for view in (scene.view(size=(64, 64)), scene.view("eye")):
         render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"}))
     assert sum(len(cache) for cache in caches("scene")) > 20

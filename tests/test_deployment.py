@@ -12,10 +12,10 @@ from skugga.api.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 DEPLOYMENT = ROOT / "examples" / "deployment"
-FILES = sorted(path for path in DEPLOYMENT.iterdir() if path.is_file())
+DEPLOYMENT_FILES = sorted(path for path in DEPLOYMENT.iterdir() if path.is_file())
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", DEPLOYMENT_FILES, ids=lambda path: path.name)
 def test_deployment_files_use_existing_settings(path: Path):
     names = {f"SKUGGA_{name.upper()}" for name in Settings.model_fields}
     assert set(re.findall(r"SKUGGA_[A-Z_]*[A-Z]", path.read_text(encoding="utf-8"))) <= names
@@ -23,18 +23,18 @@ def test_deployment_files_use_existing_settings(path: Path):
 
 def test_all_files_are_listed():
     listed = re.findall(r"\| \[[^]]*\]\((.*?)\)", (DEPLOYMENT / "README.md").read_text(encoding="utf-8"))
-    assert sorted(listed) == [path.name for path in FILES if path.name != "README.md"]
+    assert sorted(listed) == [path.name for path in DEPLOYMENT_FILES if path.name != "README.md"]
 
 
 def test_sources_of_images_exist_and_are_in_the_build_context():
-    sent = {line[1:] for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines() if line.startswith("!")}
-    copied = set()
+    context_paths = {line[1:] for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines() if line.startswith("!")}
+    copied_paths = set()
     for line in (DEPLOYMENT / "Dockerfile").read_text(encoding="utf-8").splitlines():
         if line.startswith("COPY ") and "--from=" not in line:
-            copied.update(line.split()[1:-1])
-    assert copied <= sent and all((ROOT / name).exists() for name in sent)
+            copied_paths.update(line.split()[1:-1])
+    assert copied_paths <= context_paths and all((ROOT / name).exists() for name in context_paths)
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"benchmarks", "tests"}
-    assert packages <= copied, "a package more is part of the image, too"
+    assert packages <= copied_paths, "a package more is part of the image, too"
 
 
 def test_containers_have_restricted_privileges():

@@ -12,58 +12,63 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-HERE = Path(__file__).parent.parent
-EXAMPLES = sorted((HERE / "examples").glob("*.py"))
-NOTEBOOK = HERE / "docs" / "a-winters-day.ipynb"
-SCRIPT = HERE / "examples" / "a_winters_day.py"
+ROOT = Path(__file__).parent.parent
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+NOTEBOOK = ROOT / "docs" / "a-winters-day.ipynb"
+SCRIPT = ROOT / "examples" / "a_winters_day.py"
 
 
 def run(example: Path, folder: Path) -> str:
     """Run an example in a folder as a user does, and return its output."""
-    variables = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(HERE)}
-    ran = subprocess.run([sys.executable, example], cwd=folder, env=variables, capture_output=True, text=True, timeout=600)
-    assert ran.returncode == 0, ran.stderr
-    return ran.stdout
+    variables = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)}
+    process = subprocess.run([sys.executable, example], cwd=folder, env=variables, capture_output=True, text=True, timeout=600)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
-def number(pattern: str, said: str) -> float:
-    found = re.search(pattern, said)
-    assert found, said
-    return float(found[1])
+def captured_number(pattern: str, output: str) -> float:
+    match = re.search(pattern, output)
+    assert match, output
+    return float(match[1])
 
 
-def a_garden(said: str) -> None:
-    assert number(r"before +mean +([\d.]+) h", said) == pytest.approx(day_length_h("2024-03-21", 59.3), abs=0.02)
+def check_garden(output: str) -> None:
+    assert captured_number(r"before +mean +([\d.]+) h", output) == pytest.approx(day_length_h("2024-03-21", 59.3), abs=0.02)
     # At noon the sun is 31 degrees high, and a wall of 7 m casts 11.7 m of shadow: over all rows of the garden, 5 to 15 m away.
-    assert number(r"after +mean +([\d.]+) h", said) < 10.0 and number(r"after.*least +([\d.]+) h", said) < 6.0
+    assert captured_number(r"after +mean +([\d.]+) h", output) < 10.0 and captured_number(r"after.*least +([\d.]+) h", output) < 6.0
 
 
-def a_satellite_scene(said: str) -> None:
-    assert 0.0 < number(r"([\d.]+)% of the ground in shadow", said) < 2.0
-    assert number(r"as seen .*: ([-+\d.]+)", said) > 0.9 and abs(number(r"corrected .*: ([-+\d.]+)", said)) < 0.05
+def check_satellite_scene(output: str) -> None:
+    assert 0.0 < captured_number(r"([\d.]+)% of the ground in shadow", output) < 2.0
+    assert (
+        captured_number(r"as seen .*: ([-+\d.]+)", output) > 0.9
+        and abs(captured_number(r"corrected .*: ([-+\d.]+)", output)) < 0.05
+    )
 
 
-def a_roof_panel(said: str) -> None:
-    lost = [float(share) for share in re.findall(r"([\d.]+)% of it behind", said)]
-    assert len(lost) == 12 and lost[11] > 5.0 > 0.5 > lost[5], "a ridge in the south east costs winter, not summer"
+def check_roof_panel(output: str) -> None:
+    lost_percent = [float(share) for share in re.findall(r"([\d.]+)% of it behind", output)]
+    assert len(lost_percent) == 12 and lost_percent[11] > 5.0 > 0.5 > lost_percent[5], (
+        "a ridge in the south east costs winter, not summer"
+    )
 
 
-def a_first_sun(said: str) -> None:
-    rows = re.findall(r"(\d\d:\d\d) +(\d\d:\d\d) +([\d.]+) of ([\d.]+) h +relief", said)
+def check_first_sun(output: str) -> None:
+    rows = re.findall(r"(\d\d:\d\d) +(\d\d:\d\d) +([\d.]+) of ([\d.]+) h +relief", output)
     assert len(rows) == 7 and all(first < last and float(direct) < float(up) for first, last, direct, up in rows)
 
 
-def a_large_raster(said: str) -> None:
-    assert 4.0 < number(r"600 x 400 cells, EPSG:32633, mean ([\d.]+) h", said) < day_length_h("2024-12-21", 46.9)
+def check_large_raster(output: str) -> None:
+    assert 4.0 < captured_number(r"600 x 400 cells, EPSG:32633, mean ([\d.]+) h", output) < day_length_h("2024-12-21", 46.9)
 
 
-def a_winters_day(said: str) -> None:
-    assert 0.0 < number(r"median ([\d.]+) h", said) < number(r"\d: ([\d.]+) h", said) + 4.0
+def check_winters_day(output: str) -> None:
+    assert 0.0 < captured_number(r"median ([\d.]+) h", output) < captured_number(r"\d: ([\d.]+) h", output) + 4.0
 
 
-SAYS = {
-    "garden": a_garden, "satellite_scene": a_satellite_scene, "roof_panel": a_roof_panel, "first_sun": a_first_sun,
-    "large_raster": a_large_raster, "a_winters_day": a_winters_day,
+OUTPUT_CHECKS = {
+    "garden": check_garden, "satellite_scene": check_satellite_scene, "roof_panel": check_roof_panel, "first_sun": check_first_sun,
+    "large_raster": check_large_raster, "a_winters_day": check_winters_day,
 }  # fmt: skip
 
 
@@ -84,24 +89,24 @@ def day_length_h(date: str, lat_deg: float) -> float:
 @pytest.mark.long
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_and_prints_correct_figures(example: Path, tmp_path: Path) -> None:
-    SAYS[example.stem](run(example, tmp_path))
+    OUTPUT_CHECKS[example.stem](run(example, tmp_path))
 
 
 def test_every_example_is_listed() -> None:
-    listed = re.findall(r"\]\((\w+\.py)\)", (HERE / "examples" / "README.md").read_text(encoding="utf-8"))
+    listed = re.findall(r"\]\((\w+\.py)\)", (ROOT / "examples" / "README.md").read_text(encoding="utf-8"))
     assert sorted(listed) == [path.name for path in EXAMPLES]
 
 
 def test_the_notebook_is_the_run_of_its_script() -> None:
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
-    of_script = [part.partition("\n") for part in re.split(r"^# %%", SCRIPT.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]]
+    script_cells = [part.partition("\n") for part in re.split(r"^# %%", SCRIPT.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]]
     assert ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"] == [
-        code.strip() for kind, _, code in of_script if kind.strip() == ""
+        code.strip() for kind, _, code in script_cells if kind.strip() == ""
     ]
-    assert [cell["cell_type"] for cell in cells] == ["markdown" if "markdown" in kind else "code" for kind, _, _ in of_script]
+    assert [cell["cell_type"] for cell in cells] == ["markdown" if "markdown" in kind else "code" for kind, _, _ in script_cells]
     for cell in cells:
-        shown = "".join(cell["source"])
+        source = "".join(cell["source"])
         outputs = cell.get("outputs", [])
         assert not [output for output in outputs if output["output_type"] == "error"]
         pictures = [output for output in outputs if "image/png" in output.get("data", {})]
-        assert len(pictures) == (cell["cell_type"] == "code") * shown.count("plt.show()")
+        assert len(pictures) == (cell["cell_type"] == "code") * source.count("plt.show()")

@@ -1,8 +1,8 @@
 """Slow libraries that each entry point may import: none for help and completion, only the needed ones for a command.
 
-A command that answers at once imports nothing that computes. ``LIGHT``, ``HELP``, ``SHOWN`` and ``WORK`` have a line for
-each entry point. If one fails, ``python -X importtime`` shows the importing module; move the import into the function that
-needs it.
+A command that answers at once imports nothing that computes. ``INSTANT_ARGUMENTS``, ``HELP_MODULES``, ``COMPLETIONS`` and
+``COMMAND_ARGUMENTS`` have a line for each entry point. If one fails, ``python -X importtime`` shows the importing module; move the
+import into the function that needs it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tests.rasters import write_geotiff
 
 ROOT = Path(__file__).parents[1]
 
-HEAVY = frozenset(
+SLOW_MODULES = frozenset(
     "OpenGL PIL boto3 dask embreex fastapi llvmlite mapbox_earcut matplotlib moderngl morecantile numba numpy pandas pmtiles pvlib "
     "pydantic pyogrio pyproj rasterio rich scipy.interpolate scipy.ndimage scipy.optimize scipy.sparse scipy.spatial shapely "
     "starlette trimesh uvicorn xarray".split()
@@ -30,92 +30,107 @@ HEAVY = frozenset(
 package alone is light, and numba imports it.
 """
 
-TYPER = frozenset(["pydantic"])
+TYPER_MODULES = frozenset(["pydantic"])
 """Typer reads the values of options with it, where it is installed."""
 
-RASTERS = frozenset(["boto3", "numpy", "pydantic", "pyproj", "rasterio"])
+RASTER_MODULES = frozenset(["boto3", "numpy", "pydantic", "pyproj", "rasterio"])
 """Modules that open a raster. rasterio imports boto3 where that is installed."""
 
-LOOPS = frozenset(["llvmlite", "numba"])
+LOOP_MODULES = frozenset(["llvmlite", "numba"])
 """The decorator of compiled loops imports these, so every module with a loop does."""
 
-SPLINES = frozenset(["scipy.interpolate", "scipy.optimize", "scipy.sparse", "scipy.spatial"])
+SPLINE_MODULES = frozenset(["scipy.interpolate", "scipy.optimize", "scipy.sparse", "scipy.spatial"])
 """SciPy's splines and their imports: the line sweep fits them to the position of the ground in a map."""
 
-SUN = SPLINES | {"pandas", "pvlib"}
+SUN_MODULES = SPLINE_MODULES | {"pandas", "pvlib"}
 """Position of the sun at a time. pvlib imports splines, too."""
 
-PLAN = frozenset(["moderngl", "scipy.ndimage"])
+PLAN_MODULES = frozenset(["moderngl", "scipy.ndimage"])
 """Selection of algorithms: it imports all of them, and filters heights."""
 
-DRAWING = PLAN | SPLINES
-TABLES = frozenset(["rich"])
+DRAWING_MODULES = PLAN_MODULES | SPLINE_MODULES
+TABLE_MODULES = frozenset(["rich"])
 
-LIGHT: dict[str, tuple[list[str], int, frozenset[str]]] = {
+INSTANT_ARGUMENTS: dict[str, tuple[list[str], int, frozenset[str]]] = {
     "help": (["--help"], 0, frozenset()),
     "no arguments": ([], 0, frozenset()),
     "version": (["--version"], 0, frozenset()),
-    "unknown command": (["frobnicate"], 2, TYPER),
+    "unknown command": (["frobnicate"], 2, TYPER_MODULES),
     "unknown option": (["--sparkle"], 2, frozenset()),
-    "unknown option of a command": (["validate", "x.tif", "--sparkle"], 2, TYPER),
-    "missing argument": (["validate"], 2, TYPER),
-    "missing option": (["sunhours", "x.tif"], 2, TYPER | {"numpy"}),
-    "value that is no number": (["overviews", "x.tif", "--nodata", "none"], 2, TYPER),
-    "script of completion": (["--show-completion", "bash"], 0, TYPER),
+    "unknown option of a command": (["validate", "x.tif", "--sparkle"], 2, TYPER_MODULES),
+    "missing argument": (["validate"], 2, TYPER_MODULES),
+    "missing option": (["sunhours", "x.tif"], 2, TYPER_MODULES | {"numpy"}),
+    "value that is no number": (["overviews", "x.tif", "--nodata", "none"], 2, TYPER_MODULES),
+    "script of completion": (["--show-completion", "bash"], 0, TYPER_MODULES),
 }
 """Entry point -> arguments of ``skugga``, exit status, and allowed imports."""
 
-HELP: dict[str, frozenset[str]] = {
-    **dict.fromkeys(COMMANDS, TYPER),
-    **dict.fromkeys(["compute", "point", "render", "seed", "shade", "sunhours"], TYPER | {"numpy"}),
+HELP_MODULES: dict[str, frozenset[str]] = {
+    **dict.fromkeys(COMMANDS, TYPER_MODULES),
+    **dict.fromkeys(["compute", "point", "render", "seed", "shade", "sunhours"], TYPER_MODULES | {"numpy"}),
 }
 """Command -> allowed imports of its help. The lists of formats and products are in modules that use arrays."""
 
-SHOWN: dict[str, tuple[str, str, frozenset[str]]] = {
-    "commands": ("skugga se", "select", TYPER),
-    "options": ("skugga validate x.tif --no", "--nodata", TYPER),
-    "levels": ("skugga validate jack", "jacksboro_wooded", TYPER),
-    "styles": ("skugga render x.tif --style n", "natural", TYPER | {"numpy"}),
-    "policies": ("skugga select x.tif --policy p", "probe", TYPER),
+COMPLETIONS: dict[str, tuple[str, str, frozenset[str]]] = {
+    "commands": ("skugga se", "select", TYPER_MODULES),
+    "options": ("skugga validate x.tif --no", "--nodata", TYPER_MODULES),
+    "levels": ("skugga validate jack", "jacksboro_wooded", TYPER_MODULES),
+    "styles": ("skugga render x.tif --style n", "natural", TYPER_MODULES | {"numpy"}),
+    "policies": ("skugga select x.tif --policy p", "probe", TYPER_MODULES),
 }
 """Completed item -> a line, a word that is shown, and allowed imports."""
 
-SWEEP = ["--azimuth", "250", "--altitude", "20"]
-NOON = ["--time", "2024-03-21T12:00:00+01:00"]
-PLACE = ["--at", "15.008,46.95"]
+SUN_ANGLE_OPTIONS = ["--azimuth", "250", "--altitude", "20"]
+TIME_OPTION = ["--time", "2024-03-21T12:00:00+01:00"]
+POINT_OPTION = ["--at", "15.008,46.95"]
 
-WORK: dict[str, tuple[list[str], frozenset[str]]] = {
-    "levels": (["levels"], RASTERS | TABLES),
-    "levels as JSON": (["levels", "--json"], RASTERS),
-    "validate": (["validate", "hills.tif"], RASTERS | LOOPS | PLAN),
-    "init": (["init", "hills.tif", "-o", "hills.yaml"], RASTERS | LOOPS),
-    "overviews": (["overviews", "hills.tif"], RASTERS | LOOPS),
-    "shade": (["shade", "hills.tif", *SWEEP, "-o", "mask.tif"], RASTERS | LOOPS | DRAWING),
-    "shade at a time": (["shade", "hills.tif", *NOON, "-o", "mask.tif"], RASTERS | LOOPS | DRAWING | SUN),
-    "sunhours": (["sunhours", "hills.tif", "--date", "2024-03-21", "-o", "hours.tif"], RASTERS | LOOPS | SUN | {"moderngl"}),
-    "compute": (["compute", "hills.tif", "--product", "height", "-o", "height.tif"], RASTERS | LOOPS | DRAWING),
-    "point": (["point", "hills.tif", *PLACE, "--date", "2024-03-21"], RASTERS | LOOPS | SUN | TABLES),
-    "horizon of a point": (["point", "hills.tif", *PLACE, "--horizon", "pvlib"], RASTERS | LOOPS),
-    "render": (["render", "hills.tif", *SWEEP, "--size", "64x64", "-o", "color.png"], RASTERS | LOOPS | DRAWING | {"PIL"}),
-    "select": (["select", "hills.tif", *SWEEP, "--policy", "rules"], RASTERS | LOOPS | PLAN),
+COMMAND_ARGUMENTS: dict[str, tuple[list[str], frozenset[str]]] = {
+    "levels": (["levels"], RASTER_MODULES | TABLE_MODULES),
+    "levels as JSON": (["levels", "--json"], RASTER_MODULES),
+    "validate": (["validate", "hills.tif"], RASTER_MODULES | LOOP_MODULES | PLAN_MODULES),
+    "init": (["init", "hills.tif", "-o", "hills.yaml"], RASTER_MODULES | LOOP_MODULES),
+    "overviews": (["overviews", "hills.tif"], RASTER_MODULES | LOOP_MODULES),
+    "shade": (["shade", "hills.tif", *SUN_ANGLE_OPTIONS, "-o", "mask.tif"], RASTER_MODULES | LOOP_MODULES | DRAWING_MODULES),
+    "shade at a time": (
+        ["shade", "hills.tif", *TIME_OPTION, "-o", "mask.tif"],
+        RASTER_MODULES | LOOP_MODULES | DRAWING_MODULES | SUN_MODULES,
+    ),
+    "sunhours": (
+        ["sunhours", "hills.tif", "--date", "2024-03-21", "-o", "hours.tif"],
+        RASTER_MODULES | LOOP_MODULES | SUN_MODULES | {"moderngl"},
+    ),
+    "compute": (
+        ["compute", "hills.tif", "--product", "height", "-o", "height.tif"],
+        RASTER_MODULES | LOOP_MODULES | DRAWING_MODULES,
+    ),
+    "point": (
+        ["point", "hills.tif", *POINT_OPTION, "--date", "2024-03-21"],
+        RASTER_MODULES | LOOP_MODULES | SUN_MODULES | TABLE_MODULES,
+    ),
+    "horizon of a point": (["point", "hills.tif", *POINT_OPTION, "--horizon", "pvlib"], RASTER_MODULES | LOOP_MODULES),
+    "render": (
+        ["render", "hills.tif", *SUN_ANGLE_OPTIONS, "--size", "64x64", "-o", "color.png"],
+        RASTER_MODULES | LOOP_MODULES | DRAWING_MODULES | {"PIL"},
+    ),
+    "select": (["select", "hills.tif", *SUN_ANGLE_OPTIONS, "--policy", "rules"], RASTER_MODULES | LOOP_MODULES | PLAN_MODULES),
     "seed": (
-        ["seed", "hills.tif", *SWEEP, "--zooms", "11-11", "--dry-run", "-o", "hills.pmtiles"],
-        RASTERS | LOOPS | PLAN | TABLES | {"PIL", "morecantile", "pmtiles"},
+        ["seed", "hills.tif", *SUN_ANGLE_OPTIONS, "--zooms", "11-11", "--dry-run", "-o", "hills.pmtiles"],
+        RASTER_MODULES | LOOP_MODULES | PLAN_MODULES | TABLE_MODULES | {"PIL", "morecantile", "pmtiles"},
     ),
     "compare": (
-        ["compare", "hills.tif", *SWEEP, "--size", "32x32", "--time-limit", "0"],
-        RASTERS | LOOPS | DRAWING | TABLES | {"OpenGL", "PIL", "embreex"},
+        ["compare", "hills.tif", *SUN_ANGLE_OPTIONS, "--size", "32x32", "--time-limit", "0"],
+        RASTER_MODULES | LOOP_MODULES | DRAWING_MODULES | TABLE_MODULES | {"OpenGL", "PIL", "embreex"},
     ),
-    "doctor": (["doctor"], RASTERS | LOOPS | DRAWING | SUN),
+    "doctor": (["doctor"], RASTER_MODULES | LOOP_MODULES | DRAWING_MODULES | SUN_MODULES),
 }
 """Command and its input -> its arguments, and allowed imports."""
 
-ELSEWHERE = {"calibrate": "takes a minute", "compile": "has its own tests", "serve": "is below"}
+COMMANDS_NOT_RUN = {"calibrate": "takes a minute", "compile": "has its own tests", "serve": "is below"}
 """Commands that are not run here, and the reason."""
 
-PROGRAM = "import sys; sys.argv[:] = {argv!r}\nfrom skugga.api.cli.main import main; main()"
+COMMAND_SCRIPT = "import sys; sys.argv[:] = {argv!r}\nfrom skugga.api.cli.main import main; main()"
 
-REPORT = """
+REPORT_SCRIPT = """
 import sys
 status = 0
 try:
@@ -136,63 +151,67 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def imported(code: str, folder: Path, **environment: str) -> tuple[int, set[str], str]:
-    """Run code in a new Python process. Return its exit status, the imported modules of ``HEAVY``, and its output."""
+def run_and_list_imports(code: str, folder: Path, **environment: str) -> tuple[int, set[str], str]:
+    """Run code in a new Python process. Return its exit status, the imported modules of ``SLOW_MODULES``, and its output."""
     report = folder / "report"
-    script = REPORT.format(code=code, report=str(report))
+    script = REPORT_SCRIPT.format(code=code, report=str(report))
     env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, env=env, check=False)
-    assert report.exists(), done.stderr
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, env=env, check=False)
+    assert report.exists(), process.stderr
     status, modules = eval(report.read_text())
-    return status, HEAVY & set(modules), done.stdout + done.stderr
+    return status, SLOW_MODULES & set(modules), process.stdout + process.stderr
 
 
 def run(arguments: list[str], folder: Path) -> tuple[int, set[str], str]:
-    return imported(PROGRAM.format(argv=["skugga", *arguments]), folder)
+    return run_and_list_imports(COMMAND_SCRIPT.format(argv=["skugga", *arguments]), folder)
 
 
-@pytest.mark.parametrize("name", LIGHT)
+@pytest.mark.parametrize("name", INSTANT_ARGUMENTS)
 def test_answers_without_work_import_nothing_heavy(name, tmp_path, monkeypatch):
     # A build server's shell is sh, which has no completion. This makes the named shell count.
     monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
-    arguments, status, allowed = LIGHT[name]
+    arguments, status, allowed = INSTANT_ARGUMENTS[name]
     (tmp_path / "x.tif").touch()
-    ended, found, said = run(arguments, tmp_path)
-    assert ended == status, said
-    assert found <= allowed, said
+    exit_status, imported_modules, output = run(arguments, tmp_path)
+    assert exit_status == status, output
+    assert imported_modules <= allowed, output
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_a_command_imports_nothing_heavy(command, tmp_path):
-    status, found, said = run([command, "--help"], tmp_path)
-    assert status == 0 and f"Usage: skugga {command}" in said
-    assert found <= HELP[command]
+    status, imported_modules, output = run([command, "--help"], tmp_path)
+    assert status == 0 and f"Usage: skugga {command}" in output
+    assert imported_modules <= HELP_MODULES[command]
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", COMPLETIONS)
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_completion_imports_nothing_heavy(shell, name, tmp_path):
-    line, word, allowed = SHOWN[name]
+    line, word, allowed = COMPLETIONS[name]
     words = line.split(" ")
-    asked = (
+    completion_environment = (
         {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)} if shell == "bash" else {"_TYPER_COMPLETE_ARGS": line}
     )
-    code = PROGRAM.format(argv=["skugga"])
-    status, found, said = imported(code, tmp_path, _SKUGGA_COMPLETE=f"complete_{shell}", **asked)
-    assert status == 0 and word in said
-    assert found <= allowed | (TABLES if shell == "zsh" else frozenset())  # Rich removes markup from the help that zsh shows
+    code = COMMAND_SCRIPT.format(argv=["skugga"])
+    status, imported_modules, output = run_and_list_imports(
+        code, tmp_path, _SKUGGA_COMPLETE=f"complete_{shell}", **completion_environment
+    )
+    assert status == 0 and word in output
+    assert imported_modules <= allowed | (
+        TABLE_MODULES if shell == "zsh" else frozenset()
+    )  # Rich removes markup from the help that zsh shows
 
 
-@pytest.mark.parametrize("name", WORK)
+@pytest.mark.parametrize("name", COMMAND_ARGUMENTS)
 def test_commands_import_only_the_libraries_they_need(name, folder):
-    arguments, allowed = WORK[name]
-    status, found, said = run(arguments, folder)
-    assert status == 0 or name == "doctor", said
-    assert found <= allowed
+    arguments, allowed = COMMAND_ARGUMENTS[name]
+    status, imported_modules, output = run(arguments, folder)
+    assert status == 0 or name == "doctor", output
+    assert imported_modules <= allowed
 
 
 def test_every_command_has_a_line():
-    assert {arguments[0] for arguments, _ in WORK.values()} | set(ELSEWHERE) == set(COMMANDS)
+    assert {arguments[0] for arguments, _ in COMMAND_ARGUMENTS.values()} | set(COMMANDS_NOT_RUN) == set(COMMANDS)
 
 
 @pytest.mark.parametrize(
@@ -200,17 +219,17 @@ def test_every_command_has_a_line():
     [
         ("import skugga", frozenset()),
         ("import skugga; dir(skugga); skugga.SkuggaError", frozenset()),
-        ("import numpy, skugga; skugga.shadow(numpy.eye(9), 30.0, 250.0, 20.0)", RASTERS | LOOPS | SPLINES),
-        ("import skugga; skugga.open_level('hills.tif').close()", RASTERS | LOOPS | {"moderngl"}),
+        ("import numpy, skugga; skugga.shadow(numpy.eye(9), 30.0, 250.0, 20.0)", RASTER_MODULES | LOOP_MODULES | SPLINE_MODULES),
+        ("import skugga; skugga.open_level('hills.tif').close()", RASTER_MODULES | LOOP_MODULES | {"moderngl"}),
     ],
 )
 def test_the_library_imports_only_what_is_used(code, allowed, folder):
-    status, found, said = imported(code, folder)
-    assert status == 0, said
-    assert found <= allowed
+    status, imported_modules, output = run_and_list_imports(code, folder)
+    assert status == 0, output
+    assert imported_modules <= allowed
 
 
-SERVICE = """
+SERVICE_SCRIPT = """
 import json, os, signal, sys, threading, time, urllib.request
 
 def ask():
@@ -234,13 +253,13 @@ if __name__ == "__main__":
     main()
 """
 
-FRONT = RASTERS | {"PIL", "fastapi", "morecantile", "pmtiles", "starlette", "uvicorn"}
+HTTP_MODULES = RASTER_MODULES | {"PIL", "fastapi", "morecantile", "pmtiles", "starlette", "uvicorn"}
 
 
 def test_the_http_process_of_a_service_imports_no_renderer(folder):
     """This holds up to its first responses. Drawing is for its render processes."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    status, found, said = imported(SERVICE.replace("{port}", str(port)), folder)
-    assert status == 0 and "Skugga serves hills" in said, said
-    assert found <= FRONT
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    status, imported_modules, output = run_and_list_imports(SERVICE_SCRIPT.replace("{port}", str(port)), folder)
+    assert status == 0 and "Skugga serves hills" in output, output
+    assert imported_modules <= HTTP_MODULES

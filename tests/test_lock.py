@@ -12,27 +12,34 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def locked() -> list[Requirement]:
+def locked_requirements() -> list[Requirement]:
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     return [Requirement(line) for line in lines if not line.startswith("#")]
 
 
-def named() -> list[Requirement]:
+def declared_requirements() -> list[Requirement]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    parts = [project["dependencies"], *project["optional-dependencies"].values()]
-    return [asked for part in parts for asked in map(Requirement, part) if asked.name != project["name"]]
+    requirement_lists = [project["dependencies"], *project["optional-dependencies"].values()]
+    return [
+        requirement
+        for requirement_list in requirement_lists
+        for requirement in map(Requirement, requirement_list)
+        if requirement.name != project["name"]
+    ]
 
 
 def test_every_dependency_is_locked_within_its_bounds():
     versions: dict[str, list[str]] = {}
-    for lock in locked():
-        (bound,) = lock.specifier
-        assert bound.operator == "==", lock
-        versions.setdefault(canonicalize_name(lock.name), []).append(bound.version)
-    for asked in named():
-        found = versions.get(canonicalize_name(asked.name))
-        assert found, f"{asked.name} is missing: make lock"
-        assert all(version in asked.specifier for version in found), f"{asked} is locked at {found}: make lock"
+    for locked_requirement in locked_requirements():
+        (version_pin,) = locked_requirement.specifier
+        assert version_pin.operator == "==", locked_requirement
+        versions.setdefault(canonicalize_name(locked_requirement.name), []).append(version_pin.version)
+    for requirement in declared_requirements():
+        locked_versions = versions.get(canonicalize_name(requirement.name))
+        assert locked_versions, f"{requirement.name} is missing: make lock"
+        assert all(version in requirement.specifier for version in locked_versions), (
+            f"{requirement} is locked at {locked_versions}: make lock"
+        )
 
 
 def test_the_lock_file_has_no_urls_or_paths():

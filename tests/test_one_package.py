@@ -47,17 +47,17 @@ def test_skugga_imports_beside_packages_of_the_same_names(project: Path):
         "print(int(skugga.shadow(heights, 1.0, azimuth_deg=180.0, altitude_deg=45.0).sum()))\n"
         "print(sorted(set(sys.modules) & {'api', 'configs', 'selector', 'shadows', 'terrain'}))"
     )
-    done = run_in(project, sys.executable, "-c", code)
-    assert done.returncode == 0, done.stderr
-    dark, bare = done.stdout.splitlines()
-    assert int(dark) > 3 and bare == "[]"
+    process = run_in(project, sys.executable, "-c", code)
+    assert process.returncode == 0, process.stderr
+    dark_count, bare_modules = process.stdout.splitlines()
+    assert int(dark_count) > 3 and bare_modules == "[]"
 
 
 def test_commands_work_beside_packages_of_the_same_names(project: Path):
     sun = ["--azimuth", "180", "--altitude", "45"]
     code = "from skugga.api.cli.main import main; main()"
-    done = run_in(project, sys.executable, "-c", code, "shade", "dem.tif", *sun, "-o", "mask.tif")
-    assert done.returncode == 0 and (project / "mask.tif").is_file(), done.stderr
+    process = run_in(project, sys.executable, "-c", code, "shade", "dem.tif", *sun, "-o", "mask.tif")
+    assert process.returncode == 0 and (project / "mask.tif").is_file(), process.stderr
 
 
 @pytest.mark.parametrize("name", sorted(PARTS))
@@ -70,17 +70,17 @@ def test_no_second_copy_was_imported():
     assert not {name for name in sys.modules if name.partition(".")[0] in PARTS}
 
 
-BARE = [*(f"import {name}" for name in sorted(PARTS)), "from terrain.geo import sun", "import api.cli as c"]
+BARE_IMPORTS = [*(f"import {name}" for name in sorted(PARTS)), "from terrain.geo import sun", "import api.cli as c"]
 
 
-@pytest.mark.parametrize("line", BARE)
+@pytest.mark.parametrize("line", BARE_IMPORTS)
 def test_the_linter_reports_a_bare_import(line: str):
-    ruff = [SCRIPTS / "ruff", "check", "--stdin-filename", "planted.py", "-"]
-    done = subprocess.run(ruff, input=line + "\n", capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 1 and "TID251" in done.stdout, done.stdout + done.stderr
+    command = [SCRIPTS / "ruff", "check", "--stdin-filename", "planted.py", "-"]
+    process = subprocess.run(command, input=line + "\n", capture_output=True, text=True, cwd=ROOT)
+    assert process.returncode == 1 and "TID251" in process.stdout, process.stdout + process.stderr
 
 
-PLANTED = {
+FORBIDDEN_IMPORTS = {
     "a layer above": (
         "terrain/errors.py",
         "from skugga.selector.formatting import *",
@@ -100,15 +100,15 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("kind", PLANTED)
+@pytest.mark.parametrize("kind", FORBIDDEN_IMPORTS)
 def test_import_linter_reports_a_forbidden_import(tmp_path: Path, kind: str):
-    name, line, said = PLANTED[kind]
-    house = copy_with(tmp_path, {})
-    path = house / name
+    name, line, expected_message = FORBIDDEN_IMPORTS[kind]
+    project_copy = copy_with(tmp_path, {})
+    path = project_copy / name
     path.write_text(path.read_text(encoding="utf-8").rstrip() + f"\n{line}\n", encoding="utf-8")
-    shutil.copy(ROOT / "pyproject.toml", house)
-    done = subprocess.run(
-        [SCRIPTS / "lint-imports", "--no-logo", "--no-cache"], cwd=house, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(house), "COLUMNS": "200"},
+    shutil.copy(ROOT / "pyproject.toml", project_copy)
+    process = subprocess.run(
+        [SCRIPTS / "lint-imports", "--no-logo", "--no-cache"], cwd=project_copy, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(project_copy), "COLUMNS": "200"},
     )  # fmt: skip
-    assert done.returncode == 1 and said in done.stdout, done.stdout + done.stderr
+    assert process.returncode == 1 and expected_message in process.stdout, process.stdout + process.stderr

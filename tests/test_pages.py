@@ -20,41 +20,41 @@ from benchmarks.sun_questions.figures import SunComparison
 from benchmarks.sun_questions.words import sun_page
 from skugga.api.cli.main import app
 
-HERE = Path(__file__).parent.parent
-BENCHMARKS, DOCS = HERE / "benchmarks", HERE / "docs"
+ROOT = Path(__file__).parent.parent
+BENCHMARKS, DOCS = ROOT / "benchmarks", ROOT / "docs"
 
 
-def kept(name: str) -> dict:
+def stored_figures(name: str) -> dict:
     return json.loads((BENCHMARKS / name).read_text(encoding="utf-8"))
 
 
 def test_the_page_of_seeds_is_up_to_date():
-    figures = kept("seeds/seeds.json")
+    figures = stored_figures("seeds/seeds.json")
     assert list(next(iter(figures.values()))["experiments"]) == list(seeds.EXPERIMENTS), "every experiment was made"
     assert (DOCS / "seeds.md").read_text(encoding="utf-8") == seeds.page(figures)
 
 
 def test_the_page_of_peers_is_up_to_date():
-    figures = peer_figures.PeerComparison.read(kept("peers/peers.json"))
+    figures = peer_figures.PeerComparison.read(stored_figures("peers/peers.json"))
     assert (DOCS / "peers.md").read_text(encoding="utf-8") == page(figures, "images/peers.webp")
     table = "\n".join(short_table(figures))
-    assert table in (HERE / "README.md").read_text(encoding="utf-8")
+    assert table in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_page_of_sun_questions_is_up_to_date():
-    figures = SunComparison.read(kept("sun_questions/sun_questions.json"))
+    figures = SunComparison.read(stored_figures("sun_questions/sun_questions.json"))
     assert (DOCS / "sun-questions.md").read_text(encoding="utf-8") == sun_page(figures)
 
 
 def test_no_peer_is_both_faster_and_more_accurate():
     """This holds by either clock, in every raster under every sun and in the means off the axes."""
-    figures = peer_figures.PeerComparison.read(kept("peers/peers.json"))
+    figures = peer_figures.PeerComparison.read(stored_figures("peers/peers.json"))
     assert len(figures.tools) - sum(tool.ours for tool in figures.tools) >= 5
     for clock in peer_figures.CLOCKS:
-        assert peer_figures.unmatched(figures, clock) == []
+        assert peer_figures.unmatched_results(figures, clock) == []
 
 
-@pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), HERE / "README.md"]), ids=lambda path: path.name)
+@pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), ROOT / "README.md"]), ids=lambda path: path.name)
 def test_links_of_pages_exist(page):
     text = page.read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^)\s]+)\)", text):
@@ -70,7 +70,7 @@ def commands_of(page: str) -> list[list[str]]:
     return [words[1:] for words in lines if words[:1] == ["skugga"]]
 
 
-@pytest.mark.parametrize("path", [HERE / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
 def test_commands_in_examples_use_existing_options(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands are parsed, not run. An unknown command or option is a usage error."""
     group: Any = typer.main.get_command(app)
@@ -82,21 +82,25 @@ def test_commands_in_examples_use_existing_options(path: Path, tmp_path: Path, m
 
 
 def test_the_first_page_shows_commands() -> None:
-    assert {words[0] for words in commands_of((HERE / "README.md").read_text("utf-8"))} >= {"shade", "serve", "render"}
+    assert {words[0] for words in commands_of((ROOT / "README.md").read_text("utf-8"))} >= {"shade", "serve", "render"}
 
 
-def names_imported(page: str) -> list[tuple[str, str]]:
+def imported_names(page: str) -> list[tuple[str, str]]:
     """Return module and name of everything that the Python examples of a page import from a module."""
     examples = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     nodes = [node for example in examples for node in ast.walk(ast.parse(example)) if isinstance(node, ast.ImportFrom)]
     return [(node.module or "", alias.name) for node in nodes for alias in node.names]
 
 
-@pytest.mark.parametrize("path", [HERE / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
 def test_examples_import_existing_names(path: Path) -> None:
-    gone = [f"{m}.{name}" for m, name in names_imported(path.read_text("utf-8")) if not hasattr(importlib.import_module(m), name)]
-    assert not gone
+    missing = [
+        f"{module}.{name}"
+        for module, name in imported_names(path.read_text("utf-8"))
+        if not hasattr(importlib.import_module(module), name)
+    ]
+    assert not missing
 
 
 def test_some_example_imports_something() -> None:
-    assert names_imported((DOCS / "effects.md").read_text("utf-8"))
+    assert imported_names((DOCS / "effects.md").read_text("utf-8"))

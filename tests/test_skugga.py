@@ -23,15 +23,15 @@ def run(code: str) -> str:
 
     Warnings are errors there, except for those of affine, which rioxarray causes.
     """
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-W", "error", "-W", "ignore::PendingDeprecationWarning", "-c", code],
         capture_output=True,
         text=True,
         cwd=ROOT,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()
 
 
 def typed_names() -> dict[str, tuple[str, str]]:
@@ -80,7 +80,7 @@ def test_names_survive_pickling():
         assert pickle.loads(pickle.dumps(value)) is value
 
 
-SHADE = """
+SHADE_SCRIPT = """
 import numpy
 heights = numpy.zeros((20, 20), "float32"); heights[10, 10] = 50
 array = xarray.DataArray(heights, dims=("y", "x"), coords={"y": 600.0 - 30 * numpy.arange(20), "x": 30.0 * numpy.arange(20)})
@@ -92,7 +92,7 @@ print(int(array.rio.write_crs("EPSG:32633").skugga.shadow(azimuth=180, altitude=
 def test_arrays_of_xarray_have_the_accessor(imports):
     """This holds for each order of imports. Warnings are errors there."""
     pytest.importorskip("rioxarray")
-    assert run(f"{imports}\n{SHADE}") == "True"
+    assert run(f"{imports}\n{SHADE_SCRIPT}") == "True"
 
 
 def test_xarray_is_not_imported_for_its_accessor():

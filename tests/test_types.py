@@ -13,44 +13,48 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FLOORS = ("terrain", "shadows", "selector", "api")
+PACKAGES = ("terrain", "shadows", "selector", "api")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def _is_compiled(function: Function) -> bool:
-    return any(isinstance(each, ast.Name) and each.id in ("compiled", "internal") for each in function.decorator_list)
+    return any(
+        isinstance(decorator, ast.Name) and decorator.id in ("compiled", "internal") for decorator in function.decorator_list
+    )
 
 
-def _is_bare(function: Function) -> bool:
-    given = function.args
-    every = (*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg)
-    return function.returns is None and all(each is None or each.annotation is None for each in every)
+def _is_unannotated(function: Function) -> bool:
+    arguments = function.args
+    all_arguments = (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs, arguments.vararg, arguments.kwarg)
+    return function.returns is None and all(argument is None or argument.annotation is None for argument in all_arguments)
 
 
-def bare(node: ast.AST) -> Iterator[str]:
+def unannotated_functions(node: ast.AST) -> Iterator[str]:
     """Yield the functions without annotations that are neither compiled loops nor helpers inside one."""
-    for each in ast.iter_child_nodes(node):
-        if isinstance(each, Function):
-            if _is_compiled(each):
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, Function):
+            if _is_compiled(child):
                 continue
-            if _is_bare(each):
-                yield f"{each.name} (line {each.lineno})"
-        yield from bare(each)
+            if _is_unannotated(child):
+                yield f"{child.name} (line {child.lineno})"
+        yield from unannotated_functions(child)
 
 
-@pytest.mark.parametrize("floor", FLOORS)
+@pytest.mark.parametrize("floor", PACKAGES)
 def test_functions_without_annotations_are_compiled(floor: str) -> None:
     paths = sorted((ROOT / floor).rglob("*.py"))
     assert paths
-    found = {str(path.relative_to(ROOT)): [*bare(ast.parse(path.read_text(encoding="utf-8")))] for path in paths}
-    assert {path: names for path, names in found.items() if names} == {}
+    names_by_path = {
+        str(path.relative_to(ROOT)): [*unannotated_functions(ast.parse(path.read_text(encoding="utf-8")))] for path in paths
+    }
+    assert {path: names for path, names in names_by_path.items() if names} == {}
 
 
 def test_mypy_checks_every_package() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
     assert settings["strict"] and "skugga" in settings["files"]
-    assert all((ROOT / "skugga" / floor).is_dir() for floor in FLOORS)
+    assert all((ROOT / "skugga" / floor).is_dir() for floor in PACKAGES)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +72,7 @@ def test_mypy_checks_every_package() -> None:
     ],
 )
 def test_a_planted_function_is_found(source: str) -> None:
-    assert [name.split()[0] for name in bare(ast.parse(source))] == ["planted"]
+    assert [name.split()[0] for name in unannotated_functions(ast.parse(source))] == ["planted"]
 
 
 @pytest.mark.parametrize(
@@ -83,4 +87,4 @@ def test_a_planted_function_is_found(source: str) -> None:
     ],
 )
 def test_loops_and_annotated_functions_pass(source: str) -> None:
-    assert [*bare(ast.parse(source))] == []
+    assert [*unannotated_functions(ast.parse(source))] == []

@@ -31,8 +31,8 @@ def check(*arguments: str) -> tuple[int, str]:
 )
 def test_a_planted_name_is_found(tmp_path, source, name, term):
     (tmp_path / "planted.py").write_text("x = 1\n" + source)
-    status, said = check(str(tmp_path / "planted.py"))
-    assert status == 1 and f"'{name}'" in said and term in said and "planted.py:" in said
+    status, messages = check(str(tmp_path / "planted.py"))
+    assert status == 1 and f"'{name}'" in messages and term in messages and "planted.py:" in messages
 
 
 def test_comments_texts_and_longer_names_are_allowed(tmp_path):
@@ -55,5 +55,5 @@ def test_no_file_has_a_forbidden_name():
 )
 def test_commit_subjects_are_short_and_separated(tmp_path, message, fault):
     (tmp_path / "message").write_text(message)
-    status, said = check("--commit-message", str(tmp_path / "message"))
-    assert (status == 0) == (fault is None) and (fault or "") in said
+    status, messages = check("--commit-message", str(tmp_path / "message"))
+    assert (status == 0) == (fault is None) and (fault or "") in messages

@@ -50,9 +50,9 @@ class Animation:
         The film of a successful animation.
     running_since_s
         The time of the event loop, in seconds, at which drawing began.
-    work
+    task
         The task that draws it.
-    ending
+    timer
         The timer that deletes an ended animation, or dismisses an animation that no client asks about.
     """
 
@@ -70,8 +70,8 @@ class Animation:
     error: SkuggaError | None = None
     film: FilmFile | None = None
     running_since_s: float | None = None
-    work: asyncio.Task[None] | None = None
-    ending: asyncio.TimerHandle | None = None
+    task: asyncio.Task[None] | None = None
+    timer: asyncio.TimerHandle | None = None
 
     @property
     def film_bytes(self) -> int:
@@ -98,8 +98,8 @@ class Animation:
 
     def release(self) -> None:
         """Release the film, and cancel the timer."""
-        if self.ending is not None:
-            self.ending.cancel()
+        if self.timer is not None:
+            self.timer.cancel()
         if self.film is not None:
             self.film.close()
             self.film = None

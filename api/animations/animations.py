@@ -51,7 +51,7 @@ class Animations:
         self._draw, self._encode = draw, encode
         self._active: dict[str, Animation] = {}
         self._ended_cache: Cache[Animation] = Cache(
-            "skugga.api.animations.kept", "process", settings.animation_bytes, lambda each: each.film_bytes + STATE_BYTES,
+            "skugga.api.animations.kept", "process", settings.animation_bytes, lambda animation: animation.film_bytes + STATE_BYTES,
             self._release, settings.animations_kept,
         )  # fmt: skip
         self._by_order: dict[FilmOrder, Animation] = {}
@@ -64,20 +64,20 @@ class Animations:
     @property
     def counts(self) -> dict[AnimationStatus, int]:
         """The number of animations by status."""
-        found = [each.status for each in (*self._active.values(), *self._ended_cache.values)]
-        return {status: found.count(status) for status in STATUSES}
+        statuses = [animation.status for animation in (*self._active.values(), *self._ended_cache.values)]
+        return {status: statuses.count(status) for status in STATUSES}
 
     @property
-    def going(self) -> int:
+    def active_count(self) -> int:
         """The number of animations that are drawn or in the queue."""
         return len(self._active)
 
     @property
     def cached_bytes(self) -> int:
         """Bytes of the cached films."""
-        return sum(each.film_bytes for each in self._ended_cache.values)
+        return sum(animation.film_bytes for animation in self._ended_cache.values)
 
-    def known(self, order: FilmOrder) -> Animation | None:
+    def find(self, order: FilmOrder) -> Animation | None:
         """Return the animation of an order, if it is queued, drawn or cached. This renews its timer as ``get`` does."""
         animation = self._by_order.get(order)
         return None if animation is None else self.get(animation.id)
@@ -92,20 +92,20 @@ class Animations:
             message = f"The service is busy: {len(self._active)} animations are being drawn or waiting."
             raise RetryLaterError(message, retry_after_s(left_s))
 
-    def ask(self, order: FilmOrder, frame_s: float) -> Animation:
+    def request(self, order: FilmOrder, frame_s: float) -> Animation:
         """Return the animation of an order: the existing one, or a new one in the queue.
 
         ``frame_s`` is the expected time of each frame in seconds. Raises the errors of ``check_queue``.
         """
-        if (animation := self.known(order)) is not None:
+        if (animation := self.find(order)) is not None:
             return animation
         self.check_queue()
         animation = Animation(secrets.token_hex(ID_BYTES), order, frame_s)
         self._active[animation.id] = self._by_order[order] = animation
         self._restart_abandon_timer(animation)
-        animation.work = asyncio.create_task(self._make(animation))
-        self._tasks.add(animation.work)
-        animation.work.add_done_callback(self._tasks.discard)
+        animation.task = asyncio.create_task(self._run(animation))
+        self._tasks.add(animation.task)
+        animation.task.add_done_callback(self._tasks.discard)
         return animation
 
     def get(self, name: str) -> Animation:
@@ -114,18 +114,18 @@ class Animations:
         if animation is not None:
             self._restart_abandon_timer(animation)
             return animation
-        kept = self._ended_cache.get(name)
-        if isinstance(kept, Missing):
+        ended_animation = self._ended_cache.get(name)
+        if isinstance(ended_animation, Missing):
             message = "animation: this animation does not exist, or is no longer kept. Request it again."
             raise NotServedError("animation", message)
-        return kept
+        return ended_animation
 
     def dismiss(self, animation: Animation, message: str) -> None:
         """Stop drawing an animation, or delete its film. A failed or dismissed animation stays as it is."""
         if animation.status in ("failed", "dismissed"):
             return
-        if animation.work is not None:
-            animation.work.cancel()
+        if animation.task is not None:
+            animation.task.cancel()
         self._ended_cache.drop(animation.id)
         animation.release()
         self._end(animation, "dismissed", message)
@@ -135,10 +135,10 @@ class Animations:
         if animation.ended:
             return 0.0
         queued_s = []
-        for each in self._active.values():
-            if each is animation:
+        for queued in self._active.values():
+            if queued is animation:
                 break
-            queued_s.append(self._drawing_seconds_left(each))
+            queued_s.append(self._drawing_seconds_left(queued))
         queue_s = sum(queued_s) / self._settings.animations_at_a_time if animation.status == "accepted" else 0.0
         return queue_s + self._drawing_seconds_left(animation)
 
@@ -153,26 +153,26 @@ class Animations:
         self._threads.shutdown(wait=True)
 
     def _drawing_seconds_left(self, animation: Animation) -> float:
-        done, order, each_s = animation.frames_done, animation.order, animation.frame_s
-        if done and animation.running_since_s is not None:
-            each_s = (asyncio.get_running_loop().time() - animation.running_since_s) / done
-        return (order.span.frames - done) * each_s
+        frames_done, order, frame_s = animation.frames_done, animation.order, animation.frame_s
+        if frames_done and animation.running_since_s is not None:
+            frame_s = (asyncio.get_running_loop().time() - animation.running_since_s) / frames_done
+        return (order.span.frames - frames_done) * frame_s
 
     def _restart_abandon_timer(self, animation: Animation) -> None:
         """Start the timer that dismisses an animation unless a client asks about it."""
-        if animation.ending is not None:
-            animation.ending.cancel()
+        if animation.timer is not None:
+            animation.timer.cancel()
         silence_s = self._settings.animation_abandoned_s
         message = f"No client asked for its state for {silence_s:g} s (SKUGGA_ANIMATION_ABANDONED_S)."
-        animation.ending = asyncio.get_running_loop().call_later(silence_s, self.dismiss, animation, message)
+        animation.timer = asyncio.get_running_loop().call_later(silence_s, self.dismiss, animation, message)
 
-    async def _make(self, animation: Animation) -> None:
+    async def _run(self, animation: Animation) -> None:
         """Draw an animation when a slot is free, and record its film or its error. Dismissal cancels this task."""
         loop = asyncio.get_running_loop()
         try:
             async with self._slots:
                 animation.begin(loop.time())
-                film = await self._film(animation)
+                film = await self._draw_film(animation)
         except SkuggaError as error:
             self._fail(animation, error)
         except Exception as error:  # other animations go on
@@ -181,7 +181,7 @@ class Animations:
             animation.film = film
             self._end(animation, "successful")
 
-    async def _film(self, animation: Animation) -> FilmFile:
+    async def _draw_film(self, animation: Animation) -> FilmFile:
         """Return the finished film. On every exit, drawing has stopped and the thread has released the file."""
         loop, order = asyncio.get_running_loop(), animation.order
         frames = FrameHandover(self._draw(order), loop, animation.advance)
@@ -225,11 +225,11 @@ class Animations:
         self._active.pop(animation.id, None)
         if animation.film is None:
             self._forget_order(animation)
-        if animation.ending is not None:
-            animation.ending.cancel()
+        if animation.timer is not None:
+            animation.timer.cancel()
         self._ended_cache.put(animation.id, value=animation)
         later = asyncio.get_running_loop().call_later
-        animation.ending = later(self._settings.animation_age_s, self._ended_cache.drop, animation.id)
+        animation.timer = later(self._settings.animation_age_s, self._ended_cache.drop, animation.id)
 
     def _release(self, animation: Animation) -> None:
         animation.release()

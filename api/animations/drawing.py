@@ -10,7 +10,7 @@ import numpy as np
 
 from skugga.api.animations.animations import Draw
 from skugga.api.animations.film_order import FilmOrder
-from skugga.api.errors import ExhaustedError, LevelChangedError, WorkerStartError, outcome_of
+from skugga.api.errors import ExhaustedError, LevelChangedError, WorkerStartError, error_report_of
 from skugga.api.film_files import write_film
 from skugga.api.workers.jobs import FilmPicture, FrameJob, LevelKey, PlanHandover
 from skugga.api.workers.pool import Pool
@@ -19,27 +19,27 @@ FRAME_TRIES = 5
 """How often a frame is tried while render processes cannot start: with the pauses that clients are told, some 20 seconds."""
 
 
-def frame_job(order: FilmOrder, number: int, before: PlanHandover | None = None) -> FrameJob:
-    """Return the job of a frame of a film. ``number`` counts from 0, and ``before`` are the plans of the frame before it."""
+def frame_job(order: FilmOrder, number: int, previous_plans: PlanHandover | None = None) -> FrameJob:
+    """Return the job of a frame of a film. ``number`` counts from 0, and ``previous_plans`` are the plans of the frame before it."""
     film = {name: getattr(order, name) for name in FrameJob.model_fields if name in FilmOrder.model_fields}
-    return FrameJob(**film, number=number, before=before)
+    return FrameJob(**film, number=number, previous_plans=previous_plans)
 
 
-def frame_renderer(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]]) -> Draw:
+def frame_renderer(pool: Pool, current_level: Callable[[str], Awaitable[LevelKey]]) -> Draw:
     """Return a function that draws the frames of a film on a pool.
 
     Each frame is a job, so other requests run between two frames. The pool repeats a frame whose worker crashes, from the same
-    plans. ``level_now`` returns the current key of a level by its name. The function raises ``LevelChangedError`` if that key has
-    changed, and the errors of ``level_now`` and ``Pool.run``.
+    plans. ``current_level`` returns the current key of a level by its name. The function raises ``LevelChangedError`` if that key
+    has changed, and the errors of ``current_level`` and ``Pool.run``.
     """
 
     async def draw(order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:
-        before: PlanHandover | None = None
+        previous_plans: PlanHandover | None = None
         for number in range(order.span.frames):
-            if await level_now(order.level_name) != order.level:
+            if await current_level(order.level_name) != order.level:
                 raise LevelChangedError(f"Level {order.level_name} has changed while it was drawn: ask for the animation again.")
-            picture = await _frame(pool, frame_job(order, number, before))
-            before = picture.after
+            picture = await _frame(pool, frame_job(order, number, previous_plans))
+            previous_plans = picture.next_plans
             yield picture.color
 
     return draw
@@ -55,7 +55,7 @@ async def _frame(pool: Pool, job: FrameJob) -> FilmPicture:
         except (WorkerStartError, ExhaustedError) as error:
             if number_of_try == FRAME_TRIES:
                 raise
-            await asyncio.sleep(outcome_of(error).retry_after_s or 1)
+            await asyncio.sleep(error_report_of(error).retry_after_s or 1)
         else:
             assert isinstance(picture, FilmPicture)
             return picture

@@ -24,17 +24,17 @@ class FilmFile:
         self.closed = False
 
     @property
-    def gone(self) -> bool:
+    def is_file_closed(self) -> bool:
         """Whether the file is closed, because nothing holds it any more."""
         return self._file.closed
 
-    def reading(self, first: int, end: int) -> FilmReader:
+    def open_reader(self, first: int, end: int) -> FilmReader:
         """Return a reader of the bytes from ``first`` to before ``end``, for one client. The film must not be closed."""
         with self._lock:
             self._hold_count += 1
         return FilmReader(self, first, end)
 
-    def part(self, first: int, end: int) -> bytes:
+    def read_range(self, first: int, end: int) -> bytes:
         """Return the bytes from ``first`` to before ``end``, for a holder. All clients share one file descriptor."""
         return os.pread(self._file.fileno(), end - first, first)
 
@@ -66,9 +66,9 @@ class FilmReader:
         with self._lock:
             if self._film is None:
                 return b""
-            found = self._film.part(self._position, min(self._position + CHUNK_BYTES, self._end))
-            self._position += len(found)
-            return found
+            content = self._film.read_range(self._position, min(self._position + CHUNK_BYTES, self._end))
+            self._position += len(content)
+            return content
 
     def close(self) -> None:
         """Release the film. Further calls do nothing."""

@@ -23,9 +23,9 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 
 
-def check_conflicts(option: str, view: str, asked: dict[str, object]) -> None:
+def check_conflicts(option: str, view: str, other_options: dict[str, object]) -> None:
     """Raise ``InputError`` for options of a single view that are combined with an option for many views."""
-    for name, value in ({"view": None if view == "map" else view} | asked).items():
+    for name, value in ({"view": None if view == "map" else view} | other_options).items():
         if value is not None:
             raise InputError.conflict(f"--{name}", option, f"Leave out --{name}: the views are those of the level file")
 
@@ -66,13 +66,16 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
         for choice in casting
     ]
     policies = dict.fromkeys(POLICIES[choice.plan.policy] for choice in casting)
-    why = [f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {' and '.join(policies)}."]
-    why += [
-        f"{format_view_and_sun(each.scene, each.plan)}: {choice_label(each.plan)}. {format_expectation(each.plan)}"
-        for each in casting
+    comment_lines = [f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {' and '.join(policies)}."]
+    comment_lines += [
+        (
+            f"{format_view_and_sun(planned_view.scene, planned_view.plan)}: "
+            f"{choice_label(planned_view.plan)}. {format_expectation(planned_view.plan)}"
+        )
+        for planned_view in casting
     ]
-    pin(path, {PINS: chosen}, why)
-    return f"Pinned into {path}: {', '.join(f'{each.plan.view} {each.plan.headline}' for each in casting)}."
+    pin(path, {PINS: chosen}, comment_lines)
+    return f"Pinned into {path}: {', '.join(f'{planned_view.plan.view} {planned_view.plan.headline}' for planned_view in casting)}."
 
 
 def choices_table(choices: Sequence[PlannedView]) -> Table:
@@ -123,8 +126,8 @@ def choice_label(plan: Plan) -> str:
     """Return the algorithms of a plan and its requested map sizes, such as ``shadow_map 2048``."""
     if not _casts(plan):
         return NO_SHADOWS
-    asked = [step.settings.as_overrides.get("map_size") for step in plan.steps if step.settings is not None]
-    return " ".join([plan.headline, *(str(size) for size in dict.fromkeys(asked) if size is not None)])
+    map_sizes = [step.settings.as_overrides.get("map_size") for step in plan.steps if step.settings is not None]
+    return " ".join([plan.headline, *(str(size) for size in dict.fromkeys(map_sizes) if size is not None)])
 
 
 def _casts(plan: Plan) -> bool:

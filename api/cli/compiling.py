@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from skugga.api.cli.progress import Advance, ProgressBar
+from skugga.api.cli.progress import AdvanceCallback, ProgressBar
 from skugga.terrain.atomic_files import disk_error
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 from skugga.terrain.cores import usable_cores
@@ -16,7 +16,7 @@ from skugga.terrain.errors import RenderError
 
 def compile_for_command(products: Sequence[str]) -> int:
     """Compile the loops that a command needs and the store lacks; return their number."""
-    bars: list[Advance] = []
+    bars: list[AdvanceCallback] = []
     total_loops = 0
     with ExitStack() as stack:
 

@@ -50,14 +50,16 @@ def complete_level(incomplete: str) -> list[str]:
         after them, which is better.
     """
     names = [path.stem for path in bundled_levels() if path.stem.startswith(incomplete)]
-    folder, begin = os.path.split(incomplete)
+    folder, prefix = os.path.split(incomplete)
     try:
-        beside = sorted(Path(os.path.expanduser(folder) or ".").iterdir())
+        entries = sorted(Path(os.path.expanduser(folder) or ".").iterdir())
     except OSError:
         return names
-    shown = [path for path in beside if path.name.startswith(begin) and (begin.startswith(".") or not path.name.startswith("."))]
-    files = [path.name for path in shown if path.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES) and path.is_file()]
+    matches = [
+        path for path in entries if path.name.startswith(prefix) and (prefix.startswith(".") or not path.name.startswith("."))
+    ]
+    files = [path.name for path in matches if path.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES) and path.is_file()]
     if not names and not files:
         return []
-    folders = [f"{path.name}/" for path in shown if path.is_dir()]
+    folders = [f"{path.name}/" for path in matches if path.is_dir()]
     return [*names, *(os.path.join(folder, name) for name in sorted([*files, *folders]))]

@@ -75,15 +75,19 @@ def _egl_devices() -> list[Finding]:
     except SkuggaError:
         return []
     try:
-        used = device().egl_device.index
+        used_index = device().egl_device.index
     except SkuggaError:
-        used = None
+        used_index = None
     findings = []
-    for each in devices:
-        probe = probed_device(each.index)
+    for egl_device in devices:
+        probe = probed_device(egl_device.index)
         details = [f"no OpenGL 4.3 context ({probe.fault})" if probe.fault else f"{probe.renderer}, {probe.version}"]
-        details += ["in software"] * each.software + [each.name] * bool(each.name) + ["in use"] * (each.index == used)
-        findings.append(Finding(f"EGL device {each.index}", True, ", ".join(details)))
+        details += (
+            ["in software"] * egl_device.software
+            + [egl_device.name] * bool(egl_device.name)
+            + ["in use"] * (egl_device.index == used_index)
+        )
+        findings.append(Finding(f"EGL device {egl_device.index}", True, ", ".join(details)))
     if len(devices) > 1:
         findings.append(Finding("several devices", True, f"{EGL_DEVICE} selects the devices to use"))
     return findings

@@ -15,7 +15,7 @@ import typer
 
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.progress import ProgressLines
-from skugga.api.cli.snapshot import StyleOverrides, check_seconds, need_for_view
+from skugga.api.cli.snapshot import StyleOverrides, check_seconds, declare_view_loops
 from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
@@ -104,7 +104,7 @@ def render_film(
     if sun is not None and span.start is not None:
         raise InputError.conflict("--time", "--from")
     loaded = load_level(level)
-    need_for_view(loaded, view)
+    declare_view_loops(loaded, view)
     scene = build_scene(loaded).with_sun(sun)
     try:
         print_warnings(scene)
@@ -114,8 +114,8 @@ def render_film(
         request = FilmRequest(span, view, path, size, bounds, crs, overrides)
         moments = frame_moments(scene, request)
         check_film_path(output, len(moments), (moments[0].view.cols, moments[0].view.rows))
-        existing_files = [each for each in film_files(output, len(moments)) if each.exists()]
-        check_targets(level, [("--output", each) for each in existing_files], options.path)
+        existing_files = [file for file in film_files(output, len(moments)) if file.exists()]
+        check_targets(level, [("--output", file) for file in existing_files], options.path)
         replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, overrides))
         with ProgressLines("Filming") as lines:
             progress = _FilmProgress(lines, len(moments))
@@ -142,26 +142,29 @@ class _FilmProgress:
             drawn_s, moment = clock.perf_counter() - begin, frame.moment
             if frame.switch is not None:
                 switch = frame.switch
-                self._lines.line(printable(f"{moment.words}: {switch.after} instead of {switch.before}: {switch.why}"))
+                self._lines.line(printable(f"{moment.words}: {switch.after} instead of {switch.before}: {switch.reason}"))
             if not self._lines.is_terminal:
                 typer.echo(f"[{moment.number + 1}/{self._total}] {moment.words}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
-            self._note(frame, drawn_s)
+            self._record_statistics(frame, drawn_s)
             self._drawn += 1
             yield frame.color
             self._lines.advance(moment.number + 1, self._total)
             begin = clock.perf_counter()
 
-    def report_estimate(self, written: int, size: int) -> None:
+    def report_estimate(self, frames_written: int, size: int) -> None:
         """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
 
         It is printed once early, and again whenever the estimate changes by the factor ``NEW_ESTIMATE_RATIO``.
         """
-        if not FRAMES_BEFORE_ESTIMATE <= written < self._total or size == 0:
+        if not FRAMES_BEFORE_ESTIMATE <= frames_written < self._total or size == 0:
             return
         frame_s = (clock.perf_counter() - self._begin) / self._drawn
-        expected = size * self._total / written, frame_s * self._total
+        expected = size * self._total / frames_written, frame_s * self._total
         change = max(
-            (max(now / previous, previous / now) for now, previous in zip(expected, self._last_estimate or (), strict=False)),
+            (
+                max(current / previous, previous / current)
+                for current, previous in zip(expected, self._last_estimate or (), strict=False)
+            ),
             default=math.inf,
         )
         if change > NEW_ESTIMATE_RATIO:
@@ -169,7 +172,7 @@ class _FilmProgress:
             remaining = _format_seconds(frame_s * (self._total - self._drawn))
             self._lines.line(f"{self._total} frames: about {_format_bytes(expected[0])} in total, {remaining} left")
 
-    def _note(self, frame: FilmFrame, drawn_s: float) -> None:
+    def _record_statistics(self, frame: FilmFrame, drawn_s: float) -> None:
         moment = frame.moment
         self.statistics["frames"].append({
             "frame": moment.number + 1,
@@ -181,7 +184,7 @@ class _FilmProgress:
         })  # fmt: skip
         if frame.switch is not None:
             switch = frame.switch
-            record = {"frame": switch.number + 1, "before": switch.before, "after": switch.after, "why": switch.why}
+            record = {"frame": switch.number + 1, "before": switch.before, "after": switch.after, "why": switch.reason}
             self.statistics["switches"].append(record)
 
 

@@ -64,8 +64,8 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
             f"  # Positions: {positions}, metres above the ground.",
             f"  {FIRST_VIEW}: {{kind: perspective, eye: [{eye}], target: [{target}], fov: {view.fov:g}}}",
         ]
-    forest = [f"  - source: {_file(folder, source.canopy)}"] if source.canopy else None
-    meshes = [f"  - source: {_file(folder, source.buildings)}"] if source.buildings else None
+    forest = [f"  - source: {_quoted_path(folder, source.canopy)}"] if source.canopy else None
+    meshes = [f"  - source: {_quoted_path(folder, source.buildings)}"] if source.buildings else None
     return "\n".join(
         [
             "# A level of Skugga. `skugga validate` checks it, `skugga serve` shows it. Lines with # and exactly one space are",
@@ -75,7 +75,7 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
             '#attribution: "Whose data these are"',
             "",
             "terrain:",
-            f"  source: {_file(folder, source.path)}",
+            f"  source: {_quoted_path(folder, source.path)}",
             "# Cells of this value have no height, in addition to the nodata cells of the file.",
             nodata,
             f"# Unit of heights if the file states none: {', '.join(METRES_PER_UNIT)}. Depths are positive down.",
@@ -98,10 +98,10 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
             f"#water: {{level: {low_m:.1f}}}",
             "",
             "# Trees: a raster of canopy heights, points (one per tree), or polygons with a density (trees per hectare).",
-            *_part("forest", forest, ["  - source: woods.geojson", "    density: 300", "    height: [9, 22]"]),
+            *_key_lines("forest", forest, ["  - source: woods.geojson", "    density: 300", "    height: [9, 22]"]),
             "",
             "# Buildings: footprints with a height in metres or the name of a height attribute; or models: OBJ, PLY or glTF.",
-            *_part("meshes", meshes, ["  - source: houses.geojson", "    height: height_m"]),
+            *_key_lines("meshes", meshes, ["  - source: houses.geojson", "    height: height_m"]),
             "",
             f"# Lamps. Positions: {positions}, metres above the ground.",
             "#lights:",
@@ -117,12 +117,12 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
     )
 
 
-def _part(name: str, lines: list[str] | None, example: list[str]) -> list[str]:
+def _key_lines(name: str, lines: list[str] | None, example: list[str]) -> list[str]:
     """Return the lines of a key of the level, or of a commented example of it."""
     return [f"{name}:", *lines] if lines else [f"#{name}:", *(f"#{line}" for line in example)]
 
 
-def _file(folder: Path, file: Path) -> str:
+def _quoted_path(folder: Path, file: Path) -> str:
     """Return the quoted path of a file for a level file: relative if the file lies in the folder, else absolute."""
     absolute = file.resolve()
     return _quoted(os.fspath(absolute.relative_to(folder) if absolute.is_relative_to(folder) else absolute))

@@ -66,9 +66,9 @@ class LazyCommand(TyperCommand):
     def loaded(self) -> Any:
         """The imported command with its options."""
         module, _, function = self._function.partition(":")
-        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(self.name)(getattr(import_module(f"skugga.api.cli.commands.{module}"), function))
-        return typer.main.get_command(alone)
+        single_command_app = typer.Typer(add_completion=False, rich_markup_mode=None)
+        single_command_app.command(self.name)(getattr(import_module(f"skugga.api.cli.commands.{module}"), function))
+        return typer.main.get_command(single_command_app)
 
     def make_context(self, *args: Any, **options: Any) -> Any:
         """Parse arguments. The context's command is the imported one, which then runs, prints help and completes."""

@@ -67,7 +67,9 @@ def main() -> None:
     except SkuggaError as error:
         if debug:
             raise
-        status = _print_error(str(error), exit_status(error), one_per_line=isinstance(error, InputError) and bool(error.others))
+        status = _print_error(
+            str(error), exit_status(error), one_per_line=isinstance(error, InputError) and bool(error.further_errors)
+        )
     except OSError as error:
         if debug:
             raise

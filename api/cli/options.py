@@ -22,12 +22,14 @@ def with_shadow_options(command: FrontEnd, after: str = "crs") -> Callable[[Func
 def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[str, Any]:
     """Return options as overrides of a level's ``shadows``. Raises ``InputError``."""
     overrides = dict(declared_options)
-    for each in settings_of(Shadows, command):
-        value = overrides.get(each.name)
-        if each.name == "algorithm" and value is not None:
-            overrides[each.name] = parse_algorithm(value, "--algorithm")
-        elif isinstance(value, str) and value.isascii() and value.isdigit() and any(isinstance(word, int) for word in each.words):
-            overrides[each.name] = int(value)
+    for setting in settings_of(Shadows, command):
+        value = overrides.get(setting.name)
+        if setting.name == "algorithm" and value is not None:
+            overrides[setting.name] = parse_algorithm(value, "--algorithm")
+        elif (
+            isinstance(value, str) and value.isascii() and value.isdigit() and any(isinstance(word, int) for word in setting.words)
+        ):
+            overrides[setting.name] = int(value)
     return overrides
 
 

@@ -29,7 +29,7 @@ def check_targets(level: LevelSource, targets: Iterable[tuple[str, Path | None]]
 
 
 def _input_files(level: LevelSource, inputs: tuple[Path | None, ...]) -> Iterator[Path]:
-    yield from (each for each in (level.path, level.canopy, level.buildings, *inputs) if each is not None)
+    yield from (path for path in (level.path, level.canopy, level.buildings, *inputs) if path is not None)
     try:
         sources = load_level(level).linked_sources
     except SkuggaError:  # reported when the level is loaded for its work

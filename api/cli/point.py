@@ -116,13 +116,13 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     scene = build_scene(loaded).with_sun(options.sun)
     print_warnings(scene)
     try:
-        around = point_surroundings(scene, query, crs)
-        horizon = None if options.horizon is None else _horizon(around, options.horizon)
+        surroundings = point_surroundings(scene, query, crs)
+        horizon = None if options.horizon is None else _horizon_text(surroundings, options.horizon)
         report = point_report(scene, query, crs) if horizon is None or options.output is not None else None
         if horizon is not None and options.output is not None:
             write_atomically(options.output, horizon)
         if options.picture is not None:
-            write_atomically(options.picture, _picture(around, query, options.picture))
+            write_atomically(options.picture, _sky_picture_file(surroundings, query, options.picture))
     finally:
         scene.close()
     if report is None:
@@ -195,17 +195,17 @@ def _read_crs(text: str | None) -> CRS | None:
         raise InputError("--crs", text, "a CRS that PROJ knows, such as EPSG:32616") from None
 
 
-def _horizon(around: Surroundings, format: str) -> str:
-    return horizon_file(format, horizon_profile(around, directions_for(format)), around.place)
+def _horizon_text(surroundings: Surroundings, format: str) -> str:
+    return horizon_file(format, horizon_profile(surroundings, directions_for(format)), surroundings.place)
 
 
-def _picture(around: Surroundings, query: PointQuery, file: Path) -> bytes:
-    scene: Scene = around.scene
-    day = requested_day(scene, query, around.place.lon_deg)
-    clock = requested_clock(scene, query, around.place.lon_deg, day)
+def _sky_picture_file(surroundings: Surroundings, query: PointQuery, file: Path) -> bytes:
+    scene: Scene = surroundings.scene
+    day = requested_day(scene, query, surroundings.place.lon_deg)
+    clock = requested_clock(scene, query, surroundings.place.lon_deg, day)
     title = scene.loaded.level.title or scene.loaded.name
     format: Any = PICTURE_SUFFIXES[file.suffix.lower()]
-    return sky_picture(around, horizon_profile(around), day, clock, format, title)
+    return sky_picture(surroundings, horizon_profile(surroundings), day, clock, format, title)
 
 
 def _print_report(report: PointReport, with_now: bool) -> None:
@@ -213,14 +213,14 @@ def _print_report(report: PointReport, with_now: bool) -> None:
     from rich.table import Table
 
     console = wide_console()
-    where = "" if report.lon is None else f"{report.lon:.6f}, {report.lat:.6f}; "
-    above = f", {report.height_m:g} m above it" if report.height_m else ""
+    position_text = "" if report.lon is None else f"{report.lon:.6f}, {report.lat:.6f}; "
+    height_text = f", {report.height_m:g} m above it" if report.height_m else ""
     assert report.elevation_m is not None  # a point outside the data raises an error before
-    console.print(f"{report.level}: {where}ground {report.elevation_m:.1f} m{above}")
+    console.print(f"{report.level}: {position_text}ground {report.elevation_m:.1f} m{height_text}")
     if report.now is not None and with_now:
-        when = "under the level's default sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
+        time_text = "under the level's default sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
         sun = f"sun at azimuth {report.now.azimuth:.1f}, altitude {report.now.altitude:.1f} degrees"
-        console.print(f"{when}{_format_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
+        console.print(f"{time_text}{_format_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
     if report.day is not None:
         table = Table(
             box=None, show_header=False, title=f"{report.day.date.isoformat()} ({report.day.clock})", title_justify="left"
@@ -239,9 +239,12 @@ def _print_report(report: PointReport, with_now: bool) -> None:
             table.add_row(*row)
         console.print(table)
         intervals = Table("sun from", "to", "hidden before by", "hidden after by", box=None)
-        for each in report.day.sunlit:
+        for interval in report.day.sunlit:
             intervals.add_row(
-                _format_time(each.begin), _format_time(each.end), _format_caster(each.after), _format_caster(each.before)
+                _format_time(interval.begin),
+                _format_time(interval.end),
+                _format_caster(interval.after),
+                _format_caster(interval.before),
             )
         if report.day.sunlit:
             console.print(intervals)
@@ -269,18 +272,18 @@ def _print_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
     wide_console().print(table)
 
 
-def _format_state(lit: bool, altitude: float, by: ReportedCaster | None) -> str:
+def _format_state(lit: bool, altitude: float, occluder: ReportedCaster | None) -> str:
     if altitude <= 0.0:
         return _NIGHT
-    return _LIT if lit else f"{_DARK}, {_format_caster(by)}"
+    return _LIT if lit else f"{_DARK}, {_format_caster(occluder)}"
 
 
 def _format_caster(caster: ReportedCaster | None) -> str:
     if caster is None:
         return "-"
-    away = f"{caster.distance_m / 1000.0:.1f} km" if caster.distance_m >= 1000.0 else f"{caster.distance_m:.0f} m"
-    where = "" if caster.lon is None else f" at {caster.lon:.5f}, {caster.lat:.5f}"
-    return f"{caster.kind} {away} away{where}, {caster.height_m:.0f} m high"
+    distance_text = f"{caster.distance_m / 1000.0:.1f} km" if caster.distance_m >= 1000.0 else f"{caster.distance_m:.0f} m"
+    position_text = "" if caster.lon is None else f" at {caster.lon:.5f}, {caster.lat:.5f}"
+    return f"{caster.kind} {distance_text} away{position_text}, {caster.height_m:.0f} m high"
 
 
 def _format_time(moment: datetime | None) -> str:

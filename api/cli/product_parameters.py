@@ -23,10 +23,12 @@ def with_product_options(products: Sequence[str], after: str) -> Callable[[Funct
 def split_product_options(product: Product, declared_options: dict[str, Any]) -> tuple[ProductOptions, dict[str, Any]]:
     """Split a command's options into those of a product and the remaining ones. Raises ``InputError``."""
     fields = product.options.model_fields
-    foreign_names = {name for each in PRODUCTS.values() for name in each.options.model_fields} - fields.keys()
+    foreign_names = {name for other_product in PRODUCTS.values() for name in other_product.options.model_fields} - fields.keys()
     for name in sorted(foreign_names):
         if declared_options.get(name) is not None:
-            owners = " or ".join(each.name for each in PRODUCTS.values() if name in each.options.model_fields)
+            owners = " or ".join(
+                other_product.name for other_product in PRODUCTS.values() if name in other_product.options.model_fields
+            )
             raise InputError(_flag(name), Problem(f"is an option of {owners}, not of {product.name}"), "Leave it out")
     own_values = {name: value for name, value in declared_options.items() if name in fields and value is not None}
     try:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 
-Advance = Callable[[int, int], None]
+AdvanceCallback = Callable[[int, int], None]
 """Callback with the number of finished blocks (or other units of work) and their total."""
 
 
@@ -38,7 +38,7 @@ class ProgressBar:
         self._title = task
         self._bar: tuple[Progress, TaskID] | None = None
 
-    def __enter__(self) -> Advance:
+    def __enter__(self) -> AdvanceCallback:
         return self._advance
 
     def __exit__(self, *_: object) -> None:
@@ -83,7 +83,7 @@ class ProgressLines:
         """Whether standard error is a terminal."""
         return self._console.is_terminal
 
-    def say(self, text: str) -> None:
+    def print_status(self, text: str) -> None:
         """Print a dim line on a terminal; print nothing elsewhere."""
         if self.is_terminal:
             self._console.print(text, style="dim", highlight=False, markup=False)

@@ -16,14 +16,14 @@ def command_line_without(context: typer.Context, *omitted: str) -> str:
             continue
         values = value if isinstance(value, (list, tuple)) else [value]
         if parameter.param_type_name == "argument":
-            words += map(_word, values)
+            words += map(_shell_word, values)
         elif value is True:
             words.append(parameter.opts[0])
         else:
-            words += (word for each in values for word in (parameter.opts[-1], _word(each)))
+            words += (word for item in values for word in (parameter.opts[-1], _shell_word(item)))
     return shlex.join(words)
 
 
-def _word(value: object) -> str:
+def _shell_word(value: object) -> str:
     """Return a value as a user types it: 246 instead of 246.0."""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)

@@ -17,7 +17,7 @@ from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.product_parameters import split_product_options
 from skugga.api.cli.progress import ProgressLines
 from skugga.api.cli.tables import named_table
-from skugga.api.cli.times import TIME_WORD, paths_by_time, sun_from_options, suns_from_options
+from skugga.api.cli.times import TIME_PLACEHOLDER, paths_by_time, sun_from_options, suns_from_options
 from skugga.api.matrices import ZoomRange
 from skugga.api.products import product_named
 from skugga.api.products.product import MapFormat
@@ -42,8 +42,8 @@ from skugga.terrain.level.level_source import LevelSource
 if TYPE_CHECKING:
     from skugga.api.seed.dask_cluster import DaskCluster
 
-TABLE = "tasks.sqlite"
-LOG = "log.jsonl"
+TABLE_NAME = "tasks.sqlite"
+LOG_NAME = "log.jsonl"
 
 ASSUMED_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
 """Assumed bytes of a PNG tile full of relief until tiles are measured: colour from mountains (docs/scale.md), others guessed."""
@@ -92,28 +92,28 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
     layer_options, overrides = split_product_options(product_named(options.layer), declared_options)
     product_request = ProductRequest(product=options.layer, options=layer_options, overrides=RequestedSettings.of(overrides))
     request = SeedRequest(level, _zooms(options.zooms), suns, product_request, cast(MapFormat, options.format))
-    work = options.work or options.output.with_name(options.output.name.replace(TIME_WORD, "times") + ".seed")
+    work = options.work or options.output.with_name(options.output.name.replace(TIME_PLACEHOLDER, "times") + ".seed")
     shards = options.shards or str(work.resolve() / "shards")
     store = store_at(shards)
     if options.scheduler is not None and options.workers is not None:
         raise InputError.conflict("--workers", "--scheduler", "Leave out --workers: the cluster has its own")
-    with TaskTable(work / TABLE) as table, _RunProgress(work / LOG, options.as_json) as progress:
+    with TaskTable(work / TABLE_NAME) as table, _RunProgress(work / LOG_NAME, options.as_json) as progress:
         workers = _Workers(options)
         if table.get("spec") is None and not options.dry_run:
             workers.warm_up()  # in parallel with the planning of a new run, which has tasks
         try:
-            run = plan_run(table, request, progress.say)
+            run = plan_run(table, request, progress.print_status)
             outputs = dict(zip(run.sun_names, paths, strict=True))
             if options.dry_run:
                 _print_forecast(table, run, store, options)
                 return
-            done = draw_and_publish(
-                table, run, store, shards, outputs, lambda: workers.begin(run, shards), progress.note, options.max_tasks,
+            result = draw_and_publish(
+                table, run, store, shards, outputs, lambda: workers.begin(run, shards), progress.report_task_end, options.max_tasks,
                 options.retry_failed, options.task_timeout,
             )  # fmt: skip
         finally:
             workers.close()
-        progress.end(done, table)
+        progress.end(result, table)
 
 
 class _Workers:
@@ -159,14 +159,14 @@ def _zooms(text: str | None) -> ZoomRange | None:
 def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
     """Print the tasks that would run, their reasons, and their expected time and size."""
     requeue_lost_shards(table, store)
-    measured = table.measured()
+    measured_costs = table.measured_costs()
     rows: list[dict[str, Any]] = []
-    for sun, zoom, why, count, full, seconds in table.outlook():
+    for sun, zoom, reason, count, full_tasks, seconds in table.forecast():
         assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
-        full_bytes = measured[zoom][1] if zoom in measured else assumed_bytes
+        full_bytes = measured_costs[zoom][1] if zoom in measured_costs else assumed_bytes
         rows.append({
-            "sun": sun, "zoom": zoom, "why": why, "tasks": count, "seconds": round(seconds, 1), "bytes": int(full * full_bytes),
-            "measured": zoom in measured,
+            "sun": sun, "zoom": zoom, "why": reason, "tasks": count, "seconds": round(seconds, 1), "bytes": int(full_tasks * full_bytes),
+            "measured": zoom in measured_costs,
         })  # fmt: skip
     workers = options.workers or usable_cores()
     total = {name: sum(float(row[name]) for row in rows) for name in ("tasks", "seconds", "bytes")}
@@ -185,9 +185,9 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
     console = Console(width=None if sys.stdout.isatty() else 160)
     if rows:
         console.print(text_table)
-    wall = "" if options.scheduler else f", {format_duration(1000.0 * total['seconds'] / workers)} with {workers} workers"
+    wall_time_text = "" if options.scheduler else f", {format_duration(1000.0 * total['seconds'] / workers)} with {workers} workers"
     typer.echo(
-        f"{total['tasks']:.0f} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall}, "
+        f"{total['tasks']:.0f} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall_time_text}, "
         f"about {_format_bytes(total['bytes'])}. Done: {counts.get('done', 0)}, failed: {counts.get('failed', 0)}."
     )
 
@@ -217,14 +217,14 @@ class _RunProgress:
         if self._file is not None:
             self._file.close()
 
-    def say(self, text: str) -> None:
+    def print_status(self, text: str) -> None:
         """Print a step that precedes the first task, on a terminal only."""
-        self._lines.say(text)
+        self._lines.print_status(text)
 
-    def note(self, done: TaskEnd) -> None:
+    def report_task_end(self, task_end: TaskEnd) -> None:
         """Report the end of a task."""
-        task, outcome = done.task, done.outcome
-        place = f"zoom {task.zoom} block {task.x},{task.y}"
+        task, outcome = task_end.task, task_end.outcome
+        block_label = f"zoom {task.zoom} block {task.x},{task.y}"
         record: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
         if isinstance(outcome, TaskResult):
             record |= {
@@ -235,9 +235,9 @@ class _RunProgress:
         else:
             record |= {"error": outcome.error}
             text = f"failed: {outcome.error}"
-        record |= {"done": done.done, "total": done.total}
+        record |= {"done": task_end.done, "total": task_end.total}
         self._write(record)
-        self._print_line(f"[{done.done}/{done.total}] {place}: {text}", done)
+        self._print_line(f"[{task_end.done}/{task_end.total}] {block_label}: {text}", task_end)
 
     def end(self, seeded: SeedResult, table: TaskTable) -> None:
         """Report the end of the run."""
@@ -261,7 +261,7 @@ class _RunProgress:
         self._file.write(json.dumps(record) + "\n")
         self._file.flush()
 
-    def _print_line(self, text: str, done: TaskEnd) -> None:
+    def _print_line(self, text: str, task_end: TaskEnd) -> None:
         if not self._quiet:
             self._lines.line(text)
-            self._lines.advance(done.done, done.total)
+            self._lines.advance(task_end.done, task_end.total)

@@ -20,7 +20,7 @@ from skugga.terrain.compiling.ahead_of_time import MAPS_OF_CASTERS, MASKS, PICTU
 from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
-from skugga.terrain.level.level import load_level, spelt
+from skugga.terrain.level.level import load_level, override_text
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
@@ -54,21 +54,21 @@ def write_product(
     level: LevelSource,
     output: Path,
     requests: Sequence[ProductRequest],
-    place: OutputGrid,
+    output_grid: OutputGrid,
     overrides: dict[str, Any],
     on_step: OnBlock | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
     """Write one raster of a product for each request. Raises ``SkuggaError`` and ``OSError``."""
-    product, suns = requests[0].record, [request.sun for request in requests]
+    product, suns = requests[0].product_record, [request.sun for request in requests]
     for name, value in overrides.items():
         if value is not None and product.when != "sun":
-            value_text = spelt(value) if name == "algorithm" else value
+            value_text = override_text(value) if name == "algorithm" else value
             reason = f"'{value_text}' does not apply to {product.name}, which has no shadows"
             raise InputError(f"--{name.replace('_', '-')}", Problem(reason), "Leave it out")
     paths = output_paths(output, suns)
     contour_targets = [] if contours is None else [("--contours", contours[0])]
-    like = place.like if isinstance(place.like, Path) else None
+    like = output_grid.like if isinstance(output_grid.like, Path) else None
     check_targets(level, [*(("--output", path) for path in paths), *contour_targets], like)
     declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
     scene = build_scene(load_level(level))
@@ -76,14 +76,16 @@ def write_product(
         declare_product(MAPS_OF_CASTERS)
     print_warnings(scene)
     try:
-        raster = raster_view(scene, place.bounds, place.crs, place.resolution, place.like)
-        if place.like is not None:
+        raster = raster_view(scene, output_grid.bounds, output_grid.crs, output_grid.resolution, output_grid.like)
+        if output_grid.like is not None:
             print_extent_warning(scene, raster)
         if product.when == "sun" and None in suns:
             print_default_sun(scene)
         write_rasters(scene, raster, requests, paths, overrides, on_step, contours)
-        about, unit = product.about_of(requests[0].options)
-        print_written_files(paths, f"{product.name}, {about}" + (f" ({unit})" if len(unit) > 1 or unit.isalpha() else ""), raster)
+        description, unit = product.description_and_unit(requests[0].options)
+        print_written_files(
+            paths, f"{product.name}, {description}" + (f" ({unit})" if len(unit) > 1 or unit.isalpha() else ""), raster
+        )
     finally:
         scene.close()
 

@@ -25,7 +25,7 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
-MAX_SECONDS = 1e9
+MAX_CLOCK_S = 1e9
 """Largest absolute reading of a level's clock, as in level files."""
 
 
@@ -54,7 +54,7 @@ class Snapshot:
 
     def write(self, request: ProductRequest, path: Path) -> None:
         """Write the snapshot in the format of the suffix. A GeoTIFF of a map view is georeferenced."""
-        product, format = request.record, path.suffix.lower().removeprefix(".")
+        product, format = request.product_record, path.suffix.lower().removeprefix(".")
         array = colored(self.computed.array, product, request.options, self.scene.world, format)
         if format not in ARRAY_FORMATS:
             array = as_picture(array, product, self.computed.picture)
@@ -81,10 +81,10 @@ def snapshot(
     longer than ``max_ms``, or without that longer than the time limit of a service.
     """
     scene, view_value = scene_and_view(level, view, request.sun, size, bounds, crs, seconds)
-    if request.sun is None and request.record.when == "sun":
+    if request.sun is None and request.product_record.when == "sun":
         print_default_sun(scene)
     scene = scene.with_style(*style_overrides)
-    plan = plan_for(scene, view_value, view, request.record, overrides)
+    plan = plan_for(scene, view_value, view, request.product_record, overrides)
     if plan is not None:
         limit_ms = time_limit_ms() if max_ms is None else max_ms
         check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", limit_ms, "--max-ms")
@@ -103,13 +103,13 @@ def scene_and_view(
     """Return a level's scene under a sun at a second of its clock, and one of its views. Raises ``SkuggaError``."""
     check_seconds(seconds)
     loaded = load_level(level)
-    need_for_view(loaded, view)
+    declare_view_loops(loaded, view)
     scene = build_scene(loaded).with_sun(sun).at_second(seconds)
     print_warnings(scene)
     return scene, scene.view(view, bounds, crs, size)
 
 
-def need_for_view(loaded: LoadedLevel, view: str) -> None:
+def declare_view_loops(loaded: LoadedLevel, view: str) -> None:
     """Declare the compiled loops that a picture of a level's view needs."""
     named = loaded.level.views.get(view)
     if named is not None and named.kind == "perspective":
@@ -120,8 +120,8 @@ def need_for_view(loaded: LoadedLevel, view: str) -> None:
 
 def check_seconds(seconds: float | None) -> None:
     """Raise ``InputError`` for a reading outside the range of a level's clock."""
-    if seconds is not None and not abs(seconds) <= MAX_SECONDS:
-        raise InputError("--seconds", seconds, f"{-MAX_SECONDS:g} to {MAX_SECONDS:g} seconds")
+    if seconds is not None and not abs(seconds) <= MAX_CLOCK_S:
+        raise InputError("--seconds", seconds, f"{-MAX_CLOCK_S:g} to {MAX_CLOCK_S:g} seconds")
 
 
 def statistics(result: Snapshot) -> dict[str, Any]:
@@ -133,8 +133,8 @@ def statistics(result: Snapshot) -> dict[str, Any]:
         "level": result.scene.loaded.name,
         "plan": None if result.plan is None else result.plan.model_dump(mode="json"),
         "effects": sorted(executed_effects(computed.passes)),
-        "passes": [asdict(record) for record in computed.passes],
-        "ms": sum(record.ms for record in computed.passes),
+        "passes": [asdict(pass_record) for pass_record in computed.passes],
+        "ms": sum(pass_record.ms for pass_record in computed.passes),
         "caster_reach": None if computed.reach is None else asdict(computed.reach),
         "sun": None
         if sun is None

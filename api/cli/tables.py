@@ -16,12 +16,12 @@ def wide_console() -> Any:
     return Console(highlight=False, width=None if sys.stdout.isatty() else FILE_COLUMNS)
 
 
-def named_table(first: str, *others: str, **style: Any) -> Any:
+def named_table(first_column: str, *other_columns: str, **style: Any) -> Any:
     """Return an empty table whose first column is never truncated, because users type its names."""
     from rich.table import Table
 
     table = Table(**style)
-    table.add_column(first, no_wrap=True, overflow="ignore")
-    for other in others:
-        table.add_column(other, overflow="fold")
+    table.add_column(first_column, no_wrap=True, overflow="ignore")
+    for column in other_columns:
+        table.add_column(column, overflow="fold")
     return table

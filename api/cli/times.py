@@ -13,7 +13,7 @@ from skugga.terrain.level.parts import SunSpec
 
 MAX_TIMES = 10_000
 
-TIME_WORD = "{time}"
+TIME_PLACEHOLDER = "{time}"
 """Placeholder of the time in a file name."""
 
 
@@ -65,9 +65,9 @@ def time_in_name(sun: SunSpec | None, number: int) -> str:
 
 def paths_by_time(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
     """Return the output path of each sun: ``{time}`` in the name is replaced. Raises ``InputError``."""
-    if len(suns) > 1 and TIME_WORD not in output.name:
-        raise InputError("--output", str(output), f"a name with {TIME_WORD}, for {len(suns)} times")
-    paths = [output.with_name(output.name.replace(TIME_WORD, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
+    if len(suns) > 1 and TIME_PLACEHOLDER not in output.name:
+        raise InputError("--output", str(output), f"a name with {TIME_PLACEHOLDER}, for {len(suns)} times")
+    paths = [output.with_name(output.name.replace(TIME_PLACEHOLDER, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
     if len(set(paths)) < len(paths):
         raise InputError("--times", Problem("a time occurs twice"), "Give different times")
     return paths

@@ -39,14 +39,14 @@ def print_default_sun(scene: Scene) -> None:
     if scene.sun_is_default or sys.stderr.isatty():
         from skugga.api.report.plan_text import format_sun
 
-        said = f"{scene.loaded.name} is drawn with its default light, {format_sun(scene.sun)}. Use --time for another sun"
-        typer.echo(printable(f"skugga: {said}"), err=True)
+        message = f"{scene.loaded.name} is drawn with its default light, {format_sun(scene.sun)}. Use --time for another sun"
+        typer.echo(printable(f"skugga: {message}"), err=True)
 
 
-def print_written_files(paths: Sequence[Path], what: str, raster: RasterView) -> None:
+def print_written_files(paths: Sequence[Path], content: str, raster: RasterView) -> None:
     """Print one line on the written files, on a terminal only."""
     if sys.stderr.isatty():
         names = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files, {paths[0]} to {paths[-1].name}"
         rows, cols = raster.shape
-        said = f"wrote {names}: {what}, {cols} x {rows} cells, {raster.crs.name}"
-        typer.echo(printable(f"skugga: {said}"), err=True)
+        message = f"wrote {names}: {content}, {cols} x {rows} cells, {raster.crs.name}"
+        typer.echo(printable(f"skugga: {message}"), err=True)

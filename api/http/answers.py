@@ -103,7 +103,7 @@ def document_answer(request: Request, body: bytes, media_type: str, **extra_head
 
     A long document is compressed for clients that accept gzip. The compressed form has a different entity tag.
     """
-    is_compressed = len(body) >= MIN_GZIP_BYTES and _takes_gzip(request)
+    is_compressed = len(body) >= MIN_GZIP_BYTES and _accepts_gzip(request)
     vary = ", ".join(filter(None, (extra_headers.pop("Vary", ""), "Accept-Encoding"))) if len(body) >= MIN_GZIP_BYTES else None
     extra_headers |= {} if vary is None else {"Vary": vary}
     headers = cache_headers(entity_tag(body, "gzip") if is_compressed else entity_tag(body), METADATA_FRESH_S) | extra_headers
@@ -114,7 +114,7 @@ def document_answer(request: Request, body: bytes, media_type: str, **extra_head
     return Response(body, headers=headers, media_type=media_type)
 
 
-def _takes_gzip(request: Request) -> bool:
+def _accepts_gzip(request: Request) -> bool:
     """Return whether ``Accept-Encoding`` names gzip with a weight above 0 (RFC 9110, section 12.5.3)."""
     for coding in request.headers.get("accept-encoding", "").lower().split(","):
         name, _, weight = coding.partition(";")
@@ -128,17 +128,17 @@ def base_url(request: Request, public_url: str | None) -> str:
     return (public_url or str(request.base_url)).rstrip("/")
 
 
-def render_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:
+def render_headers(picture: BlockTiles | Snapshot, subject: str, is_cached: bool, encode_ms: float) -> dict[str, str]:
     """Return headers with the render passes of a picture, whether it came from the cache, and its caster reach.
 
     ``subject`` is the kind of picture: a block or a snapshot. Pass names become tokens: hyphens replace runs of other
     characters.
     """
-    timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in drawn.passes]
-    timings += [f"encode;dur={encode_ms:.1f}", f"{subject};desc={'kept' if kept else 'drawn'}"]
+    timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in picture.passes]
+    timings += [f"encode;dur={encode_ms:.1f}", f"{subject};desc={'kept' if is_cached else 'drawn'}"]
     reach = {}
-    if drawn.reach_used_m is not None and drawn.reach_needed_m is not None:
-        reach = reach_headers(drawn.headline, drawn.reach_used_m, drawn.reach_needed_m, drawn.reach_clipped)
+    if picture.reach_used_m is not None and picture.reach_needed_m is not None:
+        reach = reach_headers(picture.headline, picture.reach_used_m, picture.reach_needed_m, picture.reach_clipped)
     return {"Server-Timing": ", ".join(timings), **reach}
 
 

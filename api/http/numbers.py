@@ -11,17 +11,17 @@ from pydantic_core import PydanticCustomError
 
 NOT_FINITE = "nan", "inf", "infinity"
 
-_WHOLE = re.compile("-?[0-9]{1,20}")
+_INTEGER = re.compile("-?[0-9]{1,20}")
 _DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]{1,4})?")
 
 
-def _whole(value: Any) -> Any:
-    if isinstance(value, str) and not _WHOLE.fullmatch(value):
+def _check_integer(value: Any) -> Any:
+    if isinstance(value, str) and not _INTEGER.fullmatch(value):
         raise PydanticCustomError("int_parsing", "Input should be a whole number")
     return value
 
 
-def _decimal(value: Any) -> Any:
+def _check_decimal(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     if value.strip().lstrip("+-").lower() in NOT_FINITE:  # before pydantic reports bounds
@@ -31,8 +31,8 @@ def _decimal(value: Any) -> Any:
     return value
 
 
-def _whole_or_word(value: Any) -> Any:
-    return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else value
+def _parse_integer_or_word(value: Any) -> Any:
+    return int(value) if isinstance(value, str) and _INTEGER.fullmatch(value) else value
 
 
 def parse_decimal(text: str) -> float | None:
@@ -41,13 +41,13 @@ def parse_decimal(text: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-WHOLE_OR_WORD = BeforeValidator(_whole_or_word)
+INTEGER_OR_WORD = BeforeValidator(_parse_integer_or_word)
 """Validator of parameters with a list of allowed values, some of them integers."""
 
-PLAIN_WHOLE, PLAIN_DECIMAL = BeforeValidator(_whole), BeforeValidator(_decimal)
+PLAIN_INTEGER, PLAIN_DECIMAL = BeforeValidator(_check_integer), BeforeValidator(_check_decimal)
 """Validators of integers and decimals for ``Annotated``.
 
 They reject other spellings that Python accepts: ``1_2``, ``12.0`` as an integer, digits of other scripts."""
 
-WholeNumber = Annotated[int, PLAIN_WHOLE]
+WholeNumber = Annotated[int, PLAIN_INTEGER]
 """An integer in a path."""

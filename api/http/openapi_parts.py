@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 from fastapi import Path
 
-from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.numbers import PLAIN_INTEGER
 from skugga.api.http.problems import MEDIA_TYPE, Problem, problem_kinds
 
-Answers = dict[int | str, dict[str, Any]]
+ResponseDocs = dict[int | str, dict[str, Any]]
 """Responses by status, as the ``responses`` argument of routes."""
 
 LEVEL_ERRORS = 404, 422, 500
@@ -27,7 +27,7 @@ UNEXPECTED_ERRORS = {500}
 
 PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
 
-PLAN_DOCS: Answers = {200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Plan"}}}}}
+PLAN_DOCS: ResponseDocs = {200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Plan"}}}}}
 """The response with a plan. ``openapi`` adds its schema later, since that imports the settings of all algorithms."""
 
 LevelPath = Annotated[str, Path(description="A level by its name, as `/levels` lists them.", examples=["jacksboro"])]
@@ -35,35 +35,37 @@ MatrixSetPath = Annotated[
     str,
     Path(description="A tile matrix set by its name, as `tile_matrix_sets` of the level lists them.", examples=["WebMercatorQuad"]),
 ]
-ZoomPath = Annotated[int, PLAIN_WHOLE, Path(description="Zoom: one of those of the level in the tile matrix set.", examples=[11])]
-ColumnPath = Annotated[int, PLAIN_WHOLE, Path(description="Column of the tile, from the west.", examples=[544])]
-RowPath = Annotated[int, PLAIN_WHOLE, Path(description="Row of the tile, from the north.", examples=[800])]
+ZoomPath = Annotated[int, PLAIN_INTEGER, Path(description="Zoom: one of those of the level in the tile matrix set.", examples=[11])]
+ColumnPath = Annotated[int, PLAIN_INTEGER, Path(description="Column of the tile, from the west.", examples=[544])]
+RowPath = Annotated[int, PLAIN_INTEGER, Path(description="Row of the tile, from the north.", examples=[800])]
 
 
-def problem_docs(*statuses: int) -> Answers:
+def problem_docs(*statuses: int) -> ResponseDocs:
     """Return the responses with problem documents for some statuses, with an example of each kind of problem."""
-    return {status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: _problems(status)}} for status in statuses}
+    return {
+        status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: _problem_content(status)}} for status in statuses
+    }
 
 
-def _problems(status: int) -> dict[str, Any]:
+def _problem_content(status: int) -> dict[str, Any]:
     kinds = [kind for kind in problem_kinds() if kind.status == status]
     return {"schema": PROBLEM, "examples": {kind.code: {"summary": kind.about, "value": kind.example} for kind in kinds}}
 
 
-def exception_docs(*statuses: int) -> Answers:
+def exception_docs(*statuses: int) -> ResponseDocs:
     """Return the responses with OGC exceptions in XML for some statuses.
 
     Unexpected errors (500) are problem documents, too.
     """
-    found: Answers = {}
+    responses: ResponseDocs = {}
     for status in statuses:
-        unforeseen = {MEDIA_TYPE: _problems(status)} if status in UNEXPECTED_ERRORS else {}
-        content = {"text/xml": {"schema": {"type": "string"}}, **unforeseen}
-        found[status] = {"description": f"{HTTPStatus(status).phrase}: an exception", "content": content}
-    return found
+        problem_content = {MEDIA_TYPE: _problem_content(status)} if status in UNEXPECTED_ERRORS else {}
+        content = {"text/xml": {"schema": {"type": "string"}}, **problem_content}
+        responses[status] = {"description": f"{HTTPStatus(status).phrase}: an exception", "content": content}
+    return responses
 
 
-def file_docs(description: str, media_types: Iterable[str]) -> Answers:
+def file_docs(description: str, media_types: Iterable[str]) -> ResponseDocs:
     """Return the responses of a route that sends a file in one of some media types, or 304."""
     return {
         200: {"description": description, "content": {media_type: {} for media_type in media_types}},
@@ -86,8 +88,8 @@ def ogc_parameters(**parameters: tuple[str, str]) -> dict[str, Any]:
     """
     return {
         "parameters": [
-            {"name": name, "in": "query", "description": about, "schema": {"type": "string", "examples": [example]}}
-            for name, (about, example) in parameters.items()
+            {"name": name, "in": "query", "description": description, "schema": {"type": "string", "examples": [example]}}
+            for name, (description, example) in parameters.items()
         ]
     }
 
@@ -98,15 +100,21 @@ def with_bounds(schema: Any) -> Any:
     For ``Annotated[float | None, ...]`` pydantic writes bounds under its own names, outside of the number's schema.
     """
     if isinstance(schema, list):
-        return [with_bounds(each) for each in schema]
+        return [with_bounds(subschema) for subschema in schema]
     if not isinstance(schema, Mapping):
         return schema
-    found = {key: with_bounds(value) for key, value in schema.items() if key not in BOUNDS}
-    bounds = {BOUNDS[key]: value for key, value in schema.items() if key in BOUNDS and isinstance(value, int | float)}
-    numbers = [each for each in (found, *found.get("anyOf", ())) if each.get("type") in ("number", "integer")]
+    converted = {key: with_bounds(value) for key, value in schema.items() if key not in STANDARD_BOUND_KEYWORDS}
+    bounds = {
+        STANDARD_BOUND_KEYWORDS[key]: value
+        for key, value in schema.items()
+        if key in STANDARD_BOUND_KEYWORDS and isinstance(value, int | float)
+    }
+    numbers = [
+        subschema for subschema in (converted, *converted.get("anyOf", ())) if subschema.get("type") in ("number", "integer")
+    ]
     for number in numbers:
         number.update(bounds)
-    return found
+    return converted
 
 
-BOUNDS = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum", "lt": "exclusiveMaximum"}
+STANDARD_BOUND_KEYWORDS = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum", "lt": "exclusiveMaximum"}

@@ -13,7 +13,7 @@ from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
 
-from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
+from skugga.api.http.numbers import INTEGER_OR_WORD, PLAIN_DECIMAL, PLAIN_INTEGER
 from skugga.api.http.request_times import PLAIN_DATE, request_sun
 from skugga.api.http.state.service import service_of
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS, VIEW_PRODUCTS, product_named
@@ -108,18 +108,18 @@ def style_named(name: str | None, parameter: str = "style") -> StyleName | None:
     return cast(StyleName, name)
 
 
-_NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_WHOLE,), float: (PLAIN_DECIMAL,)}
+_NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_INTEGER,), float: (PLAIN_DECIMAL,)}
 
 
-def _parameter(setting: Setting) -> Any:
+def _shadow_parameter(setting: Setting) -> Any:
     """Return the annotation of a query parameter for a setting of shadows."""
     is_number = any(isinstance(word, int) for word in setting.words)
-    numbers = (WHOLE_OR_WORD,) if is_number else _NUMBERS.get(setting.plain_type, ())
-    asked: Any = setting.type
-    return Annotated[(asked | None, *numbers, Query(description=setting.about, examples=[setting.example]))]
+    numbers = (INTEGER_OR_WORD,) if is_number else _NUMBERS.get(setting.plain_type, ())
+    value_type: Any = setting.type
+    return Annotated[(value_type | None, *numbers, Query(description=setting.about, examples=[setting.example]))]
 
 
-@with_shadow_settings("pictures", _parameter)
+@with_shadow_settings("pictures", _shadow_parameter)
 async def picture_query(
     request: Request,
     time: TimeQuery = None,
@@ -127,12 +127,12 @@ async def picture_query(
     altitude: AltitudeQuery = None,
     style: StyleQuery = None,
     slope_exaggeration: SlopeExaggerationQuery = None,
-    **asked: Any,
+    **shadow_settings: Any,
 ) -> PictureRequest:
     """Return the request for a picture (a FastAPI dependency). Raises ``InputError``."""
     sun = request_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
     return PictureRequest(
-        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=served_settings(asked)
+        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=served_settings(shadow_settings)
     )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ async def sun_query(
     return request_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
 
 
-@with_shadow_settings("plans", _parameter)
+@with_shadow_settings("plans", _shadow_parameter)
 async def plan_query(
     policy: Annotated[
         str,
@@ -153,7 +153,7 @@ async def plan_query(
             examples=["rules"],
         ),
     ] = "predict",
-    **asked: Any,
+    **shadow_settings: Any,
 ) -> PlanQuery:
     """Return the query of a plan (a FastAPI dependency). Raises ``InputError``."""
     if policy in ("probe", "measure"):
@@ -164,14 +164,14 @@ async def plan_query(
         )
     if policy not in get_args(ServedPolicy):
         raise InputError("policy", policy, ", ".join(get_args(ServedPolicy)))
-    return PlanQuery(cast(ServedPolicy, policy), served_settings(asked))
+    return PlanQuery(cast(ServedPolicy, policy), served_settings(shadow_settings))
 
 
-def served_settings(asked: dict[str, Any]) -> RequestedSettings:
+def served_settings(shadow_settings: dict[str, Any]) -> RequestedSettings:
     """Return the overridden settings. Raises ``InputError`` for an algorithm that the service does not offer."""
-    if asked.get("algorithm") is not None:
-        parse_algorithm(asked["algorithm"], names=served_algorithms())
-    return RequestedSettings.of(asked)
+    if shadow_settings.get("algorithm") is not None:
+        parse_algorithm(shadow_settings["algorithm"], names=served_algorithms())
+    return RequestedSettings.of(shadow_settings)
 
 
 SUN_PARAMETERS = tuple(name for name in signature(sun_query).parameters if name != "request")
@@ -197,16 +197,16 @@ def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
         raise InputError.over_limit("size", f"{size[0]}x{size[1]} pixels", f"{max_pixels} pixels in all", remedy)
 
 
-def _in_words(names: Iterable[str]) -> str:
+def _product_descriptions(names: Iterable[str]) -> str:
     return "; ".join(f"`{name}` is {PRODUCTS[name].about}" for name in names)
 
 
 LayerQuery = Annotated[
     str,
     Query(
-        description=f"{_in_words(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is None)}. What passes leave behind, "
+        description=f"{_product_descriptions(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is None)}. What passes leave behind, "
         "as PNG, where the plan's algorithms have it: "
-        f"{_in_words(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is not None)}.",
+        f"{_product_descriptions(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is not None)}.",
         json_schema_extra={"enum": [*VIEW_PRODUCTS]},
         examples=["mask"],
     ),
@@ -214,26 +214,26 @@ LayerQuery = Annotated[
 
 TileLayerQuery = Annotated[
     str,
-    Query(description=f"{_in_words(MAP_PRODUCTS)}.", json_schema_extra={"enum": [*MAP_PRODUCTS]}, examples=["shadow"]),
+    Query(description=f"{_product_descriptions(MAP_PRODUCTS)}.", json_schema_extra={"enum": [*MAP_PRODUCTS]}, examples=["shadow"]),
 ]
 
 
 def _product_parameter(name: str) -> Any:
     """Return the annotation of a query parameter for an option of products."""
-    of = [product for product in MAP_PRODUCTS if name in served_options(PRODUCTS[product])]
-    field = served_options(PRODUCTS[of[0]])[name]
-    plain: Any = field.annotation
-    kinds = {*get_args(plain), plain}
+    products = [product for product in MAP_PRODUCTS if name in served_options(PRODUCTS[product])]
+    field = served_options(PRODUCTS[products[0]])[name]
+    value_type: Any = field.annotation
+    kinds = {*get_args(value_type), value_type}
     readers = [reader for kind, reader in OPTION_READERS.items() if kind in kinds]
-    about = f"For {', '.join(f'`{product}`' for product in of)}. {field.description or ''}".rstrip()
+    description = f"For {', '.join(f'`{product}`' for product in products)}. {field.description or ''}".rstrip()
     limits: dict[str, Any] = {"allow_inf_nan": False} if float in kinds else {}
-    if str in kinds and not any(isinstance(each, MaxLen) for each in field.metadata):
+    if str in kinds and not any(isinstance(constraint, MaxLen) for constraint in field.metadata):
         limits["max_length"] = MAX_TEXT
-    query = Query(description=about, examples=field.examples or [], **limits)
-    return Annotated[(plain | None, *readers[:1], *field.metadata, query)]
+    query = Query(description=description, examples=field.examples or [], **limits)
+    return Annotated[(value_type | None, *readers[:1], *field.metadata, query)]
 
 
-OPTION_READERS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_WHOLE, float: PLAIN_DECIMAL}
+OPTION_READERS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_INTEGER, float: PLAIN_DECIMAL}
 
 MAX_TEXT = 100
 """Maximum number of characters of a text option."""
@@ -251,30 +251,30 @@ TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *PRODUCT_OPTIONS)
 """Query parameters of tiles."""
 
 
-def takes_options(*without: str) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator for a dependency with ``**options``: it declares the options of all products, ``without`` some."""
-    parameters = [(name, _product_parameter(name)) for name in PRODUCT_OPTIONS if name not in without]
+def with_product_options_query(*excluded: str) -> Callable[[FunctionT], FunctionT]:
+    """Return a decorator for a dependency with ``**options``: it declares the options of all products, ``excluded`` some."""
+    parameters = [(name, _product_parameter(name)) for name in PRODUCT_OPTIONS if name not in excluded]
     return with_parameters(parameters)
 
 
 async def product_query(request: Request, picture: PictureRequest, layer: str, options: dict[str, Any]) -> ProductRequest:
     """Return the request for a product as tiles or map. Raises ``InputError``."""
     product = product_named(layer, MAP_PRODUCTS)
-    given = {name: value for name, value in options.items() if value is not None}
-    for name in given:
+    given_options = {name: value for name, value in options.items() if value is not None}
+    for name in given_options:
         if name not in product.options.model_fields:
-            of = [each for each in MAP_PRODUCTS if name in served_options(PRODUCTS[each])]
-            raise InputError.conflict(name, f"layer={layer}", f"Use it with layer={' or '.join(of)}")
+            product_names = [product_name for product_name in MAP_PRODUCTS if name in served_options(PRODUCTS[product_name])]
+            raise InputError.conflict(name, f"layer={layer}", f"Use it with layer={' or '.join(product_names)}")
     if product.when == "days":
         for name in PICTURE_PARAMETERS:
             if name in request.query_params:
                 raise InputError.conflict(name, f"layer={layer}", "Leave it out: the layer covers a whole date")
     return ProductRequest(
-        product=layer, options=product.options_of({**product.options.UNSERVED, **given}), **dict(picture)
+        product=layer, options=product.options_of({**product.options.UNSERVED, **given_options}), **dict(picture)
     )  # fmt: skip
 
 
-@takes_options("width", "height")
+@with_product_options_query("width", "height")
 async def map_query(
     request: Request, picture: Annotated[PictureRequest, Depends(picture_query)], layer: TileLayerQuery = "color", **options: Any
 ) -> ProductRequest:
@@ -285,7 +285,7 @@ async def map_query(
     return await product_query(request, picture, layer, options)
 
 
-@takes_options()
+@with_product_options_query()
 async def tile_query(
     request: Request, picture: Annotated[PictureRequest, Depends(picture_query)], layer: TileLayerQuery = "color", **options: Any
 ) -> ProductRequest:

@@ -12,7 +12,7 @@ from fastapi import Request
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict
 
-from skugga.api.errors import OUTCOMES, Outcome, outcome_of
+from skugga.api.errors import ERROR_REPORTS, ErrorReport, error_report_of
 from skugga.terrain.errors import SkuggaError
 
 MEDIA_TYPE = "application/problem+json"
@@ -83,13 +83,13 @@ def problem_kinds() -> list[ProblemKind]:
     They come from the table of ``skugga.api.errors`` and from ``HTTP_PROBLEMS``. Errors with equal status and code are one kind.
     """
     kinds: dict[tuple[int, str], ProblemKind] = {}
-    for error, outcome in OUTCOMES.items():
-        if not outcome.in_http:
+    for error, report in ERROR_REPORTS.items():
+        if not report.in_http:
             continue
-        about = outcome.public or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
-        kinds.setdefault((outcome.status, outcome.code), ProblemKind(outcome.status, outcome.code, about, outcome.retry_after_s))
-    for status, (code, about) in HTTP_PROBLEMS.items():
-        kinds.setdefault((status, code), ProblemKind(status, code, about))
+        description = report.public or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
+        kinds.setdefault((report.status, report.code), ProblemKind(report.status, report.code, description, report.retry_after_s))
+    for status, (code, description) in HTTP_PROBLEMS.items():
+        kinds.setdefault((status, code), ProblemKind(status, code, description))
     return sorted(kinds.values(), key=lambda kind: kind.status)
 
 
@@ -108,29 +108,29 @@ def problem_response(problem: Problem, headers: dict[str, str] | None = None) ->
     )
 
 
-def public_error(request: Request, error: SkuggaError) -> tuple[Outcome, str]:
+def public_error(request: Request, error: SkuggaError) -> tuple[ErrorReport, str]:
     """Return the outcome of a domain error in the table of ``skugga.api.errors``, and its message for clients.
 
     The log gets the error's own message if clients must not see it.
     """
-    outcome = outcome_of(error)
-    if outcome.public is not None:
-        log.error("%s %s: %s: %s", request.method, request.url.path, outcome.code, error)
-    return outcome, outcome.public or str(error)
+    report = error_report_of(error)
+    if report.public is not None:
+        log.error("%s %s: %s: %s", request.method, request.url.path, report.code, error)
+    return report, report.public or str(error)
 
 
 def public_problem(error: SkuggaError) -> Problem:
     """Return the problem document that clients get for a domain error."""
-    outcome = outcome_of(error)
+    report = error_report_of(error)
     # Errors that are not the client's name no parameter: their name would be the operator's file.
-    parameter = getattr(error, "name", None) if outcome.public is None else None
-    problem = problem_of(outcome.status, outcome.public or str(error), outcome.code, parameter)
+    parameter = getattr(error, "name", None) if report.public is None else None
+    problem = problem_of(report.status, report.public or str(error), report.code, parameter)
     return problem.model_copy(update={"preparing": getattr(error, "preparing", None)})
 
 
 def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
     """Return the response for a domain error: a problem document, with ``Retry-After`` if known."""
-    outcome, _ = public_error(request, error)
-    retry_after_s = getattr(error, "retry_after_s", None) or outcome.retry_after_s
+    report, _ = public_error(request, error)
+    retry_after_s = getattr(error, "retry_after_s", None) or report.retry_after_s
     headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     return problem_response(public_problem(error), headers)

@@ -137,8 +137,8 @@ def request_time(request: Request) -> RequestTime | None:
 
 def is_current(request: Request) -> bool:
     """Return whether a request asks for ``current``: the same address then means another picture soon."""
-    asked = request_time(request)
-    return asked is not None and asked.current
+    stored_time = request_time(request)
+    return stored_time is not None and stored_time.current
 
 
 def current_quarter_hour() -> tuple[datetime, int]:
@@ -151,13 +151,13 @@ def current_quarter_hour() -> tuple[datetime, int]:
     return start, max(int((start + quarter - now).total_seconds()), 1)
 
 
-def fresh_for(request: Request, otherwise_s: int) -> int:
-    """Return the freshness lifetime in seconds: for ``current`` the time to its next value, else ``otherwise_s``."""
-    asked = request_time(request)
-    return asked.fresh_s if asked is not None and asked.current else otherwise_s
+def freshness_s(request: Request, default_s: int) -> int:
+    """Return the freshness lifetime in seconds: for ``current`` the time to its next value, else ``default_s``."""
+    stored_time = request_time(request)
+    return stored_time.fresh_s if stored_time is not None and stored_time.current else default_s
 
 
 def time_headers(request: Request) -> dict[str, str]:
     """Return the header with the rounded time of a request; empty if it has no time."""
-    asked = request_time(request)
-    return {} if asked is None else {TIME_HEADER: asked.time.isoformat()}
+    stored_time = request_time(request)
+    return {} if stored_time is None else {TIME_HEADER: stored_time.time.isoformat()}

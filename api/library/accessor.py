@@ -24,7 +24,7 @@ from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, chec
 from skugga.api.library.grids import grid_of_heights
 from skugga.api.library.opened_level import OpenLevel, open_level
 from skugga.api.library.upright_grid import UprightGrid, upright_grid
-from skugga.api.raster_file import TILE
+from skugga.api.raster_file import TILE_CELLS
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
 
@@ -87,7 +87,7 @@ class SkuggaAccessor:
             visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **cells, **settings_by_key)
             return visibility < 0.5  # False for NaN, which are cells without ground
 
-        return self._answer("shadow", compute_array, np.bool_)
+        return self._compute_data_array("shadow", compute_array, np.bool_)
 
     @checked
     def sun_hours(self, date: Date, **rules: Any) -> xarray.DataArray:
@@ -114,7 +114,7 @@ class SkuggaAccessor:
         def compute_array(level: OpenLevel, **cells: Any) -> np.ndarray:
             return level.sun_hours(date, **cells, **rules)
 
-        return self._answer("sun_hours", compute_array, np.float32)
+        return self._compute_data_array("sun_hours", compute_array, np.float32)
 
     @checked
     def horizon(self, x: float, y: float, height: float = 0.0) -> xarray.DataArray:
@@ -141,14 +141,14 @@ class SkuggaAccessor:
             profile = level.horizon(x, y, height=height, crs=level.crs)
         return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
-    def _answer(self, name: str, compute_array: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
+    def _compute_data_array(self, name: str, compute_array: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
         """Return a DataArray on the array's coordinates, which ``compute_array`` computes from an open level."""
         grid = upright_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
                 values: Any = compute_array(level)
         else:
-            values = _by_chunk(grid, compute_array, dtype)
+            values = _compute_by_chunk(grid, compute_array, dtype)
         answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
         return answer.isel(grid.flips).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
 
@@ -164,19 +164,19 @@ class _StagedRaster:
         rows, cols = grid.heights.shape
         self._dataset = rasterio.open(
             self.path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype="float32", nodata=float("nan"),
-            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE, blockysize=TILE, compress="lzw",
+            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="lzw",
             bigtiff="if_safer", sparse_ok=True,
         )  # fmt: skip
 
-    def __setitem__(self, where: tuple[slice, slice], chunk: np.ndarray) -> None:
-        rows, cols = where
+    def __setitem__(self, slices: tuple[slice, slice], chunk: np.ndarray) -> None:
+        rows, cols = slices
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
         with self._lock:
             if self._dataset.closed:  # the result is computed a second time
                 return
             self._dataset.write(grid_of_heights(chunk), 1, window=window)
 
-    def finished(self, *_: Any) -> _StagedRaster:
+    def finish(self, *_: Any) -> _StagedRaster:
         """Finish the raster after all chunks are written, and return self."""
         with self._lock:
             if not self._dataset.closed:
@@ -194,13 +194,13 @@ class _StagedRaster:
         return opened
 
 
-def _by_chunk(grid: UprightGrid, compute_array: Callable[..., np.ndarray], dtype: type) -> Any:
+def _compute_by_chunk(grid: UprightGrid, compute_array: Callable[..., np.ndarray], dtype: type) -> Any:
     import dask.array
     from dask.delayed import delayed
 
     staged = _StagedRaster(grid)
     stored = dask.array.store(grid.heights.data, staged, lock=False, compute=False)  # type: ignore[arg-type]
-    ready = delayed(staged.finished)(stored)
+    ready = delayed(staged.finish)(stored)
 
     def chunk(ready: _StagedRaster, block_info: Any = None) -> np.ndarray:
         (top, bottom), (left, right) = block_info[None]["array-location"]

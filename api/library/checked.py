@@ -30,7 +30,7 @@ ResultT = TypeVar("ResultT")
 
 CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
 
-SHADOWS = "shadows"
+SHADOWS_PARAMETER = "shadows"
 """Name of the parameter ``**shadows``, which takes the keys of a level's ``shadows``."""
 
 
@@ -61,7 +61,7 @@ def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, R
         bound = signature.bind(*args, **kwargs)
         for name, value in bound.arguments.items():
             if signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD:
-                if name == SHADOWS:
+                if name == SHADOWS_PARAMETER:
                     _check_shadows(signature, value)
             elif name in adapters:
                 try:
@@ -84,7 +84,10 @@ def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str
         raise cause from None
     name = name or ".".join(str(part) for part in detail["loc"])
     allowed = "; ".join(
-        dict.fromkeys(ALLOWED_PHRASES.get(each["type"], each["msg"].removeprefix("Input should be ")) for each in error.errors())
+        dict.fromkeys(
+            ALLOWED_PHRASES.get(error_detail["type"], error_detail["msg"].removeprefix("Input should be "))
+            for error_detail in error.errors()
+        )
     )
     raise InputError(name, values.get(name, detail["input"]), allowed) from None
 
@@ -92,8 +95,12 @@ def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str
 def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
     for key in keys:
         if key not in Shadows.model_fields:
-            own = [each.name for each in signature.parameters.values() if each.name not in ("self", SHADOWS)]
-            raise InputError(key, Problem("unknown parameter"), f"Use one of {', '.join((*own, *Shadows.model_fields))}")
+            parameter_names = [
+                parameter.name for parameter in signature.parameters.values() if parameter.name not in ("self", SHADOWS_PARAMETER)
+            ]
+            raise InputError(
+                key, Problem("unknown parameter"), f"Use one of {', '.join((*parameter_names, *Shadows.model_fields))}"
+            )
 
 
 def _moment(value: Any) -> str:
@@ -125,7 +132,7 @@ def _day(value: Any) -> datetime.date:
 
 def _bounds(value: Any) -> tuple[float, float, float, float]:
     try:
-        numbers = [] if isinstance(value, str) else [float(each) for each in value]
+        numbers = [] if isinstance(value, str) else [float(number) for number in value]
     except (TypeError, ValueError, OverflowError):
         numbers = []
     if len(numbers) != 4:
@@ -148,7 +155,7 @@ def _crs(value: Any) -> CRS:
 
 def _transform(value: Any) -> Affine:
     try:
-        numbers = [float(each) for each in tuple(value)[:6]]
+        numbers = [float(number) for number in tuple(value)[:6]]
     except (TypeError, ValueError, OverflowError):
         numbers = []
     if len(numbers) != 6 or not np.isfinite(numbers).all():
@@ -158,7 +165,7 @@ def _transform(value: Any) -> Affine:
 
 def _size(value: Any) -> tuple[int, int]:
     try:
-        sides = [] if isinstance(value, str) else [operator.index(each) for each in value]
+        sides = [] if isinstance(value, str) else [operator.index(number) for number in value]
     except (TypeError, ValueError, OverflowError):
         sides = []
     if len(sides) != 2 or not all(1 <= side <= MAX_PICTURE_PX for side in sides):

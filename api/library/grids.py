@@ -28,7 +28,7 @@ MEMORY_REMEDY = (
 """Remedy for heights that do not fit into memory."""
 
 
-def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_per_cell: float = GRID_BYTES) -> np.ndarray:
+def grid_of_heights(values: Any, name: str = "height_m", min_side: int = 1, bytes_per_cell: float = GRID_BYTES) -> np.ndarray:
     """Return an array of heights as float32 (rows, cols), NaN without ground.
 
     Cells are without ground if they are masked, not finite, or beyond ``MAX_HEIGHT_M``. A float32 array without such cells is not
@@ -40,7 +40,7 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_p
         The heights in metres.
     name
         The name of the parameter, for errors.
-    least
+    min_side
         The smallest number of rows and of columns.
     bytes_per_cell
         Bytes of memory that the work takes for each cell.
@@ -65,8 +65,8 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_p
             array = array.astype(np.float64)
         except (TypeError, ValueError, OverflowError):
             pass
-    if array.ndim != 2 or min(array.shape) < least:
-        raise ArrayError(name, Problem(f"its shape is {array.shape}"), f"Use (rows, cols), at least {least} x {least}")
+    if array.ndim != 2 or min(array.shape) < min_side:
+        raise ArrayError(name, Problem(f"its shape is {array.shape}"), f"Use (rows, cols), at least {min_side} x {min_side}")
     if array.dtype.kind not in "biuf":
         raise ArrayError(name, Problem(f"its type is {array.dtype}"), "Use real numbers, metres")
     mask = np.ma.getmask(array)
@@ -82,5 +82,5 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_p
 Heights = Annotated[ArrayLike, PlainValidator(grid_of_heights)]
 """An array of heights in metres. The function receives a grid (``grid_of_heights``)."""
 
-SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_per_cell=SWEEP_BYTES))]
-HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_per_cell=HORIZON_BYTES))]
+SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2, bytes_per_cell=SWEEP_BYTES))]
+HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2, bytes_per_cell=HORIZON_BYTES))]

@@ -62,10 +62,10 @@ class _Finder(MetaPathFinder):
         finally:
             self._searching.name = None
         if spec is not None and hasattr(spec.loader, "exec_module"):
-            spec.loader = _HookedLoader(spec.loader, lambda module: self._call(name, module))
+            spec.loader = _HookedLoader(spec.loader, lambda module: self._call_hooks(name, module))
         return spec
 
-    def _call(self, name: str, module: ModuleType) -> None:
+    def _call_hooks(self, name: str, module: ModuleType) -> None:
         for hook in self._hooks.pop(name, ()):
             hook(module)
 
@@ -79,8 +79,8 @@ class _HookedLoader(Loader):
     The module gets its own loader as ``__loader__``, so nothing else sees this one.
     """
 
-    def __init__(self, loader: Any, loaded: Hook) -> None:
-        self._loader, self._loaded = loader, loaded
+    def __init__(self, loader: Any, on_loaded: Hook) -> None:
+        self._loader, self._on_loaded = loader, on_loaded
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         return self._loader.create_module(spec)
@@ -89,7 +89,7 @@ class _HookedLoader(Loader):
         assert module.__spec__ is not None
         module.__loader__ = module.__spec__.loader = self._loader
         self._loader.exec_module(module)
-        self._loaded(module)
+        self._on_loaded(module)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._loader, name)

@@ -40,9 +40,9 @@ def check_memory(name: str, rows: int, cols: int, bytes_per_cell: float, remedy:
     InputError
         If they do not fit.
     """
-    needed, free = rows * cols * bytes_per_cell, free_bytes()
-    if free is not None and needed > free:
-        problem = f"{rows} x {cols} cells take {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free"
+    needed_bytes, available_bytes = rows * cols * bytes_per_cell, free_bytes()
+    if available_bytes is not None and needed_bytes > available_bytes:
+        problem = f"{rows} x {cols} cells take {needed_bytes / 1e9:.1f} GB of memory, and {available_bytes / 1e9:.1f} GB are free"
         raise InputError(name, Problem(problem), remedy)
 
 
@@ -58,7 +58,7 @@ def _free() -> Iterator[int]:
     for folder, limit, use, inactive in CGROUPS:
         try:
             stat = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
-            used = int((folder / use).read_text(encoding="ascii")) - int(stat.get(inactive, 0))
-            yield max(int((folder / limit).read_text(encoding="ascii")) - used, 0)  # "max": no limit
+            used_bytes = int((folder / use).read_text(encoding="ascii")) - int(stat.get(inactive, 0))
+            yield max(int((folder / limit).read_text(encoding="ascii")) - used_bytes, 0)  # "max": no limit
         except (OSError, ValueError):
             continue

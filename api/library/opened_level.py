@@ -58,7 +58,7 @@ from skugga.terrain.level.level_source import LevelSource, parse_positive, parse
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
-ARRAY = "the array"
+ARRAY_NAME = "the array"
 """Name of a raster in memory, for messages."""
 
 SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
@@ -295,7 +295,7 @@ class OpenLevel:
         """
         product_named(layer, SHADED_PRODUCTS)
         request = ProductRequest(product=layer, sun=_sun(time, azimuth, altitude))
-        return self._computed(request, (bounds, crs, resolution, like, cells), shadows)
+        return self._compute_raster(request, (bounds, crs, resolution, like, cells), shadows)
 
     @checked
     def compute(
@@ -334,11 +334,13 @@ class OpenLevel:
         SkuggaError
             For a wrong argument, and for arrays that do not fit into memory.
         """
-        record = product_named(product, RASTER_PRODUCTS, "product")
-        shadows = {name: value for name, value in options.items() if record.needs and name in Shadows.model_fields}
+        product_record = product_named(product, RASTER_PRODUCTS, "product")
+        shadows = {name: value for name, value in options.items() if product_record.needs and name in Shadows.model_fields}
         product_options = {name: value for name, value in options.items() if name not in shadows}
-        request = ProductRequest(product=product, options=record.options_of(product_options), sun=_sun(time, azimuth, altitude))
-        return self._computed(request, (bounds, crs, resolution, like, cells), shadows)
+        request = ProductRequest(
+            product=product, options=product_record.options_of(product_options), sun=_sun(time, azimuth, altitude)
+        )
+        return self._compute_raster(request, (bounds, crs, resolution, like, cells), shadows)
 
     @checked
     def sun_hours(
@@ -404,7 +406,7 @@ class OpenLevel:
             "step_min": step_min, "threshold_h": threshold_h, "least_altitude": least_altitude, "height": height,
         }  # fmt: skip
         request = ProductRequest(product="sunhours", options=product_named("sunhours").options_of(options))
-        return self._computed(request, (bounds, crs, resolution, like, cells), {})
+        return self._compute_raster(request, (bounds, crs, resolution, like, cells), {})
 
     @checked
     def point(
@@ -518,15 +520,15 @@ class OpenLevel:
             min_zoom=tile_json["minzoom"], max_native_zoom=tile_json["maxzoom"],
         )  # fmt: skip
 
-    def _computed(
+    def _compute_raster(
         self,
         request: ProductRequest,
-        place: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
+        grid: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
         shadows: dict[str, Any],
     ) -> np.ndarray:
-        """Compute a raster for a request on the cells of ``place``."""
-        product = request.record
-        raster = self._raster(*place, np.dtype(product.dtype).itemsize * product.bands)
+        """Compute a raster for a request on the cells of ``grid``."""
+        product = request.product_record
+        raster = self._raster(*grid, np.dtype(product.dtype).itemsize * product.bands)
         return raster_array(self._scene, raster, request, shadows)
 
     def _raster(
@@ -665,8 +667,8 @@ def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLe
         return OpenLevel(build_scene(load_level(source)), memory_file)
     except InputError as error:
         memory_file.close()
-        error.name = error.name.replace(memory_file.name, ARRAY)
-        error.args = (str(error).replace(memory_file.name, ARRAY),)
+        error.name = error.name.replace(memory_file.name, ARRAY_NAME)
+        error.args = (str(error).replace(memory_file.name, ARRAY_NAME),)
         raise
     except BaseException:
         memory_file.close()

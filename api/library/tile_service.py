@@ -43,8 +43,8 @@ class TileService:
             env={**dict.fromkeys(IDLE_SETTINGS, "false"), **os.environ},  # the notebook process is not idle
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._log_file,
         )  # fmt: skip
-        self._end = weakref.finalize(self, _end, process, self._log_file)
-        self._wait(process)
+        self._stop_process = weakref.finalize(self, _stop_process, process, self._log_file)
+        self._wait_until_ready(process)
 
     def tile_json(self, query: str) -> dict[str, Any]:
         """Return the TileJSON of its Web Mercator tiles for a query string. Raises ``RenderError``."""
@@ -58,9 +58,9 @@ class TileService:
 
     def close(self) -> None:
         """End the service."""
-        self._end()
+        self._stop_process()
 
-    def _wait(self, process: subprocess.Popen[bytes]) -> None:
+    def _wait_until_ready(self, process: subprocess.Popen[bytes]) -> None:
         deadline = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline and process.poll() is None:
             try:
@@ -80,7 +80,7 @@ def _free_port() -> int:
         return int(sock.getsockname()[1])
 
 
-def _end(process: subprocess.Popen[bytes], log_file: IO[str]) -> None:
+def _stop_process(process: subprocess.Popen[bytes], log_file: IO[str]) -> None:
     log_file.close()
     process.terminate()
     try:

@@ -21,7 +21,7 @@ from skugga.terrain.errors import ArrayError, InputError, Problem, SourceError
 from skugga.terrain.ground.vertical import VerticalAxis, axis_of_band
 from skugga.terrain.level.parts import METRES_PER_UNIT
 
-ARRAY = "the array"
+ARRAY_NAME = "the array"
 
 MAX_UNEVEN_CELLS = 0.1
 """Tolerance of evenly spaced coordinates, in cells. Coordinates in float32 are rounded."""
@@ -52,7 +52,7 @@ class UprightGrid:
 
     def level(self) -> OpenLevel:
         """Read the heights into memory and open them as a level. Raises ``InputError``."""
-        return level_of_heights(grid_of_heights(self.heights.to_numpy(), ARRAY), self.transform, self.crs)
+        return level_of_heights(grid_of_heights(self.heights.to_numpy(), ARRAY_NAME), self.transform, self.crs)
 
 
 def upright_grid(array: xarray.DataArray) -> UprightGrid:
@@ -70,22 +70,22 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     """
     if array.ndim != 2:
         remedy = "Reduce them to two, y and x, by da.squeeze() or da.isel(...)"
-        raise ArrayError(ARRAY, Problem(f"its dimensions are {array.dims}"), remedy)
+        raise ArrayError(ARRAY_NAME, Problem(f"its dimensions are {array.dims}"), remedy)
     if array.dtype.kind not in "biuf" or min(array.shape) < 1:
         problem = Problem(f"its shape is {array.shape} and its type {array.dtype}")
-        raise ArrayError(ARRAY, problem, "Use real numbers, at least 1 x 1 cells")
+        raise ArrayError(ARRAY_NAME, problem, "Use real numbers, at least 1 x 1 cells")
     try:
         y_dim, x_dim = array.rio.y_dim, array.rio.x_dim
     except RioXarrayError:
         raise ArrayError(
-            ARRAY,
+            ARRAY_NAME,
             Problem(f"its dimensions are {array.dims}"),
             "Name them y and x by da.rename(...) or da.rio.set_spatial_dims(...)",
         ) from None
     array = array.transpose(y_dim, x_dim)
     if array.chunks is None:
         rows, cols = array.shape
-        check_memory(ARRAY, rows, cols, GRID_BYTES + 2 * array.dtype.itemsize, CHUNKS_REMEDY)
+        check_memory(ARRAY_NAME, rows, cols, GRID_BYTES + 2 * array.dtype.itemsize, CHUNKS_REMEDY)
     crs, declared, flips = _crs(array), _declared_transform(array), {}
     for dim, step, direction in ((y_dim, declared.e, -1.0), (x_dim, declared.a, 1.0)):
         coordinates = array[dim].to_numpy() if dim in array.coords else None
@@ -119,20 +119,22 @@ def _heights(array: xarray.DataArray, crs: CRS) -> xarray.DataArray:
 def _axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
     unit = array.attrs.get("units")
     try:
-        return axis_of_band(ARRAY, unit if isinstance(unit, str) else "", array.attrs, crs)
+        return axis_of_band(ARRAY_NAME, unit if isinstance(unit, str) else "", array.attrs, crs)
     except SourceError:
-        raise InputError(f"{ARRAY}: units", unit, f"{', '.join(METRES_PER_UNIT)}, or their long names") from None
+        raise InputError(f"{ARRAY_NAME}: units", unit, f"{', '.join(METRES_PER_UNIT)}, or their long names") from None
 
 
 def _crs(array: xarray.DataArray) -> CRS:
     try:
         crs = None if array.rio.crs is None else CRS.from_user_input(array.rio.crs.to_wkt())
     except (CRSError, RasterioError, ValueError):
-        raise InputError("crs", Problem(f"PROJ does not know the CRS of {ARRAY}"), "Set one by da.rio.write_crs(...)") from None
+        raise InputError(
+            "crs", Problem(f"PROJ does not know the CRS of {ARRAY_NAME}"), "Set one by da.rio.write_crs(...)"
+        ) from None
     if crs is None:
-        raise InputError("crs", Problem(f"{ARRAY} has no CRS"), "Set one by da.rio.write_crs(...)")
+        raise InputError("crs", Problem(f"{ARRAY_NAME} has no CRS"), "Set one by da.rio.write_crs(...)")
     if crs.type_name == "Vertical CRS":  # a GeoTIFF of GDAL would make a flat world of it
-        problem = Problem(f"{ARRAY} has the vertical CRS {crs.name}")
+        problem = Problem(f"{ARRAY_NAME} has the vertical CRS {crs.name}")
         raise InputError("crs", problem, "Set one with x and y by da.rio.write_crs(...)")
     return crs
 
@@ -140,15 +142,15 @@ def _crs(array: xarray.DataArray) -> CRS:
 def _declared_transform(array: xarray.DataArray) -> Affine:
     """Return the geotransform that an array declares. Raises ``InputError`` if its cells have neither that nor coordinates."""
     try:
-        stated: Affine = array.rio.transform(recalc=False)
+        transform: Affine = array.rio.transform(recalc=False)
     except (TypeError, ValueError, RioXarrayError):  # the coordinates are not numbers
-        stated = Affine.identity()
-    if np.isfinite(tuple(stated)).all() and (stated.b or stated.d):
-        raise InputError(ARRAY, Problem("its grid is rotated"), "Align its rows with x by da.rio.reproject(da.rio.crs)")
-    if stated.is_identity and any(dim not in array.coords or array.sizes[dim] < 2 for dim in array.dims):
+        transform = Affine.identity()
+    if np.isfinite(tuple(transform)).all() and (transform.b or transform.d):
+        raise InputError(ARRAY_NAME, Problem("its grid is rotated"), "Align its rows with x by da.rio.reproject(da.rio.crs)")
+    if transform.is_identity and any(dim not in array.coords or array.sizes[dim] < 2 for dim in array.dims):
         remedy = "Give coordinates y and x, or a geotransform by da.rio.write_transform(...)"
-        raise InputError(ARRAY, Problem("its cells have no coordinates"), remedy)
-    return stated
+        raise InputError(ARRAY_NAME, Problem("its cells have no coordinates"), remedy)
+    return transform
 
 
 def _number(value: Any) -> float:
@@ -163,7 +165,7 @@ def _edge_and_step(array: xarray.DataArray, dim: Any, start: float, step: float,
     start, step = (start + array.sizes[dim] * step, -step) if is_flipped else (start, step)
     if dim not in array.coords:
         return start, step
-    name, coordinates = f"{ARRAY}: {dim}", array[dim].to_numpy()
+    name, coordinates = f"{ARRAY_NAME}: {dim}", array[dim].to_numpy()
     if coordinates.dtype.kind not in "iuf" or not np.isfinite(coordinates).all():
         problem = Problem(f"coordinates of the type {coordinates.dtype} are not all finite numbers")
         raise InputError(name, problem, "Use numbers in units of the CRS")

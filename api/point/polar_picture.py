@@ -34,7 +34,7 @@ _FONT = ["DejaVu Sans"]
 
 
 def sky_picture(
-    around: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo, format: SkyPictureFormat, title: str
+    surroundings: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo, format: SkyPictureFormat, title: str
 ) -> bytes:
     """Return the chart as an SVG or PNG file: the horizon and the sun's paths of a day, the solstices and the equinox.
 
@@ -50,11 +50,11 @@ def sky_picture(
         axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
         _draw_axes(axes)
         _draw_horizon(axes, horizon)
-        has_sun = around.scene.world.off_earth_reason is None
+        has_sun = surroundings.scene.world.off_earth_reason is None
         if has_sun:
-            _draw_paths(axes, around, day, clock)
+            _draw_paths(axes, surroundings, day, clock)
         figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK, va="top")
-        figure.text(0.06, 0.951, _subtitle(around, day, clock), fontsize=9.5, color=_INK, va="top")
+        figure.text(0.06, 0.951, _subtitle(surroundings, day, clock), fontsize=9.5, color=_INK, va="top")
         _draw_legend(figure, horizon, not has_sun)
         file = io.BytesIO()
         figure.savefig(file, format=format, dpi=DOTS_PER_INCH, metadata={"Date": None} if format == "svg" else None)
@@ -96,33 +96,33 @@ def _draw_horizon(axes: Any, horizon: PointHorizon) -> None:
     axes.plot(angle, top, color="#4a443b", linewidth=0.7, zorder=2.3)
 
 
-def _draw_paths(axes: Any, around: Surroundings, day: date, clock: tzinfo) -> None:
+def _draw_paths(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo) -> None:
     """Draw the sun's paths: solstices and equinox thin, the day bold where the sun reaches the point."""
-    own_azimuth, own_altitude = _sun_path(around, day, clock)
-    max_altitude = np.nanmax(own_altitude) if np.isfinite(own_altitude).any() else -90.0
+    day_azimuth, day_altitude = _sun_path(surroundings, day, clock)
+    max_altitude = np.nanmax(day_altitude) if np.isfinite(day_altitude).any() else -90.0
     for number, (month, day_of_month) in enumerate(((6, 21), (3, 20), (12, 21))):
-        azimuth, altitude = _sun_path(around, date(day.year, month, day_of_month), clock)
-        axes.plot(np.radians(_unwrapped(azimuth)), 90.0 - altitude, color=_OTHER, linewidth=1.1, zorder=3)
+        azimuth, altitude = _sun_path(surroundings, date(day.year, month, day_of_month), clock)
+        axes.plot(np.radians(_unwrap_azimuth(azimuth)), 90.0 - altitude, color=_OTHER, linewidth=1.1, zorder=3)
         if np.isfinite(altitude).any() and abs(np.nanmax(altitude) - max_altitude) > MIN_LABEL_DIFFERENCE_DEG:
             _label_path(axes, azimuth, altitude, ("21 June", "20 March", "21 December")[number])
-    azimuth, altitude = own_azimuth, own_altitude
-    lit = sees_sun(around, azimuth, np.nan_to_num(altitude, nan=-90.0))
-    angle = np.radians(_unwrapped(azimuth))
+    azimuth, altitude = day_azimuth, day_altitude
+    lit = sees_sun(surroundings, azimuth, np.nan_to_num(altitude, nan=-90.0))
+    angle = np.radians(_unwrap_azimuth(azimuth))
     axes.plot(angle, 90.0 - altitude, color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), zorder=4)
     shining = np.where(lit, 90.0 - altitude, np.nan)
     axes.plot(angle, shining, color=_SUN_EDGE, linewidth=4.6, solid_capstyle="round", zorder=4.1)
     axes.plot(angle, shining, color=_SUN, linewidth=3.2, solid_capstyle="round", zorder=4.2)
-    _draw_hours(axes, around, day, clock, bool(np.isfinite(altitude).any()))
+    _draw_hours(axes, surroundings, day, clock, bool(np.isfinite(altitude).any()))
 
 
-def _sun_path(around: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
+def _sun_path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
     """Return azimuths and altitudes of the sun of a day, degrees; altitudes below the level horizon are NaN."""
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
-    azimuth, altitude = angles_at(around.place, sun_samples(around.scene.world, begin, end, PATH_STEP_S)[1])
+    azimuth, altitude = angles_at(surroundings.place, sun_samples(surroundings.scene.world, begin, end, PATH_STEP_S)[1])
     return azimuth, np.where(altitude > 0.0, altitude, np.nan)
 
 
-def _unwrapped(azimuth_deg: np.ndarray) -> np.ndarray:
+def _unwrap_azimuth(azimuth_deg: np.ndarray) -> np.ndarray:
     return np.unwrap(azimuth_deg, period=360.0)
 
 
@@ -136,18 +136,18 @@ def _label_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str)
     )  # fmt: skip
 
 
-def _draw_hours(axes: Any, around: Surroundings, day: date, clock: tzinfo, has_path: bool) -> None:
+def _draw_hours(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo, has_path: bool) -> None:
     """Mark full hours on all paths, and number them on the day's path."""
     days = [date(day.year, 6, 21), date(day.year, 3, 20), date(day.year, 12, 21), day]
-    for each in days:
-        first = day_bounds(each, clock)[0]
-        moments = [datetime(each.year, each.month, each.day, hour, tzinfo=clock) for hour in range(24)]
+    for path_day in days:
+        first = day_bounds(path_day, clock)[0]
+        moments = [datetime(path_day.year, path_day.month, path_day.day, hour, tzinfo=clock) for hour in range(24)]
         begin = first.astimezone(UTC).timestamp()
-        times_s, to_sun = sun_samples(around.scene.world, begin, begin + 86400.0, PATH_STEP_S)
+        times_s, to_sun = sun_samples(surroundings.scene.world, begin, begin + 86400.0, PATH_STEP_S)
         seconds = np.array([moment.astimezone(UTC).timestamp() for moment in moments])
         nearest = np.clip(np.searchsorted(times_s, seconds), 0, len(times_s) - 1)
-        azimuth, altitude = angles_at(around.place, to_sun[nearest])
-        is_day = each == day
+        azimuth, altitude = angles_at(surroundings.place, to_sun[nearest])
+        is_day = path_day == day
         for hour in np.flatnonzero(altitude > 0.0):
             angle, radius = np.radians(azimuth[hour]), 90.0 - altitude[hour]
             size = 5.0 if is_day else 2.6
@@ -172,8 +172,8 @@ def _number_offset(azimuth_deg: float, altitude_deg: float) -> tuple[float, floa
     return float(radius * np.sin(angle)), float(radius * np.cos(angle))
 
 
-def _subtitle(around: Surroundings, day: date, clock: tzinfo) -> str:
-    place = around.place
+def _subtitle(surroundings: Surroundings, day: date, clock: tzinfo) -> str:
+    place = surroundings.place
     height = f"{place.ground_m:.0f} m" + (f", {place.height_m:g} m above the ground" if place.height_m else "")
     if place.lon_deg is None or place.lat_deg is None:
         return height
@@ -189,8 +189,8 @@ def _clock_words(day: date, clock: tzinfo) -> str:
         return "true solar time"
     offset = noon.utcoffset() or timedelta()
     minutes = round(offset.total_seconds() / 60.0)
-    written = f"UTC{'+' if minutes >= 0 else '−'}{abs(minutes) // 60}" + (f":{abs(minutes) % 60:02d}" if minutes % 60 else "")
-    return written if name.startswith("UTC") else f"{name} ({written})"
+    offset_text = f"UTC{'+' if minutes >= 0 else '−'}{abs(minutes) // 60}" + (f":{abs(minutes) % 60:02d}" if minutes % 60 else "")
+    return offset_text if name.startswith("UTC") else f"{name} ({offset_text})"
 
 
 def _draw_legend(figure: Any, horizon: PointHorizon, flat: bool) -> None:

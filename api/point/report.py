@@ -18,31 +18,31 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import check_date
 from skugga.terrain.scene import Scene
 
-NO_DAY = "a day needs longitude and latitude on the earth"
-NO_SUN = "the level has no default sun. Give a time"
+NO_DAY_REMARK = "a day needs longitude and latitude on the earth"
+NO_SUN_REMARK = "the level has no default sun. Give a time"
 
 
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
     """Return the report of a point of a level under the scene's sun. Raises ``InputError``."""
-    around = point_surroundings(scene, query, crs)
-    place = around.place
+    surroundings = point_surroundings(scene, query, crs)
+    place = surroundings.place
     day = requested_day(scene, query, place.lon_deg)
     clock = requested_clock(scene, query, place.lon_deg, day)
-    now, remarks = reported_sun(around), []
-    if now is None:
-        remarks.append(NO_SUN)
+    sun_moment, remarks = reported_sun(surroundings), []
+    if sun_moment is None:
+        remarks.append(NO_SUN_REMARK)
     reported = None
-    if (why := scene.world.off_earth_reason) is not None and query.date is None and query.year is None:
-        remarks.append(f"{why}: {NO_DAY}")
+    if (reason := scene.world.off_earth_reason) is not None and query.date is None and query.year is None:
+        remarks.append(f"{reason}: {NO_DAY_REMARK}")
     else:
-        reported = _reported_day(sun_day(around, day, clock), _clock_name(query, clock))
-    year = None if query.year is None else sun_year(around, query.year, clock)
+        reported = _reported_day(sun_day(surroundings, day, clock), _clock_name(query, clock))
+    year = None if query.year is None else sun_year(surroundings, query.year, clock)
     return PointReport(
         level=scene.loaded.name, lon=place.lon_deg, lat=place.lat_deg, elevation_m=place.ground_m, height_m=place.height_m,
-        now=now, day=reported,
+        now=sun_moment, day=reported,
         year=None if year is None else tuple(
-            DayHours(date=each, daylight_h=up, direct_h=direct)
-            for each, up, direct in zip(year.days, year.daylight_h, year.direct_h, strict=True)
+            DayHours(date=date_of_year, daylight_h=daylight, direct_h=direct)
+            for date_of_year, daylight, direct in zip(year.days, year.daylight_h, year.direct_h, strict=True)
         ),
         remark="; ".join(remarks) or None,
     )  # fmt: skip
@@ -70,12 +70,12 @@ def point_surroundings(scene: Scene, query: PointQuery, crs: CRS | None = None) 
     return load_surroundings(scene, place_at(scene, (query.lon, query.lat), crs, query.height))
 
 
-def reported_sun(around: Surroundings) -> ReportedMoment | None:
+def reported_sun(surroundings: Surroundings) -> ReportedMoment | None:
     """Return the scene's sun at a place; ``None`` if the scene has none."""
-    sun, scene = scene_sun_at(around.scene, around.place), around.scene
+    sun, scene = scene_sun_at(surroundings.scene, surroundings.place), surroundings.scene
     if sun is None or scene.sun is None:
         return None
-    (caster,) = sun_occluders(around, *map(np.array, sun))
+    (caster,) = sun_occluders(surroundings, *map(np.array, sun))
     return ReportedMoment(
         time=scene.sun.time, azimuth=sun[0], altitude=sun[1], lit=caster is None and sun[1] > 0.0, by=reported_caster(caster)
     )
@@ -117,9 +117,9 @@ def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
 def _reported_day(day: SunDay, clock: str) -> ReportedDay:
     intervals = tuple(
         ReportedInterval(
-            begin=each.begin, end=each.end, after=reported_caster(each.after), before=reported_caster(each.before)
+            begin=interval.begin, end=interval.end, after=reported_caster(interval.after), before=reported_caster(interval.before)
         )
-        for each in day.sunlit
+        for interval in day.sunlit
     )  # fmt: skip
     return ReportedDay(
         date=day.day, clock=clock, sunrise=day.sunrise, first_sun=day.first_sun, last_sun=day.last_sun, sunset=day.sunset,

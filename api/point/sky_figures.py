@@ -21,11 +21,11 @@ ANGLE_DIGITS = 2
 _Date = date  # a second name, because the field ``date`` of the model hides the type
 
 
-class _Figures(BaseModel):
+class _FiguresModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class SunOnPath(_Figures):
+class SunOnPath(_FiguresModel):
     """The sun above the level horizon: time, azimuth and altitude in degrees, and whether it lights the point."""
 
     time: datetime
@@ -34,7 +34,7 @@ class SunOnPath(_Figures):
     lit: bool
 
 
-class HorizonFigures(_Figures):
+class HorizonFigures(_FiguresModel):
     """Horizon angles in degrees above the level plane through the eye, for each azimuth.
 
     ``relief`` is the ground, ``solids`` are buildings and models, ``forest`` is foliage. An angle is 0 if nothing rises higher.
@@ -46,7 +46,7 @@ class HorizonFigures(_Figures):
     forest: tuple[float, ...]
 
 
-class SkyFigures(_Figures):
+class SkyFigures(_FiguresModel):
     """The horizon, and the sun of a day every five minutes; ``path`` is empty if the sun does not rise, and in a flat world."""
 
     date: _Date
@@ -54,18 +54,18 @@ class SkyFigures(_Figures):
     path: tuple[SunOnPath, ...]
 
 
-def sky_figures(around: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo) -> SkyFigures:
+def sky_figures(surroundings: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo) -> SkyFigures:
     """Return the horizon and the sun's path at a place on a day of a clock. Raises ``InputError`` for unsupported years."""
     heights = {name: _rounded(np.maximum(getattr(horizon, f"{name}_deg"), 0.0)) for name in ("relief", "solids", "forest")}
-    path = () if around.scene.world.off_earth_reason else _path(around, day, clock)
+    path = () if surroundings.scene.world.off_earth_reason else _path(surroundings, day, clock)
     return SkyFigures(date=day, horizon=HorizonFigures(azimuth=_rounded(horizon.azimuth_deg), **heights), path=path)
 
 
-def _path(around: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
+def _path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
-    times_s, to_sun = sun_samples(around.scene.world, begin, end, SUN_STEP_S)
-    azimuth, altitude = angles_at(around.place, to_sun)
-    lit = sees_sun(around, azimuth, altitude)
+    times_s, to_sun = sun_samples(surroundings.scene.world, begin, end, SUN_STEP_S)
+    azimuth, altitude = angles_at(surroundings.place, to_sun)
+    lit = sees_sun(surroundings, azimuth, altitude)
     return tuple(
         SunOnPath(
             time=datetime.fromtimestamp(round(float(times_s[n])), UTC).astimezone(clock),

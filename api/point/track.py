@@ -73,8 +73,8 @@ def with_arrivals(points: list[TrackPoint], start: datetime, speed_kmh: float) -
     _, _, steps_m = WGS84.inv(lon[:-1], lat[:-1], lon[1:], lat[1:])
     distance_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     return [
-        replace(point, time=start + timedelta(seconds=round(float(away) / (speed_kmh / 3.6))))
-        for point, away in zip(points, distance_m, strict=True)
+        replace(point, time=start + timedelta(seconds=round(float(point_distance_m) / (speed_kmh / 3.6))))
+        for point, point_distance_m in zip(points, distance_m, strict=True)
     ]
 
 
@@ -89,15 +89,17 @@ def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hou
         point_scene = scene if sun is None else replace(scene, sun=sun)
         point_query = query.model_copy(update={"lon": point.lon_deg, "lat": point.lat_deg, "height": point.height_m})
         try:
-            around = point_surroundings(point_scene, point_query)
+            surroundings = point_surroundings(point_scene, point_query)
         except InputError as error:
             rows.append(PointAnswerRow(None, None, None, str(error)))
             continue
         direct_h = None
         if hours and scene.world.off_earth_reason is None:
-            day = requested_day(point_scene, point_query, around.place.lon_deg)
-            direct_h = sampled_sun_hours(around, day, requested_clock(point_scene, point_query, around.place.lon_deg, day))
-        rows.append(PointAnswerRow(around.place.ground_m, reported_sun(around), direct_h, None))
+            day = requested_day(point_scene, point_query, surroundings.place.lon_deg)
+            direct_h = sampled_sun_hours(
+                surroundings, day, requested_clock(point_scene, point_query, surroundings.place.lon_deg, day)
+            )
+        rows.append(PointAnswerRow(surroundings.place.ground_m, reported_sun(surroundings), direct_h, None))
     return rows
 
 
@@ -162,7 +164,7 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
     ]
 
 
-def _moment(path: Path, where: str, value: object) -> datetime | None:
+def _moment(path: Path, location: str, value: object) -> datetime | None:
     """Return a time of a file; ``None`` for an empty one. Raises ``SourceError`` for a time without an offset."""
     text = "" if value is None else str(value).strip()
     if text in ("", "NaT", "nan", "None"):
@@ -170,6 +172,6 @@ def _moment(path: Path, where: str, value: object) -> datetime | None:
     try:
         spec = parse_sun(text, None, None)
     except InputError as error:
-        raise SourceError(str(path), f"{where}: the time '{text}' is not allowed", f"Allowed: {error.allowed}") from None
+        raise SourceError(str(path), f"{location}: the time '{text}' is not allowed", f"Allowed: {error.allowed}") from None
     assert spec is not None
     return spec.time

@@ -16,7 +16,7 @@ MAX_POINTS = 10_000
 _Date = date  # a second name, because the field ``date`` of a model hides the type
 
 
-class _Reported(BaseModel):
+class _ReportModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -30,7 +30,7 @@ RoundHours = Annotated[float, _rounded(4)]
 LonLatDegrees = Annotated[float | None, _rounded(7)]
 
 
-class PointQuery(_Reported):
+class PointQuery(_ReportModel):
     """A request on the sun at a point.
 
     ``lon`` and ``lat`` are degrees; in a flat world they are metres east and north of the centre. ``height`` is in metres above
@@ -47,7 +47,7 @@ class PointQuery(_Reported):
     now: AwareDatetime | None = None
 
 
-class ReportedCaster(_Reported):
+class ReportedCaster(_ReportModel):
     """The occluder of the sun: kind, distance along the ground, azimuth, angle above the eye's level, height, position."""
 
     kind: CasterType
@@ -59,7 +59,7 @@ class ReportedCaster(_Reported):
     lat: LonLatDegrees
 
 
-class ReportedMoment(_Reported):
+class ReportedMoment(_ReportModel):
     """The sun at a moment: its position, whether it lights the point, and its occluder if not; ``by`` is null at night."""
 
     time: datetime | None
@@ -69,7 +69,7 @@ class ReportedMoment(_Reported):
     by: ReportedCaster | None
 
 
-class ReportedInterval(_Reported):
+class ReportedInterval(_ReportModel):
     """Direct sun from ``begin`` to ``end``. ``after`` is the occluder before the interval, ``before`` the one after it."""
 
     begin: datetime
@@ -78,7 +78,7 @@ class ReportedInterval(_Reported):
     before: ReportedCaster | None
 
 
-class ReportedDay(_Reported):
+class ReportedDay(_ReportModel):
     """A day's sun: see ``skugga.shadows.point.sun_day.SunDay``."""
 
     date: _Date
@@ -96,7 +96,7 @@ class ReportedDay(_Reported):
     remark: str | None
 
 
-class DayHours(_Reported):
+class DayHours(_ReportModel):
     """Hours of a day for which the sun is up, and for which it lights the point."""
 
     date: _Date
@@ -104,7 +104,7 @@ class DayHours(_Reported):
     direct_h: RoundHours
 
 
-class PointReport(_Reported):
+class PointReport(_ReportModel):
     """The sun at a point. If ``elevation_m``, ``now`` or ``day`` is null, ``remark`` gives the reason."""
 
     level: str

@@ -24,7 +24,7 @@ def encoded_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEnco
     return terrain_rgb(filled_m) if encoding == "mapbox" else terrarium(filled_m)
 
 
-def _encoded(name: str, about: str, encoding: HeightEncoding) -> Product:
+def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> Product:
     def compute(part: Part) -> np.ndarray:
         return encoded_heights(height_m(part), nodata_height_m(part.scene.height_range_m[0]), encoding)
 
@@ -32,7 +32,7 @@ def _encoded(name: str, about: str, encoding: HeightEncoding) -> Product:
         return encoded_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
 
     return Product(
-        name=name, about=about, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME, dtype="uint8",
+        name=name, about=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME, dtype="uint8",
         bands=3, nodata=None, encoding=encoding, empty=empty,
     )  # fmt: skip
 
@@ -42,6 +42,6 @@ PRODUCTS = (
         name="height", about="the ground's heights in metres", formats=("npy", "tif"), compute=height_m, when="none",
         perspective_needs=NEEDS_FRAME, unit="m",
     ),
-    _encoded("terrain-rgb", "heights in Mapbox's encoding, for terrain in three dimensions", "mapbox"),
-    _encoded("terrarium", "heights in Terrarium's encoding", "terrarium"),
+    _encoded_product("terrain-rgb", "heights in Mapbox's encoding, for terrain in three dimensions", "mapbox"),
+    _encoded_product("terrarium", "heights in Terrarium's encoding", "terrarium"),
 )  # fmt: skip

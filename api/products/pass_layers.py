@@ -38,7 +38,9 @@ def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     return np.rint((1.0 - opacity) * background + opacity * np.array(VOLUME_COLOR)).astype(np.uint8)
 
 
-def _layer(layer: PassLayer, about: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None) -> Product:
+def _pass_product(
+    layer: PassLayer, description: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None
+) -> Product:
     def compute(part: Part) -> np.ndarray:
         """Return the layer of the frame's first light. Raises ``InputError`` if the light has none."""
         frame = part.frame
@@ -50,16 +52,16 @@ def _layer(layer: PassLayer, about: str, formats: tuple[MapFormat, ...], to_pict
         return by_light[light]
 
     return Product(
-        name=layer, about=about, formats=formats, compute=compute, needs=NEEDS_FRAME, pass_layer=layer, to_picture=to_picture
+        name=layer, about=description, formats=formats, compute=compute, needs=NEEDS_FRAME, pass_layer=layer, to_picture=to_picture
     )  # fmt: skip
 
 
 PRODUCTS = (
-    _layer("shadow-map", "depths of shadow maps, nearest to the light brightest", ("npy", "png"), _gray_of_depths),
-    _layer("stencil", "the stencil that shadow volumes count in", ("npy", "png"), _stretch),
-    _layer(
+    _pass_product("shadow-map", "depths of shadow maps, nearest to the light brightest", ("npy", "png"), _gray_of_depths),
+    _pass_product("stencil", "the stencil that shadow volumes count in", ("npy", "png"), _stretch),
+    _pass_product(
         "silhouettes", "edges of casters as the light sees them; of a hybrid, the pixels left to its volumes", ("npy", "png")
     ),
-    _layer("volumes", "shadow volumes over the picture", ("npy", "png"), _blend_volumes),
-    _layer("shadow-height", "", ("npy", "tif")),
+    _pass_product("volumes", "shadow volumes over the picture", ("npy", "png"), _blend_volumes),
+    _pass_product("shadow-height", "", ("npy", "tif")),
 )  # fmt: skip

@@ -82,7 +82,7 @@ class Part:
     picture
         The drawn view; ``None`` for a product that needs no picture.
     on_step
-        A callback, to be called after each step that ``Product.steps`` counts.
+        A callback, to be called after each step that ``Product.step_count`` counts.
     """
 
     scene: Scene
@@ -187,7 +187,7 @@ class Product:
         an array of ``nodata``.
     blocks
         Returns the blocks of a large map; ``None``: those of ``skugga.terrain.geo.grid.blocks_of``.
-    steps
+    step_count
         Returns the number of steps of a block, for progress bars.
     tags
         Returns the tags of rasters, for options and a scene. The default is the options.
@@ -221,7 +221,7 @@ class Product:
     describe: Callable[[Any], tuple[str, str]] | None = None
     empty: Callable[[int, int, float], np.ndarray] | None = None
     blocks: Callable[[Scene, MapView], list[tuple[MapView, int, int]]] | None = None
-    steps: Callable[[Any], int] = lambda _: 1
+    step_count: Callable[[Any], int] = lambda _: 1
     tags: Callable[[Any, Scene], dict[str, str]] = lambda options, _: {
         name: str(value) for name, value in options.model_dump(mode="json", exclude_none=True).items()
     }
@@ -235,14 +235,14 @@ class Product:
             return ("png",) if "png" in self.formats else ()
         if not (self.is_served and self.is_picture and self.when == "sun" and "perspective" in self.view_kinds):
             return ()
-        return tuple(each for each in PICTURE_FORMATS if each in self.formats)
+        return tuple(format for format in PICTURE_FORMATS if format in self.formats)
 
     @property
     def map_formats(self) -> tuple[MapFormat, ...]:
         """The formats of tiles and maps over HTTP."""
         if not self.is_served or self.pass_layer is not None or "map" not in self.view_kinds:
             return ()
-        return tuple(each for each in MEDIA_TYPES if each in self.formats)
+        return tuple(format for format in MEDIA_TYPES if format in self.formats)
 
     @property
     def is_raster(self) -> bool:
@@ -252,7 +252,7 @@ class Product:
     def band_names(self, options: ProductOptions) -> tuple[str, ...]:
         """Return a description of each band, for options."""
         if self.bands == 1:
-            return (self.about_of(options)[0],)
+            return (self.description_and_unit(options)[0],)
         return ("red", "green", "blue", "alpha")[: self.bands]
 
     def needs_of(self, view: MapView | PerspectiveView) -> Needs:
@@ -261,7 +261,7 @@ class Product:
 
         return self.needs if isinstance(view, MapView) or self.perspective_needs is None else self.perspective_needs
 
-    def about_of(self, options: ProductOptions) -> tuple[str, str]:
+    def description_and_unit(self, options: ProductOptions) -> tuple[str, str]:
         """Return the description and the unit for options."""
         return (self.about, self.unit) if self.describe is None else self.describe(options)
 
@@ -279,11 +279,13 @@ class Product:
             first = error.errors()[0]
             name = ".".join(map(str, first["loc"])) or "options"
             if first["type"] == "missing":
-                about = self.options.model_fields[name].description or "a value"
-                raise InputError.missing(name, f"{self.name} needs {about[:1].lower()}{about[1:].rstrip('.')}") from None
+                description = self.options.model_fields[name].description or "a value"
+                raise InputError.missing(
+                    name, f"{self.name} needs {description[:1].lower()}{description[1:].rstrip('.')}"
+                ) from None
             if first["type"] == "extra_forbidden":
-                own = ", ".join(self.options.model_fields)
-                remedy = f"Use one of {own}" if own else "Omit it"
+                option_names = ", ".join(self.options.model_fields)
+                remedy = f"Use one of {option_names}" if option_names else "Omit it"
                 raise InputError(name, Problem(f"{self.name} has no such option"), remedy) from None
             allowed = ALLOWED.get(first["type"], first["msg"].removeprefix("Input should be "))
             raise InputError(name, first["input"], allowed) from None

@@ -140,8 +140,8 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
 
 
 def _ticks(low: float, high: float, unit: float, text: Callable[[float], str]) -> tuple[tuple[float, str], ...]:
-    every = next(each for each in (1, 2, 3, 4, 6, 12) if (high - low) / (each * unit) < MAX_TICKS)
-    return tuple((float(value), text(float(value))) for value in np.arange(low, high + unit / 2.0, every * unit))
+    tick_multiple = next(multiple for multiple in (1, 2, 3, 4, 6, 12) if (high - low) / (multiple * unit) < MAX_TICKS)
+    return tuple((float(value), text(float(value))) for value in np.arange(low, high + unit / 2.0, tick_multiple * unit))
 
 
 def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
@@ -159,7 +159,7 @@ def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _steps(options: SunHoursOptions) -> int:
+def _date_count(options: SunHoursOptions) -> int:
     """Return the number of dates."""
     return ((options.to or options.date) - options.date).days // options.every_days + 1
 
@@ -205,6 +205,6 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
 PRODUCT = Product(
     name=NAME, about="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
     view_kinds=("map",), when="days", options=SunHoursOptions, unit="h", color_scale=_color_scale,
-    describe=lambda options: QUANTITIES[options.quantity], blocks=sun_blocks, steps=_steps,
+    describe=lambda options: QUANTITIES[options.quantity], blocks=sun_blocks, step_count=_date_count,
     tags=_tags, check=_check,
 )  # fmt: skip

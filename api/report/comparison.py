@@ -38,7 +38,7 @@ def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
         raise InputError("--json", str(rows_file), "a file in an existing folder")
 
 
-def show(comparison: Comparison, base_command: str) -> None:
+def print_comparison(comparison: Comparison, base_command: str) -> None:
     """Print the rows, lowest ``wrong_cast`` first, then the summary and the remarks.
 
     ``base_command`` is the command line of the comparison, to which ``--only ROW`` can be appended.
@@ -80,10 +80,10 @@ def show(comparison: Comparison, base_command: str) -> None:
             console.print(f"  {command}", soft_wrap=True, highlight=False, markup=False)
 
 
-def write(scene: Scene, comparison: Comparison, folder: Path, view: str, base_command: str) -> None:
+def write_comparison(scene: Scene, comparison: Comparison, folder: Path, view: str, base_command: str) -> None:
     """Write ``report.html``, its scatter plot as ``scatter.svg``, and one PNG per row: false shadow red, missed shadow blue.
 
-    ``base_command`` is that of ``show``.
+    ``base_command`` is that of ``print_comparison``.
     """
     base = write_page(scene, comparison, folder / "report.html", view, base_command)
     write_plot(scene, comparison, folder / "scatter.svg", view)
@@ -98,14 +98,16 @@ def write_page(
     """Write the report with at most ``max_bytes`` bytes; return the view without cast shadows, uint8 (rows, cols, 3)."""
     plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
     base = render_frame(scene, comparison.view, plan).color
-    write_report(path, comparison, base, about(scene, comparison, view), commands_of_left_out(comparison, base_command), max_bytes)
+    write_report(
+        path, comparison, base, comparison_facts(scene, comparison, view), commands_of_left_out(comparison, base_command), max_bytes
+    )
     return base
 
 
 def write_plot(scene: Scene, comparison: Comparison, path: Path, view: str) -> None:
     """Write the scatter plot of the report as an SVG file."""
-    said = about(scene, comparison, view)
-    write_scatter(path, comparison, [f"{scene.loaded.name}, {view}", f"{said['light']}; {said['size']}; {said['device']}"])
+    facts = comparison_facts(scene, comparison, view)
+    write_scatter(path, comparison, [f"{scene.loaded.name}, {view}", f"{facts['light']}; {facts['size']}; {facts['device']}"])
 
 
 def commands_of_left_out(comparison: Comparison, base_command: str) -> list[str]:
@@ -113,7 +115,7 @@ def commands_of_left_out(comparison: Comparison, base_command: str) -> list[str]
     return [f"{base_command} --only {shlex.quote(name)}" for name in comparison.left_out]
 
 
-def about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
+def comparison_facts(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
     """Return the facts of a comparison for its report: level, view, light, device and time."""
     loaded, gl = scene.loaded, device()
     light = comparison.light

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from skugga.api.picture_cost import SLOW_PICTURE_MS, remedy, time_limit_ms
 from skugga.selector.formatting import format_duration, format_list, format_percent
 from skugga.selector.planner.planner import SETTING_NAMES
-from skugga.shadows.algorithm import AlgorithmSettings, Reasoned
+from skugga.shadows.algorithm import AlgorithmSettings, NamedReason
 from skugga.shadows.plan import Plan, Step, Target
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 from skugga.terrain.effects import EFFECTS
@@ -27,14 +27,14 @@ COMPASS_POINTS = (
     "south", "south-south-west", "south-west", "west-south-west", "west", "west-north-west", "north-west", "north-north-west",
 )  # fmt: skip
 
-ALWAYS_LISTED = ("cascades", "map_size", "depth_bits", "filter")
+ALWAYS_LISTED_SETTINGS = ("cascades", "map_size", "depth_bits", "filter")
 """Settings that are listed even without a reason."""
 
-ORDER = (*ALWAYS_LISTED, *(key for key in SETTING_NAMES if key not in ALWAYS_LISTED))
+SETTING_ORDER = (*ALWAYS_LISTED_SETTINGS, *(key for key in SETTING_NAMES if key not in ALWAYS_LISTED_SETTINGS))
 
-_WORD = re.compile(r"\b[a-z]+(?:_[a-z]+)+\b")
+_SNAKE_CASE_WORD = re.compile(r"\b[a-z]+(?:_[a-z]+)+\b")
 
-AS_CHOSEN = "as chosen"
+CHOSEN_REASON = "as chosen"
 """Reason of a setting that follows from the choice of the algorithm, whose reason is listed already."""
 
 
@@ -70,20 +70,20 @@ def format_plan(plan: Plan, title: str) -> str:
     parts += [
         _reason_section("Effects that run", plan.effects),
         _reason_section("Effects left out", plan.left_out),
-        _reason_section("Algorithms not taken", _not_taken(plan)),
+        _reason_section("Algorithms not taken", _rejected_algorithms(plan)),
     ]
     return "\n\n".join("\n".join(_wrapped(line) for line in part) for part in parts if part)
 
 
 def format_choices(plan: Plan) -> list[str]:
     """Return a sentence for each light and caster kind with shadows: the algorithm and its reason."""
-    why = {reasoned.name: reasoned.reason for reasoned in _with_display_names(plan).reasons}
+    reasons = {reasoned.name: reasoned.reason for reasoned in _with_display_names(plan).reasons}
     return [
         f"{_capitalized(kind)}{'' if light == SUN else f' under {light}'} by {display_name(name)}: "
-        f"{why[f'{light}/{kind}: {name}']}."
+        f"{reasons[f'{light}/{kind}: {name}']}."
         for light, kinds in plan.algorithm.items()
         for kind, name in kinds.items()
-        if name != NO_SHADOWS and f"{light}/{kind}: {name}" in why
+        if name != NO_SHADOWS and f"{light}/{kind}: {name}" in reasons
     ]
 
 
@@ -158,38 +158,38 @@ class _ReasonList:
         return [f"{_capitalized(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
 
     def _step(self, step: Step) -> Iterator[str]:
-        why: dict[str, list[str]] = {}
+        kinds_by_reason: dict[str, list[str]] = {}
         for kind in step.kinds:
-            reasons = self._named(f"{step.light}/{kind}: {step.algorithm}")
-            why.setdefault("; ".join(reasons), []).append(kind)
-        for reason, kinds in why.items():
-            how = "casts nothing" if step.algorithm == NO_SHADOWS else f"by {display_name(step.algorithm)}"
-            yield f"  {_capitalized(format_list(kinds))} {how}{f': {reason}' if reason else ''}."
+            reasons = self._take_named(f"{step.light}/{kind}: {step.algorithm}")
+            kinds_by_reason.setdefault("; ".join(reasons), []).append(kind)
+        for reason, kinds in kinds_by_reason.items():
+            algorithm_phrase = "casts nothing" if step.algorithm == NO_SHADOWS else f"by {display_name(step.algorithm)}"
+            yield f"  {_capitalized(format_list(kinds))} {algorithm_phrase}{f': {reason}' if reason else ''}."
         for key, value in _values(step.settings):
-            reasons = self._named(f"{key} {value}", f"{step.light}: {key} {value}")
-            if reasons or (key in ALWAYS_LISTED and (key, value) not in (("cascades", 1), ("filter", 1))):
-                reason = f": {reasons[0]}" if reasons and reasons[0] != AS_CHOSEN else ""
+            reasons = self._take_named(f"{key} {value}", f"{step.light}: {key} {value}")
+            if reasons or (key in ALWAYS_LISTED_SETTINGS and (key, value) not in (("cascades", 1), ("filter", 1))):
+                reason = f": {reasons[0]}" if reasons and reasons[0] != CHOSEN_REASON else ""
                 yield f"    {_capitalized(_setting(key, value))}{reason}."
 
-    def _named(self, *names: str) -> list[str]:
+    def _take_named(self, *names: str) -> list[str]:
         """Take the reasons with one of some names."""
         return [reasoned.reason for reasoned in self._take(lambda name: name in names)]
 
-    def _take(self, matches: Callable[[str], bool]) -> list[Reasoned]:
+    def _take(self, matches: Callable[[str], bool]) -> list[NamedReason]:
         matching = [reasoned for reasoned in self._unused if matches(reasoned.name)]
         self._unused = [reasoned for reasoned in self._unused if not matches(reasoned.name)]
         return matching
 
 
 def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
-    """Yield the requested settings of a step, by override name and in ``ORDER``; ``cascades`` is their number."""
+    """Yield the requested settings of a step, by override name and in ``SETTING_ORDER``; ``cascades`` is their number."""
     overrides = {} if settings is None else settings.as_overrides
-    yield from ((key, overrides[key]) for key in ORDER if key in overrides)
+    yield from ((key, overrides[key]) for key in SETTING_ORDER if key in overrides)
 
 
-def _spoken_name(found: re.Match[str]) -> str:
+def _spoken_name(match: re.Match[str]) -> str:
     """Return the display name of a matched algorithm or effect; return any other word unchanged."""
-    word = found.group()
+    word = match.group()
     return display_name(word) if word in ALGORITHMS or word in EFFECTS else word
 
 
@@ -220,21 +220,21 @@ def _setting(key: str, value: object) -> str:
 def _with_display_names(plan: Plan) -> Plan:
     """Return a plan whose reasons use the display names of algorithms and effects."""
 
-    def renamed(reasoned: list[Reasoned]) -> list[Reasoned]:
-        return [Reasoned(name=entry.name, reason=_WORD.sub(_spoken_name, entry.reason)) for entry in reasoned]
+    def renamed(reasoned: list[NamedReason]) -> list[NamedReason]:
+        return [NamedReason(name=entry.name, reason=_SNAKE_CASE_WORD.sub(_spoken_name, entry.reason)) for entry in reasoned]
 
     lists = ("effects", "left_out", "rejected", "reasons")
     return plan.model_copy(update={key: renamed(getattr(plan, key)) for key in lists})
 
 
-def _not_taken(plan: Plan) -> list[Reasoned]:
+def _rejected_algorithms(plan: Plan) -> list[NamedReason]:
     """Return the rejected algorithms; reasons that repeat a listed reason are shortened."""
     reported = {f": {reasoned.reason}" for reasoned in plan.reasons}
     ends = {reasoned.name: next((end for end in reported if reasoned.reason.endswith(end)), "") for reasoned in plan.rejected}
-    return [Reasoned(name=reasoned.name, reason=reasoned.reason.removesuffix(ends[reasoned.name])) for reasoned in plan.rejected]
+    return [NamedReason(name=reasoned.name, reason=reasoned.reason.removesuffix(ends[reasoned.name])) for reasoned in plan.rejected]
 
 
-def _reason_section(title: str, reasoned: list[Reasoned]) -> list[str]:
+def _reason_section(title: str, reasoned: list[NamedReason]) -> list[str]:
     names: dict[str, list[str]] = {}
     for entry in reasoned:
         names.setdefault(entry.reason, []).append(display_name(entry.name))

@@ -13,11 +13,11 @@ from string import Template
 import numpy as np
 
 from skugga.api.report.page.bars import bars, bars_legend, exceeds_axis
-from skugga.api.report.page.markup import breakable, definitions, script_json, tag
+from skugga.api.report.page.markup import breakable_text, definitions, script_json, tag
 from skugga.api.report.page.pictures import ErrorPicture, Pictures, palette, report_pictures
 from skugga.api.report.page.scatter import legend, scatter_file, scatter_plot
 from skugga.api.report.page.table import GLOSSARY, rows_table
-from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, casts, format_summary, on_front
+from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, casts_shadow, format_summary, is_on_front
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.compare import Comparison
 from skugga.terrain.atomic_files import write_atomically
@@ -43,7 +43,7 @@ def write_report(
     path: Path,
     comparison: Comparison,
     base: np.ndarray,
-    about: dict[str, str],
+    facts: dict[str, str],
     commands: Sequence[str] = (),
     max_bytes: int = MAX_PAGE_BYTES,
 ) -> None:
@@ -59,7 +59,7 @@ def write_report(
         The comparison.
     base
         The view without cast shadows, uint8 (rows, cols, 3).
-    about
+    facts
         Facts of the run, in order. The first two values make the title.
     commands
         Command lines that measure the rows which were left out.
@@ -71,26 +71,26 @@ def write_report(
     OSError
         If the file cannot be written.
     """
-    write_atomically(path, report_html(comparison, base, about, commands, max_bytes))
+    write_atomically(path, report_html(comparison, base, facts, commands, max_bytes))
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
     """Write the scatter plot of error against time, with the lines of a title, as an SVG file. Raises ``OSError``."""
-    write_atomically(path, scatter_file(comparison, title, _part("report.css")))
+    write_atomically(path, scatter_file(comparison, title, _template_text("report.css")))
 
 
 def report_html(
     comparison: Comparison,
     base: np.ndarray,
-    about: dict[str, str],
+    facts: dict[str, str],
     commands: Sequence[str] = (),
     max_bytes: int = MAX_PAGE_BYTES,
 ) -> str:
     """Return the page as text; see ``write_report``."""
-    style, script = _part("report.css"), _part("report.js")
+    style, script = _template_text("report.css"), _template_text("report.js")
     parts = {
-        "title": escape(" · ".join(list(about.values())[:2])),
-        "about": definitions(about, class_="about"),
+        "title": escape(" · ".join(list(facts.values())[:2])),
+        "about": definitions(facts, class_="about"),
         "summary": tag(
             "ul",
             *(
@@ -98,7 +98,7 @@ def report_html(
                 for text in [
                     *map(escape, format_summary(comparison)),
                     *map(_remark, comparison.remarks),
-                    *_left_out(commands),
+                    *_left_out_note(commands),
                 ]  # fmt: skip
             ),
         ),
@@ -106,25 +106,25 @@ def report_html(
         "glossary": definitions(GLOSSARY),
         "style": style,
         "script": script,
-        "style_hash": _hash(style),
-        "script_hash": _hash(script),
+        "style_hash": _csp_hash(style),
+        "script_hash": _csp_hash(script),
     }
     if not comparison.rows:
-        return Template(_part("report.html")).substitute(parts, results="", data="")
+        return Template(_template_text("report.html")).substitute(parts, results="", data="")
     results = _results(comparison)
     picture_budget = max_bytes - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
     encoded_pictures = report_pictures(base, _errors(comparison), picture_budget)
     results |= {"thumbs": _thumbs(comparison, encoded_pictures), "shrunk": _pictures_note(encoded_pictures)}
-    return Template(_part("report.html")).substitute(
-        parts, results=Template(_part("results.html")).substitute(results), data=_data(comparison, encoded_pictures)
+    return Template(_template_text("report.html")).substitute(
+        parts, results=Template(_template_text("results.html")).substitute(results), data=_data_script(comparison, encoded_pictures)
     )
 
 
-def _part(name: str) -> str:
+def _template_text(name: str) -> str:
     return (files("skugga.api.report.page") / name).read_text(encoding="utf-8")
 
 
-def _hash(text: str) -> str:
+def _csp_hash(text: str) -> str:
     """Return the source expression of a Content-Security-Policy for an inline element (CSP level 3, 2.3.1)."""
     return f"sha256-{b64encode(sha256(text.encode()).digest()).decode()}"
 
@@ -136,7 +136,7 @@ def _remark(remark: str) -> str:
     return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > MAX_REMARK_CHARACTERS else sentence
 
 
-def _left_out(commands: Sequence[str]) -> list[str]:
+def _left_out_note(commands: Sequence[str]) -> list[str]:
     """Return the note on rows that were left out, with the commands that measure them."""
     if not commands:
         return []
@@ -180,7 +180,7 @@ def _errors(comparison: Comparison) -> list[ErrorPicture]:
 
     Pixels that face away from the light are dark in the shaded view already; they do not count as cast shadow.
     """
-    unshadowed = next((row.visibility == 0 for row in comparison.rows if not casts(row.figures, comparison.light)), None)
+    unshadowed = next((row.visibility == 0 for row in comparison.rows if not casts_shadow(row.figures, comparison.light)), None)
     return [
         ErrorPicture(
             row.visibility if unshadowed is None else np.where(unshadowed, 255, row.visibility), row.false_shadow, row.missed_shadow
@@ -200,9 +200,9 @@ def _pictures_note(encoded_pictures: Pictures) -> str:
     )
 
 
-def _data(comparison: Comparison, encoded_pictures: Pictures) -> str:
+def _data_script(comparison: Comparison, encoded_pictures: Pictures) -> str:
     figures = [row.figures for row in comparison.rows]
-    row_numbers = [k for k, f in enumerate(figures) if on_front(f, comparison.light)] or list(range(len(figures)))
+    row_numbers = [k for k, f in enumerate(figures) if is_on_front(f, comparison.light)] or list(range(len(figures)))
     row_numbers.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error]))
     value = {
         "rows": encoded_pictures.rows,
@@ -227,5 +227,5 @@ def _thumb(k: int, figures: RowFigures, error: str, encoded_pictures: Pictures) 
     shares = f"{format_percent(figures['false_shadow'])} false and {format_percent(figures['missed_shadow'])} missed shadow"
     alt = f"Errors of {figures['name']}: {shares}"
     picture = tag("img", src=encoded_pictures.row_uris[k], alt=alt, width=encoded_pictures.cols, height=encoded_pictures.rows)
-    name = tag("figcaption", tag("b", breakable(figures["name"])), tag("span", escape(caption)))
+    name = tag("figcaption", tag("b", breakable_text(figures["name"])), tag("span", escape(caption)))
     return tag("figure", tag("a", picture, href=f"#row-{k}", data_row=k), name, class_="front" if figures["pareto"] else None)

@@ -27,19 +27,19 @@ def format_summary(comparison: Comparison) -> list[str]:
     The cost of accuracy follows the Pareto front from its fastest row, in steps that at least halve the error. It ends where the
     error is 0 or below ``EXACT_NOISE_FLOORS`` times the noise floor, since truth is not more accurate than this.
     """
-    rows = [row.figures for row in comparison.rows if casts(row.figures, comparison.light)]
+    rows = [row.figures for row in comparison.rows if casts_shadow(row.figures, comparison.light)]
     if not rows:
         return []
     summary = _SummaryText(comparison.error, EXACT_NOISE_FLOORS * comparison.noise_floor)
-    front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.of(f)))
+    front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.error_of(f)))
     return [
-        *summary.extremes(rows), *summary.prices(front), *_default_sentences(rows, comparison),
+        *summary.extreme_sentences(rows), *summary.price_sentences(front), *_default_sentences(rows, comparison),
         *_softest_sentences(rows, comparison.error),
-        *summary.failures(rows), *_dominated_sentences(rows, comparison.light),
+        *summary.failure_sentences(rows), *_dominated_sentences(rows, comparison.light),
     ]  # fmt: skip
 
 
-def casts(figures: RowFigures, light: str) -> bool:
+def casts_shadow(figures: RowFigures, light: str) -> bool:
     """Return whether a row uses any algorithm other than ``none`` for a light."""
     return algorithm_family(figures, light) != NO_SHADOWS
 
@@ -50,9 +50,9 @@ def algorithm_family(figures: RowFigures, light: str) -> str:
     return " + ".join(dict.fromkeys(names)) or NO_SHADOWS
 
 
-def on_front(figures: RowFigures, light: str) -> bool:
+def is_on_front(figures: RowFigures, light: str) -> bool:
     """Return whether a row casts shadows for a light and is on the Pareto front."""
-    return figures["pareto"] and casts(figures, light)
+    return figures["pareto"] and casts_shadow(figures, light)
 
 
 @dataclass(frozen=True)
@@ -70,65 +70,72 @@ class _SummaryText:
     error: str
     exact_to: float
 
-    def of(self, figures: RowFigures) -> float:
+    def error_of(self, figures: RowFigures) -> float:
         return float(figures[self.error])
 
-    def exact(self, figures: RowFigures) -> bool:
-        return self.of(figures) <= self.exact_to
+    def is_exact(self, figures: RowFigures) -> bool:
+        return self.error_of(figures) <= self.exact_to
 
-    def extremes(self, rows: list[RowFigures]) -> list[str]:
-        fastest = min(rows, key=lambda f: (f["ms_median"], self.of(f)))
-        best = min(rows, key=lambda f: (0.0 if self.exact(f) else self.of(f), f["ms_median"]))
-        exact = sum(map(self.exact, rows))
+    def extreme_sentences(self, rows: list[RowFigures]) -> list[str]:
+        fastest = min(rows, key=lambda f: (f["ms_median"], self.error_of(f)))
+        best = min(rows, key=lambda f: (0.0 if self.is_exact(f) else self.error_of(f), f["ms_median"]))
+        exact_count = sum(map(self.is_exact, rows))
         if len(rows) == 1:
             return [f"{best['name']} is the only one that casts shadows here: {self._result(best)}."]
         if fastest is best:
-            others = f"; {exact - 1} more {'is' if exact == 2 else 'are'} as accurate" if exact > 1 else ""
-            return [f"{best['name']} is both the fastest and the most accurate: {self._result(best)}{others}."]
-        times = f", {_times(best['ms_median'] / fastest['ms_median'])} the time" if fastest["ms_median"] > 0.0 else ""
-        if exact > 1:
-            accuracy_sentence = f"{exact} rows are exact within the noise of truth; the fastest of them is {best['name']}"
+            others_clause = f"; {exact_count - 1} more {'is' if exact_count == 2 else 'are'} as accurate" if exact_count > 1 else ""
+            return [f"{best['name']} is both the fastest and the most accurate: {self._result(best)}{others_clause}."]
+        times = f", {_format_ratio(best['ms_median'] / fastest['ms_median'])} the time" if fastest["ms_median"] > 0.0 else ""
+        if exact_count > 1:
+            accuracy_sentence = f"{exact_count} rows are exact within the noise of truth; the fastest of them is {best['name']}"
             accuracy_sentence = f"{accuracy_sentence}, in {format_duration(best['ms_median'])}"
         else:
             accuracy_sentence = f"The most accurate is {best['name']}: {self._result(best)}"
         return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{accuracy_sentence}{times}."]
 
-    def prices(self, front: list[RowFigures]) -> list[str]:
+    def price_sentences(self, front: list[RowFigures]) -> list[str]:
         sentences, current = [], front[0] if front else None
-        while current is not None and not self.exact(current):
-            next_ = next((f for f in front if self.exact(f) or self.of(f) <= self.of(current) / 2.0), None)
+        while current is not None and not self.is_exact(current):
+            next_ = next((f for f in front if self.is_exact(f) or self.error_of(f) <= self.error_of(current) / 2.0), None)
             if next_ is not None and current["ms_median"] > 0.0:
-                sentences.append(self._price(current, next_))
+                sentences.append(self._price_sentence(current, next_))
             current = next_
         return sentences
 
-    def _price(self, current: RowFigures, better: RowFigures) -> str:
+    def _price_sentence(self, current: RowFigures, better: RowFigures) -> str:
         ratio = better["ms_median"] / current["ms_median"]
-        steps = (
-            f"{f'costs {_times(ratio)} the' if ratio >= EQUAL_TIME_RATIO else 'takes hardly more'} time "
+        cost_clause = (
+            f"{f'costs {_format_ratio(ratio)} the' if ratio >= EQUAL_TIME_RATIO else 'takes hardly more'} time "
             f"({current['name']} to {better['name']})"
         )
-        if self.exact(better):
-            return f"Bringing the error from {format_percent(self.of(current))} down to the noise of truth {steps}."
-        if self.of(better) > self.of(current) / 2.5:
-            return f"Halving the error from {format_percent(self.of(current))} {steps}."
-        return f"Bringing the error from {format_percent(self.of(current))} down to {format_percent(self.of(better))} {steps}."
+        if self.is_exact(better):
+            return f"Bringing the error from {format_percent(self.error_of(current))} down to the noise of truth {cost_clause}."
+        if self.error_of(better) > self.error_of(current) / 2.5:
+            return f"Halving the error from {format_percent(self.error_of(current))} {cost_clause}."
+        return (
+            f"Bringing the error from {format_percent(self.error_of(current))} down to "
+            f"{format_percent(self.error_of(better))} {cost_clause}."
+        )
 
-    def failures(self, rows: list[RowFigures]) -> list[str]:
-        failed = [f for f in rows if f["interior"] > MAX_INTERIOR and self.of(f) <= DEFAULT_MAX_ERROR]
-        if not failed:
+    def failure_sentences(self, rows: list[RowFigures]) -> list[str]:
+        failing_rows = [f for f in rows if f["interior"] > MAX_INTERIOR and self.error_of(f) <= DEFAULT_MAX_ERROR]
+        if not failing_rows:
             return []
-        worst = max(f["interior"] for f in failed)
-        has, whose, up_to = ("has", "its", "") if len(failed) == 1 else ("have", "their", "up to ")
+        worst = max(f["interior"] for f in failing_rows)
+        has, possessive, up_to = ("has", "its", "") if len(failing_rows) == 1 else ("have", "their", "up to ")
         return [
-            f"{format_list([f['name'] for f in failed])} {has} interior errors, although {whose} error is small: {up_to}"
+            f"{format_list([f['name'] for f in failing_rows])} {has} interior errors, although {possessive} error is small: {up_to}"
             f"{format_percent(worst)} of the surface is wrong away from shadow edges, which is no aliasing."
         ]
 
     def _result(self, figures: RowFigures) -> str:
         error_phrase = "of the cast shadow wrong" if self.error == "wrong_cast" else "difference in shadow share"
-        wrong = "exact within the noise of truth" if self.exact(figures) else f"{format_percent(self.of(figures))} {error_phrase}"
-        return f"{wrong}, in {format_duration(figures['ms_median'])}"
+        error_text = (
+            "exact within the noise of truth"
+            if self.is_exact(figures)
+            else f"{format_percent(self.error_of(figures))} {error_phrase}"
+        )
+        return f"{error_text}, in {format_duration(figures['ms_median'])}"
 
 
 def _default_sentences(rows: list[RowFigures], comparison: Comparison) -> list[str]:
@@ -174,5 +181,5 @@ def _algorithms(figures: RowFigures, light: str) -> list[str]:
     return algorithm_family(figures, light).split(" + ")
 
 
-def _times(ratio: float) -> str:
+def _format_ratio(ratio: float) -> str:
     return f"{format_two_digits(ratio)} times"

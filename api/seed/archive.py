@@ -26,7 +26,7 @@ from skugga.terrain.errors import InputError, Problem
 
 DIGEST_BYTES = 16
 
-SHARED_BELOW_BYTES = 2048
+DEDUPLICATED_BELOW_BYTES = 2048
 """Equal tiles of fewer bytes are stored once. Such tiles have one colour, or nearly so.
 
 Equal larger tiles are rare, and finding them would cost memory for every tile.
@@ -64,7 +64,7 @@ class ShardIndex:
     digests: NDArray[np.uint8]
 
     @classmethod
-    def of(cls, tiles: Mapping[int, bytes]) -> tuple[ShardIndex, bytes]:
+    def from_tiles(cls, tiles: Mapping[int, bytes]) -> tuple[ShardIndex, bytes]:
         """Return the index of tiles by their ids, and the shard's bytes."""
         ids = sorted(tiles)
         digests = b"".join(_digest(tiles[tile_id]) for tile_id in ids)
@@ -141,7 +141,7 @@ class _Layout:
     ----------
     stored : (tiles,) bool
         Whether a tile's bytes are copied.
-    ids, offsets, lengths, runs : (entries,)
+    ids, offsets, lengths, run_lengths : (entries,)
         First tile id, offset in bytes from the first tile's, length in bytes and run length of each entry.
     data_bytes : int
         Bytes of all stored tiles.
@@ -151,7 +151,7 @@ class _Layout:
     ids: NDArray[np.uint64]
     offsets: NDArray[np.uint64]
     lengths: NDArray[np.uint32]
-    runs: NDArray[np.uint64]
+    run_lengths: NDArray[np.uint64]
     data_bytes: int
 
 
@@ -170,7 +170,7 @@ def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int
         file.write(head)
         first = 0
         for number, index in enumerate(indexes):
-            _copy(file, number, index, read(number), layout.stored[first : first + len(index.ids)])
+            _copy_shard(file, number, index, read(number), layout.stored[first : first + len(index.ids)])
             first += len(index.ids)
     return ArchiveSize(len(head) + layout.data_bytes, len(layout.stored), len(layout.ids), int(np.count_nonzero(layout.stored)))
 
@@ -191,10 +191,10 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
     keys = np.ascontiguousarray(digests).view(f"V{DIGEST_BYTES}")[:, 0]
     continues_run = (ids[1:] == ids[:-1] + 1) & (keys[1:] == keys[:-1]) & (lengths[1:] == lengths[:-1])
     entry_starts = np.flatnonzero(np.concatenate([[True], ~continues_run]))  # first tile of every entry
-    runs = np.diff(np.append(entry_starts, len(ids))).astype(np.uint64)
+    run_lengths = np.diff(np.append(entry_starts, len(ids))).astype(np.uint64)
     # The entry whose bytes each entry refers to: the first equal one.
     source = np.arange(len(entry_starts))
-    small = np.flatnonzero(lengths[entry_starts] < SHARED_BELOW_BYTES)
+    small = np.flatnonzero(lengths[entry_starts] < DEDUPLICATED_BELOW_BYTES)
     _, first, inverse = np.unique(keys[entry_starts[small]], return_index=True, return_inverse=True)
     source[small] = small[first[inverse]]
     copied = source == np.arange(len(entry_starts))
@@ -202,7 +202,7 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
     ends = np.cumsum(np.where(copied, entry_lengths, 0), dtype=np.uint64)
     stored = np.zeros(len(ids), np.bool_)
     stored[entry_starts[copied]] = True
-    return _Layout(stored, ids[entry_starts], (ends - entry_lengths)[source], entry_lengths, runs, int(ends[-1]))
+    return _Layout(stored, ids[entry_starts], (ends - entry_lengths)[source], entry_lengths, run_lengths, int(ends[-1]))
 
 
 def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
@@ -269,11 +269,11 @@ def _directories(layout: _Layout) -> tuple[bytes, bytes]:
 
 def _entries(layout: _Layout, first: int, end: int) -> list[Entry]:
     part = slice(first, end)
-    columns = (column[part].tolist() for column in (layout.ids, layout.offsets, layout.lengths, layout.runs))
+    columns = (column[part].tolist() for column in (layout.ids, layout.offsets, layout.lengths, layout.run_lengths))
     return [Entry(*row) for row in zip(*columns, strict=True)]
 
 
-def _copy(file: BinaryIO, number: int, index: ShardIndex, shard: bytes, stored: NDArray[np.bool_]) -> None:
+def _copy_shard(file: BinaryIO, number: int, index: ShardIndex, shard: bytes, stored: NDArray[np.bool_]) -> None:
     """Check a shard's tiles and write the stored ones. Raises ``BrokenShardError``."""
     ends = np.cumsum(index.lengths, dtype=np.int64).tolist()
     expected = ends[-1] if ends else 0

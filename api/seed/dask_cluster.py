@@ -103,7 +103,7 @@ class DaskCluster:
             self._polled_at_s = -WORKER_POLL_S  # it is resubmitted once the scheduler returns
             return
         self._running[task.id] = task, future
-        future.add_done_callback(lambda done, number=task.id: self._finished_futures.put((number, done)))
+        future.add_done_callback(lambda completed, number=task.id: self._finished_futures.put((number, completed)))
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
         """Implement ``Runner.wait``."""
@@ -155,7 +155,7 @@ class DaskCluster:
             self._reconnect()
             return []
         del self._running[task.id]
-        if isinstance(message, TaskFailure) and message.how == "refused":
+        if isinstance(message, TaskFailure) and message.kind == "refused":
             log.warning("worker %s is refused: %s", message.worker, message.error)
             self._refused[message.worker] = message.error
             if not self._eligible_workers():
@@ -169,10 +169,10 @@ class DaskCluster:
 
     def _update_workers(self) -> None:
         """Update the list of workers. Raises ``RenderError`` if none has been present for long."""
-        now = clock.monotonic()
-        if now - self._polled_at_s < WORKER_POLL_S:
+        now_s = clock.monotonic()
+        if now_s - self._polled_at_s < WORKER_POLL_S:
             return
-        self._polled_at_s = now
+        self._polled_at_s = now_s
         if self._client.status != "running":
             self._reconnect()
             return
@@ -184,17 +184,17 @@ class DaskCluster:
         for task in [task for task, future in self._running.values() if future is None]:
             self.submit(task)
         if self._workers:
-            self._present_at_s = now
-        elif now - self._present_at_s > self._cluster_timeout_s:
+            self._present_at_s = now_s
+        elif now_s - self._present_at_s > self._cluster_timeout_s:
             raise RenderError(
                 f"{self._address}: no worker joined within {self._cluster_timeout_s:g} s. Run the same command again to resume."
             )
 
     def _reconnect(self) -> None:
         """Reconnect to a lost scheduler, and resubmit its tasks. Raises ``RenderError``."""
-        lost = [task for task, _ in self._running.values()]
+        lost_tasks = [task for task, _ in self._running.values()]
         self._running = {}
-        log.warning("the scheduler %s does not answer; %d tasks are resubmitted when it does", self._address, len(lost))
+        log.warning("the scheduler %s does not answer; %d tasks are resubmitted when it does", self._address, len(lost_tasks))
         with suppress(Exception):  # the scheduler is gone
             self._client.close(timeout=1.0)
         until = clock.monotonic() + self._cluster_timeout_s
@@ -211,7 +211,7 @@ class DaskCluster:
                 clock.sleep(1.0)
         self._warm_up()
         self._workers, self._present_at_s, self._refused = [], clock.monotonic(), {}
-        for task in lost:
+        for task in lost_tasks:
             self.submit(task)
 
 

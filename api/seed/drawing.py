@@ -16,7 +16,7 @@ from skugga.api.seed.archive import ShardIndex
 from skugga.api.seed.messages import Task, TaskResult
 from skugga.api.seed.run_spec import MATRIX_SET, RunSpec
 from skugga.api.seed.storage import ShardStore
-from skugga.api.workers.block_tiles import BLOCK_TILES, Place, empty_tile, tiles_of_array, tiles_of_picture
+from skugga.api.workers.block_tiles import BLOCK_TILES, TilePosition, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
 from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS
 from skugga.terrain.compiling.hooks import declare_product
@@ -44,7 +44,7 @@ class Drawer:
         start = clock.perf_counter()
         tiles, encode_s = tiles_of_task(self._scenes_by_sun[task.sun], self._spec, task)
         trim_bare_ground_cache(1)  # the next task may reuse this block under another sun, but no earlier block
-        index, content = ShardIndex.of(tiles)
+        index, content = ShardIndex.from_tiles(tiles)
         if content:
             self._store.write(task.shard, content)
         peak_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * RSS_UNIT_BYTES
@@ -58,8 +58,8 @@ class Drawer:
 def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, bytes], float]:
     """Return the tiles of a task that show data, by tile id, and the duration of encoding them in seconds."""
     view, request = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), spec.request(task.sun)
-    product, plan = request.record, spec.plan_by_place.get((task.sun, task.zoom))
-    files: Mapping[Place, bytes | None]
+    product, plan = request.product_record, spec.plan_by_sun_and_zoom.get((task.sun, task.zoom))
+    files: Mapping[TilePosition, bytes | None]
     if plan is not None and not product.reach_px:
         picture = draw_picture(scene, view, product, plan)
         start = clock.perf_counter()
@@ -68,8 +68,8 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
         array = compute(scene, view, request, plan).array
         start = clock.perf_counter()
         files = tiles_of_array(array, request, scene.world, view, spec.format)
-        nothing = empty_tile(request, spec.format, 1, scene.height_range_m[0])
-        files = {place: None if body == nothing else body for place, body in files.items()}
+        empty_body = empty_tile(request, spec.format, 1, scene.height_range_m[0])
+        files = {place: None if body == empty_body else body for place, body in files.items()}
     side = 2**task.zoom
     places = {
         (task.y * BLOCK_TILES + row, task.x * BLOCK_TILES + col): body for (row, col), body in files.items() if body is not None
@@ -81,6 +81,6 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
 def check_seeded_format(layer: str, format: str) -> None:
     """Raise ``InputError`` if pyramids of a product do not support the format."""
     product = product_named(layer, SEEDED_PRODUCTS, "--layer")
-    formats = [each for each in PICTURE_FORMATS if each in product.map_formats]
+    formats = [picture_format for picture_format in PICTURE_FORMATS if picture_format in product.map_formats]
     if format not in formats:
         raise InputError("--format", format, f"{', '.join(formats)} for layer {layer}")

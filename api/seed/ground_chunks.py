@@ -61,8 +61,8 @@ class GroundChunks:
     @classmethod
     def from_bytes(cls, content: bytes) -> GroundChunks:
         """Return the chunks that ``to_bytes`` wrote."""
-        with np.load(io.BytesIO(content)) as kept:
-            return cls(int(kept["side"]), kept["digests"], kept["low_m"], kept["high_m"], bool(kept["holes"]))
+        with np.load(io.BytesIO(content)) as arrays:
+            return cls(int(arrays["side"]), arrays["digests"], arrays["low_m"], arrays["high_m"], bool(arrays["holes"]))
 
 
 def ground_chunks(elevation: Elevation) -> GroundChunks:
@@ -85,7 +85,11 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
                 chunk_cols = slice((j - first) * side, (j - first + 1) * side)
                 cells, valid = stored[:, chunk_cols], stored_valid[:, chunk_cols]
                 digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
-                for part in (cells, valid, *(each[:, (j - first) * (side // f) :][:, : side // f] for f, each in overviews)):
+                for part in (
+                    cells,
+                    valid,
+                    *(overview[:, (j - first) * (side // f) :][:, : side // f] for f, overview in overviews),
+                ):
                     digest.update(np.ascontiguousarray(part).tobytes())
                 digests[i, j] = np.frombuffer(digest.digest(), np.uint8)
                 holes |= not valid.all()

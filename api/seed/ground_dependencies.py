@@ -113,15 +113,15 @@ class GroundDependencies:
             Whether the picture includes the shading of the ground.
         """
         sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.runs else None
-        out = []
+        digests = []
         for (x, y), mask in zip(blocks, self.chunk_masks(grid, blocks, plan), strict=True):
             digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
             digest.update(np.packbits(mask).tobytes())
             digest.update(self._chunks.digests[mask].tobytes())
             if sky is not None:
-                digest.update(sky.of(self._cells_of(grid, x, y)))
-            out.append(digest.digest())
-        return out
+                digest.update(sky.digest_input(self._cells_of(grid, x, y)))
+            digests.append(digest.digest())
+        return digests
 
     def chunk_masks(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
         """Return the chunks that each block depends on, as bool masks (rows, cols)."""
@@ -129,29 +129,31 @@ class GroundDependencies:
         if plan is not None and plan.runs & GLOBAL_EFFECTS:
             return [np.ones(shape, np.bool_) for _ in blocks]
         sunlit = None if plan is None else self._tops_in_sun(plan)
-        out = []
+        masks = []
         for x, y in blocks:
-            shown = self._visible_chunks(grid, x, y)
-            out.append(shown if sunlit is None else shown | self._shading_chunks(grid, x, y, shown, sunlit))
-        return out
+            visible_chunks = self._visible_chunks(grid, x, y)
+            masks.append(
+                visible_chunks if sunlit is None else visible_chunks | self._shading_chunks(grid, x, y, visible_chunks, sunlit)
+            )
+        return masks
 
     def data_shares(self, grid: Grid, blocks: Sequence[tuple[int, int]]) -> list[float]:
         """Return the approximate share of each block that lies on the raster, 0 to 1."""
         rows, cols = self._scene.elevation.shape
-        out = []
+        shares = []
         for x, y in blocks:
             top, bottom, left, right = self._cells_of(grid, x, y)
-            across = (min(right, cols) - max(left, 0)) / (right - left) if np.isfinite(right) else 1.0
-            down = (min(bottom, rows) - max(top, 0)) / (bottom - top) if np.isfinite(bottom) else 1.0
-            out.append(float(np.clip(across, 0.0, 1.0) * np.clip(down, 0.0, 1.0)))
-        return out
+            col_share = (min(right, cols) - max(left, 0)) / (right - left) if np.isfinite(right) else 1.0
+            row_share = (min(bottom, rows) - max(top, 0)) / (bottom - top) if np.isfinite(bottom) else 1.0
+            shares.append(float(np.clip(col_share, 0.0, 1.0) * np.clip(row_share, 0.0, 1.0)))
+        return shares
 
     def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
         """Return the first and last row and column of the raster under a block and its margin; infinite if unknown."""
-        place = grid, x, y
-        if place not in self._cells:
-            self._cells[place] = self._compute_cells(grid, x, y)
-        return self._cells[place]
+        key = grid, x, y
+        if key not in self._cells:
+            self._cells[key] = self._compute_cells(grid, x, y)
+        return self._cells[key]
 
     def _compute_cells(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
         elevation = self._scene.elevation
@@ -161,8 +163,8 @@ class GroundDependencies:
         row, col = elevation.cell_of(map_x, map_y)
         if not np.isfinite(row).all() or not np.isfinite(col).all():
             return -np.inf, np.inf, -np.inf, np.inf
-        coarse = max(2.0 ** self._scene.surface(grid).level, 1.0)
-        margin = coarse * (MARGIN_CELLS + (FILL_CELLS if self._chunks.holes else 0))
+        cells_per_node = max(2.0 ** self._scene.surface(grid).lod, 1.0)
+        margin = cells_per_node * (MARGIN_CELLS + (FILL_CELLS if self._chunks.holes else 0))
         margins = [0.01 * np.ptp(values) + margin for values in (row, col)]  # margin for curved sides of a block
         if elevation.crs.is_geographic and (np.ptp(col) > elevation.cols / 2 or col.min() < 0 or col.max() > elevation.cols):
             return row.min() - margins[0], row.max() + margins[0], -np.inf, np.inf  # it may lie across the antimeridian
@@ -182,16 +184,16 @@ class GroundDependencies:
         if scene.sun is None or not scene.sun_is_up or not plan.casts:
             return None
         light, object_height_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
-        tops = light.from_earth(self._points.top_earth_m + object_height_m * _unit(self._points.top_earth_m))
+        tops = light.from_earth(self._points.top_earth_m + object_height_m * _unit_vectors(self._points.top_earth_m))
         # Algorithms with OpenGL fit their maps to all casters; the others compute each point separately.
-        fitted = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
-        return _SunlitChunks(light, tops, object_height_m, is_terrain_only(scene) and not fitted)
+        uses_fitted_maps = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
+        return _SunlitChunks(light, tops, object_height_m, is_terrain_only(scene) and not uses_fitted_maps)
 
-    def _shading_chunks(self, grid: Grid, x: int, y: int, shown: np.ndarray, sunlit: _SunlitChunks) -> np.ndarray:
-        """Return the chunks that can cast a shadow on a block whose ground lies in the chunks ``shown``."""
-        scene, with_heights = self._scene, shown & np.isfinite(self._chunks.low_m)
+    def _shading_chunks(self, grid: Grid, x: int, y: int, visible_chunks: np.ndarray, sunlit: _SunlitChunks) -> np.ndarray:
+        """Return the chunks that can cast a shadow on a block whose ground lies in the chunks ``visible_chunks``."""
+        scene, with_heights = self._scene, visible_chunks & np.isfinite(self._chunks.low_m)
         if not with_heights.any():
-            return np.zeros(shown.shape, np.bool_)
+            return np.zeros(visible_chunks.shape, np.bool_)
         low_m, high_m = (
             float(self._chunks.low_m[with_heights].min()),
             float(self._chunks.high_m[with_heights].max()) + sunlit.object_height_m,
@@ -200,7 +202,7 @@ class GroundDependencies:
         point, up = (values.reshape(-1, 3) for values in scene.world.ground(grid.crs, map_x, map_y))
         valid = np.isfinite(point).all(axis=1)
         if not valid.any():
-            return np.ones(shown.shape, np.bool_)
+            return np.ones(visible_chunks.shape, np.bool_)
         receivers = sunlit.light.from_earth(np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)]))
         lower, upper, tops = receivers.min(axis=0), receivers.max(axis=0), sunlit.tops
         distance_m = np.maximum(upper[2] - tops[:, 2], 0.0)
@@ -214,7 +216,7 @@ class GroundDependencies:
             (tops[:, 0] >= lower[0] - margin_m) & (tops[:, 0] <= upper[0] + margin_m)
             & (tops[:, 1] >= lower[1] - margin_m) & (tops[:, 2] <= upper[2] + margin_m)
         )  # fmt: skip
-        return can_shade.reshape(shown.shape)
+        return can_shade.reshape(visible_chunks.shape)
 
 
 class _SkyDigests:
@@ -223,19 +225,19 @@ class _SkyDigests:
     def __init__(self, scene: Scene) -> None:
         self._view = sky_view(scene.elevation, scene.world)
 
-    def of(self, cells: tuple[float, float, float, float]) -> bytes:
+    def digest_input(self, cells: tuple[float, float, float, float]) -> bytes:
         """Return the nodes' values under some cells, with the margin that means over wide pixels include."""
-        side, (rows, cols) = 2**self._view.level, self._view.hidden.shape
-        wide = max((cells[1] - cells[0]) / side / 32.0, 2.0)  # a pixel is about a thousandth of a block's side
+        side, (rows, cols) = 2**self._view.lod, self._view.occlusion.shape
+        margin = max((cells[1] - cells[0]) / side / 32.0, 2.0)  # a pixel is about a thousandth of a block's side
         ends = []
         for low, high, count in ((cells[0], cells[1], rows), (cells[2], cells[3], cols)):
-            ends.append(slice(int(np.clip(low / side - wide, 0, count)), int(np.clip(high / side + wide + 1.0, 0, count))))
-        return self._view.hidden[ends[0], ends[1]].tobytes()
+            ends.append(slice(int(np.clip(low / side - margin, 0, count)), int(np.clip(high / side + margin + 1.0, 0, count))))
+        return self._view.occlusion[ends[0], ends[1]].tobytes()
 
 
 def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
     elevation, (rows, cols), side = scene.elevation, chunks.low_m.shape, chunks.side
-    ends = [np.minimum(np.arange(count + 1) * side, most) - 0.5 for count, most in ((rows, elevation.rows), (cols, elevation.cols))]
+    ends = [np.minimum(np.arange(count + 1) * side, size) - 0.5 for count, size in ((rows, elevation.rows), (cols, elevation.cols))]
     corner_col, corner_row = np.meshgrid(ends[1], ends[0])
     corners, _ = scene.world.ground(elevation.crs, *elevation.xy(corner_row, corner_col))
     middle_col, middle_row = np.meshgrid((ends[1][1:] + ends[1][:-1]) / 2, (ends[0][1:] + ends[0][:-1]) / 2)
@@ -254,6 +256,6 @@ def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
     return grid.x(col), grid.y(row)
 
 
-def _unit(point_earth_m: np.ndarray) -> np.ndarray:
+def _unit_vectors(point_earth_m: np.ndarray) -> np.ndarray:
     """Return unit vectors from the earth's centre, which approximate up well enough for placing tall objects."""
     return point_earth_m / np.linalg.norm(point_earth_m, axis=-1, keepdims=True)

@@ -26,7 +26,7 @@ def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
     """Return the digest of everything in a level that affects its tiles, except the ground's heights. Raises ``OSError``."""
     settings = loaded.level.model_dump(mode="json", exclude=KEYS_WITHOUT_EFFECT)
     terrain = loaded.level.terrain.source
-    contents = {name: contents_digest(loaded.resolve(name), table) for name in _names(loaded) if name != terrain}
+    contents = {name: contents_digest(loaded.resolve(name), table) for name in _source_names(loaded) if name != terrain}
     if terrain is not None:
         contents[terrain] = ""
     ground = scene.elevation
@@ -65,11 +65,11 @@ def contents_digest(source: str, table: TaskTable) -> str:
             digest.update(str(path).encode())
             continue
         stamp = repr(file_stamps([path]))
-        found = table.file_digest(str(path), stamp)
-        if found is None:
-            found = _digest_of_bytes(path)
-            table.put_file(str(path), stamp, found)
-        digest.update(found.encode())
+        file_digest = table.file_digest(str(path), stamp)
+        if file_digest is None:
+            file_digest = _digest_of_bytes(path)
+            table.put_file(str(path), stamp, file_digest)
+        digest.update(file_digest.encode())
     return digest.hexdigest()
 
 
@@ -85,28 +85,28 @@ def digest_of_json(value: Any) -> str:
     return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
-def _names(loaded: LoadedLevel) -> list[str]:
+def _source_names(loaded: LoadedLevel) -> list[str]:
     """Return the names of files in a level, as written there."""
     level = loaded.level
-    named = [level.terrain.source, level.terrain.imagery, *(stand.source for stand in level.forest)]
+    sources = [level.terrain.source, level.terrain.imagery, *(forest_stand.source for forest_stand in level.forest)]
     for mesh in level.meshes:
-        named += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
-    return [name for name in dict.fromkeys(named) if name is not None]
+        sources += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
+    return [name for name in dict.fromkeys(sources) if name is not None]
 
 
 def _without_paths(value: Any, contents: dict[str, str]) -> Any:
     """Return a value with names of files replaced by the digests of their contents."""
     if isinstance(value, dict):
-        return {key: _without_paths(each, contents) for key, each in value.items()}
+        return {key: _without_paths(item, contents) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_paths(each, contents) for each in value]
+        return [_without_paths(item, contents) for item in value]
     return contents.get(value, value) if isinstance(value, str) else value
 
 
 def _files_of(source: str) -> list[Path]:
-    found = [Path(source), *(Path(each) if not is_remote(each) else Path(each) for each in linked_files(source))]
-    sidecars = [each for path in found if not is_remote(str(path)) for each in sidecar_files(path)]
-    return [path for path in dict.fromkeys([*found, *sidecars]) if is_remote(str(path)) or path.is_file()]
+    files = [Path(source), *(Path(file) if not is_remote(file) else Path(file) for file in linked_files(source))]
+    sidecars = [file for path in files if not is_remote(str(path)) for file in sidecar_files(path)]
+    return [path for path in dict.fromkeys([*files, *sidecars]) if is_remote(str(path)) or path.is_file()]
 
 
 def _stamp_of(source: str) -> str:
@@ -116,11 +116,11 @@ def _stamp_of(source: str) -> str:
 def _digest_of_bytes(path: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     with path.open("rb") as file:
-        for part in _parts(file):
+        for part in _file_parts(file):
             digest.update(part)
     return digest.hexdigest()
 
 
-def _parts(file: Any) -> Iterable[bytes]:
+def _file_parts(file: Any) -> Iterable[bytes]:
     while part := file.read(READ_BYTES):
         yield part

@@ -99,8 +99,8 @@ class LocalPool:
     def _start_process(self, number: int) -> RenderProcess:
         return RenderProcess(self._environment, self._start_limit_s, number)
 
-    def _replace(self, process: RenderProcess, why: str) -> list[TaskFailure]:
-        lost = process.task
+    def _replace(self, process: RenderProcess, reason: str) -> list[TaskFailure]:
+        lost_task = process.task
         process.end()
         self._failed_starts += 1
         if self._failed_starts >= MAX_FAILED_STARTS * len(self._processes):
@@ -111,4 +111,4 @@ class LocalPool:
         replacement = self._processes[number] = self._start_process(number)
         assert self._run is not None
         replacement.begin(*self._run)
-        return [] if lost is None else [TaskFailure(lost.id, why, "died")]
+        return [] if lost_task is None else [TaskFailure(lost_task.id, reason, "died")]

@@ -92,7 +92,7 @@ class TaskFailure:
         Number of the task.
     error : str
         The reason.
-    how : str
+    kind : str
         ``failed``: the task failed. ``died``: its worker died. ``stopped``: the run must stop, whatever the task. ``refused``:
         the cluster's ``worker`` cannot draw this run.
     worker : str
@@ -101,7 +101,7 @@ class TaskFailure:
 
     id: int
     error: str
-    how: Literal["failed", "died", "stopped", "refused"]
+    kind: Literal["failed", "died", "stopped", "refused"]
     worker: str = ""
 
 

@@ -16,7 +16,7 @@ from skugga.api.matrices import (
     LonLatBounds,
     ZoomRange,
     detail_m,
-    extent_off_data,
+    extent_shows_no_data,
     matrix_set_of,
     tile_limits,
     zoom_range,
@@ -126,7 +126,7 @@ def local_renderer() -> str:
         return NO_OPENGL
 
 
-def plan_run(table: TaskTable, request: SeedRequest, say: Callable[[str], None]) -> PlannedRun:
+def plan_run(table: TaskTable, request: SeedRequest, on_status: Callable[[str], None]) -> PlannedRun:
     """Fill a table with the tasks of a run. The tasks of an unchanged level are reused.
 
     Raises ``SkuggaError`` and ``OSError``.
@@ -141,11 +141,11 @@ def plan_run(table: TaskTable, request: SeedRequest, say: Callable[[str], None])
         version = level_version(loaded, stamps)
         request_digest = digest_of_json([RENDERER_VERSION, renderer, version, str(zooms), repr(request)])
         suns = tuple(PictureRequest(sun=sun).query() for sun in request.suns)
-        kept, planned_digest = table.get("spec"), table.get("asked")
-        if kept is not None and planned_digest == request_digest.encode():
-            spec = RunSpec.model_validate_json(kept)
+        stored_spec, planned_digest = table.get("spec"), table.get("asked")
+        if stored_spec is not None and planned_digest == request_digest.encode():
+            spec = RunSpec.model_validate_json(stored_spec)
         else:
-            spec = _make_spec(table, request, scene, loaded, version, renderer, zooms, bounds, suns, say)
+            spec = _make_spec(table, request, scene, loaded, version, renderer, zooms, bounds, suns, on_status)
             table.put(spec=spec.model_dump_json().encode(), asked=request_digest.encode())
     finally:
         scene.close()
@@ -162,29 +162,32 @@ def _make_spec(
     zooms: ZoomRange,
     bounds: LonLatBounds,
     suns: Sequence[str],
-    say: Callable[[str], None],
+    on_status: Callable[[str], None],
 ) -> RunSpec:
     table.put(asked=b"")  # an interrupted planning is repeated
-    say("Reading the ground")
+    on_status("Reading the ground")
     ground = GroundDependencies(scene, ground_chunks_of(loaded, scene, table))
-    product, overrides = request.asked.record, request.asked.overrides
+    product, overrides = request.asked.product_record, request.asked.overrides
     request_values = [level_digest(loaded, scene, table), request.format, request.asked.model_dump(mode="json")]
     # The range of heights scales colours, and its middle places lines towards the sun.
     drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
     planner = _Planner(table, loaded, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
-    tasks, plans, measured = [], [], table.measured()
+    tasks, plans, measured_costs = [], [], table.measured_costs()
     for number, (sun, name) in enumerate(zip(request.suns, suns, strict=True)):
-        seen = scene.with_sun(sun)
-        ground_under_sun, settings = ground.with_sun(seen), digest_of_json([*request_values, None if sun else _own_sun(scene)])
+        lit_scene = scene.with_sun(sun)
+        ground_under_sun, settings = (
+            ground.with_sun(lit_scene),
+            digest_of_json([*request_values, None if sun else _level_sun_values(scene)]),
+        )
         for zoom in range(zooms.first, zooms.last + 1):
-            say(f"Planning zoom {zoom}" + (f" under sun {number + 1} of {len(suns)}" if len(suns) > 1 else ""))
-            plan = planner.plan(seen, name, zoom) if product.needs else None
+            on_status(f"Planning zoom {zoom}" + (f" under sun {number + 1} of {len(suns)}" if len(suns) > 1 else ""))
+            plan = planner.plan(lit_scene, name, zoom) if product.needs else None
             if plan is not None:
                 plans.append(PlannedZoom(sun=number, zoom=zoom, plan=plan.model_dump_json()))
             grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
             digests = ground_under_sun.digests(grid, blocks, plan, product.is_display)
             shares = ground_under_sun.data_shares(grid, blocks)
-            whole_s, planned = _full_task_s(plan, zoom, measured), plan_digest(plan)
+            whole_s, planned = _full_task_s(plan, zoom, measured_costs), plan_digest(plan)
             for (x, y), digest, on_data in zip(blocks, digests, shares, strict=True):
                 parts, share = KeyParts(drawn_by, settings, planned, heights, digest.hex()), max(on_data, MIN_TASK_SHARE)
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, share, whole_s * share))
@@ -201,29 +204,29 @@ class _Planner:
     def __init__(self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any]) -> None:
         self._table, self._level, self._overrides = table, level, overrides
         settings = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
-        self._asked = digest_of_json([settings, repr(sorted(overrides.items()))])
-        self._basis: PlanBasis | None = None
+        self._request_digest = digest_of_json([settings, repr(sorted(overrides.items()))])
+        self._plan_basis: PlanBasis | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
         """Return the plan of a zoom under a scene's sun, which has the name ``sun`` in the table. Raises ``SkuggaError``."""
-        kept = self._table.plan(sun, zoom, self._asked)
-        if kept is not None:
-            return Plan.model_validate_json(kept)
-        if self._basis is None:
-            self._basis = _basis(self._level)
+        stored_plan = self._table.plan(sun, zoom, self._request_digest)
+        if stored_plan is not None:
+            return Plan.model_validate_json(stored_plan)
+        if self._plan_basis is None:
+            self._plan_basis = _plan_basis(self._level)
         view = representative_block(scene, Tiles(matrix_set=MATRIX_SET, zoom=zoom))
-        plan = plan_in_service(scene, view, "map", self._overrides, self._level, self._basis)
-        self._table.put_plan(sun, zoom, self._asked, plan.model_dump_json())
+        plan = plan_in_service(scene, view, "map", self._overrides, self._level, self._plan_basis)
+        self._table.put_plan(sun, zoom, self._request_digest, plan.model_dump_json())
         return plan
 
 
-def _own_sun(scene: Scene) -> Any:
+def _level_sun_values(scene: Scene) -> Any:
     """Return the sun of a level as JSON values for a digest, for requests without a sun."""
     sun = scene.loaded.level.sun
     return sun if sun is None or sun == "none" else sun.model_dump(mode="json")
 
 
-def _basis(level: LevelKey) -> PlanBasis:
+def _plan_basis(level: LevelKey) -> PlanBasis:
     """Return the inputs of plans that a service on this machine would use."""
     if local_renderer() == NO_OPENGL:
         return PlanBasis()
@@ -236,12 +239,12 @@ def _renderer_of(table: TaskTable) -> str:
 
     Raises ``RenderError`` if this process draws with another renderer.
     """
-    current, kept = local_renderer(), table.get("renderer")
-    if kept is None:
+    current, stored_renderer = local_renderer(), table.get("renderer")
+    if stored_renderer is None:
         table.put(renderer=current.encode())
-    elif kept.decode() != current:
+    elif stored_renderer.decode() != current:
         raise RenderError(
-            f"{table.folder}: its tasks are planned for the renderer '{kept.decode()}', but this machine draws with '{current}'. "
+            f"{table.folder}: its tasks are planned for the renderer '{stored_renderer.decode()}', but this machine draws with '{current}'. "
             f"Use a machine with that renderer, or delete the folder to start again."
         )
     return current
@@ -249,22 +252,22 @@ def _renderer_of(table: TaskTable) -> str:
 
 def _zooms(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
     """Return the zooms of a run, and the bounds of the level's data. Raises ``InputError`` for zooms beyond the data."""
-    shown = scene.bounds_lon_lat
-    if shown is None or scene.world.off_earth_reason is not None:
+    data_bounds = scene.bounds_lon_lat
+    if data_bounds is None or scene.world.off_earth_reason is not None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth_reason}, so there are no tiles")
     cell_m, matrix_set = scene.elevation.cell_size_m(scene.world.metres_per_unit), matrix_set_of(MATRIX_SET)
-    served, of_ground = (zoom_range(matrix_set, scene.world, shown, detail) for detail in (detail_m(scene), cell_m))
-    if served is None or of_ground is None:
+    served_zooms, ground_zooms = (zoom_range(matrix_set, scene.world, data_bounds, detail) for detail in (detail_m(scene), cell_m))
+    if served_zooms is None or ground_zooms is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
-    cells_at = max(of_ground.last - OVERZOOMS, served.first)
-    if requested is not None and not 0 <= requested.first <= requested.last <= served.last:
-        allowed = f"zooms 0 to {served.last} in ascending order (full resolution at zoom {cells_at})"
+    native_zoom = max(ground_zooms.last - OVERZOOMS, served_zooms.first)
+    if requested is not None and not 0 <= requested.first <= requested.last <= served_zooms.last:
+        allowed = f"zooms 0 to {served_zooms.last} in ascending order (full resolution at zoom {native_zoom})"
         raise InputError("--zooms", f"{requested.first}-{requested.last}", allowed)
     west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
         *scene.elevation.bounds, densify_pts=21
     )
     bounds = west, south, east + 360.0 if east < west else east, north
-    return requested or ZoomRange(served.first, cells_at), bounds
+    return requested or ZoomRange(served_zooms.first, native_zoom), bounds
 
 
 def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
@@ -279,7 +282,7 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
     if (left, right) != (0, side - 1):
         return blocks
     grid = tile_grid(matrix_set, zoom)  # all longitudes, or across the antimeridian
-    return [(x, y) for x, y in blocks if not extent_off_data(grid.crs, block_of_grid(grid, x, y).bounds, bounds)]
+    return [(x, y) for x, y in blocks if not extent_shows_no_data(grid.crs, block_of_grid(grid, x, y).bounds, bounds)]
 
 
 def first_tile_of_block(zoom: int, x: int, y: int) -> int:
@@ -291,10 +294,10 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
     return first + tile_offset // BLOCK_TILES**2 * BLOCK_TILES**2
 
 
-def _full_task_s(plan: Plan | None, zoom: int, measured: dict[int, tuple[float, float]]) -> float:
+def _full_task_s(plan: Plan | None, zoom: int, measured_costs: dict[int, tuple[float, float]]) -> float:
     """Return the expected duration of a full task: measured at its zoom, or predicted by the plan."""
-    if zoom in measured:
-        return measured[zoom][0]
+    if zoom in measured_costs:
+        return measured_costs[zoom][0]
     if plan is None or plan.predicted is None:
         return DEFAULT_TASK_S
     return plan.predicted.ms / 1000.0 + SHADING_OVERHEAD_S

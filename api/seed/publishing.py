@@ -25,7 +25,7 @@ from skugga.api.seed.task_table import SHARD_LOST_REASON, TaskTable
 from skugga.terrain.atomic_files import remove_partial_files, write_atomically
 from skugga.terrain.errors import InputError, Problem
 
-MANIFEST = "tiles.json"
+MANIFEST_NAME = "tiles.json"
 """TileJSON of a folder of tiles. It is written last: its presence means that the folder is complete."""
 
 
@@ -43,8 +43,8 @@ def check_output(output: Path) -> None:
             raise InputError("--output", Problem(f"'{output}' is a folder"), "Choose another file name")
     elif output.exists() and not output.is_dir():
         raise InputError("--output", str(output), f"a folder of tiles, or a file name that ends in {ARCHIVE_SUFFIX}")
-    elif output.is_dir() and any(output.iterdir()) and not (output / MANIFEST).exists():
-        raise InputError("--output", str(output), f"a new folder, an empty folder, or a folder of tiles with a {MANIFEST}")
+    elif output.is_dir() and any(output.iterdir()) and not (output / MANIFEST_NAME).exists():
+        raise InputError("--output", str(output), f"a new folder, an empty folder, or a folder of tiles with a {MANIFEST_NAME}")
 
 
 def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mapping[str, Path]) -> list[Path]:
@@ -52,14 +52,14 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
 
     Tasks with broken shards wait again, and ``BrokenShardError`` is raised. Raises ``OSError``.
     """
-    written = []
+    written_outputs = []
     for sun, output in outputs.items():
-        done = table.done(sun)
-        state = _content_digest(run, sun, done)
+        finished_tasks = table.finished_tasks(sun)
+        state = _content_digest(run, sun, finished_tasks)
         if table.get(f"written {output}") == f"{state} {_stamp(output)}".encode():
             continue
-        numbers, keys = [each[0] for each in done], [each[1] for each in done]
-        indexes = [ShardIndex.from_bytes(each[2]) for each in done]
+        numbers, keys = [row[0] for row in finished_tasks], [row[1] for row in finished_tasks]
+        indexes = [ShardIndex.from_bytes(row[2]) for row in finished_tasks]
 
         def read(number: int, keys: list[str] = keys, indexes: list[ShardIndex] = indexes) -> bytes:
             if not len(indexes[number].ids):
@@ -72,7 +72,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
         try:
             if is_archive(output):
                 remove_partial_files(output)
-                write_archive(output, indexes, read, _facts(run, sun))
+                write_archive(output, indexes, read, _archive_facts(run, sun))
             else:
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)
         except BrokenShardError as error:
@@ -80,23 +80,23 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
                 table.retry([numbers[error.number]], SHARD_LOST_REASON)
             raise
         table.put(**{f"written {output}": f"{state} {_stamp(output)}".encode()})
-        written.append(output)
-    return written
+        written_outputs.append(output)
+    return written_outputs
 
 
-def _content_digest(run: PlannedRun, sun: str, done: list[tuple[int, str, bytes]]) -> str:
+def _content_digest(run: PlannedRun, sun: str, finished_tasks: list[tuple[int, str, bytes]]) -> str:
     """Return a digest of everything that an output contains."""
-    digest = hashlib.blake2b(repr(_facts(run, sun)).encode(), digest_size=16)
-    for _, key, tiles in done:
+    digest = hashlib.blake2b(repr(_archive_facts(run, sun)).encode(), digest_size=16)
+    for _, key, tiles in finished_tasks:
         digest.update(key.encode() + tiles)
     return digest.hexdigest()
 
 
 def _stamp(output: Path) -> str:
-    return repr(file_stamps([output if is_archive(output) else output / MANIFEST]))
+    return repr(file_stamps([output if is_archive(output) else output / MANIFEST_NAME]))
 
 
-def _facts(run: PlannedRun, sun: str) -> ArchiveFacts:
+def _archive_facts(run: PlannedRun, sun: str) -> ArchiveFacts:
     spec, level = run.spec, run.loaded.level
     title = level.title or run.loaded.name
     query = spec.request(run.sun_names.index(sun)).product_query()
@@ -121,25 +121,25 @@ def _write_folder(
 ) -> None:
     """Write the tiles that the folder lacks, and the manifest last."""
     with suppress(FileNotFoundError):
-        (output / MANIFEST).unlink()
-    published = table.published(str(output))
-    for place, (number, key, index) in enumerate(zip(numbers, keys, indexes, strict=True)):
-        previous = published.pop(number, None)
+        (output / MANIFEST_NAME).unlink()
+    published_tasks = table.published_tasks(str(output))
+    for position, (number, key, index) in enumerate(zip(numbers, keys, indexes, strict=True)):
+        previous = published_tasks.pop(number, None)
         if previous is not None and previous[0] == key:
             continue
         if previous is not None:
             _delete_tiles(output, ShardIndex.from_bytes(previous[1]), run.spec.format)
-        content, begin = read(place), 0
+        content, begin = read(position), 0
         for tile_id, length in zip(index.ids.tolist(), index.lengths.tolist(), strict=True):
             path = _tile_path(output, tile_id, run.spec.format)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content[begin : begin + length])
             begin += length
         table.record_published(str(output), number, key, index.to_bytes())
-    for number, (_, tiles) in published.items():  # tasks of zooms that are no longer requested
+    for number, (_, tiles) in published_tasks.items():  # tasks of zooms that are no longer requested
         _delete_tiles(output, ShardIndex.from_bytes(tiles), run.spec.format)
         table.remove_published(str(output), number)
-    write_atomically(output / MANIFEST, _tile_json(run, sun))
+    write_atomically(output / MANIFEST_NAME, _tile_json(run, sun))
 
 
 def _tile_path(output: Path, tile_id: int, format: str) -> Path:
@@ -155,11 +155,11 @@ def _delete_tiles(output: Path, index: ShardIndex, format: str) -> None:
 
 def _tile_json(run: PlannedRun, sun: str) -> str:
     """Return the TileJSON 3.0.0: https://github.com/mapbox/tilejson-spec/tree/master/3.0.0."""
-    facts = _facts(run, sun)
+    facts = _archive_facts(run, sun)
     west, south, east, north = facts.bounds
-    said = {
+    fields = {
         "tilejson": "3.0.0", "tiles": [f"{{z}}/{{x}}/{{y}}.{facts.format}"],
         "minzoom": facts.first_zoom, "maxzoom": facts.last_zoom,
         "bounds": [-180.0 if east > 180.0 else west, south, min(east, 180.0), north], **facts.metadata,
     }  # fmt: skip
-    return json.dumps({**said, "version": "1.0.0"}, indent=1) + "\n"
+    return json.dumps({**fields, "version": "1.0.0"}, indent=1) + "\n"

@@ -55,9 +55,9 @@ class RunSpec(BaseModel):
 
     def request(self, sun: int) -> ProductRequest:
         """Return the request that gives the same tiles in a service."""
-        return self.asked.under(self.suns[sun])
+        return self.asked.with_sun(self.suns[sun])
 
     @cached_property
-    def plan_by_place(self) -> dict[tuple[int, int], Plan]:
+    def plan_by_sun_and_zoom(self) -> dict[tuple[int, int], Plan]:
         """Plans by sun and zoom."""
-        return {(each.sun, each.zoom): each.read for each in self.plans}
+        return {(planned_zoom.sun, planned_zoom.zoom): planned_zoom.read for planned_zoom in self.plans}

@@ -25,7 +25,7 @@ FILES_CHECK_S = 0.5
 MAX_FILES_PER_TASK_CHECK = 100
 """Up to this number, files are checked after every task."""
 
-POLL_S = 1.0
+POLL_INTERVAL_S = 1.0
 
 MAX_STRETCH, MIN_STRETCHES_PER_LANE = 16, 4
 """Upper bound of the tasks assigned to a lane at once, and lower bound of such stretches per lane in the remaining tasks."""
@@ -48,7 +48,7 @@ def shard_name(key: str) -> str:
 
 def task_of(table: TaskTable, run: PlannedRun, number: int, min_limit_s: float) -> Task:
     """Return a task in the form sent to workers."""
-    sun, zoom, x, y, key, expected_s = table.place(number)
+    sun, zoom, x, y, key, expected_s = table.task_row(number)
     return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key), max(min_limit_s, MAX_TIME_RATIO * expected_s))
 
 
@@ -68,12 +68,12 @@ class WaitingTasks:
 
     def take(self, lane: int) -> int:
         """Return the next task of a lane. Raises ``IndexError`` if none waits."""
-        own = self._lanes.setdefault(lane, deque())
-        if not own and self._left:
+        lane_tasks = self._lanes.setdefault(lane, deque())
+        if not lane_tasks and self._left:
             # Shorter stretches towards the end, so that all lanes share the remaining heavy tasks.
             count = min(max(len(self._left) // (MIN_STRETCHES_PER_LANE * len(self._lanes)), 1), MAX_STRETCH)
-            own.extend(self._left.popleft() for _ in range(count))
-        return own.popleft() if own else max(self._lanes.values(), key=len).pop()
+            lane_tasks.extend(self._left.popleft() for _ in range(count))
+        return lane_tasks.popleft() if lane_tasks else max(self._lanes.values(), key=len).pop()
 
     def put_back(self, task: int) -> None:
         """Queue a task again, behind all others."""
@@ -95,26 +95,26 @@ def run_tasks(
     Raises ``RenderError`` if the level changes meanwhile, if no shard can be written, or if nothing can be drawn. Finished
     tasks stay done.
     """
-    waiting = WaitingTasks(table.waiting())
+    waiting_tasks = WaitingTasks(table.waiting_tasks())
     running: dict[int, Task] = {}
     unchecked: list[TaskResult] = []
-    total, done, checked_at_s = len(waiting), 0, clock.monotonic()
-    while waiting or running:
+    total, done, checked_at_s = len(waiting_tasks), 0, clock.monotonic()
+    while waiting_tasks or running:
         for lane in runner.free():
-            if waiting:
-                task = task_of(table, run, waiting.take(lane), min_limit_s)
+            if waiting_tasks:
+                task = task_of(table, run, waiting_tasks.take(lane), min_limit_s)
                 running[task.id] = task
                 runner.submit(task, lane)
-        for outcome in runner.wait(POLL_S):
+        for outcome in runner.wait(POLL_INTERVAL_S):
             ended = running.pop(outcome.id, None)
             if ended is None:
                 continue  # started twice, and done already
             if isinstance(outcome, TaskFailure):
-                if outcome.how == "stopped":
+                if outcome.kind == "stopped":
                     _record_results(table, run, unchecked)
                     raise RenderError(outcome.error)
-                if outcome.how == "died" and table.count_death(outcome.id) < MAX_DEATHS:
-                    waiting.put_back(outcome.id)
+                if outcome.kind == "died" and table.count_death(outcome.id) < MAX_DEATHS:
+                    waiting_tasks.put_back(outcome.id)
                     continue
                 table.fail(outcome.id, outcome.error)
             else:
@@ -128,10 +128,10 @@ def run_tasks(
             unchecked, checked_at_s = [], clock.monotonic()
 
 
-def _record_results(table: TaskTable, run: PlannedRun, drawn: list[TaskResult]) -> None:
+def _record_results(table: TaskTable, run: PlannedRun, results: list[TaskResult]) -> None:
     """Record drawn tasks of an unchanged level. Raises ``RenderError`` if the level has changed."""
     if not run.is_unchanged:
         raise RenderError(
             f"{run.loaded.path}: the level, or one of its files, has changed during the run. Run the same command again to resume."
         )
-    table.finish(drawn)
+    table.finish(results)

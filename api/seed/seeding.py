@@ -69,27 +69,27 @@ def draw_and_publish(
     """
     requeue_lost_shards(table, store)
     if retry_failed:
-        table.retry(table.failed())
-    waiting = len(table.waiting())
-    if max_tasks is not None and waiting > max_tasks:
+        table.retry(table.failed_tasks())
+    waiting_count = len(table.waiting_tasks())
+    if max_tasks is not None and waiting_count > max_tasks:
         raise InputError.over_limit(
-            "--max-tasks", f"{waiting} tasks", str(max_tasks), "Raise the limit, or use --dry-run to list the reasons"
+            "--max-tasks", f"{waiting_count} tasks", str(max_tasks), "Raise the limit, or use --dry-run to list the reasons"
         )
-    if waiting:
+    if waiting_count:
         check_writable(store, shards)
-    drawn, drawing_s = 0, 0.0
+    drawn_count, drawing_s = 0, 0.0
     for _ in range(MAX_PUBLISH_ATTEMPTS):
         begin = clock.perf_counter()
-        drawn += _draw(table, run, start, on_progress, min_limit_s)
+        drawn_count += _draw(table, run, start, on_progress, min_limit_s)
         _report_failed_tasks(table)
         drawn_at = clock.perf_counter()
         drawing_s += drawn_at - begin
         try:
-            written = publish(table, run, store, outputs)
+            written_outputs = publish(table, run, store, outputs)
         except BrokenShardError:
             continue
         delete_unused_shards(table, store)
-        return SeedResult(drawn, written, drawing_s, clock.perf_counter() - drawn_at)
+        return SeedResult(drawn_count, written_outputs, drawing_s, clock.perf_counter() - drawn_at)
     raise RenderError(f"{shards}: shards are missing or corrupt right after they are written. Check the store.")
 
 
@@ -101,26 +101,29 @@ def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:
 def _draw(
     table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[TaskEnd], None], min_limit_s: float
 ) -> int:  # fmt: skip
-    waiting = len(table.waiting())
-    if waiting:
+    waiting_count = len(table.waiting_tasks())
+    if waiting_count:
         runner = start()
         try:
             run_tasks(table, run, runner, on_progress, min_limit_s)
         finally:
             runner.close()
-    return waiting
+    return waiting_count
 
 
 def _report_failed_tasks(table: TaskTable) -> None:
     """Write the list of failed tasks. Raises ``RenderError`` if any failed."""
-    failed, path = table.failed(), table.folder / FAILED_LIST
-    if not failed:
+    failed_tasks, path = table.failed_tasks(), table.folder / FAILED_LIST
+    if not failed_tasks:
         path.unlink(missing_ok=True)
         return
-    lines = [f"zoom {each.zoom} block {each.x},{each.y} {each.sun}: {each.error}".replace("\n", " ") for each in failed.values()]
+    lines = [
+        f"zoom {failed_task.zoom} block {failed_task.x},{failed_task.y} {failed_task.sun}: {failed_task.error}".replace("\n", " ")
+        for failed_task in failed_tasks.values()
+    ]
     write_atomically(path, "\n".join(lines) + "\n")
     count = table.counts()
     raise RenderError(
-        f"{len(failed)} of {sum(count.values())} tasks failed, so nothing was published. See {path}, or use --retry-failed to "
+        f"{len(failed_tasks)} of {sum(count.values())} tasks failed, so nothing was published. See {path}, or use --retry-failed to "
         f"run them again. First failure: {lines[0]}"
     )

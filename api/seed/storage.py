@@ -58,7 +58,7 @@ class FolderStore:
 
     def names(self) -> set[str]:
         """Implement ``ShardStore.names``, and delete temporary files of dead writers."""
-        found = set()
+        names = set()
         for folder, _, files in os.walk(self._folder):
             for file in files:
                 path = Path(folder) / file
@@ -66,8 +66,8 @@ class FolderStore:
                     with suppress(OSError):
                         path.unlink()
                 else:
-                    found.add(path.relative_to(self._folder).as_posix())
-        return found
+                    names.add(path.relative_to(self._folder).as_posix())
+        return names
 
     def delete(self, names: Iterable[str]) -> None:
         """Implement ``ShardStore.delete``."""
@@ -107,10 +107,10 @@ class RemoteStore:
         """Implement ``ShardStore.names``."""
         self._system.invalidate_cache()
         try:
-            found = self._system.find(self._root)
+            paths = self._system.find(self._root)
         except FileNotFoundError:
             return set()
-        return {path.removeprefix(f"{self._root}/") for path in found}
+        return {path.removeprefix(f"{self._root}/") for path in paths}
 
     def delete(self, names: Iterable[str]) -> None:
         """Implement ``ShardStore.delete``."""

@@ -16,7 +16,7 @@ from skugga.api.seed.messages import TaskResult
 from skugga.terrain.atomic_files import disk_error
 from skugga.terrain.errors import InputError, Problem, RenderError
 
-FORMAT = 1
+TABLE_FORMAT = 1
 """Version of the table's format. Other versions are refused."""
 
 _SCHEMA = """
@@ -117,12 +117,12 @@ class TaskTable:
                 self._db.execute("PRAGMA synchronous = NORMAL")
                 self._db.executescript(_SCHEMA)
             self._db.create_function("why_changed", 2, _reason_of_change, deterministic=True)
-            found = self.get("format")
-            if found is not None and found != str(FORMAT).encode():
+            stored_format = self.get("format")
+            if stored_format is not None and stored_format != str(TABLE_FORMAT).encode():
                 raise InputError(
                     "--work", Problem(f"{path} was made by another version of Skugga"), "Delete the folder to start again"
                 )
-            self.put(format=str(FORMAT).encode())
+            self.put(format=str(TABLE_FORMAT).encode())
         except BaseException:
             self._lock.close()
             raise
@@ -163,15 +163,17 @@ class TaskTable:
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO files VALUES (?, ?, ?)", (path, stamp, digest))
 
-    def plan(self, sun: str, zoom: int, asked: str) -> str | None:
+    def plan(self, sun: str, zoom: int, request_digest: str) -> str | None:
         """Return the stored plan of a zoom under a sun for a request; ``None`` without one."""
-        row = self._db.execute("SELECT plan FROM plans WHERE sun = ? AND zoom = ? AND asked = ?", (sun, zoom, asked)).fetchone()
+        row = self._db.execute(
+            "SELECT plan FROM plans WHERE sun = ? AND zoom = ? AND asked = ?", (sun, zoom, request_digest)
+        ).fetchone()
         return None if row is None else str(row[0])
 
-    def put_plan(self, sun: str, zoom: int, asked: str, plan: str) -> None:
+    def put_plan(self, sun: str, zoom: int, request_digest: str, plan: str) -> None:
         """Store a plan."""
         with self._transaction():
-            self._db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?)", (sun, zoom, asked, plan))
+            self._db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?)", (sun, zoom, request_digest, plan))
 
     def set_tasks(self, tasks: Iterable[PlannedTask]) -> None:
         """Set the tasks of the run. Tasks with an unchanged key keep their state, done or failed; all others wait, with a
@@ -210,23 +212,26 @@ class TaskTable:
                 task.expected_s,
             )
 
-    def waiting(self) -> list[int]:
+    def waiting_tasks(self) -> list[int]:
         """Return the tasks to do, the heaviest first."""
         rows = self._db.execute("SELECT id FROM tasks WHERE wanted AND state = 'waiting' ORDER BY expected_s DESC, first_tile, sun")
         return [row[0] for row in rows]
 
-    def place(self, task: int) -> tuple[str, int, int, int, str, float]:
+    def task_row(self, task: int) -> tuple[str, int, int, int, str, float]:
         """Return sun, zoom, block x and y, key and expected duration in seconds of a task."""
         row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task,)).fetchone()
         return tuple(row)
 
-    def finish(self, drawn: Sequence[TaskResult]) -> None:
+    def finish(self, results: Sequence[TaskResult]) -> None:
         """Record drawn tasks."""
         with self._transaction():
             self._db.executemany(
                 "UPDATE tasks SET state = 'done', seconds = ?, encode_s = ?, peak_bytes = ?, bytes = ?, tiles = ?, error = NULL "
                 "WHERE id = ?",
-                [(each.seconds, each.encode_s, each.peak_bytes, each.nbytes, each.index, each.id) for each in drawn],
+                [
+                    (result.seconds, result.encode_s, result.peak_bytes, result.nbytes, result.index, result.id)
+                    for result in results
+                ],
             )
 
     def fail(self, task: int, error: str) -> None:
@@ -240,29 +245,29 @@ class TaskTable:
             self._db.execute("UPDATE tasks SET tries = tries + 1 WHERE id = ?", (task,))
         return int(self._db.execute("SELECT tries FROM tasks WHERE id = ?", (task,)).fetchone()[0])
 
-    def retry(self, tasks: Iterable[int], why: str | None = None) -> None:
+    def retry(self, tasks: Iterable[int], reason: str | None = None) -> None:
         """Queue tasks again, with a new reason or their old one."""
         with self._transaction():
             self._db.executemany(
                 "UPDATE tasks SET state = 'waiting', tries = 0, error = NULL, why = coalesce(?, why) WHERE id = ?",
-                [(why, task) for task in tasks],
+                [(reason, task) for task in tasks],
             )
 
-    def failed(self) -> dict[int, FailedTask]:
+    def failed_tasks(self) -> dict[int, FailedTask]:
         """Return the failed tasks by number."""
         rows = self._db.execute(
             "SELECT id, zoom, x, y, sun, error FROM tasks WHERE wanted AND state = 'failed' ORDER BY first_tile, sun"
         )
         return {row[0]: FailedTask(*row[1:]) for row in rows}
 
-    def done(self, sun: str) -> list[tuple[int, str, bytes]]:
+    def finished_tasks(self, sun: str) -> list[tuple[int, str, bytes]]:
         """Return number, key and index of the finished tasks under a sun, ordered by tile id."""
         rows = self._db.execute(
             "SELECT id, key, tiles FROM tasks WHERE sun = ? AND wanted AND state = 'done' ORDER BY first_tile", (sun,)
         )
         return [(row[0], row[1], bytes(row[2])) for row in rows]
 
-    def published(self, output: str) -> dict[int, tuple[str, bytes]]:
+    def published_tasks(self, output: str) -> dict[int, tuple[str, bytes]]:
         """Return key and index of the tasks whose tiles lie in a folder, by number."""
         rows = self._db.execute("SELECT task, key, tiles FROM published WHERE output = ?", (output,))
         return {row[0]: (row[1], bytes(row[2])) for row in rows}
@@ -289,7 +294,7 @@ class TaskTable:
         """Return the number of the run's tasks by state."""
         return dict(self._db.execute("SELECT state, count(*) FROM tasks WHERE wanted GROUP BY state").fetchall())
 
-    def outlook(self) -> list[tuple[str, int, str, int, float, float]]:
+    def forecast(self) -> list[tuple[str, int, str, int, float, float]]:
         """Return a summary of the waiting tasks by sun, zoom and reason.
 
         Each row holds sun, zoom, reason, number of tasks, their equivalent in full tasks, and expected seconds.
@@ -299,7 +304,7 @@ class TaskTable:
             "GROUP BY sun, zoom, why ORDER BY sun, zoom, why"
         ).fetchall()
 
-    def measured(self) -> dict[int, tuple[float, float]]:
+    def measured_costs(self) -> dict[int, tuple[float, float]]:
         """Return seconds and bytes of a full task by zoom, measured on finished tasks."""
         rows = self._db.execute(
             "SELECT zoom, sum(seconds) / sum(share), sum(bytes) / sum(share) FROM tasks WHERE seconds IS NOT NULL GROUP BY zoom"
@@ -322,13 +327,13 @@ class TaskTable:
 
 def task_key(task: PlannedTask) -> str:
     """Return the key of a task, 32 hexadecimal digits. Tasks with equal keys have equal tiles."""
-    said = (task.sun, task.zoom, task.x, task.y, *task.parts)
-    return blake2b("\n".join(map(str, said)).encode(), digest_size=16).hexdigest()
+    key_fields = (task.sun, task.zoom, task.x, task.y, *task.parts)
+    return blake2b("\n".join(map(str, key_fields)).encode(), digest_size=16).hexdigest()
 
 
-def _reason_of_change(before: str, now: str) -> str:
-    named = zip(KeyParts._fields, before.split(":"), now.split(":"), strict=True)
-    return next((REASONS[name] for name, one, other in named if one != other), NEW_REASON)
+def _reason_of_change(old_parts: str, new_parts: str) -> str:
+    pairs = zip(KeyParts._fields, old_parts.split(":"), new_parts.split(":"), strict=True)
+    return next((REASONS[name] for name, old, new in pairs if old != new), NEW_REASON)
 
 
 def _acquire_lock(path: Path) -> IO[str]:

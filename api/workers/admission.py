@@ -13,7 +13,7 @@ from skugga.api.settings import Settings
 from skugga.api.workers.job_queue import JobQueue
 from skugga.api.workers.jobs import BlockJob, Job, MapJob
 
-TILE_SIDE_PX = 1024
+MAX_TILE_SIDE_PX = 1024
 """A map of at most this size counts as a tile: clients of WMS tile maps of any extent."""
 
 MAX_RETRY_AFTER_S = 120
@@ -23,7 +23,7 @@ MAX_RETRY_AFTER_S = 120
 def is_tile(job: Job) -> bool:
     """Return whether refusing the job would leave a hole in a map of many pictures."""
     if isinstance(job, MapJob):
-        return max(job.size) <= TILE_SIDE_PX
+        return max(job.size) <= MAX_TILE_SIDE_PX
     return isinstance(job, BlockJob)
 
 
@@ -32,13 +32,13 @@ def check_admission(queue: JobQueue, job: Job, client: str, now_s: float, settin
 
     The expected wait counts only once the service ``is_ready``; before that it cannot be estimated.
     """
-    own = queue.jobs_of_client(client)
-    if not own or (is_tile(job) and sum(is_tile(each.job) for each in own) < settings.queue_length):
+    client_jobs = queue.jobs_of_client(client)
+    if not client_jobs or (is_tile(job) and sum(is_tile(pending_job.job) for pending_job in client_jobs) < settings.queue_length):
         return
-    cost_s, work_s = queue.expected.of(job), sum(each.cost_s for each in own)
+    cost_s, work_s = queue.expected.of(job), sum(pending_job.cost_s for pending_job in client_jobs)
     if work_s + cost_s > settings.queue_work_s:
         message = (
-            f"The service is busy: {len(own)} pictures of this client are queued, expected to take {work_s:.1f} s, "
+            f"The service is busy: {len(client_jobs)} pictures of this client are queued, expected to take {work_s:.1f} s, "
             f"and this one would add {cost_s:.1f} s."
         )
         raise RetryLaterError(message, retry_after_s(queue.wait_s(job, client, now_s)))

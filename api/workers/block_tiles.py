@@ -17,11 +17,11 @@ from skugga.terrain.scene import Scene
 
 BLOCK_TILES = BLOCK_PX // TILE_PX
 
-Place = tuple[int, int]
+TilePosition = tuple[int, int]
 """Row and column of a tile in its block, counted in tiles of its size."""
 
 
-def place_in_block(x: int, y: int, tiles: int) -> tuple[Place, Place]:
+def block_and_position(x: int, y: int, tiles: int) -> tuple[TilePosition, TilePosition]:
     """Return the block (x, y) that holds tile (x, y) of a zoom, and the tile's position in the block.
 
     The position counts pictures of ``tiles`` x ``tiles`` tiles.
@@ -31,22 +31,22 @@ def place_in_block(x: int, y: int, tiles: int) -> tuple[Place, Place]:
 
 def tiles_of_picture(
     picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat, tiles: int = 1
-) -> dict[Place, bytes | None]:
+) -> dict[TilePosition, bytes | None]:
     """Return the files of a drawn block, one for each part of ``tiles`` x ``tiles`` tiles.
 
     A part without a surface is ``None``. In array formats every part has a file.
     """
-    found: dict[Place, bytes | None] = {}
-    for place, part_view, window in _tiles_of(view, tiles):
+    files: dict[TilePosition, bytes | None] = {}
+    for position, part_view, window in _tiles_of(view, tiles):
         part = picture.part(window)
         has_data = format in ARRAY_FORMATS or bool(part.valid.any())
-        found[place] = tile_of_picture(part, request, scene, part_view, format) if has_data else None
-    return found
+        files[position] = tile_of_picture(part, request, scene, part_view, format) if has_data else None
+    return files
 
 
 def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat) -> bytes:
     """Return a product's file of one part of a drawn block."""
-    product = request.record
+    product = request.product_record
     if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque.all():
         array = picture.color  # avoids an alpha channel that encoding would drop
     else:
@@ -56,16 +56,16 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
 
 def tiles_of_array(
     array: np.ndarray, request: ProductRequest, world: World, view: MapView, format: MapFormat, tiles: int = 1
-) -> dict[Place, bytes]:
+) -> dict[TilePosition, bytes]:
     """Return the files of a block's array, one for each part of ``tiles`` x ``tiles`` tiles."""
-    shown = colored(array, request.record, request.options, world, format)
+    colored_array = colored(array, request.product_record, request.options, world, format)
     return {
-        place: encode(np.ascontiguousarray(shown[window]), request.record, format, part_view)
-        for place, part_view, window in _tiles_of(view, tiles)
+        position: encode(np.ascontiguousarray(colored_array[window]), request.product_record, format, part_view)
+        for position, part_view, window in _tiles_of(view, tiles)
     }
 
 
-def _tiles_of(view: MapView, tiles: int) -> Iterator[tuple[Place, MapView, tuple[slice, slice]]]:
+def _tiles_of(view: MapView, tiles: int) -> Iterator[tuple[TilePosition, MapView, tuple[slice, slice]]]:
     """Yield the position, the view and the pixel window of each part of a block."""
     side = tiles * TILE_PX
     for row in range(BLOCK_TILES // tiles):
@@ -84,5 +84,5 @@ def empty_file(
     request: ProductRequest, shape: tuple[int, int], format: MapFormat, lowest_m: float, view: MapView | None = None
 ) -> bytes:
     """Return the file of a map of ``shape`` (rows, cols) without data."""
-    empty = request.record.empty_array if format in ARRAY_FORMATS else request.record.empty_picture
-    return encode(empty(*shape, lowest_m), request.record, format, view)
+    make_empty = request.product_record.empty_array if format in ARRAY_FORMATS else request.product_record.empty_picture
+    return encode(make_empty(*shape, lowest_m), request.product_record, format, view)

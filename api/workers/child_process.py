@@ -50,11 +50,11 @@ class ChildProcess:
     def in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
         """Run a function in a thread, one at a time. Raises ``ExhaustedError`` if no thread is available."""
         running = run_in_pool(self._threads, function)
-        running.add_done_callback(lambda done: done.cancelled() or done.exception())
+        running.add_done_callback(lambda future: future.cancelled() or future.exception())
         self._in_thread = running
         return running
 
-    async def gone(self) -> None:
+    async def wait_for_end(self) -> None:
         """Wait until the process has ended, for at most ``EXIT_TIMEOUT_S``."""
         await process_end(self._piped.process)
 
@@ -64,10 +64,10 @@ class ChildProcess:
             await asyncio.wait({self._in_thread})  # the process is still starting
         if self.pid is not None:
             self._piped.process.kill()
-            await self.gone()
+            await self.wait_for_end()
         if self._in_thread is not None:
-            done, _ = await asyncio.wait({self._in_thread}, timeout=EXIT_TIMEOUT_S)
-            if not done:  # the thread still reads: the number of a closed pipe could be reused for another file
+            completed, _ = await asyncio.wait({self._in_thread}, timeout=EXIT_TIMEOUT_S)
+            if not completed:  # the thread still reads: the number of a closed pipe could be reused for another file
                 log.error("process %s cannot be killed, so its pipe stays open", self.pid)
                 return
         self._piped.close()

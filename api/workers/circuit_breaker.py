@@ -22,7 +22,7 @@ INITIAL_OPEN_S, MAX_OPEN_S = 30.0, 600.0
 @dataclass(frozen=True)
 class _Record:
     failures: int = 0
-    until: float = 0.0
+    open_until_s: float = 0.0
     next_pause_s: float = INITIAL_OPEN_S
 
 
@@ -39,9 +39,9 @@ class CircuitBreaker:
 
     def seconds_left(self, job: Job) -> float:
         """Return how long the circuit of a job stays open, in seconds; 0 if it is closed."""
-        return max(max((self._record(key).until - self._clock() for key in _keys(job)), default=0.0), 0.0)
+        return max(max((self._record(key).open_until_s - self._clock() for key in _keys(job)), default=0.0), 0.0)
 
-    def failed(self, job: Job) -> None:
+    def record_failure(self, job: Job) -> None:
         """Record a job that timed out or crashed its process."""
         for key in _affected_keys(job):
             record = self._record(key)
@@ -53,7 +53,7 @@ class CircuitBreaker:
                 )
             self._records.put(key, value=record)
 
-    def succeeded(self, job: Job) -> None:
+    def record_success(self, job: Job) -> None:
         """Record a job that succeeded."""
         for key in _affected_keys(job):
             self._records.drop(key)
@@ -64,11 +64,11 @@ class CircuitBreaker:
 
 
 def _keys(job: Job) -> list[Hashable]:
-    own = [kind_of_job(job)]
-    return own if isinstance(job, DescribedPlanJob) else [*own, ("level", str(job.level.path), job.level.version)]
+    keys = [kind_of_job(job)]
+    return keys if isinstance(job, DescribedPlanJob) else [*keys, ("level", str(job.level.path), job.level.version)]
 
 
 def _affected_keys(job: Job) -> list[Hashable]:
     """Return the keys whose circuits an outcome of a job affects."""
-    plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
-    return _keys(job) if plain else _keys(job)[:1]
+    is_plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
+    return _keys(job) if is_plain else _keys(job)[:1]

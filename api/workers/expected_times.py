@@ -53,26 +53,29 @@ class ExpectedTimes:
 
     def of(self, job: Job) -> float:
         """Return the expected duration of a job in seconds."""
-        known = self._known(job)
-        return (_initial_estimate_s(job) if known is None else known) * _size_of(job)
+        average_s = self._average_s(job)
+        return (_initial_estimate_s(job) if average_s is None else average_s) * _size_of(job)
 
     def is_light(self, job: Job) -> bool:
         """Return whether jobs of this kind were measured and were short."""
-        known = self._known(job)
-        return known is not None and known * _size_of(job) <= MAX_LIGHT_S
+        average_s = self._average_s(job)
+        return average_s is not None and average_s * _size_of(job) <= MAX_LIGHT_S
 
     def learn(self, job: Job, seconds: float) -> None:
         """Add the measured duration of a job."""
-        took = seconds / _size_of(job)
+        unit_seconds = seconds / _size_of(job)
         for key in _keys_of(job):
-            known = self._seconds.get(key)
-            self._seconds.put(key, value=took if isinstance(known, Missing) else known + SMOOTHING_FACTOR * (took - known))
+            average_s = self._seconds.get(key)
+            self._seconds.put(
+                key,
+                value=unit_seconds if isinstance(average_s, Missing) else average_s + SMOOTHING_FACTOR * (unit_seconds - average_s),
+            )
 
-    def _known(self, job: Job) -> float | None:
+    def _average_s(self, job: Job) -> float | None:
         for key in _keys_of(job):
-            known = self._seconds.get(key)
-            if not isinstance(known, Missing):
-                return known
+            average_s = self._seconds.get(key)
+            if not isinstance(average_s, Missing):
+                return average_s
         return None
 
 
@@ -82,7 +85,7 @@ def _initial_estimate_s(job: Job) -> float:
 
 def _is_of_days(job: Job) -> bool:
     """Return whether a job computes a product of whole dates."""
-    return isinstance(job.request, ProductRequest) and job.request.record.when == "days"
+    return isinstance(job.request, ProductRequest) and job.request.product_record.when == "days"
 
 
 def _keys_of(job: Job) -> tuple[Hashable, Hashable]:

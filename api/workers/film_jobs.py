@@ -25,12 +25,14 @@ def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan,
 def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
     """Draw a frame of a film. Raises ``SkuggaError``."""
     moments = frame_moments(scene, job.film_request(), only=job.number)
-    replanner = _replanner(job, moments[0], scene, basis, job.before)
+    replanner = _replanner(job, moments[0], scene, basis, job.previous_plans)
     (frame,) = film_frames(scene, job.film_request(), moments, replanner)
     assert replanner.state is not None
     return FilmPicture(frame.color, PlanHandover(replanner.state))
 
 
-def _replanner(film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, before: PlanHandover | None = None) -> Replanner:
+def _replanner(
+    film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, previous_plans: PlanHandover | None = None
+) -> Replanner:
     plans = plan_function_in_service(moment.scene(scene), moment.view, film.level, basis)
-    return Replanner(plans=plans, state=None if before is None else before.state)
+    return Replanner(plans=plans, state=None if previous_plans is None else previous_plans.state)

@@ -45,7 +45,7 @@ class IdleCalibration:
         The queue of idle work.
     device
         Returns the calibration in use.
-    use
+    set_profile
         Sets the calibration to use.
     measure
         Calibrates the device.
@@ -56,10 +56,10 @@ class IdleCalibration:
         enabled: bool,
         idle: IdleWork,
         device: Callable[[], DeviceProfile | None],
-        use: Callable[[DeviceProfile], None],
+        set_profile: Callable[[DeviceProfile], None],
         measure: Callable[[], DeviceProfile] = measured_profile,
     ) -> None:
-        self._enabled, self._idle, self._device, self._use, self._measure = enabled, idle, device, use, measure
+        self._enabled, self._idle, self._device, self._set_profile, self._measure = enabled, idle, device, set_profile, measure
         self._renderer, self._version = "", ""
         self._expected, self._failed = enabled, False
         self._watching: asyncio.Task[None] | None = None
@@ -74,7 +74,7 @@ class IdleCalibration:
         return "failed" if self._failed else "off" if self._version else "none"
 
     @property
-    def expected(self) -> bool:
+    def is_expected(self) -> bool:
         """Whether a calibration is still to come, as far as is known; plans change with it."""
         return self._expected and self._device() is None
 
@@ -103,22 +103,22 @@ class IdleCalibration:
             "%s is not calibrated, so fixed rules choose until it is. The calibration takes a minute or two and runs while "
             "nothing is drawn", self._renderer,
         )  # fmt: skip
-        self._idle.add(IdleJob(self._measure, (), self._done, self._note_failure, lambda: self.expected))
+        self._idle.add(IdleJob(self._measure, (), self._save_result, self._note_failure, lambda: self.is_expected))
 
-    async def _done(self, profile: DeviceProfile) -> None:
+    async def _save_result(self, profile: DeviceProfile) -> None:
         if (profile.renderer, profile.version) != (self._renderer, self._version):
             self._note_failure(f"the calibration is of another device, {profile.renderer}")
             return
         self._expected = False
-        self._use(profile)
-        took = f"{self._renderer} was calibrated in {profile.took_s:.0f} s, and plans use predictions from now on"
+        self._set_profile(profile)
+        message = f"{self._renderer} was calibrated in {profile.took_s:.0f} s, and plans use predictions from now on"
         try:
             path = await asyncio.to_thread(save_profile, profile)
         except OSError as error:
             path = profile_path(self._renderer, self._version)
-            log.warning("%s, but only until this service ends: %s cannot be written (%s)", took, path, error.strerror or error)
+            log.warning("%s, but only until this service ends: %s cannot be written (%s)", message, path, error.strerror or error)
         else:
-            log.info("%s; saved to %s", took, path)
+            log.info("%s; saved to %s", message, path)
 
     def _note_failure(self, reason: str) -> None:
         self._expected, self._failed = False, True
@@ -127,28 +127,28 @@ class IdleCalibration:
     async def _watch(self) -> None:
         """Load the calibration, or request one, and reload the file whenever ``skugga calibrate`` writes it."""
         path = profile_path(self._renderer, self._version)
-        seen = await self._read(path, None)
+        last_stamp = await self._read(path, None)
         if self._device() is None:
             self._request_calibration()
         while True:
             await asyncio.sleep(CHECK_EVERY_S)
-            seen = await self._read(path, seen)
+            last_stamp = await self._read(path, last_stamp)
 
-    async def _read(self, path: Path, seen: ProfileStamp | None) -> ProfileStamp | None:
-        """Load the file if its stamp differs from ``seen``, and return its current stamp."""
+    async def _read(self, path: Path, last_stamp: ProfileStamp | None) -> ProfileStamp | None:
+        """Load the file if its stamp differs from ``last_stamp``, and return its current stamp."""
         stamp = await asyncio.to_thread(_stamp, path)
-        if stamp is None or stamp == seen:
-            return seen
+        if stamp is None or stamp == last_stamp:
+            return last_stamp
         profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
         if profile is not None and profile_digest(profile) != profile_digest(self._device()):
-            self._use(profile)
+            self._set_profile(profile)
             log.info("the calibration %s was loaded, and plans use it from now on", path)
         return stamp
 
 
 def _stamp(path: Path) -> ProfileStamp | None:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_ino, found.st_size
+    return status.st_mtime_ns, status.st_ino, status.st_size

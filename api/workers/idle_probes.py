@@ -55,9 +55,9 @@ class IdleProbes:
         The queue of idle work.
     device
         Returns the calibration in use.
-    probed
+    probes_in_use
         Returns the probes in use, by version of their level.
-    use
+    add_probes
         Adds probes to those in use.
     probe
         Makes a probe.
@@ -68,13 +68,19 @@ class IdleProbes:
         enabled: bool,
         idle: IdleWork,
         device: Callable[[], DeviceProfile | None],
-        probed: Callable[[], Mapping[str, str]],
-        use: Callable[[Mapping[str, str]], None],
+        probes_in_use: Callable[[], Mapping[str, str]],
+        add_probes: Callable[[Mapping[str, str]], None],
         probe: Probe = probed_level,
     ) -> None:
-        self._enabled, self._idle, self._device, self._probed, self._use = enabled, idle, device, probed, use
+        self._enabled, self._idle, self._device, self._probes_in_use, self._add_probes = (
+            enabled,
+            idle,
+            device,
+            probes_in_use,
+            add_probes,
+        )
         self._probe = probe
-        self._wanted: set[tuple[str, int]] = set()
+        self._requested: set[tuple[str, int]] = set()
         self._failed: set[tuple[str, int]] = set()
         self._folder: Path | None = None
         self._read_ns: dict[str, int] = {}
@@ -84,13 +90,15 @@ class IdleProbes:
     @property
     def waiting(self) -> int:
         """Number of probes that are still to be made, each of a level under a class of suns."""
-        return len(self._wanted)
+        return len(self._requested)
 
     def begin(self, renderer: str, version: str) -> None:
         """Start with the renderer of the render processes. An empty ``version`` means that nothing can be probed."""
         if self._folder is None and version:
             self._folder = probes_folder(renderer, version)
-            self._use_new_probes(self._changed())  # before the first picture, so that saved probes do not change its plan later
+            self._add_new_probes(
+                self._read_changed_files()
+            )  # before the first picture, so that saved probes do not change its plan later
             self._watching = asyncio.create_task(self._watch())
 
     async def close(self) -> None:
@@ -102,30 +110,33 @@ class IdleProbes:
     def request_probe(self, level: LevelKey, unprobed: MapClass) -> None:
         """Request a probe for a map that was planned without one."""
         device, key = self._device(), (level.version, unprobed.sun)
-        if not self._enabled or self._folder is None or device is None or key in self._wanted | self._failed:
+        if not self._enabled or self._folder is None or device is None or key in self._requested | self._failed:
             return
-        if any(each.sun == unprobed.sun for each in MapProbes.model_validate_json(self._probed().get(level.version, "{}")).classes):
+        if any(
+            probed_class.sun == unprobed.sun
+            for probed_class in MapProbes.model_validate_json(self._probes_in_use().get(level.version, "{}")).classes
+        ):
             return  # probed already: the map has a scale that tiles do not have
-        self._wanted.add(key)
+        self._requested.add(key)
         name = f"{level.path.stem} under a sun about {unprobed.sun_altitude_deg:.0f} degrees high"
 
-        async def done(found: MapProbes) -> None:
-            await self._done(level, device, found, name)
-            self._wanted.discard(key)
+        async def done(probes: MapProbes) -> None:
+            await self._save_result(level, device, probes, name)
+            self._requested.discard(key)
 
         def failed(reason: str) -> None:
             self._failed.add(key)
-            self._wanted.discard(key)
+            self._requested.discard(key)
             log.warning("maps of %s could not be probed, so their plans rely on predictions alone: %s", name, reason)
 
         self._idle.add(IdleJob(self._probe, (level, unprobed.sun, device), done, failed))
 
-    async def _done(self, level: LevelKey, device: DeviceProfile, found: MapProbes, name: str) -> None:
-        before = MapProbes.model_validate_json(self._probed().get(level.version, "{}"))
-        self._use({level.version: before.merged_with(found).model_dump_json()})
-        text = f"maps of {name} were probed at {len(found.classes)} scales, and their plans use the probes from now on"
+    async def _save_result(self, level: LevelKey, device: DeviceProfile, probes: MapProbes, name: str) -> None:
+        known_probes = MapProbes.model_validate_json(self._probes_in_use().get(level.version, "{}"))
+        self._add_probes({level.version: known_probes.merged_with(probes).model_dump_json()})
+        text = f"maps of {name} were probed at {len(probes.classes)} scales, and their plans use the probes from now on"
         try:
-            path = await asyncio.to_thread(save_probes, device.renderer, device.version, level.version, found)
+            path = await asyncio.to_thread(save_probes, device.renderer, device.version, level.version, probes)
         except OSError as error:
             log.log(
                 logging.INFO if self._is_unsaved else logging.WARNING,
@@ -139,11 +150,11 @@ class IdleProbes:
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(READ_EVERY_S)
-            self._use_new_probes(await asyncio.to_thread(self._changed))
+            self._add_new_probes(await asyncio.to_thread(self._read_changed_files))
 
-    def _changed(self) -> dict[str, MapProbes]:
+    def _read_changed_files(self) -> dict[str, MapProbes]:
         """Return the probes of files that have changed since they were read, by version of their level."""
-        found: dict[str, MapProbes] = {}
+        changed_probes: dict[str, MapProbes] = {}
         assert self._folder is not None
         for path in self._folder.glob("*.json"):
             try:
@@ -153,11 +164,11 @@ class IdleProbes:
             if self._read_ns.get(path.stem) != stamp_ns:
                 self._read_ns[path.stem] = stamp_ns
                 if (probes := load_probes(path)).classes:
-                    found[path.stem] = probes
-        return found
+                    changed_probes[path.stem] = probes
+        return changed_probes
 
-    def _use_new_probes(self, found: Mapping[str, MapProbes]) -> None:
-        new = {version: probes.model_dump_json() for version, probes in found.items()}
-        probed = self._probed()
-        if new := {version: text for version, text in new.items() if probed.get(version) != text}:
-            self._use(new)
+    def _add_new_probes(self, probes_by_version: Mapping[str, MapProbes]) -> None:
+        new = {version: probes.model_dump_json() for version, probes in probes_by_version.items()}
+        probes_in_use = self._probes_in_use()
+        if new := {version: text for version, text in new.items() if probes_in_use.get(version) != text}:
+            self._add_probes(new)

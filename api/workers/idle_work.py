@@ -42,9 +42,9 @@ class IdleJob:
     ----------
     function, args
         The call.
-    done
+    on_result
         Called in the event loop with the result.
-    failed
+    on_failure
         Called in the event loop with the reason of a failure.
     is_wanted
         Returns whether the result is still needed; otherwise the job is dropped.
@@ -52,8 +52,8 @@ class IdleJob:
 
     function: Callable[..., Any]
     args: tuple[Any, ...]
-    done: Callable[[Any], Awaitable[None]]
-    failed: Callable[[str], None]
+    on_result: Callable[[Any], Awaitable[None]]
+    on_failure: Callable[[str], None]
     is_wanted: Callable[[], bool] = lambda: True
 
 
@@ -70,19 +70,19 @@ class IdleWork:
 
     Parameters
     ----------
-    busy
+    is_busy
         Returns whether any request waits or runs.
     gl_threads
         Number of threads of a software rasteriser.
     """
 
-    def __init__(self, busy: Callable[[], bool], gl_threads: int = 1) -> None:
-        self._busy, self._gl_threads = busy, gl_threads
+    def __init__(self, is_busy: Callable[[], bool], gl_threads: int = 1) -> None:
+        self._is_busy, self._gl_threads = is_busy, gl_threads
         self._jobs: asyncio.Queue[IdleJob] = asyncio.Queue()
         # One thread for the whole lifetime: a process ends with the thread that started it.
         self._threads = ThreadPoolExecutor(1, "skugga-idle")
         self._task: asyncio.Task[None] | None = None
-        self._disturbed_s = float("-inf")
+        self._last_activity_s = float("-inf")
         self._child: ChildProcess | None = None
         self.paused = False
 
@@ -93,17 +93,17 @@ class IdleWork:
 
     def add(self, job: IdleJob) -> None:
         """Queue a job. The idle period that it needs starts now at the earliest."""
-        self._disturbed_s = asyncio.get_running_loop().time()
+        self._last_activity_s = asyncio.get_running_loop().time()
         self._jobs.put_nowait(job)
 
     def pause_for_requests(self) -> None:
         """Pause idle work, because a request has arrived."""
-        self._disturbed_s = asyncio.get_running_loop().time()
+        self._last_activity_s = asyncio.get_running_loop().time()
         self._pause(True)
 
-    def open(self) -> None:
+    def start(self) -> None:
         """Start processing jobs."""
-        self._task = asyncio.create_task(self._work())
+        self._task = asyncio.create_task(self._process_jobs())
 
     async def close(self) -> None:
         """End the running job and start no others."""
@@ -112,26 +112,26 @@ class IdleWork:
             await asyncio.gather(self._task, return_exceptions=True)
         self._threads.shutdown(wait=True)
 
-    async def _work(self) -> None:
+    async def _process_jobs(self) -> None:
         while True:
             job = await self._jobs.get()
-            while job.is_wanted() and not self._idle():
+            while job.is_wanted() and not self._is_idle():
                 await asyncio.sleep(QUIET_CHECK_S)
             if not job.is_wanted():
                 continue
             try:
-                await job.done(await self._result(job))
+                await job.on_result(await self._run_job(job))
             except _ObsoleteJobError:
                 continue
             except Exception as error:  # out of memory, descriptors or disk, or a bug: requests must not notice
-                job.failed(_reason(error))
+                job.on_failure(_failure_reason(error))
 
-    def _idle(self) -> bool:
-        if self._busy():
+    def _is_idle(self) -> bool:
+        if self._is_busy():
             self.pause_for_requests()
-        return asyncio.get_running_loop().time() - self._disturbed_s >= QUIET_S
+        return asyncio.get_running_loop().time() - self._last_activity_s >= QUIET_S
 
-    async def _result(self, job: IdleJob) -> Any:
+    async def _run_job(self, job: IdleJob) -> Any:
         """Run a job and return its result. The process never outlives this call.
 
         Raises ``_FailedError``, ``_ObsoleteJobError`` or ``OSError``.
@@ -146,11 +146,11 @@ class IdleWork:
                 answer = child.in_new_thread(child.pipe.recv)
                 await self._watch(job, answer)
                 try:
-                    done, result = answer.result()
+                    is_success, result = answer.result()
                 except (EOFError, OSError):
-                    await child.gone()
+                    await child.wait_for_end()
                     raise _FailedError(f"its process ended with exit status {child.exitcode}") from None
-                if not done:
+                if not is_success:
                     raise _FailedError(result)
                 return result
             finally:
@@ -164,7 +164,7 @@ class IdleWork:
             await asyncio.wait({answer}, timeout=QUIET_CHECK_S)
             if not job.is_wanted():
                 raise _ObsoleteJobError
-            if self._idle():
+            if self._is_idle():
                 self._pause(False)
             if not self.paused:
                 left_s -= QUIET_CHECK_S
@@ -190,11 +190,11 @@ def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable
     try:
         answer = True, function(*args)
     except Exception as error:  # the service logs it once, whatever it is
-        answer = False, _reason(error)
+        answer = False, _failure_reason(error)
     with suppress(BrokenPipeError):
         pipe.send(answer)
 
 
-def _reason(error: Exception) -> str:
-    known = isinstance(error, SkuggaError | OSError | _FailedError)
-    return str(error) if known else f"{type(error).__name__}: {error}"
+def _failure_reason(error: Exception) -> str:
+    has_message = isinstance(error, SkuggaError | OSError | _FailedError)
+    return str(error) if has_message else f"{type(error).__name__}: {error}"

@@ -31,7 +31,7 @@ class PendingJob:
         When the job arrived and when it started, by the event loop's clock.
     cost_s : float
         Expected duration in seconds.
-    expires : asyncio.TimerHandle or None
+    expiry_timer : asyncio.TimerHandle or None
         Timer that ends the waiting.
     clients : Counter
         Number of waiting requests per client. The job is charged to the first client.
@@ -46,7 +46,7 @@ class PendingJob:
     job: Job
     answer: asyncio.Future[Answer]
     arrived_s: float
-    expires: asyncio.TimerHandle | None = None
+    expiry_timer: asyncio.TimerHandle | None = None
     started_s: float | None = None
     cost_s: float = 0.0
     clients: Counter[str] = field(default_factory=Counter)
@@ -103,13 +103,13 @@ class JobQueue:
         return len(self.waiting)
 
     @property
-    def pictures(self) -> list[PendingJob]:
+    def foreground_jobs(self) -> list[PendingJob]:
         """Waiting jobs without background jobs."""
-        return [each for each in self.waiting.values() if not each.is_background]
+        return [pending_job for pending_job in self.waiting.values() if not pending_job.is_background]
 
     def jobs_of_client(self, client: str) -> list[PendingJob]:
         """Return the waiting jobs, without background jobs, that are charged to a client."""
-        return [each for each in self.pictures if each.client == client]
+        return [pending_job for pending_job in self.foreground_jobs if pending_job.client == client]
 
     def put(self, pending: PendingJob) -> None:
         """Queue a job."""
@@ -118,9 +118,11 @@ class JobQueue:
 
     def take(self, now_s: float) -> PendingJob | None:
         """Start the next job and return it; ``None`` if no job may start."""
-        heavy = sum(not self._is_light(each) for each in self.running)
-        may_be_heavy = heavy < max(self.processes - 1, 1)
-        pending = self._next([each for each in self.waiting.values() if may_be_heavy or self._is_light(each)], now_s)
+        heavy_count = sum(not self._is_light(pending_job) for pending_job in self.running)
+        may_be_heavy = heavy_count < max(self.processes - 1, 1)
+        pending = self._choose_next(
+            [pending_job for pending_job in self.waiting.values() if may_be_heavy or self._is_light(pending_job)], now_s
+        )
         if pending is None:
             return None
         del self.waiting[pending.job]
@@ -138,9 +140,9 @@ class JobQueue:
         """Add the measured duration of a job, and update the expected durations of waiting jobs of its kind."""
         self.expected.learn(job, seconds)
         kind = kind_of_job(job)
-        for each in self.waiting.values():
-            if kind_of_job(each.job) == kind:
-                each.cost_s = self.expected.of(each.job)
+        for pending_job in self.waiting.values():
+            if kind_of_job(pending_job.job) == kind:
+                pending_job.cost_s = self.expected.of(pending_job.job)
 
     def wait_s(self, job: Job, client: str, now_s: float) -> float:
         """Return the expected wait of a client's job that arrives now, in seconds.
@@ -149,43 +151,48 @@ class JobQueue:
         """
         cost_s = self.expected.of(job)
         work_s: dict[str, float] = {client: 0.0}
-        for each in self.pictures:
-            if each.client != client or each.sort_key_s <= now_s + cost_s:
-                work_s[each.client] = work_s.get(each.client, 0.0) + each.cost_s
-        own_s = work_s.pop(client)
-        others_s = sum(min(each_s, own_s + cost_s) for each_s in work_s.values())
-        left_s = sum(max(each.cost_s - (now_s - (each.started_s or now_s)), 0.0) for each in self.running)
-        return (own_s + others_s + left_s) / self.processes
+        for pending_job in self.foreground_jobs:
+            if pending_job.client != client or pending_job.sort_key_s <= now_s + cost_s:
+                work_s[pending_job.client] = work_s.get(pending_job.client, 0.0) + pending_job.cost_s
+        client_work_s = work_s.pop(client)
+        other_clients_s = sum(min(other_work_s, client_work_s + cost_s) for other_work_s in work_s.values())
+        running_left_s = sum(
+            max(pending_job.cost_s - (now_s - (pending_job.started_s or now_s)), 0.0) for pending_job in self.running
+        )
+        return (client_work_s + other_clients_s + running_left_s) / self.processes
 
-    def _next(self, candidates: Iterable[PendingJob], now_s: float) -> PendingJob | None:
+    def _choose_next(self, candidates: Iterable[PendingJob], now_s: float) -> PendingJob | None:
         background: PendingJob | None = None
-        firsts: dict[str, PendingJob] = {}
-        for each in candidates:
-            if each.is_background:
-                background = each if background is None or each.sort_key_s < background.sort_key_s else background
-            elif each.client not in firsts or each.sort_key_s < firsts[each.client].sort_key_s:
-                firsts[each.client] = each
-        if background is not None and (background.sort_key_s < now_s or not firsts):
+        first_jobs: dict[str, PendingJob] = {}
+        for pending_job in candidates:
+            if pending_job.is_background:
+                background = pending_job if background is None or pending_job.sort_key_s < background.sort_key_s else background
+            elif pending_job.client not in first_jobs or pending_job.sort_key_s < first_jobs[pending_job.client].sort_key_s:
+                first_jobs[pending_job.client] = pending_job
+        if background is not None and (background.sort_key_s < now_s or not first_jobs):
             return background
-        return self._first_by_deficit(firsts) if firsts else None
+        return self._first_by_deficit(first_jobs) if first_jobs else None
 
-    def _first_by_deficit(self, firsts: dict[str, PendingJob]) -> PendingJob:
+    def _first_by_deficit(self, first_jobs: dict[str, PendingJob]) -> PendingJob:
         """Choose among the first jobs of several clients by deficit round robin, and update the clients' credit."""
-        ordered_clients = [client for client in self.credit_s if client in firsts]  # ordered by last turn
+        ordered_clients = [client for client in self.credit_s if client in first_jobs]  # ordered by last turn
         deficits_s = {
-            client: firsts[client].cost_s - self.credit_s.get(client, 0.0) for client in dict.fromkeys([*ordered_clients, *firsts])
+            client: first_jobs[client].cost_s - self.credit_s.get(client, 0.0)
+            for client in dict.fromkeys([*ordered_clients, *first_jobs])
         }
         chosen = min(deficits_s, key=lambda client: deficits_s[client])
         earned_now_s = max(deficits_s[chosen], 0.0)
-        waiting = {each.client for each in self.pictures}
+        waiting_clients = {pending_job.client for pending_job in self.foreground_jobs}
         credit_s = {
-            client: self.credit_s.get(client, 0.0) for client in dict.fromkeys([*self.credit_s, *deficits_s]) if client in waiting
+            client: self.credit_s.get(client, 0.0)
+            for client in dict.fromkeys([*self.credit_s, *deficits_s])
+            if client in waiting_clients
         }
         for client in deficits_s:  # credit is capped at the cost of the next job
-            credit_s[client] = min(credit_s[client] + earned_now_s, firsts[client].cost_s)
-        credit_s[chosen] = credit_s.pop(chosen) - firsts[chosen].cost_s
+            credit_s[client] = min(credit_s[client] + earned_now_s, first_jobs[client].cost_s)
+        credit_s[chosen] = credit_s.pop(chosen) - first_jobs[chosen].cost_s
         self.credit_s = credit_s
-        return firsts[chosen]
+        return first_jobs[chosen]
 
     def _is_light(self, pending: PendingJob) -> bool:
         return not pending.is_background and self.expected.is_light(pending.job)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, InstanceOf
 
-from skugga.api.errors import OUTCOMES
+from skugga.api.errors import ERROR_REPORTS
 from skugga.api.point.values import PointQuery, TrackPoint
 from skugga.api.products.product import MapFormat, PictureFormat
 from skugga.api.request import PictureRequest, ProductRequest
@@ -86,7 +86,7 @@ class DescribedPlanJob(_Value):
 
 
 class SnapshotJob(_Value):
-    """Compute and encode a level's view, or another perspective (``seen_from``).
+    """Compute and encode a level's view, or another perspective (``camera``).
 
     ``size`` is (width, height) in pixels and ``seconds`` the time of the level's clock; ``None`` uses the level's own.
     ``light`` names the light whose visibility is shown; ``None`` is the first.
@@ -94,7 +94,7 @@ class SnapshotJob(_Value):
 
     level: LevelKey
     view: str
-    seen_from: PerspectiveSpec | None = None
+    camera: PerspectiveSpec | None = None
     format: PictureFormat
     size: tuple[int, int] | None = None
     light: str | None = None
@@ -175,7 +175,7 @@ class FrameJob(Film):
     """Draw a frame of a film, counted from 0. Its plans continue those of the previous frame."""
 
     number: int
-    before: InstanceOf[PlanHandover] | None = None
+    previous_plans: InstanceOf[PlanHandover] | None = None
 
 
 Job = (
@@ -339,7 +339,7 @@ class FilmPicture:
     """A frame of a film: ``color`` uint8 (rows, cols, 3), and the planning state for the next frame."""
 
     color: np.ndarray
-    after: PlanHandover
+    next_plans: PlanHandover
 
 
 @dataclass(frozen=True)
@@ -364,7 +364,7 @@ class Failure:
 
     def error(self) -> SkuggaError:
         """Return the error that the data describes."""
-        kind = {known.__name__: known for known in OUTCOMES}.get(self.kind, RenderError)
+        kind = {error_class.__name__: error_class for error_class in ERROR_REPORTS}.get(self.kind, RenderError)
         if issubclass(kind, InputError):
             return kind(self.name or "", self.value, self.allowed or "")
         return kind(self.message)

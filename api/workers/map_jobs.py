@@ -63,7 +63,7 @@ def representative_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]
 def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], Plan]) -> EncodedMap:
     """Compute a map; ``plan_of`` returns the plan of a scale from its key and part. Raises ``SkuggaError``."""
     request, (view, has_data) = job.request, requested_map_view(scene, job)
-    product, start = request.record, clock.perf_counter()
+    product, start = request.product_record, clock.perf_counter()
     if not has_data:
         empty = product.empty_array if job.format in ARRAY_FORMATS else product.empty_picture
         array = empty(view.rows, view.cols, scene.height_range_m[0])
@@ -88,7 +88,7 @@ def _map_file(
     job: MapJob, array: np.ndarray, view: MapView, headline: str, passes: tuple[PassRecord, ...], reach: Reach | None
 ) -> EncodedMap:
     start = clock.perf_counter()
-    body = encode(_over(array, job.background), job.request.record, job.format, view)
+    body = encode(_over(array, job.background), job.request.product_record, job.format, view)
     return EncodedMap(body, (clock.perf_counter() - start) * 1000.0, headline, passes, reach)
 
 

@@ -33,7 +33,7 @@ def plan_in_service(
 ) -> Plan:
     """Return the plan of a view of a level. Raises ``SkuggaError``."""
     return plan_of_view(
-        scene, view, name, overrides, policy, basis.device, seen=_observations(scene, view, overrides, level, basis)
+        scene, view, name, overrides, policy, basis.device, observations=_observations(scene, view, overrides, level, basis)
     )
 
 
@@ -41,25 +41,29 @@ def plan_function_in_service(scene: Scene, view: MapView | PerspectiveView, leve
     """Return a function that plans a view of a level from its descriptor, as ``plan_in_service`` does, for any request."""
 
     def plan(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None) -> Plan:
-        seen = _observations(scene, view, overrides or {}, level, basis)
-        return select(descriptor, plan_request, overrides, "predict", basis.device, seen)
+        observations = _observations(scene, view, overrides or {}, level, basis)
+        return select(descriptor, plan_request, overrides, "predict", basis.device, observations)
 
     return plan
 
 
 def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis) -> MapClass | None:
     """Return the class of a map whose predictions a probe would correct; ``None`` if it is probed or a probe cannot help."""
-    found = _class(scene, view, overrides)
-    return found if basis.device is not None and found is not None and basis.probes_of(level).of(found) is None else None
+    probe_class = _map_class(scene, view, overrides)
+    return (
+        probe_class
+        if basis.device is not None and probe_class is not None and basis.probes_of(level).of(probe_class) is None
+        else None
+    )
 
 
 def _observations(
     scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis
 ) -> Mapping[str, tuple[Observation, ...]] | None:
-    return basis.probes_of(level).of(_class(scene, view, overrides)) if isinstance(view, MapView) else None
+    return basis.probes_of(level).of(_map_class(scene, view, overrides)) if isinstance(view, MapView) else None
 
 
-def _class(scene: Scene, view: MapView, overrides: Mapping[str, Any]) -> MapClass | None:
+def _map_class(scene: Scene, view: MapView, overrides: Mapping[str, Any]) -> MapClass | None:
     if scene.sun is None or not set(overrides) <= PROBE_SETTINGS:
         return None
     return map_class(map_pixel_m(scene.world, view), scene.sun.altitude_deg)

@@ -39,7 +39,7 @@ class PipedProcess:
         self.child_end.close()
 
 
-class Spawned(PipedProcess):
+class SpawnedWorker(PipedProcess):
     """A render process with its ``config``."""
 
     def __init__(self, target: WorkerTarget, config: WorkerConfig) -> None:

@@ -42,22 +42,22 @@ class PlanBasis:
 
         The version changes with the calibration and with the level's probes. It is empty without either.
         """
-        found = None if level is None else self.probed.get(level.version)
-        if found is None:
+        probes_json = None if level is None else self.probed.get(level.version)
+        if probes_json is None:
             return self.calibration
-        return hashlib.sha256(f"{self.calibration}\n{found}".encode()).hexdigest()[:16]
+        return hashlib.sha256(f"{self.calibration}\n{probes_json}".encode()).hexdigest()[:16]
 
     def probes_of(self, level: LevelKey) -> MapProbes:
         """Return the probes of a level."""
-        return _probes(self.probed.get(level.version, "{}"))
+        return _parse_probes(self.probed.get(level.version, "{}"))
 
-    def with_probed(self, found: Mapping[str, str]) -> PlanBasis:
+    def with_probed(self, probes_by_version: Mapping[str, str]) -> PlanBasis:
         """Return a copy with further probes, by version of their level."""
-        return replace(self, probed={**self.probed, **found})
+        return replace(self, probed={**self.probed, **probes_by_version})
 
 
 @cached("process", 4 * MIB)
-def _probes(text: str) -> MapProbes:
+def _parse_probes(text: str) -> MapProbes:
     from skugga.selector.map_probes import MapProbes
 
     return MapProbes.model_validate_json(text)

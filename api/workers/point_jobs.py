@@ -19,16 +19,18 @@ def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
     """Return a point's report (nulls where the level has no data), horizon file, sky chart or figures. Raises ``InputError``."""
     if job.product == "report":
         return PointAnswer(report_or_null(scene, job.query).model_dump_json().encode())
-    around = point_surroundings(scene, job.query)
+    surroundings = point_surroundings(scene, job.query)
     if job.product == "horizon":
-        return PointAnswer(horizon_file(job.format, horizon_profile(around, directions_for(job.format)), around.place).encode())
-    day = requested_day(scene, job.query, around.place.lon_deg)
-    clock = requested_clock(scene, job.query, around.place.lon_deg, day)
+        return PointAnswer(
+            horizon_file(job.format, horizon_profile(surroundings, directions_for(job.format)), surroundings.place).encode()
+        )
+    day = requested_day(scene, job.query, surroundings.place.lon_deg)
+    clock = requested_clock(scene, job.query, surroundings.place.lon_deg, day)
     if job.format == "json":
-        return PointAnswer(sky_figures(around, horizon_profile(around), day, clock).model_dump_json().encode())
+        return PointAnswer(sky_figures(surroundings, horizon_profile(surroundings), day, clock).model_dump_json().encode())
     format: Any = job.format
     title = scene.loaded.level.title or scene.loaded.name
-    return PointAnswer(sky_picture(around, horizon_profile(around), day, clock, format, title))
+    return PointAnswer(sky_picture(surroundings, horizon_profile(surroundings), day, clock, format, title))
 
 
 def points_answer(job: PointsJob, scene: Scene) -> PointAnswer:

@@ -39,7 +39,7 @@ from skugga.api.workers.jobs import (
     Result,
     Snapshot,
 )
-from skugga.api.workers.piped_process import Spawned, WorkerTarget
+from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.process_life import is_stopped
 from skugga.api.workers.worker_config import first_config
@@ -106,7 +106,7 @@ class Pool:
     - Equal pending jobs are deduplicated.
     - Finished blocks and snapshots are cached within ``block_cache_bytes``.
     - An idle process prepares for the levels of ``first_blocks``.
-    - ``spawned`` is a first process, started earlier with ``first_config``.
+    - ``spawned_worker`` is a first process, started earlier with ``first_config``.
     - A device without a calibration is calibrated by ``measure`` while nothing is drawn.
     - Levels that maps are drawn of are probed by ``probe`` in idle time.
     - Loops that are not stored are compiled in the background once a process is ready.
@@ -129,15 +129,15 @@ class Pool:
         first_blocks: Callable[[], tuple[BlockJob, ...]] = tuple,
         measure: Callable[[], DeviceProfile] = measured_profile,
         probe: Probe = probed_level,
-        spawned: Spawned | None = None,
+        spawned_worker: SpawnedWorker | None = None,
     ) -> None:
         self._settings = settings
-        self._target, self._first_blocks, self._spawned = target, first_blocks, spawned
+        self._target, self._first_blocks, self._spawned = target, first_blocks, spawned_worker
         self._config = first_config(settings)
         # Twice as many threads: a process that cannot be killed keeps its thread while a new one replaces it.
         self._threads = ThreadPoolExecutor(2 * settings.workers, "skugga-pipe")
         self._finished: Cache[BlockTiles | Snapshot] = Cache(
-            "skugga.api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
+            "skugga.api.workers.finished", "process", settings.block_cache_bytes, lambda picture: picture.nbytes
         )
         self._pending: dict[Job, PendingJob] = {}
         self._queue = JobQueue(settings.workers)
@@ -147,7 +147,7 @@ class Pool:
         self._workers: set[WorkerProcess] = set()
         self._start_error: SkuggaError | None = None
         self._closed = False
-        self._settled = asyncio.Event()
+        self._first_process_event = asyncio.Event()
         self._starting = 0
         self.renderer: str | None = None
         self.basis: PlanBasis | None = None
@@ -155,11 +155,13 @@ class Pool:
         self.preparing_since = time.monotonic()
         self.compiling = BackgroundCompile(usable_cores(), self._note_preparing)
         self.idle = IdleWork(self._is_busy, self._config.gl_threads)
-        self.calibrating = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._use, measure)
-        self.probing = IdleProbes(settings.probe_when_idle, self.idle, self._device, self._probed, self._use_probed, probe)
+        self.idle_calibration = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._set_device, measure)
+        self.idle_probes = IdleProbes(
+            settings.probe_when_idle, self.idle, self._device, self._known_probes, self._add_probes, probe
+        )
         self.pids: set[int] = set()
         self.counters = PoolCounters()
-        self.on_drawn: Callable[[BlockTiles | Snapshot], None] = lambda drawn: None
+        self.on_drawn: Callable[[BlockTiles | Snapshot], None] = lambda picture: None
 
     @property
     def ready(self) -> bool:
@@ -167,7 +169,7 @@ class Pool:
         return any(not is_stopped(pid) for pid in self.pids)
 
     @property
-    def whole(self) -> bool:
+    def is_healthy(self) -> bool:
         """Whether all supervisors of render processes still run."""
         return self._closed or not any(slot.done() for slot in self._slots)
 
@@ -175,20 +177,20 @@ class Pool:
         """Return the version of a level's plans made now; ``None`` stands for plans of clients' descriptors."""
         return "" if self.basis is None else self.basis.version_of(level)
 
-    def _version_of(self, job: Job) -> str:
+    def _plan_version_of(self, job: Job) -> str:
         return self.plan_version(None if isinstance(job, DescribedPlanJob) else job.level)
 
     def _device(self) -> DeviceProfile | None:
         return None if self.basis is None else self.basis.device
 
-    def _use(self, device: DeviceProfile) -> None:
+    def _set_device(self, device: DeviceProfile) -> None:
         self.basis = replace(self.basis or PlanBasis(), device=device)
 
-    def _probed(self) -> Mapping[str, str]:
+    def _known_probes(self) -> Mapping[str, str]:
         return {} if self.basis is None else self.basis.probed
 
-    def _use_probed(self, found: Mapping[str, str]) -> None:
-        self.basis = (self.basis or PlanBasis()).with_probed(found)
+    def _add_probes(self, probes: Mapping[str, str]) -> None:
+        self.basis = (self.basis or PlanBasis()).with_probed(probes)
 
     def _is_busy(self) -> bool:
         """Return whether the cores have other work than idle work."""
@@ -199,9 +201,9 @@ class Pool:
             self.preparing_since = time.monotonic()
         self.preparing = preparing
 
-    async def settled(self) -> None:
+    async def wait_for_first_process(self) -> None:
         """Wait until the first process has warmed up and its renderer is known, or until it has failed to start."""
-        await self._settled.wait()
+        await self._first_process_event.wait()
 
     @property
     def queued(self) -> int:
@@ -218,10 +220,10 @@ class Pool:
         """Bytes of the cached blocks and snapshots."""
         return self._finished.nbytes
 
-    def finished(self, job: Job) -> BlockTiles | Snapshot | None:
+    def cached_picture(self, job: Job) -> BlockTiles | Snapshot | None:
         """Return the cached block or snapshot of a job, drawn with the current version of plans; ``None`` without one."""
-        drawn = self._finished.get(job, self._version_of(job))
-        return None if isinstance(drawn, Missing) else drawn
+        cached = self._finished.get(job, self._plan_version_of(job))
+        return None if isinstance(cached, Missing) else cached
 
     def expected_s(self, job: Job) -> float:
         """Return the expected duration of a job in seconds, without its wait."""
@@ -229,17 +231,17 @@ class Pool:
 
     def open(self) -> None:
         """Start the processes. Returns at once."""
-        self.idle.open()
+        self.idle.start()
         self._slots = [asyncio.create_task(self._supervise(number)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
         """End the processes, and fail all pending jobs."""
         self._closed = True
-        self._settled.set()
+        self._first_process_event.set()
         for slot in self._slots:
             slot.cancel()
         await asyncio.gather(
-            self.calibrating.close(), self.probing.close(), self.idle.close(), self.compiling.close(), *self._slots,
+            self.idle_calibration.close(), self.idle_probes.close(), self.idle.close(), self.compiling.close(), *self._slots,
             return_exceptions=True,
         )  # fmt: skip
         self._fail_all(BusyError("The service is shutting down."), list(self._pending.values()))
@@ -272,13 +274,13 @@ class Pool:
         SkuggaError
             The work itself failed.
         """
-        cached = self.finished(job)
+        cached = self.cached_picture(job)
         if cached is not None:
             return cached
-        version = self._version_of(job)
+        version = self._plan_version_of(job)
         pending = self._pending.get(job) or self._enqueue(job, client)
         answer = await self._finished_answer(pending, client)
-        if pending.plan_version not in (version, self._version_of(job)):  # the job had started earlier, with older plans
+        if pending.plan_version not in (version, self._plan_version_of(job)):  # the job had started earlier, with older plans
             answer = await self._finished_answer(self._pending.get(job) or self._enqueue(job, client), client)
         if isinstance(answer, Failure):
             raise answer.error()
@@ -318,14 +320,14 @@ class Pool:
             except RetryLaterError:
                 self.counters.refused += 1
                 raise
-            self._limit_waiting(pending)
+            self._start_expiry_timer(pending)
         self._pending[job] = pending
         self._queue.put(pending)
         self._wake.set()
         return pending
 
-    def _limit_waiting(self, pending: PendingJob) -> None:
-        pending.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, pending)
+    def _start_expiry_timer(self, pending: PendingJob) -> None:
+        pending.expiry_timer = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, pending)
 
     def _expire(self, pending: PendingJob) -> None:
         """Fail a job that has waited too long.
@@ -334,13 +336,13 @@ class Pool:
         """
         if self._queue.waiting.get(pending.job) is not pending:
             return
-        if not self._settled.is_set() or any(worker.is_preparing for worker in self._workers):
-            self._limit_waiting(pending)
+        if not self._first_process_event.is_set() or any(worker.is_preparing for worker in self._workers):
+            self._start_expiry_timer(pending)
             return
         self.counters.expired += 1
-        waited = f"The service is busy: this picture waited longer than the limit of {self._settings.queue_timeout_s:g} s."
+        message = f"The service is busy: this picture waited longer than the limit of {self._settings.queue_timeout_s:g} s."
         wait_s = self._queue.wait_s(pending.job, pending.client, asyncio.get_running_loop().time())
-        self._finish(pending, RetryLaterError(waited, retry_after_s(wait_s)))
+        self._finish(pending, RetryLaterError(message, retry_after_s(wait_s)))
 
     async def _supervise(self, number: int) -> None:
         """Supervise one render process: restart it with backoff for ever.
@@ -348,7 +350,7 @@ class Pool:
         The other slots wait until the first one has started, since it compiles loops for all.
         """
         if number:
-            await self._settled.wait()
+            await self._first_process_event.wait()
         failures = 0
         while True:
             if failures > 1:
@@ -363,13 +365,13 @@ class Pool:
 
     async def _run_process(self, number: int) -> bool:
         """Run one process. Return whether it started, and ended in good order or after taking a job."""
-        spawned, self._spawned = self._spawned, None
-        if spawned is None:
+        spawned_worker, self._spawned = self._spawned, None
+        if spawned_worker is None:
             # Require OpenGL if an earlier process had it: a service must not lose features at a restart.
             needs_opengl = self.renderer not in (None, NO_OPENGL)
             config = replace(self._config, needs_opengl=needs_opengl, basis=self.basis, number=number)
-            spawned = Spawned(self._target, config)
-        worker = WorkerProcess(spawned, self._threads, self._wake.set, self._note_preparing)
+            spawned_worker = SpawnedWorker(self._target, config)
+        worker = WorkerProcess(spawned_worker, self._threads, self._wake.set, self._note_preparing)
         self._workers.add(worker)
         try:
             worker.first_blocks = await run_in_pool(self._threads, self._first_blocks)
@@ -381,7 +383,7 @@ class Pool:
 
     async def _start_and_serve(self, worker: WorkerProcess) -> bool:
         try:
-            began = asyncio.get_running_loop().time()
+            began_s = asyncio.get_running_loop().time()
             self._starting += 1
             ready = await worker.start(self._settings.start_timeout_s)
             self.renderer, self.basis = ready.renderer, self.basis or worker.basis
@@ -391,22 +393,22 @@ class Pool:
             return False
         finally:
             self._starting -= 1
-            self._settled.set()
-        took = asyncio.get_running_loop().time() - began
+            self._first_process_event.set()
+        duration_s = asyncio.get_running_loop().time() - began_s
         self._start_error = None
         self.counters.started += 1
         self.pids.add(worker.pid or 0)
-        drawn_with = f"{self.renderer}, {ready.egl_device}" if ready.egl_device else self.renderer
-        log.info("render process %s ready after %.1f s: %s", worker.pid, took, drawn_with)
+        renderer_text = f"{self.renderer}, {ready.egl_device}" if ready.egl_device else self.renderer
+        log.info("render process %s ready after %.1f s: %s", worker.pid, duration_s, renderer_text)
         self.preparing = self.preparing if self.compiling.is_running else None
         self.compiling.begin(ready.missing_loops)
-        self.calibrating.begin(ready.renderer, ready.version)
-        self.probing.begin(ready.renderer, ready.version)
+        self.idle_calibration.begin(ready.renderer, ready.version)
+        self.idle_probes.begin(ready.renderer, ready.version)
         return await self._serve(worker)
 
     def _note_start_failure(self, error: SkuggaError) -> None:
         self._start_error = error
-        self._settled.set()
+        self._first_process_event.set()
         if not self.pids:
             self._fail_all(_start_error_of(error), list(self._queue.waiting.values()))
 
@@ -416,7 +418,7 @@ class Pool:
             pending = await self._next(worker)
             if pending is None:
                 return count > 0
-            pending.plan_version = self._version_of(pending.job)
+            pending.plan_version = self._plan_version_of(pending.job)
             try:
                 answer = await worker.ask(pending.job, self._settings.render_timeout_s, self.basis)
             except ExhaustedError as error:  # the process did not receive the job
@@ -450,8 +452,8 @@ class Pool:
         while not worker.has_ended:
             pending = self._queue.take(loop.time())
             if pending is not None:
-                if pending.expires is not None:
-                    pending.expires.cancel()
+                if pending.expiry_timer is not None:
+                    pending.expiry_timer.cancel()
                 return pending
             self._wake.clear()
             try:
@@ -478,14 +480,14 @@ class Pool:
             self._wake.set()
             self.counters.retried += 1
             if not pending.is_background:
-                self._limit_waiting(pending)
+                self._start_expiry_timer(pending)
             return
         self._finish(pending, outcome)
         self._record_crash(pending.job)
 
     def _record_crash(self, job: Job) -> None:
         """Record that a job ended its process. If that opens the circuit breaker, fail waiting jobs of its kind."""
-        self._circuit_breaker.failed(job)
+        self._circuit_breaker.record_failure(job)
         left_s = self._circuit_breaker.seconds_left(job)
         if left_s <= 0.0:
             return
@@ -502,7 +504,7 @@ class Pool:
         if pending.started_s is not None and not isinstance(answer, SkuggaError | Failure):
             if learn:
                 self._queue.learn(pending.job, asyncio.get_running_loop().time() - pending.started_s)
-            self._circuit_breaker.succeeded(pending.job)
+            self._circuit_breaker.record_success(pending.job)
         self._forget(pending)
         if pending.answer.done():
             return
@@ -515,12 +517,12 @@ class Pool:
                 self._finished.put(pending.job, answer.plan_version, value=answer)
                 self.on_drawn(answer)
             if isinstance(answer, BlockTiles) and isinstance(pending.job, BlockJob) and answer.unprobed is not None:
-                self.probing.request_probe(pending.job.level, answer.unprobed)
+                self.idle_probes.request_probe(pending.job.level, answer.unprobed)
             pending.answer.set_result(answer)
 
     def _forget(self, pending: PendingJob) -> None:
-        if pending.expires is not None:
-            pending.expires.cancel()
+        if pending.expiry_timer is not None:
+            pending.expiry_timer.cancel()
         if self._pending.get(pending.job) is pending:
             del self._pending[pending.job]
         self._queue.discard(pending)
@@ -539,8 +541,8 @@ def _start_error_of(error: SkuggaError) -> SkuggaError:
 def _job_title(job: Job) -> str:
     if isinstance(job, DescribedPlanJob):
         return "A plan of such a descriptor"
-    asked = " with these settings" if job.request.overrides.asked else ""
-    return f"A {type(job).__name__.removesuffix('Job').lower()} of level {job.level.path.stem}{asked}"
+    settings_clause = " with these settings" if job.request.overrides.asked else ""
+    return f"A {type(job).__name__.removesuffix('Job').lower()} of level {job.level.path.stem}{settings_clause}"
 
 
 def _circuit_open_error(job: Job, open_s: float) -> CircuitOpenError:

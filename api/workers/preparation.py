@@ -22,7 +22,7 @@ def prepare_level(block: BlockJob, state: WorkerState) -> None:
     """
     name = block.level.path.stem
     try:
-        scene = block.request.seen(state.scenes.get(block.level))
+        scene = block.request.applied_to(state.scenes.get(block.level))
         if SKY_PASS in plan_of_tiles(block, scene, state).runs:
             sky_view(scene.elevation, scene.world)
     except SkuggaError as error:

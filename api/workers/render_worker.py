@@ -20,7 +20,7 @@ from skugga.api.device_calibration import calibration
 from skugga.api.encoding import as_picture, encode_exactly
 from skugga.api.picture_cost import check_cost
 from skugga.api.products.visibility import VISIBILITY
-from skugga.api.workers.block_tiles import Place, empty_tile, tiles_of_array, tiles_of_picture
+from skugga.api.workers.block_tiles import TilePosition, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.film_jobs import film_picture, first_plan
 from skugga.api.workers.jobs import (
     Answer,
@@ -100,7 +100,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
     """Run a job. Raises ``SkuggaError``."""
     if isinstance(job, DescribedPlanJob):
         return _plan_of_facts(job, state)
-    scene = job.request.seen(state.scenes.get(job.level))
+    scene = job.request.applied_to(state.scenes.get(job.level))
     overrides = job.request.overrides.for_selector()
     declare_product(product_of(job, scene))
     match job:
@@ -116,7 +116,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case BlockJob():
             return _block_tiles(job, scene, state)
         case MapJob():
-            return _map(job, scene, state)
+            return _map_snapshot(job, scene, state)
         case FilmCheckJob():
             plan, moment = first_plan(job, scene, state.basis)
             _check_cost(plan, f"{moment.view.cols}x{moment.view.rows}", state)
@@ -125,12 +125,14 @@ def run_job(job: Job, state: WorkerState) -> Result:
             return film_picture(job, scene, state.basis)
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
-            view = scene.view(job.view, size=job.size) if job.seen_from is None else scene.view_from(job.seen_from, job.size)
+            view = scene.view(job.view, size=job.size) if job.camera is None else scene.view_from(job.camera, job.size)
             plan = plan_in_service(scene, view, job.view, overrides, job.level, state.basis)
             _check_cost(plan, f"{view.cols}x{view.rows}", state)
             computed = compute(scene, view, job.request, plan, job.light)
             start = clock.perf_counter()
-            body = encode_exactly(as_picture(computed.array, job.request.record, computed.picture), job.request.record, job.format)
+            body = encode_exactly(
+                as_picture(computed.array, job.request.product_record, computed.picture), job.request.product_record, job.format
+            )
             facts = _facts(plan.headline, computed.passes, computed.reach, state, job.level)
             return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **facts)
 
@@ -140,9 +142,9 @@ def product_of(job: Job, scene: Scene) -> str:
     match job:
         case PointJob() | PointsJob():
             return POINTS
-        case BlockJob() | MapJob() if job.request.record.when == "days":
+        case BlockJob() | MapJob() if job.request.product_record.when == "days":
             return SUN_HOURS
-        case BlockJob() if job.request.record.needs == VISIBILITY and is_terrain_only(scene):
+        case BlockJob() if job.request.product_record.needs == VISIBILITY and is_terrain_only(scene):
             return MASKS
         case SnapshotJob() | FrameJob() | FilmCheckJob() if _is_perspective(job, scene):
             return VIEWS
@@ -153,14 +155,14 @@ def product_of(job: Job, scene: Scene) -> str:
 
 def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) -> bool:
     """Return whether a job shows a perspective view: a camera of the request, or a view of the level."""
-    named = scene.loaded.level.views.get(job.view)
-    return job.view != "map" if named is None else named.kind == "perspective"
+    view_spec = scene.loaded.level.views.get(job.view)
+    return job.view != "map" if view_spec is None else view_spec.kind == "perspective"
 
 
 def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
-    described = Descriptor.model_validate_json(job.descriptor_json)
-    asked = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
-    plan = select(described, asked, job.request.overrides.for_selector(), job.policy, state.device)
+    descriptor = Descriptor.model_validate_json(job.descriptor_json)
+    plan_request = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in descriptor.light_kinds if lamp != SUN)))
+    plan = select(descriptor, plan_request, job.request.overrides.for_selector(), job.policy, state.device)
     return PlanAnswer(plan.model_dump_json())
 
 
@@ -170,7 +172,7 @@ def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
-    product = job.request.record
+    product = job.request.product_record
     if not product.needs or product.reach_px:
         return _tiles_of_array(job, scene, state)
     version = state.basis.version_of(job.level)
@@ -191,18 +193,20 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
 
 def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     """Compute a product's whole block as an array, then cut it into tiles."""
-    product, start = job.request.record, clock.perf_counter()
+    product, start = job.request.product_record, clock.perf_counter()
     product.check(scene)
     plan = _checked_plan(job, scene, state) if product.needs else None
     computed = compute(scene, block_view(job), job.request, plan)
-    found = clock.perf_counter()
-    tiles: dict[Place, bytes] = tiles_of_array(computed.array, job.request, scene.world, block_view(job), job.format, job.tiles)
+    encode_start = clock.perf_counter()
+    tiles: dict[TilePosition, bytes] = tiles_of_array(
+        computed.array, job.request, scene.world, block_view(job), job.format, job.tiles
+    )
     if plan is None:
-        whole = (PassRecord(product.name, (found - start) * 1000.0),)
-        facts = _facts(product.name, whole, None, state, job.level)
+        passes = (PassRecord(product.name, (encode_start - start) * 1000.0),)
+        facts = _facts(product.name, passes, None, state, job.level)
     else:
         facts = _block_facts(job, plan, computed.passes, computed.reach, scene, state)
-    return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, **facts)
+    return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - encode_start) * 1000.0, **facts)
 
 
 def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
@@ -220,16 +224,16 @@ def _block_facts(
     return {**_facts(plan.headline, passes, reach, state, job.level), "unprobed": unprobed}
 
 
-def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
+def _map_snapshot(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
     overrides = job.request.overrides.for_selector()
 
     def plan_of(scale: Hashable, part: MapView) -> Plan:
         key = job.level, state.basis.version_of(job.level), job.crs, scale, job.request.picture
         return state.plans.get(key, lambda: plan_in_service(scene, part, "map", overrides, job.level, state.basis))
 
-    made = map_file(scene, job, plan_of)
-    facts = _facts(made.headline, made.passes, made.reach, state, job.level)
-    return Snapshot(body=made.body, encode_ms=made.encode_ms, **facts)
+    encoded_map = map_file(scene, job, plan_of)
+    facts = _facts(encoded_map.headline, encoded_map.passes, encoded_map.reach, state, job.level)
+    return Snapshot(body=encoded_map.body, encode_ms=encoded_map.encode_ms, **facts)
 
 
 def _view_with_name(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
@@ -240,7 +244,7 @@ def _view_with_name(scene: Scene, view: str | Tiles) -> tuple[MapView | Perspect
 def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, state: WorkerState, level: LevelKey) -> dict[str, Any]:
     """Return facts about the drawing of a picture. ``reach`` is ``None`` unless a single sun lit it."""
     return {
-        "headline": headline, "passes": tuple((record.name, record.ms) for record in passes),
+        "headline": headline, "passes": tuple((pass_record.name, pass_record.ms) for pass_record in passes),
         "renderer": state.renderer, "plan_version": state.basis.version_of(level),
         "reach_used_m": None if reach is None else reach.used_m, "reach_needed_m": None if reach is None else reach.needed_m,
         "reach_clipped": reach is not None and bool(reach.clipped),
@@ -319,8 +323,8 @@ def _try_job(job: Job, state: WorkerState) -> Answer:
     try:
         return run_job(job, state)
     except SkuggaError as error:
-        in_doubt = isinstance(error, GraphicsError) and not isinstance(error, NoOpenGLError)
-        return Failure.of(error, fatal=in_doubt)
+        is_fatal = isinstance(error, GraphicsError) and not isinstance(error, NoOpenGLError)
+        return Failure.of(error, fatal=is_fatal)
     except Exception as error:  # a bug or an exception of a driver: the job fails and the process ends
         log.exception("a job failed unexpectedly")
         fatal = not isinstance(job, DescribedPlanJob)  # these jobs do not touch OpenGL

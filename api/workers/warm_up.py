@@ -39,10 +39,10 @@ TEST_DISTANCE_M = 240.0
 log = logging.getLogger("skugga.worker")
 
 
-def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say: Callable[[str], None] = log.warning) -> str:
+def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, report: Callable[[str], None] = log.warning) -> str:
     """Pay every one-time cost, check that shadows are drawn in the right place, and return the renderer's name.
 
-    Without OpenGL, unless it is required, the process draws products that need none, and reports this through ``say``.
+    Without OpenGL, unless it is required, the process draws products that need none, and reports this through ``report``.
 
     Raises ``GraphicsError`` if OpenGL is required or expected but missing, is another renderer than expected, or draws wrongly.
     """
@@ -53,7 +53,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say:
     except NoOpenGLError as error:
         if needs_opengl or expect_renderer is not None:
             raise
-        say(str(error))
+        report(str(error))
     if expect_renderer is not None and expect_renderer not in renderer:
         raise GraphicsError(f"the OpenGL renderer is '{renderer}', but SKUGGA_EXPECT_RENDERER is '{expect_renderer}'")
     west, east = _visibility_beside_wall(algorithm)
@@ -62,8 +62,8 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say:
     return renderer
 
 
-def _visibility_beside_wall(proven: str) -> tuple[float, float]:
-    """Return the visibility west (towards the sun) and east of the wall, drawn by the algorithm ``proven``."""
+def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
+    """Return the visibility west (towards the sun) and east of the wall, drawn by the algorithm ``algorithm``."""
     heights = np.zeros((CELLS, CELLS), np.float32)
     heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
@@ -73,18 +73,18 @@ def _visibility_beside_wall(proven: str) -> tuple[float, float]:
             transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
-        scene = _scene(memory.name, proven)
-        grid, place = _grid_and_middle(scene, ZOOM)
-        view = _view_around(grid, place)
+        scene = _wall_scene(memory.name, algorithm)
+        grid, center = _grid_and_middle(scene, ZOOM)
+        view = _view_around(grid, center)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
         scene.close()
-    away = TEST_DISTANCE_M / grid.step
-    row, col = place[0] - view.row0, place[1] - view.col0
-    row, cols = int(row), (int(np.rint(col - away)), int(np.rint(col + away)))
+    distance_px = TEST_DISTANCE_M / grid.step
+    row, col = center[0] - view.row0, center[1] - view.col0
+    row, cols = int(row), (int(np.rint(col - distance_px)), int(np.rint(col + distance_px)))
     return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])
 
 
-def _scene(source: str, algorithm: str) -> Scene:
+def _wall_scene(source: str, algorithm: str) -> Scene:
     level = Level.model_validate(
         {
             "version": 1,
@@ -103,11 +103,11 @@ def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]
     return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
 
 
-def _view_around(grid: Grid, place: tuple[float, float]) -> MapView:
+def _view_around(grid: Grid, center: tuple[float, float]) -> MapView:
     """Return a view of the pixels around a position, shifted to stay within its block, since blocks are drawn separately."""
     row, col = (
         float(np.clip(int(index) - TEST_PICTURE_PX // 2, first, first + BLOCK_PX - TEST_PICTURE_PX))
-        for index in place
+        for index in center
         for first in [index // BLOCK_PX * BLOCK_PX]
     )
     return MapView(grid, row, col, 1.0, 1.0, TEST_PICTURE_PX, TEST_PICTURE_PX)

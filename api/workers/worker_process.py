@@ -12,7 +12,7 @@ from skugga.api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
 from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.child_process import ChildProcess
 from skugga.api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
-from skugga.api.workers.piped_process import Spawned
+from skugga.api.workers.piped_process import SpawnedWorker
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.process_life import is_stopped
 from skugga.terrain.errors import RenderTimeoutError
@@ -33,7 +33,7 @@ class WorkerProcess:
 
     Parameters
     ----------
-    spawned
+    spawned_worker
         The process, started or not.
     threads
         Threads that wait for the pipe.
@@ -58,16 +58,16 @@ class WorkerProcess:
 
     def __init__(
         self,
-        spawned: Spawned,
+        spawned_worker: SpawnedWorker,
         threads: Executor,
         on_death: Callable[[], None],
         on_preparing: Callable[[Preparing], None] = lambda preparing: None,
     ) -> None:
-        self._child, self._pipe = ChildProcess(spawned, threads), spawned.pipe
+        self._child, self._pipe = ChildProcess(spawned_worker, threads), spawned_worker.pipe
         self._on_death, self._on_preparing = on_death, on_preparing
         self._task = ""
-        self._watched: int | None = None
-        self.basis = spawned.config.basis
+        self._watched_sentinel: int | None = None
+        self.basis = spawned_worker.config.basis
         self.first_blocks: tuple[BlockJob, ...] = ()
         self.has_ended = False
         self.has_prepared = False
@@ -89,8 +89,8 @@ class WorkerProcess:
                 await self._child.start()
             except OSError as error:
                 raise exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error.strerror}") from None
-        self._watched = self._child.sentinel
-        asyncio.get_running_loop().add_reader(self._watched, self._note_death)
+        self._watched_sentinel = self._child.sentinel
+        asyncio.get_running_loop().add_reader(self._watched_sentinel, self._note_death)
         try:
             answer = await self._answer(self._pipe.recv, timeout_s)
         except TimeoutError:
@@ -135,30 +135,30 @@ class WorkerProcess:
 
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
         """Return the answer that follows all progress messages; each message may take ``timeout_s``. Raises as ``_receive``."""
-        heard = await self._receive(function, timeout_s)
+        message = await self._receive(function, timeout_s)
         try:
-            while isinstance(heard, Preparing):
+            while isinstance(message, Preparing):
                 self.has_prepared = self.is_preparing = True
-                if heard.task != self._task:
-                    log.info("render process %s: %s", self.pid, heard.task)
-                    self._task = heard.task
-                self._on_preparing(heard)
-                heard = await self._receive(self._pipe.recv, timeout_s)
+                if message.task != self._task:
+                    log.info("render process %s: %s", self.pid, message.task)
+                    self._task = message.task
+                self._on_preparing(message)
+                message = await self._receive(self._pipe.recv, timeout_s)
         finally:
             self.is_preparing = False
-        return heard
+        return message
 
     async def _receive(self, function: Callable[[], T], timeout_s: float) -> T:
         """Return the next message from the pipe. Raises ``TimeoutError``, and ``EOFError`` if the process was stopped."""
         loop = asyncio.get_running_loop()
-        until, answer = loop.time() + timeout_s, self._child.in_new_thread(function)
+        deadline, answer = loop.time() + timeout_s, self._child.in_new_thread(function)
         while True:
-            done, _ = await asyncio.wait({answer}, timeout=max(min(STOPPED_CHECK_S, until - loop.time()), 0.0))
-            if done:
+            completed, _ = await asyncio.wait({answer}, timeout=max(min(STOPPED_CHECK_S, deadline - loop.time()), 0.0))
+            if completed:
                 return answer.result()
             if self.pid is not None and is_stopped(self.pid):
                 raise EOFError("the process was stopped")
-            if loop.time() >= until:
+            if loop.time() >= deadline:
                 raise TimeoutError
 
     def _note_death(self) -> None:
@@ -167,6 +167,6 @@ class WorkerProcess:
         self._on_death()
 
     def _unwatch(self) -> None:
-        if self._watched is not None:
-            asyncio.get_running_loop().remove_reader(self._watched)
-            self._watched = None
+        if self._watched_sentinel is not None:
+            asyncio.get_running_loop().remove_reader(self._watched_sentinel)
+            self._watched_sentinel = None

@@ -33,7 +33,7 @@ SCENES_BYTES = 2**30
 TILE_PLANS_BYTES = 16 * MIB
 """Upper bound of the cached plans of tiles, some 30 KiB each."""
 
-BLOCKS_BYTES = 48 * MIB
+BLOCK_CACHE_BYTES = 48 * MIB
 """Upper bound of the cached blocks, some 5 MiB each, which serve other layers and formats."""
 
 MAX_PROCESS_BYTES = 3 * 2**30
@@ -117,7 +117,7 @@ class WorkerState:
     missing_loops: int = 0
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
-    blocks: Cache[DrawnBlock] = field(default_factory=lambda: Cache("skugga.api.workers.blocks", "process", BLOCKS_BYTES))
+    blocks: Cache[DrawnBlock] = field(default_factory=lambda: Cache("skugga.api.workers.blocks", "process", BLOCK_CACHE_BYTES))
 
     @property
     def device(self) -> DeviceProfile | None:

@@ -67,7 +67,7 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
     left_out: dict[str, str] = {}
     records = []
     for tool in tools_of(python):
-        version = tool.found()
+        version = tool.installed_version()
         if version is None:
             left_out[tool.name] = "absent"
             print(f"{tool.name}: absent", flush=True)
@@ -102,13 +102,13 @@ def errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[floa
     return float(false.sum() / count), float(missed.sum() / count)
 
 
-def measured(python: str, side: int, repeats: int) -> PeerComparison:
+def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
     """Measure everything: the check of conventions, truth, and the tools in turns."""
     begin = time.perf_counter()
     runs: dict[tuple[Tool, str, int], list[ToolRun]] = {}
-    wrong: dict[tuple[Tool, str, int], tuple[float, float]] = {}
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
+    error_shares: dict[tuple[Tool, str, int], tuple[float, float]] = {}
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder = Path(folder_name)
         tools, left_out, records = check_tools(python, folder)
         terrains, truths = [], {}
         for name, (height_m, cell_m) in rasters(side).items():
@@ -131,17 +131,21 @@ def measured(python: str, side: int, repeats: int) -> PeerComparison:
                             print(f"{tool.name}: left out: {left_out[tool.name]}", flush=True)
                             del tools[tool]
                             continue
-                        if tool.lit is not None and key not in wrong:
+                        if tool.lit is not None and key not in error_shares:
                             truth = truths[name][k]
-                            wrong[key] = errors(tool.mask(job), truth, truth.drawn if tool.ours else truth.decidable)
+                            error_shares[key] = errors(tool.mask(job), truth, truth.drawn if tool.ours else truth.decidable)
                 print(f"{time.perf_counter() - begin:4.0f} s  round {repeat + 1} of {repeats}: {name}", flush=True)
-    answers = [_answer(*key[:2], SUNS[key[2]], key_runs, wrong.get(key)) for key, key_runs in runs.items() if key[0] in tools]
-    records = [each for each in records if each.name not in left_out]
-    where = f"{_processor()}, {os.cpu_count()} cores"
-    return PeerComparison(where, repeats, SLOW_S, time.perf_counter() - begin, terrains, records, left_out, answers)
+    answers = [
+        _answer(*key[:2], SUNS[key[2]], key_runs, error_shares.get(key)) for key, key_runs in runs.items() if key[0] in tools
+    ]
+    records = [record for record in records if record.name not in left_out]
+    machine = f"{_processor()}, {os.cpu_count()} cores"
+    return PeerComparison(machine, repeats, SLOW_S, time.perf_counter() - begin, terrains, records, left_out, answers)
 
 
-def _answer(tool: Tool, name: str, sun: tuple[float, float], runs: list[ToolRun], wrong: tuple[float, float] | None) -> ToolResult:
+def _answer(
+    tool: Tool, name: str, sun: tuple[float, float], runs: list[ToolRun], error_shares: tuple[float, float] | None
+) -> ToolResult:
     compute_s = [run.compute_s for run in runs if run.compute_s is not None]
     return ToolResult(
         tool=tool.name,
@@ -153,8 +157,8 @@ def _answer(tool: Tool, name: str, sun: tuple[float, float], runs: list[ToolRun]
         whole_s=float(np.median([run.whole_s for run in runs])),
         peak_mb=max(run.peak_mb for run in runs),
         cores=float(np.median([run.cores for run in runs])),
-        false_shadow=wrong[0] if wrong else None,
-        missed_shadow=wrong[1] if wrong else None,
+        false_shadow=error_shares[0] if error_shares else None,
+        missed_shadow=error_shares[1] if error_shares else None,
     )
 
 
@@ -170,13 +174,13 @@ def main() -> None:
     parser.add_argument("--write-only", action="store_true")
     args = parser.parse_args()
     if not args.write_only:
-        found = measured(args.python, args.side, args.repeats)
-        args.json.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
-    found = PeerComparison.read(json.loads(args.json.read_text("utf-8")))
-    args.markdown.write_text(page(found, Path(os.path.relpath(args.picture, args.markdown.parent)).as_posix()), "utf-8")
-    picture(found, args.picture)
+        comparison = measure_all(args.python, args.side, args.repeats)
+        args.json.write_text(json.dumps(asdict(comparison), indent=1) + "\n", "utf-8")
+    comparison = PeerComparison.read(json.loads(args.json.read_text("utf-8")))
+    args.markdown.write_text(page(comparison, Path(os.path.relpath(args.picture, args.markdown.parent)).as_posix()), "utf-8")
+    picture(comparison, args.picture)
     if args.readme:
-        print("\n".join(short_table(found)))
+        print("\n".join(short_table(comparison)))
 
 
 if __name__ == "__main__":

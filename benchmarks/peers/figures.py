@@ -93,8 +93,8 @@ class PeerComparison:
     @staticmethod
     def read(values: dict[str, Any]) -> PeerComparison:
         """Build it from JSON values."""
-        terrains = [TestRaster(**{**each, "under": [SunShares(**sun) for sun in each["under"]]}) for each in values["terrains"]]
-        tools, answers = [ToolRecord(**each) for each in values["tools"]], [ToolResult(**each) for each in values["answers"]]
+        terrains = [TestRaster(**{**entry, "under": [SunShares(**sun) for sun in entry["under"]]}) for entry in values["terrains"]]
+        tools, answers = [ToolRecord(**entry) for entry in values["tools"]], [ToolResult(**entry) for entry in values["answers"]]
         return PeerComparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
 
     def of(self, tool: ToolRecord, terrain: str | None = None, on_axis: bool | None = None) -> list[ToolResult]:
@@ -145,46 +145,46 @@ class ToolStanding:
         return self.seconds < other.seconds and self.wrong < other.wrong
 
 
-def cases(found: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
+def cases(comparison: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
     """Return standings of all tools: in each raster under each sun, and in the means over the suns off the axes."""
     out: dict[str, list[ToolStanding]] = {}
-    for tool in found.casting:
-        for answer in found.of(tool):
-            out.setdefault(answer.case, []).append(ToolStanding(tool, CLOCKS[clock](found, tool, answer), answer.wrong))
-        for name in [terrain.name for terrain in found.terrains] + [None]:
-            results = found.of(tool, name, on_axis=False)
-            seconds = float(np.mean([CLOCKS[clock](found, tool, answer) for answer in results]))
-            wrong = float(np.mean([answer.wrong for answer in results]))
-            out.setdefault(f"{name or 'all'}, mean off the axes", []).append(ToolStanding(tool, seconds, wrong))
+    for tool in comparison.casting:
+        for answer in comparison.of(tool):
+            out.setdefault(answer.case, []).append(ToolStanding(tool, CLOCKS[clock](comparison, tool, answer), answer.wrong))
+        for name in [terrain.name for terrain in comparison.terrains] + [None]:
+            results = comparison.of(tool, name, on_axis=False)
+            seconds = float(np.mean([CLOCKS[clock](comparison, tool, answer) for answer in results]))
+            wrong_share = float(np.mean([answer.wrong for answer in results]))
+            out.setdefault(f"{name or 'all'}, mean off the axes", []).append(ToolStanding(tool, seconds, wrong_share))
     return out
 
 
-def beaten(found: PeerComparison, clock: str) -> list[tuple[str, str, str]]:
+def dominated_results(comparison: PeerComparison, clock: str) -> list[tuple[str, str, str]]:
     """Return Skugga's rows with peers that are both faster and more accurate, and the case."""
-    return beaten_rows(cases(found, clock))
+    return dominated_rows(cases(comparison, clock))
 
 
-def unmatched(found: PeerComparison, clock: str) -> list[tuple[str, str]]:
+def unmatched_results(comparison: PeerComparison, clock: str) -> list[tuple[str, str]]:
     """Return peers that beat every row of Skugga's in a case, and the case."""
-    return unmatched_peers(cases(found, clock))
+    return unmatched_peers(cases(comparison, clock))
 
 
-def beaten_rows(places_of: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
+def dominated_rows(standings_by_case: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
     """Return, from standings by case, Skugga's rows with peers that are both faster and more accurate, and the case."""
     return [
-        (own.tool.name, peer.tool.name, case)
-        for case, places in places_of.items()
-        for own in places
-        for peer in places
-        if own.tool.ours and not peer.tool.ours and peer.beats(own)
+        (our_row.tool.name, peer.tool.name, case)
+        for case, standings in standings_by_case.items()
+        for our_row in standings
+        for peer in standings
+        if our_row.tool.ours and not peer.tool.ours and peer.beats(our_row)
     ]
 
 
-def unmatched_peers(places_of: dict[str, list[ToolStanding]]) -> list[tuple[str, str]]:
+def unmatched_peers(standings_by_case: dict[str, list[ToolStanding]]) -> list[tuple[str, str]]:
     """Return, from standings by case, peers that beat every row of Skugga's there, and the case."""
     return [
         (peer.tool.name, case)
-        for case, places in places_of.items()
-        for peer in places
-        if not peer.tool.ours and all(peer.beats(own) for own in places if own.tool.ours)
+        for case, standings in standings_by_case.items()
+        for peer in standings
+        if not peer.tool.ours and all(peer.beats(our_row) for our_row in standings if our_row.tool.ours)
     ]

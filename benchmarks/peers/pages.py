@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from benchmarks.peers.figures import CLOCKS, PeerComparison, ToolRecord, ToolStanding, beaten, cases, unmatched
+from benchmarks.peers.figures import CLOCKS, PeerComparison, ToolRecord, ToolStanding, cases, dominated_results, unmatched_results
 from benchmarks.seeds.claims import table
 
 
@@ -23,65 +23,68 @@ def seconds(value: float) -> str:
     )
 
 
-def span(values: Iterable[float], written: Callable[[float], str]) -> str:
+def format_range(values: Iterable[float], format_value: Callable[[float], str]) -> str:
     """Format the least and the greatest value."""
     values = list(values)
-    least, most = written(min(values)), written(max(values))
-    return least if least == most else f"{least} to {most}"
+    lowest, highest = format_value(min(values)), format_value(max(values))
+    return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
-def bound(found: PeerComparison, tool: ToolRecord) -> str:
+def bound_prefix(comparison: PeerComparison, tool: ToolRecord) -> str:
     """Return the prefix of seconds of computing that are an upper bound."""
-    return "≤ " if found.bounded(tool) else ""
+    return "≤ " if comparison.bounded(tool) else ""
 
 
-def mean_wrong(found: PeerComparison, tool: ToolRecord, on_axis: bool) -> float:
+def mean_wrong(comparison: PeerComparison, tool: ToolRecord, on_axis: bool) -> float:
     """Return the mean share of wrong cells over rasters and suns."""
-    return float(np.mean([answer.wrong for answer in found.of(tool, on_axis=on_axis)]))
+    return float(np.mean([answer.wrong for answer in comparison.of(tool, on_axis=on_axis)]))
 
 
-def time_table(found: PeerComparison) -> list[str]:
+def time_table(comparison: PeerComparison) -> list[str]:
     """Format a line for each tool: seconds as ranges over the suns, memory, wrong cells."""
     rows = []
-    for tool in found.tools:
+    for tool in comparison.tools:
         row = {"tool": tool.name, "version": tool.version, "how": tool.algorithm}
-        for terrain in found.terrains:
-            answers = found.of(tool, terrain.name)
-            computing = span((found.compute_s(tool, answer) for answer in answers), seconds)
-            row[f"{terrain.name}: computing s"] = bound(found, tool) + computing if tool.casts else "-"
-            row["whole s" if terrain is found.terrains[0] else "whole s "] = span((answer.whole_s for answer in answers), seconds)
-        row["peak MB"] = f"{max(answer.peak_mb for answer in found.of(tool)):.0f}"
-        row["cores"] = f"{max(answer.cores for answer in found.of(tool)):.1f}"
-        wrong = [answer.wrong for answer in found.of(tool)] if tool.casts else []
-        row["wrong %, on the axes"] = percent(mean_wrong(found, tool, True)) if wrong else "-"
-        row["off them"] = percent(mean_wrong(found, tool, False)) if wrong else "-"
-        row["worst"] = percent(max(wrong)) if wrong else "-"
+        for terrain in comparison.terrains:
+            answers = comparison.of(tool, terrain.name)
+            computing = format_range((comparison.compute_s(tool, answer) for answer in answers), seconds)
+            row[f"{terrain.name}: computing s"] = bound_prefix(comparison, tool) + computing if tool.casts else "-"
+            row["whole s" if terrain is comparison.terrains[0] else "whole s "] = format_range(
+                (answer.whole_s for answer in answers), seconds
+            )
+        row["peak MB"] = f"{max(answer.peak_mb for answer in comparison.of(tool)):.0f}"
+        row["cores"] = f"{max(answer.cores for answer in comparison.of(tool)):.1f}"
+        wrong_shares = [answer.wrong for answer in comparison.of(tool)] if tool.casts else []
+        row["wrong %, on the axes"] = percent(mean_wrong(comparison, tool, True)) if wrong_shares else "-"
+        row["off them"] = percent(mean_wrong(comparison, tool, False)) if wrong_shares else "-"
+        row["worst"] = percent(max(wrong_shares)) if wrong_shares else "-"
         rows.append(row)
     return table(rows)
 
 
-def error_table(found: PeerComparison) -> list[str]:
+def error_table(comparison: PeerComparison) -> list[str]:
     """Format a line for each tool that casts shadows: false and missed shadow in every case."""
     return table([
         {"tool": tool.name}
-        | {answer.case: f"{percent(answer.false_shadow or 0)} / {percent(answer.missed_shadow or 0)}" for answer in found.of(tool)}
-        for tool in found.casting
+        | {answer.case: (f"{percent(answer.false_shadow or 0)} / "
+            f"{percent(answer.missed_shadow or 0)}") for answer in comparison.of(tool)}
+        for tool in comparison.casting
     ])  # fmt: skip
 
 
-def short_table(found: PeerComparison) -> list[str]:
+def short_table(comparison: PeerComparison) -> list[str]:
     """Format the short table: the largest raster's seconds, means over the suns off the axes."""
     rows = []
-    for tool in found.tools:
+    for tool in comparison.tools:
         if tool.ours and tool.name not in SHORT_OURS:
             continue
-        answers = found.of(tool, found.largest.name, on_axis=False)
-        computing, process_s = (float(np.mean([CLOCKS[clock](found, tool, answer) for answer in answers])) for clock in CLOCKS)
+        answers = comparison.of(tool, comparison.largest.name, on_axis=False)
+        computing, process_s = (float(np.mean([CLOCKS[clock](comparison, tool, answer) for answer in answers])) for clock in CLOCKS)
         rows.append({
             "mask of a DEM": f"**{tool.name}**" if tool.ours else tool.name if tool.casts else f"{tool.name} (casts none)",
-            "computing, s": bound(found, tool) + seconds(computing) if tool.casts else "-",
+            "computing, s": bound_prefix(comparison, tool) + seconds(computing) if tool.casts else "-",
             "whole process, s": seconds(process_s),
-            "wrong cells off the axes, %": percent(mean_wrong(found, tool, False)) if tool.casts else "-",
+            "wrong cells off the axes, %": percent(mean_wrong(comparison, tool, False)) if tool.casts else "-",
         })  # fmt: skip
     return table(rows)
 
@@ -90,45 +93,48 @@ SHORT_OURS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 """Skugga's rows in the short table."""
 
 
-def format_verdict(found: PeerComparison) -> str:
+def format_verdict(comparison: PeerComparison) -> str:
     """Describe whether Skugga lies on or beyond the Pareto front of the others, and the exceptions."""
-    peers = [tool for tool in found.casting if not tool.ours]
+    peers = [tool for tool in comparison.casting if not tool.ours]
     if not peers:
         return "Open: there was no peer to compare with."
-    right = [tool for tool in found.casting if not any(answer.wrong for answer in found.of(tool, on_axis=True))]
+    right = [tool for tool in comparison.casting if not any(answer.wrong for answer in comparison.of(tool, on_axis=True))]
     names = ["Skugga" for tool in right if tool.ours][:1] + [tool.name for tool in right if not tool.ours]
-    parts = [_front(found, clock, len(peers)) for clock in CLOCKS]
-    if all(tool in right for tool in found.casting if tool.ours):
-        parts.append(f"On the axes these have no wrong cell in any row: {_listed(names)}. Off the axes:")
-    return "\n\n".join([*parts, _beside(found)])
+    parts = [_pareto_text(comparison, clock, len(peers)) for clock in CLOCKS]
+    if all(tool in right for tool in comparison.casting if tool.ours):
+        parts.append(f"On the axes these have no wrong cell in any row: {_join_names(names)}. Off the axes:")
+    return "\n\n".join([*parts, _compare_best_peers(comparison)])
 
 
-def _front(found: PeerComparison, clock: str, peers: int) -> str:
+def _pareto_text(comparison: PeerComparison, clock: str, peers: int) -> str:
     """Describe the verdict by one clock."""
-    title, count = f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**", len(cases(found, clock))
-    our_count = sum(tool.ours for tool in found.casting)
-    lost, over = beaten(found, clock), unmatched(found, clock)
-    if not lost:
+    title, count = (
+        f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**",
+        len(cases(comparison, clock)),
+    )
+    our_count = sum(tool.ours for tool in comparison.casting)
+    dominated, over = dominated_results(comparison, clock), unmatched_results(comparison, clock)
+    if not dominated:
         return (
             f"{title} Skugga lies on or beyond the Pareto front of all peers: in {count} cases none of the {peers} peers is both "
             f"faster and more accurate than any of its {our_count} rows."
         )
-    where = "; ".join(f"{own} by {peer} ({case})" for own, peer, case in lost)
+    dominated_text = "; ".join(f"{our_row} by {peer} ({case})" for our_row, peer, case in dominated)
     every = "; ".join(f"{peer} ({case})" for peer, case in over)
-    return f"{title} of Skugga's {our_count} rows in {count} cases these are beaten in both at once: {where}. " + (
+    return f"{title} of Skugga's {our_count} rows in {count} cases these are beaten in both at once: {dominated_text}. " + (
         f"Skugga does **not** lie on the front here: one peer beats all of its rows: {every}."
         if over
         else "No peer beats all of its rows in any case: there is a choice of lines that is at least as fast or as accurate."
     )
 
 
-def _beside(found: PeerComparison) -> str:
+def _compare_best_peers(comparison: PeerComparison) -> str:
     """Compare the fastest and the most accurate peer, off the axes, with Skugga's row of the same merit."""
-    places = cases(found, "computing")["all, mean off the axes"]
-    peer_places, our_places = ([place for place in places if place.tool.ours == is_ours] for is_ours in (False, True))
+    standings = cases(comparison, "computing")["all, mean off the axes"]
+    peer_places, our_places = ([standing for standing in standings if standing.tool.ours == is_ours] for is_ours in (False, True))
 
     def line(merit: str, word: str) -> str:
-        peer, our_place = (min(group, key=lambda place: getattr(place, merit)) for group in (peer_places, our_places))
+        peer, our_place = (min(group, key=lambda standing: getattr(standing, merit)) for group in (peer_places, our_places))
         return (
             f"- the {word} peer is {peer.tool.name}: {seconds(peer.seconds)} s of computing, {percent(peer.wrong)} % wrong; "
             f"Skugga's {word} row is {_lines(our_place)}: {seconds(our_place.seconds)} s "
@@ -139,15 +145,15 @@ def _beside(found: PeerComparison) -> str:
     return "\n".join([line("seconds", "fastest"), line("wrong", "most accurate")]).removesuffix(";") + "."
 
 
-def _lines(place: ToolStanding) -> str:
-    return place.tool.name.removeprefix("Skugga sweep, ")
+def _lines(standing: ToolStanding) -> str:
+    return standing.tool.name.removeprefix("Skugga sweep, ")
 
 
-def _listed(names: list[str]) -> str:
+def _join_names(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def page(found: PeerComparison, image: str) -> str:
+def page(comparison: PeerComparison, image: str) -> str:
     """Format the page, in Markdown; ``image`` is the picture's address relative to it."""
     parts = [
         "# Masks of a DEM: Skugga beside other tools",
@@ -156,40 +162,40 @@ def page(found: PeerComparison, image: str) -> str:
         "## The verdict",
         "Is there a peer that is both faster and more accurate? The question is put for each of Skugga's rows, in each raster\n"
         "under each sun, and for the means over the suns off the axes.",
-        format_verdict(found),
+        format_verdict(comparison),
         "## How it was measured",
-        _how(found),
+        _method_text(comparison),
         "## Time, memory, accuracy",
-        f"Seconds are ranges over the {len(found.terrains[0].under)} suns. Peak: memory of a tool's largest process.\n"
+        f"Seconds are ranges over the {len(comparison.terrains[0].under)} suns. Peak: memory of a tool's largest process.\n"
         "Cores: CPU time over wall time of the whole process, the largest ratio. Wrong: per cent of the decided\n"
         "cells, mean over rasters and suns, and the worst.",
-        "\n".join(time_table(found)),
+        "\n".join(time_table(comparison)),
         "## Errors, case by case",
         "Raster, azimuth/altitude: false / missed shadow, per cent of the decided cells.",
-        "\n".join(error_table(found)),
+        "\n".join(error_table(comparison)),
         "## Notes",
-        "\n".join(f"- {note}" for note in _notes(found)),
+        "\n".join(f"- {note}" for note in _notes_text(comparison)),
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def _how(found: PeerComparison) -> str:
+def _method_text(comparison: PeerComparison) -> str:
     rasters = "; ".join(
         f"{RASTER_TITLES[terrain.name]}: {terrain.cols} x {terrain.rows} cells of {terrain.cell_m:g} m, {terrain.lowest_m:.0f} to "
         f"{terrain.highest_m:.0f} m high"
-        for terrain in found.terrains
+        for terrain in comparison.terrains
     )
-    suns = found.terrains[0].under
-    on, off = (
-        _listed([f"{sun.azimuth_deg:g}/{sun.altitude_deg:g}" for sun in suns if (sun.azimuth_deg % 45.0 == 0.0) == axis])
+    suns = comparison.terrains[0].under
+    on_axes, off_axes = (
+        _join_names([f"{sun.azimuth_deg:g}/{sun.altitude_deg:g}" for sun in suns if (sun.azimuth_deg % 45.0 == 0.0) == axis])
         for axis in (True, False)
     )
-    undecided = span((sun.undecided for terrain in found.terrains for sun in terrain.under), percent)
-    shadow = span((sun.shadow for terrain in found.terrains for sun in terrain.under), percent)
+    undecided = format_range((sun.undecided for terrain in comparison.terrains for sun in terrain.under), percent)
+    shadow = format_range((sun.shadow for terrain in comparison.terrains for sun in terrain.under), percent)
     return f"""**Rasters.** {rasters}. Every tool gets the same GeoTIFF,
 in a flat world, on a grid whose north is true north.
 
-**Suns** (azimuth/altitude, degrees): {on} on the grid's axes and diagonals, {off} off them.
+**Suns** (azimuth/altitude, degrees): {on_axes} on the grid's axes and diagonals, {off_axes} off them.
 Only at multiples of 45 degrees does a line from cell to cell meet nothing but cell centres. A test of such suns alone hides errors.
 
 **Truth.** Rays from the nodes through the triangles between them; quads are cut along their higher diagonals, as Skugga's are.
@@ -198,10 +204,10 @@ other tools, which cut quads in ways of their own, it must not depend on the dia
 {undecided} % of the cells. Of the decided cells, {shadow} % lie in shadow.
 
 **Time.** *Computing* is the time of the tool's call by its own clock, with compiled code warm. *Whole process* is wall-clock time:
-start, imports, reading, computing, writing. Times are medians of {found.repeats}; a tool that takes over {found.slow_s:g} s runs
-once. One process runs at a time, and the tools take turns. `≤` marks a bound: the tool does not report its computing time, so the
-whole process is taken, less its least time for the small raster below. The verdict takes the bound for the time itself. Seconds are
-comparable only with each other: {found.where}.
+start, imports, reading, computing, writing. Times are medians of {comparison.repeats}; a tool that takes over {comparison.slow_s:g}
+s runs once. One process runs at a time, and the tools take turns. `≤` marks a bound: the tool does not report its computing time,
+so the whole process is taken, less its least time for the small raster below. The verdict takes the bound for the time itself.
+Seconds are comparable only with each other: {comparison.where}.
 
 **Conventions.** Before the measurement, each tool shaded a block on a small flat floor under four suns: the shadow had to have the
 right length and direction."""
@@ -213,30 +219,30 @@ RASTER_TITLES = {
 }
 
 
-def _notes(found: PeerComparison) -> list[str]:
-    valid = {tool.name for tool in found.tools}
+def _notes_text(comparison: PeerComparison) -> list[str]:
+    valid = {tool.name for tool in comparison.tools}
     notes = [note for name, note in NOTES if name in valid]
-    if slower := [tool.name for tool in found.casting if _low_sun(found, tool) > LOW_SUN]:
+    if slower := [tool.name for tool in comparison.casting if _low_sun_ratio(comparison, tool) > LOW_SUN]:
         notes.append(
             f"The lower the sun, the longer the shadows: on the largest raster computing takes more than {LOW_SUN:g} times as long "
-            f"under the lowest suns as under the highest with {_listed(slower)}."
+            f"under the lowest suns as under the highest with {_join_names(slower)}."
         )
-    absent = [name for name, why in found.left_out.items() if why == "absent"]
-    notes += [f"{name} was left out: {why}." for name, why in found.left_out.items() if why != "absent"]
+    absent = [name for name, reason in comparison.left_out.items() if reason == "absent"]
+    notes += [f"{name} was left out: {reason}." for name, reason in comparison.left_out.items() if reason != "absent"]
     if absent:
-        notes.append(f"Absent when this was measured: {_listed(absent)}.")
+        notes.append(f"Absent when this was measured: {_join_names(absent)}.")
     return [*notes, NOT_COMPARED]
 
 
 LOW_SUN = 2.0
 
 
-def _low_sun(found: PeerComparison, tool: ToolRecord) -> float:
+def _low_sun_ratio(comparison: PeerComparison, tool: ToolRecord) -> float:
     """Return the ratio of computing times under the lowest and the highest suns, on the largest raster."""
-    answers = found.of(tool, found.largest.name)
+    answers = comparison.of(tool, comparison.largest.name)
     heights = [answer.altitude_deg for answer in answers]
     low, high = (
-        sum(found.compute_s(tool, answer) for answer in answers if answer.altitude_deg == height)
+        sum(comparison.compute_s(tool, answer) for answer in answers if answer.altitude_deg == height)
         for height in (min(heights), max(heights))
     )
     return low / high if high else 1.0

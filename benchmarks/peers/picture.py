@@ -21,51 +21,57 @@ OURS, THEIRS, INK, SETTING_GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
 MIN_PERCENT = 1e-6
 """The position of points without any wrong cell on logarithmic axes."""
 
-ROUND = [(8, 0), (-8, 0), (0, 8), (0, -8), (6, 6), (-6, 6), (6, -6), (-6, -6)]
+LABEL_OFFSETS = [(8, 0), (-8, 0), (0, 8), (0, -8), (6, 6), (-6, 6), (6, -6), (-6, -6)]
 """Candidate positions of a label at its point: offsets in points."""
 
 LABEL_MARGIN_PX = 14.0
 """The margin of other labels around a point, to either side."""
 
 
-def picture(found: PeerComparison, path: Path) -> None:
+def picture(comparison: PeerComparison, path: Path) -> None:
     """Write the plot, a panel for each raster, as WebP."""
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK}):
         figure = Figure(figsize=(11.5, 5.4), dpi=140, layout="constrained")
         canvas = FigureCanvasAgg(figure)
-        panels = np.atleast_1d(figure.subplots(1, len(found.terrains), sharex=True, sharey=True))
-        for axes, terrain in zip(panels, found.terrains, strict=True):
-            _panel(axes, found, terrain)
+        panels = np.atleast_1d(figure.subplots(1, len(comparison.terrains), sharex=True, sharey=True))
+        for axes, terrain in zip(panels, comparison.terrains, strict=True):
+            _panel(axes, comparison, terrain)
         panels[0].set_ylabel("wrong cells off the grid's axes, %")
         figure.suptitle("Cast shadows of a DEM: time against error. Faster is left, more accurate is down", fontsize=13)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # labels are placed at the final positions of points
-        for axes, terrain in zip(panels, found.terrains, strict=True):
-            _names(axes, canvas, _places(found, terrain))
-        drawn = io.BytesIO()
-        figure.savefig(drawn, format="png")
-    Image.open(drawn).convert("RGB").save(path, quality=90, method=6)
+        for axes, terrain in zip(panels, comparison.terrains, strict=True):
+            _draw_labels(axes, canvas, _standings_of(comparison, terrain))
+        png = io.BytesIO()
+        figure.savefig(png, format="png")
+    Image.open(png).convert("RGB").save(path, quality=90, method=6)
 
 
-def _places(found: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
-    return cases(found, "computing")[f"{terrain.name}, mean off the axes"]
+def _standings_of(comparison: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
+    return cases(comparison, "computing")[f"{terrain.name}, mean off the axes"]
 
 
-def _at(place: ToolStanding) -> tuple[float, float]:
-    return max(place.seconds, 1e-3), max(100.0 * place.wrong, MIN_PERCENT)
+def _plot_xy(standing: ToolStanding) -> tuple[float, float]:
+    return max(standing.seconds, 1e-3), max(100.0 * standing.wrong, MIN_PERCENT)
 
 
-def _panel(axes: Axes, found: PeerComparison, terrain: TestRaster) -> None:
+def _panel(axes: Axes, comparison: PeerComparison, terrain: TestRaster) -> None:
     axes.set(xscale="log", yscale="log", xlabel="seconds of computing, mean of three suns")
     axes.set_title(f"{terrain.name}, {terrain.rows * terrain.cols / 1e6:.1f} million cells", fontsize=11)
     axes.grid(color=SETTING_GRID)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    places = _places(found, terrain)
-    own = np.array([_at(place) for place in places if place.tool.ours])
-    axes.plot(*own.T, "-o", color=OURS, markersize=8, linewidth=1.5, label="Skugga")
+    standings = _standings_of(comparison, terrain)
+    our_positions = np.array([_plot_xy(standing) for standing in standings if standing.tool.ours])
+    axes.plot(*our_positions.T, "-o", color=OURS, markersize=8, linewidth=1.5, label="Skugga")
     for bounded, label in ((False, "others"), (True, "others: at most so long")):
-        positions = np.array([_at(place) for place in places if not place.tool.ours and found.bounded(place.tool) == bounded])
+        positions = np.array(
+            [
+                _plot_xy(standing)
+                for standing in standings
+                if not standing.tool.ours and comparison.bounded(standing.tool) == bounded
+            ]
+        )
         if len(positions):
             axes.plot(*positions.T, "D", color=THEIRS, markersize=7, markerfacecolor="white" if bounded else THEIRS, label=label)
     axes.margins(x=0.12, y=0.12)
@@ -75,38 +81,38 @@ def _panel(axes: Axes, found: PeerComparison, terrain: TestRaster) -> None:
     axes.legend(loc="lower right", frameon=False)
 
 
-def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[ToolStanding]) -> None:
+def _draw_labels(axes: Axes, canvas: FigureCanvasAgg, standings: list[ToolStanding]) -> None:
     """Place each label where it overlaps points and other labels least."""
     renderer = canvas.get_renderer()
-    points = axes.transData.transform([_at(place) for place in places])
+    points = axes.transData.transform([_plot_xy(standing) for standing in standings])
     occupied = [
         Bbox.from_extents(x - LABEL_MARGIN_PX, y - LABEL_MARGIN_PX, x + LABEL_MARGIN_PX, y + LABEL_MARGIN_PX) for x, y in points
     ]
     occupied.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
     inside = axes.get_window_extent(renderer)
-    for place in places:
-        color = OURS if place.tool.ours else THEIRS
-        name = place.tool.name.removeprefix("Skugga sweep, ") if place.tool.ours else place.tool.name.split()[0]
-        tried = []
-        for x, y in ROUND:
+    for standing in standings:
+        color = OURS if standing.tool.ours else THEIRS
+        name = standing.tool.name.removeprefix("Skugga sweep, ") if standing.tool.ours else standing.tool.name.split()[0]
+        candidates = []
+        for x, y in LABEL_OFFSETS:
             horizontal, vertical = (
                 "left" if x > 0 else "right" if x < 0 else "center",
                 "bottom" if y > 0 else "top" if y < 0 else "center",
             )
             text = axes.annotate(
-                name, _at(place), (x, y), textcoords="offset points", ha=horizontal, va=vertical, color=color, fontsize=10
+                name, _plot_xy(standing), (x, y), textcoords="offset points", ha=horizontal, va=vertical, color=color, fontsize=10
             )
             box = text.get_window_extent(renderer)
-            outside = box.width * box.height - _shared(box, inside)
-            tried.append((outside + sum(_shared(box, other) for other in occupied), text, box))
-        best = min(tried, key=lambda each: each[0])
-        for _, text, _ in tried:
+            outside = box.width * box.height - _overlap_area(box, inside)
+            candidates.append((outside + sum(_overlap_area(box, other) for other in occupied), text, box))
+        best = min(candidates, key=lambda candidate: candidate[0])
+        for _, text, _ in candidates:
             if text is not best[1]:
                 text.remove()
         occupied.append(best[2])
 
 
-def _shared(one: Bbox, other: Bbox) -> float:
+def _overlap_area(box: Bbox, other: Bbox) -> float:
     """Return the area that two boxes share."""
-    shared = Bbox.intersection(one, other)
+    shared = Bbox.intersection(box, other)
     return 0.0 if shared is None else shared.width * shared.height

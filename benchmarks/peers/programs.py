@@ -68,8 +68,8 @@ def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
     shadowing.disable_gpu()
 
     def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
-        found = shadowing.calculate_shadows_wall_ht_25(azimuth_deg, altitude_deg, cell_m, float(np.ptp(height_m)), height_m)
-        return found.bldg_sh > 0.5
+        shadows = shadowing.calculate_shadows_wall_ht_25(azimuth_deg, altitude_deg, cell_m, float(np.ptp(height_m)), height_m)
+        return shadows.bldg_sh > 0.5
 
     return ask
 
@@ -136,8 +136,8 @@ def r_horizon(path: str, azimuth_deg: float, out: str) -> float:
     start = time.perf_counter()
     grass("r.horizon", "-d", "--quiet", "elevation=dem", f"direction={(90.0 - azimuth_deg) % 360.0:g}", "output=horizon")
     taken_s = time.perf_counter() - start
-    found = grass("g.list", "type=raster", "pattern=horizon*").split()[0]
-    grass("r.out.gdal", "-c", "--quiet", "--overwrite", f"input={found}", f"output={out}", "type=Float32")
+    raster_name = grass("g.list", "type=raster", "pattern=horizon*").split()[0]
+    grass("r.out.gdal", "-c", "--quiet", "--overwrite", f"input={raster_name}", f"output={out}", "type=Float32")
     return taken_s
 
 

@@ -25,7 +25,7 @@ POLE_CELLS, POLE_WIDTH, POLE_M, POLE_CELL_M, FLOOR_M = 201, 5, 150.0, 10.0, 100.
 """The check of conventions: cells of the floor and of the block in its middle, its height, a cell's side, the floor's height."""
 
 POLE_SUNS = [(azimuth, 10.0) for azimuth in (315.0, 202.0, 113.0, 67.0)]
-POLE_CLOSE = 2.0
+POLE_TOLERANCE_CELLS = 2.0
 """The tolerance of a pole's shadow in length and position, in cells."""
 
 
@@ -73,9 +73,9 @@ class Tool:
     lit: Callable[[np.ndarray, ToolJob], np.ndarray] | None
     ours: bool = False
 
-    def found(self) -> str | None:
+    def installed_version(self) -> str | None:
         """Return its version, or ``None`` if it is absent."""
-        return version_said(self.version)
+        return version_in_output(self.version)
 
     def run(self, job: ToolJob) -> ToolRun:
         """Run it. Raises as ``run_process`` does."""
@@ -84,11 +84,11 @@ class Tool:
     def mask(self, job: ToolJob) -> np.ndarray:
         """Return where its output shows the sun: bool (rows, cols)."""
         assert self.lit is not None
-        with rasterio.open(job.out) as written:
-            return self.lit(written.read(1), job)
+        with rasterio.open(job.out) as dataset:
+            return self.lit(dataset.read(1), job)
 
 
-def version_said(command: list[str]) -> str | None:
+def version_in_output(command: list[str]) -> str | None:
     """Return the first number with dots in a command's output, ``None`` if it is absent or fails."""
     if shutil.which(command[0]) is None:
         return None
@@ -128,14 +128,14 @@ with tempfile.TemporaryFile("w+") as said:
 
 def tools_of(python: str) -> list[Tool]:
     """Return all tools; packages are those of the interpreter ``python``."""
-    here = str(PROGRAMS)
+    programs_file = str(PROGRAMS)
 
     def package(name: str, algorithm: str, program: str, distribution: str, module: str) -> Tool:
         return Tool(
             name,
             algorithm,
-            [python, here, "--version", distribution, module],
-            lambda job: [python, here, program, str(job.dem), *job.sun, str(job.out)],
+            [python, programs_file, "--version", distribution, module],
+            lambda job: [python, programs_file, program, str(job.dem), *job.sun, str(job.out)],
             lambda values, job: values > 0,
         )
 
@@ -143,8 +143,8 @@ def tools_of(python: str) -> list[Tool]:
         return Tool(
             f"Skugga sweep, {lines} line{'s' * (lines > 1)}",
             "running maximum on lines along the sun's azimuth, between cells",
-            [sys.executable, here, "--version", "skugga", "skugga.shadows.sweep.grid"],
-            lambda job: [sys.executable, here, "sweep", str(job.dem), *job.sun, str(job.out), str(lines)],
+            [sys.executable, programs_file, "--version", "skugga", "skugga.shadows.sweep.grid"],
+            lambda job: [sys.executable, programs_file, "sweep", str(job.dem), *job.sun, str(job.out), str(lines)],
             lambda values, job: values > 0,
             ours=True,
         )
@@ -160,7 +160,7 @@ def tools_of(python: str) -> list[Tool]:
             "GRASS r.horizon",
             "horizons by a walk from each cell, nearest cell",
             ["grass", "--version"],
-            lambda job: ["grass", "--tmp-location", str(job.dem), "--exec", sys.executable, here, "r.horizon",
+            lambda job: ["grass", "--tmp-location", str(job.dem), "--exec", sys.executable, programs_file, "r.horizon",
                          str(job.dem), *job.sun, str(job.out)],
             lambda values, job: ~(values > job.altitude_deg),
         ),
@@ -204,7 +204,7 @@ def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, m
 def check_pole(tool: Tool, folder: Path) -> list[ToolRun]:
     """Check that a block on a flat floor casts a shadow away from the sun and of the right length; return the runs.
 
-    Raises ``RuntimeError`` if a shadow differs by more than ``POLE_CLOSE`` cells, or if the tool fails.
+    Raises ``RuntimeError`` if a shadow differs by more than ``POLE_TOLERANCE_CELLS`` cells, or if the tool fails.
     """
     height_m = np.full((POLE_CELLS, POLE_CELLS), FLOOR_M, np.float32)
     middle, half = POLE_CELLS // 2, POLE_WIDTH // 2
@@ -225,12 +225,12 @@ def _check_shadow(lit: np.ndarray, azimuth_deg: float, altitude_deg: float) -> N
     if not len(dark):
         raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole throws no shadow")
     azimuth = np.radians(azimuth_deg)
-    away, beside = (
+    distance, sideways = (
         dark @ np.array(direction) for direction in ((np.cos(azimuth), -np.sin(azimuth)), (np.sin(azimuth), np.cos(azimuth)))
     )
     corner = (POLE_WIDTH // 2) * (abs(np.sin(azimuth)) + abs(np.cos(azimuth)))
     expected = corner + POLE_M / np.tan(np.radians(altitude_deg)) / POLE_CELL_M
-    if abs(away.max() - expected) > POLE_CLOSE:
-        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow ends {away.max():.1f} cells away, not {expected:.1f}")
-    if np.abs(beside).max() > corner + POLE_CLOSE:
-        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow lies {np.abs(beside).max():.1f} cells beside its place")
+    if abs(distance.max() - expected) > POLE_TOLERANCE_CELLS:
+        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow ends {distance.max():.1f} cells away, not {expected:.1f}")
+    if np.abs(sideways).max() > corner + POLE_TOLERANCE_CELLS:
+        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow lies {np.abs(sideways).max():.1f} cells beside its place")

@@ -16,33 +16,36 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.reports.measure import measured
+from benchmarks.reports.measure import measure_scene
 from benchmarks.reports.page import comparisons
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import with_tables
 
 ROOT = Path(__file__).parents[2]
-KEPT = Path(__file__).with_name("reports.json")
+RECORDS_FILE = Path(__file__).with_name("reports.json")
 PAGE = ROOT / "docs" / "comparisons.md"
 REPORTS, PLOTS = ROOT / "docs" / "compare", ROOT / "docs" / "images"
 
 
-def kept() -> dict[str, dict[str, Any]]:
+def stored_records() -> dict[str, dict[str, Any]]:
     """Return the stored record of each compared scene, in order."""
-    found = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
-    return {name: found[name] for name in SCENES if name in found}
+    records = json.loads(RECORDS_FILE.read_text(encoding="utf-8")) if RECORDS_FILE.exists() else {}
+    return {name: records[name] for name in SCENES if name in records}
 
 
 def write_page() -> None:
     """Write the page of the stored records."""
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(kept())), encoding="utf-8")
+    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(stored_records())), encoding="utf-8")
 
 
 def make(name: str, data: Path, time_limit_s: float | None) -> None:
     """Write a scene's report, plot and figures."""
-    made = measured(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
-    KEPT.write_text(json.dumps(kept() | {name: made}, indent=1) + "\n", encoding="utf-8")
-    print(f"{name}: {len(made['rows'])} rows, {len(made['left_out'])} left out, {made['took_s']} s", flush=True)
+    scene_record = measure_scene(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
+    RECORDS_FILE.write_text(json.dumps(stored_records() | {name: scene_record}, indent=1) + "\n", encoding="utf-8")
+    print(
+        f"{name}: {len(scene_record['rows'])} rows, {len(scene_record['left_out'])} left out, {scene_record['took_s']} s",
+        flush=True,
+    )
 
 
 def make_all(names: list[str], options: list[str]) -> list[str]:

@@ -11,8 +11,8 @@ from typing import Any
 from benchmarks.reports.scenes import ReportScene
 from skugga.api.catalogue import find_level
 from skugga.api.cli.snapshot import scene_and_view
-from skugga.api.report.comparison import about, write_page, write_plot
-from skugga.api.report.summary import casts, format_summary
+from skugga.api.report.comparison import comparison_facts, write_page, write_plot
+from skugga.api.report.summary import casts_shadow, format_summary
 from skugga.selector.measure.compare import Comparison, compare
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.level.parts import SunSpec
@@ -26,7 +26,7 @@ ROW_KEYS = ("wrong_cast", "coverage", "soft_error", "interior", "cold", "pareto"
 """Stored values of a row, beside its time and its name."""
 
 
-def measured(scene: ReportScene, data: Path, report: Path, plot: Path, time_limit_s: float | None = None) -> Figures:
+def measure_scene(scene: ReportScene, data: Path, report: Path, plot: Path, time_limit_s: float | None = None) -> Figures:
     """Compare, write the report and the plot, and return the record.
 
     Raises ``RuntimeError`` for a report that is too large, which is not written.
@@ -42,7 +42,7 @@ def measured(scene: ReportScene, data: Path, report: Path, plot: Path, time_limi
         write_page(opened, comparison, page, scene.view, scene.command, MAX_BYTES)
         publish(page.read_text(encoding="utf-8"), report)
     write_plot(opened, comparison, plot, scene.view)
-    return record(scene, comparison, about(opened, comparison, scene.view)) | {
+    return record(scene, comparison, comparison_facts(opened, comparison, scene.view)) | {
         "time_limit_s": limit_s, "took_s": round(took_s), "load": round(load, 1),
     }  # fmt: skip
 
@@ -55,13 +55,15 @@ def publish(text: str, report: Path) -> None:
     write_atomically(report, text)
 
 
-def record(scene: ReportScene, comparison: Comparison, said: dict[str, str]) -> Figures:
-    """Return the record of a comparison; ``said`` is its report's text on the run."""
+def record(scene: ReportScene, comparison: Comparison, report_facts: dict[str, str]) -> Figures:
+    """Return the record of a comparison; ``report_facts`` is its report's text on the run."""
     return {
         "command": scene.command,
         "title": scene.title,
         "data": scene.data,
-        **{key: said[key] for key in ("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made")},
+        **{
+            key: report_facts[key] for key in ("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made")
+        },
         "error": comparison.error,
         "cast": comparison.cast,
         "boundary": comparison.boundary,
@@ -73,6 +75,6 @@ def record(scene: ReportScene, comparison: Comparison, said: dict[str, str]) -> 
         "rows": {
             row.figures["name"]: {"ms": row.figures["ms_median"], **{key: row.figures[key] for key in ROW_KEYS}}
             for row in comparison.rows
-            if casts(row.figures, comparison.light)
+            if casts_shadow(row.figures, comparison.light)
         },
     }

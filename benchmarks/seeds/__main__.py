@@ -34,7 +34,7 @@ from benchmarks.seeds import tree as seeds_tree
 from benchmarks.seeds.claims import Experiment
 from benchmarks.seeds.devices import Measured, about_devices, add_figures, read_measured, section_of
 from benchmarks.seeds.pictures import write_pictures
-from benchmarks.seeds.verdicts import SAME, whole_percent
+from benchmarks.seeds.verdicts import DRAW_FACTOR, whole_percent
 from skugga.terrain.gl.device import device
 
 EXPERIMENTS = {
@@ -63,7 +63,7 @@ experiments in levels built after their scenes, and compares each claim with wha
 today's devices is a result, too.
 
 Verdicts follow from the figures, by the condition in brackets. If the deciding figure lies within
-{whole_percent(SAME - 1.0)} of its limit, the claim stays open: a draw. SM, PSM and SV are `shadow_map`,
+{whole_percent(DRAW_FACTOR - 1.0)} of its limit, the claim stays open: a draw. SM, PSM and SV are `shadow_map`,
 `perspective_shadow_map` and `shadow_volume`. Figures such as `wrong_cast`, `false_shadow` and `edge_p95` are those of
 `skugga compare`, against ray-traced truth. Figures over ground with relief (`spatialace`, Jacksboro) were measured before the
 rules of shared points, cuts and smooth ground of [accuracy.md](accuracy.md) held."""

@@ -7,13 +7,13 @@ import numpy as np
 from benchmarks.algorithms import IN_SHADOW
 from benchmarks.contact_sheet import view_of
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.grades import ERROR_SIZE, RIGHT, along_path, errors
-from benchmarks.seeds.times import LIGHTS, ratio, timed
+from benchmarks.seeds.grades import ERROR_SIZE, MAX_RIGHT_SHARE, along_path, errors
+from benchmarks.seeds.times import LIGHTS, measure_times, ratio
 from benchmarks.seeds.verdicts import (
+    DRAW_FACTOR,
     FOUR,
     HYBRID,
     PSM,
-    SAME,
     SCENES,
     SHORT,
     SM,
@@ -21,8 +21,8 @@ from benchmarks.seeds.verdicts import (
     THESIS,
     all_of,
     at_most,
+    join_scene_names,
     listed_by_scene,
-    named,
     percent,
     reason,
     whole_percent,
@@ -33,24 +33,24 @@ OUTDOOR_SIZE = (400, 320)
 OUTDOORS = (("jacksboro", "ridges"), ("spatialace", "main"))
 """Large outdoor views under the sun: level and view."""
 
-MANY = 3
+MIN_WORSE_VIEWS = 3
 """The least number of views that counts as many cases."""
 
-CONSIDERABLY = 0.8
+MAX_CACHED_RATIO = 0.8
 """The ratio of times that counts as considerably less."""
 
 
 def measure() -> Figures:
     near = {
-        f"boxgrid{sun}, {view}": timed(f"thesis_boxgrid{sun}", view, (SV, HYBRID))
+        f"boxgrid{sun}, {view}": measure_times(f"thesis_boxgrid{sun}", view, (SV, HYBRID))
         for sun in LIGHTS
         for view in (IN_SHADOW, "close")
     }
     return {
-        "views": {f"{scene}{sun}": timed(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
+        "views": {f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
         "near": near,
         "paths": {scene: along_path(f"thesis_{scene}") for scene in SCENES},
-        "outdoors": {" ".join(where): _errors_in(*where, OUTDOOR_SIZE, (SM, PSM)) for where in OUTDOORS},
+        "outdoors": {" ".join(level_and_view): _errors_in(*level_and_view, OUTDOOR_SIZE, (SM, PSM)) for level_and_view in OUTDOORS},
         "sun": {scene: _errors_in(f"thesis_{scene}_sun", "main", ERROR_SIZE, (SM, PSM)) for scene in SCENES},
         "from": {
             view: {scene: _errors_in(f"thesis_{scene}", view, ERROR_SIZE, (SM,))[SM] for scene in SCENES}
@@ -59,18 +59,18 @@ def measure() -> Figures:
     }
 
 
-def _errors_in(level: str, view: str, size: tuple[int, int], asked: tuple[str, ...] = FOUR) -> Figures:
+def _errors_in(level: str, view: str, size: tuple[int, int], algorithms: tuple[str, ...] = FOUR) -> Figures:
     """Return errors in a view of a bundled level."""
     scene = bundled(level)
-    return errors(with_truth(scene, view_of(scene, view, size), "main"), asked)
+    return errors(with_truth(scene, view_of(scene, view, size), "main"), algorithms)
 
 
 def section(figures: Figures) -> Section:
     views, near, paths = figures["views"], figures["near"], figures["paths"]
     spot = {scene: views[scene] for scene in SCENES}
     few = {name: ratio(times, SV, SM) for name, times in views.items()}
-    kept = {name: times[SV]["kept"]["ms"] / times[SV]["redrawn"]["ms"] for name, times in views.items()}
-    made = {name: times[SV]["redrawn"]["stages"]["volumes"] / times[SV]["redrawn"]["ms"] for name, times in views.items()}
+    cached_ratios = {name: times[SV]["kept"]["ms"] / times[SV]["redrawn"]["ms"] for name, times in views.items()}
+    volume_shares = {name: times[SV]["redrawn"]["stages"]["volumes"] / times[SV]["redrawn"]["ms"] for name, times in views.items()}
     worst = max(times[SV]["wrong_cast"] for path in paths.values() for times in path)
     close = {name: ratio(times, HYBRID, SV) for name, times in near.items()} | {
         f"boxgrid{sun}, main": ratio(views[f"boxgrid{sun}"], HYBRID, SV) for sun in LIGHTS
@@ -81,7 +81,7 @@ def section(figures: Figures) -> Section:
         f"in {name} {whole_percent(times[PSM]['on_foliage'])} of what PSM gets wrong lies on trees, and its texels cover "
         f"{times[PSM]['texel_px']:.1f} pixels where it is wrong, SM's {times[SM]['texel_px']:.1f} where that is"
         for name, times in figures["outdoors"].items()
-        if outdoors[name] * SAME >= 1.0
+        if outdoors[name] * DRAW_FACTOR >= 1.0
     )
     inside = {scene: path[len(path) // 2] for scene, path in paths.items()} | {
         f"{scene}_sun": times for scene, times in figures["sun"].items()
@@ -90,17 +90,17 @@ def section(figures: Figures) -> Section:
     worse = [name for name, value in {**gained, **outdoors}.items() if value > 1.0]
     edges = {view: {scene: times["edge_p95"] for scene, times in by_scene.items()} for view, by_scene in figures["from"].items()}
     fastest = {scene: min(FOUR, key=lambda key, times=times: times[key]["redrawn"]["ms"]) for scene, times in spot.items()}
-    best = [scene for scene, key in fastest.items() if inside[scene][key]["wrong_cast"] <= RIGHT]
+    best = [scene for scene, key in fastest.items() if inside[scene][key]["wrong_cast"] <= MAX_RIGHT_SHARE]
     definite = len(set(fastest.values())) == 1 and len(best) == len(fastest)
     afar = all_of(edges["overview"][scene] <= edges["close"][scene] for scene in SCENES)
     outdoor = all_of(at_most(value, 1.0) for value in outdoors.values())
-    often_worse = len(worse) >= MANY
+    often_worse = len(worse) >= MIN_WORSE_VIEWS
     few_pay = all_of(
         at_most(few[f"street{sun}"], min(few[f"{scene}{sun}"] for scene in SCENES if scene != "street")) for sun in LIGHTS
     )
-    still = at_most(max(kept.values()), CONSIDERABLY)
-    right = at_most(worst, RIGHT)
-    complex_ = all_of((all(value < SAME for value in close.values()), at_most(float(np.median([*close.values()])), 1.0)))
+    saves_time = at_most(max(cached_ratios.values()), MAX_CACHED_RATIO)
+    right = at_most(worst, MAX_RIGHT_SHARE)
+    complex_ = all_of((all(value < DRAW_FACTOR for value in close.values()), at_most(float(np.median([*close.values()])), 1.0)))
     room = all_of(at_most(value, 1.0) for value in ceiling.values())
     return Section(
         "The advice (table 1, section 8.2)",
@@ -138,7 +138,7 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.1 and 8.2",
                 "in many cases PSM is worse than SM at the same size",
-                f"worse in {len(worse)} of {len(gained) + len(outdoors)} views (held from {MANY} on); `wrong_cast` of PSM, of "
+                f"worse in {len(worse)} of {len(gained) + len(outdoors)} views (held from {MIN_WORSE_VIEWS} on); `wrong_cast` of PSM, of "
                 f"SM's: {listed_by_scene(gained)}, and those above",
                 often_worse,
                 reason(
@@ -159,13 +159,13 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.1 and 8.2",
                 "SV gets considerably faster where light and objects rest",
-                f"time with volumes kept, of that with all redrawn: {listed_by_scene(kept)} (held if at most "
-                f"{CONSIDERABLY} everywhere)",
-                still,
+                f"time with volumes kept, of that with all redrawn: {listed_by_scene(cached_ratios)} (held if at most "
+                f"{MAX_CACHED_RATIO} everywhere)",
+                saves_time,
                 reason(
-                    still,
+                    saves_time,
                     "making the volumes was most of it",
-                    f"making the volumes is {whole_percent(min(made.values()))} to {whole_percent(max(made.values()))} of the "
+                    f"making the volumes is {whole_percent(min(volume_shares.values()))} to {whole_percent(max(volume_shares.values()))} of the "
                     "time, drawing them the rest, and that is to be done again whenever the camera moves, as the thesis says "
                     "itself",
                 ),
@@ -174,14 +174,17 @@ def section(figures: Figures) -> Section:
                 f"{THESIS}, 8.2",
                 "SV where perfect shadows are crucial",
                 f"its largest `wrong_cast` in {sum(map(len, paths.values()))} views: {percent(worst)} (held if at most "
-                f"{percent(RIGHT)})",
+                f"{percent(MAX_RIGHT_SHARE)})",
                 right,
                 reason(right, "edges are exact, and no texel is involved", "what is wrong lies within rounding of an edge"),
             ),
             Claim(
                 f"{THESIS}, 8.2",
                 "the hybrid where shadows are complex and the camera comes close: BoxGrid",
-                f"time of the hybrid, of SV's: {listed_by_scene(close)} (held if the median is under 1 and none over {SAME})",
+                (
+                    f"time of the hybrid, of SV's: {listed_by_scene(close)} (held if the median "
+                    f"is under 1 and none over {DRAW_FACTOR})"
+                ),
                 complex_,
                 reason(
                     complex_,
@@ -208,7 +211,7 @@ def section(figures: Figures) -> Section:
                 f"{THESIS}, 8.1",
                 "there is no definite winner",
                 f"fastest under the spot: {', '.join(f'{SCENES[scene]} {SHORT[key]}' for scene, key in fastest.items())}; it is "
-                f"also right (at most {percent(RIGHT)} of the cast shadow wrong) in {named(best)} (held unless one is both "
+                f"also right (at most {percent(MAX_RIGHT_SHARE)} of the cast shadow wrong) in {join_scene_names(best)} (held unless one is both "
                 "everywhere)",
                 not definite,
                 reason(

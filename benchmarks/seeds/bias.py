@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, factor, listed_by_scene, opposite, percent, reason
-from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, view_with_truth
+from benchmarks.seeds.views import ShadowOverrides, ViewWithTruth, bundled, one_map, settings_of, view_with_truth
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import sun_maps
 from skugga.shadows.passes import PassLog
@@ -20,19 +20,19 @@ LEVELS = {
     "rocks": ("thesis_rocks_sun", "main"),
     "alpine": ("jacksboro_alpine", "map"),
 }
-CLOSED = ("street", "rocks")
+CLOSED_SCENES = ("street", "rocks")
 """Scenes whose casters are only closed meshes; in the third the ground casts on itself."""
 
 SIZE, TEXELS = (512, 512), 1024
-COARSE = 256
+COARSE_MAP_SIZE = 256
 """A coarser map for the search of the best bias."""
 
 TAPS = (1, 2, 3)
 SCALES = (0.0, 0.25, 1.0, 4.0, 16.0)
-CLAMP = 0.005
+MAX_SLOPE_BIAS = 0.005
 """The report's upper bound of the bias, in depths from 0 to 1."""
 
-CONSTANTS = tuple(float(b) for b in np.geomspace(1e-6, 3e-2, 16))
+BIAS_CONSTANTS = tuple(float(b) for b in np.geomspace(1e-6, 3e-2, 16))
 """Constants b of the report's formula that are compared."""
 
 FORMULAS = ("constant", "slope", "clamped")
@@ -46,70 +46,73 @@ BODIES, BARE_BODIES, CULLED = "bodies x 1", "bodies x 0", "bodies, front culled 
 def measure() -> Figures:
     figures: Figures = {}
     for scene, (level, name) in LEVELS.items():
-        look = view_with_truth(bundled(level), name, SIZE)
-        rows: dict[str, Asked] = {
+        truth_view = view_with_truth(bundled(level), name, SIZE)
+        rows: dict[str, ShadowOverrides] = {
             f"{bias}, {taps}": {"bias": bias, "filter": taps} for bias in ("receiver_plane", "polygon_offset") for taps in TAPS
         }
         rows |= {f"polygon_offset x {scale:g}": {"bias": "polygon_offset", "bias_scale": scale} for scale in SCALES}
         rows |= {f"normal_offset x {scale:g}": {"bias": "normal_offset", "bias_scale": scale} for scale in (1.0, 4.0)}
-        if scene in CLOSED:
+        if scene in CLOSED_SCENES:
             bodies = {"algorithm": {"meshes": "shadow_map"}, "bias": "polygon_offset"}
             rows |= {BARE_BODIES: {**bodies, "bias_scale": 0.0}, BODIES: {**bodies, "bias_scale": 1.0}}
             rows |= {CULLED: {**bodies, "bias_scale": 0.0, "culling": "front"}}
         figures[scene] = {
-            "rows": {row: _biased(look, one_map(TEXELS, **overrides)) for row, overrides in rows.items()},
-            "formulas": {str(size): _by_formulas(look, size) for size in (COARSE, TEXELS)},
+            "rows": {row: _biased(truth_view, one_map(TEXELS, **overrides)) for row, overrides in rows.items()},
+            "formulas": {str(size): _by_formulas(truth_view, size) for size in (COARSE_MAP_SIZE, TEXELS)},
         }
     return figures
 
 
-def _biased(look: ViewWithTruth, asked: Asked) -> dict[str, float]:
+def _biased(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> dict[str, float]:
     """Return errors; among the points that face the sun, the share whose visibility is neither 0 nor 1, and its deviation."""
-    seen, known = look.visibility(look.plan(asked)), look.truth.decidable & look.receivers
-    partial = (seen > 0.0) & (seen < 1.0) & look.receivers
-    shaded, ground = known & ~look.truth.lit, look.buffer.kind == RELIEF
-    figures = look.errors(seen)
+    visibility, decided = truth_view.visibility(truth_view.plan(overrides)), truth_view.truth.decidable & truth_view.receivers
+    partial = (visibility > 0.0) & (visibility < 1.0) & truth_view.receivers
+    shaded, ground = decided & ~truth_view.truth.lit, truth_view.buffer.kind == RELIEF
+    figures = truth_view.errors(visibility)
     return {
         **{key: figures[key] for key in ("wrong_cast", "false_shadow", "missed_shadow")},
         **{
-            f"missed_{name}": float((seen >= 0.5)[shaded & here].sum() / max((shaded & here).sum(), 1))
-            for name, here in (("ground", ground), ("bodies", ~ground))
+            f"missed_{name}": float((visibility >= 0.5)[shaded & part].sum() / max((shaded & part).sum(), 1))
+            for name, part in (("ground", ground), ("bodies", ~ground))
         },
-        "missed_cast": float((seen >= 0.5)[shaded].sum() / max(shaded.sum(), 1)),
-        "partial": float(partial.sum() / look.receivers.sum()),
-        "off": float(np.abs(seen - look.truth.lit)[known].mean()),
+        "missed_cast": float((visibility >= 0.5)[shaded].sum() / max(shaded.sum(), 1)),
+        "partial": float(partial.sum() / truth_view.receivers.sum()),
+        "off": float(np.abs(visibility - truth_view.truth.lit)[decided].mean()),
     }
 
 
-def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
+def _by_formulas(truth_view: ViewWithTruth, size: int) -> dict[str, Any]:
     """Return ``wrong_cast`` under biases in depth for each constant b, with the map of ``size`` as drawn and one tap a point.
 
     The biases are b itself, b tan(acos(n.l)), and the latter clamped to the report's bound.
     """
-    plan, log = look.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)), PassLog(requested_layers=frozenset({"shadow-map"}))
-    look.visibility(plan, log)
+    plan, log = (
+        truth_view.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)),
+        PassLog(requested_layers=frozenset({"shadow-map"})),
+    )
+    truth_view.visibility(plan, log)
     (depths,) = log.layers["shadow-map", SUN]
-    settings = settings_of(look, plan)
+    settings = settings_of(truth_view, plan)
     assert isinstance(settings, ShadowMapSettings)
-    (drawn,) = sun_maps(look.buffer, look.scene, settings, None)
-    rotation = np.reshape(drawn.uniforms["light_from_frame"], (3, 3)).T
-    here = look.receivers
-    in_light = look.buffer.position_frame_m[here] @ rotation.T + drawn.uniforms["light_offset_m"]
-    col, row = np.floor(in_light[:, :2] / drawn.uniforms["texel_m"]).astype(int).T
-    depth, stored = in_light[:, 2] / drawn.uniforms["window_m"][2], depths[::-1][row, col]
-    tangent = np.tan(np.arccos(np.clip(-(look.buffer.normal_frame[here] @ rotation.T)[:, 2], 1e-6, 1.0)))
-    wrong: dict[str, list[float]] = {"constant": [], "slope": [], "clamped": []}
-    for b in CONSTANTS:
-        for name, bias in (("constant", b), ("slope", b * tangent), ("clamped", np.minimum(b * tangent, CLAMP))):
-            dark = np.zeros(here.shape, bool)
-            dark[here] = depth - bias > stored
-            wrong[name].append(_wrong_cast(look, dark))
-    return {**wrong, "texel": float(max(drawn.uniforms["texel_m"]) / drawn.uniforms["window_m"][2])}
+    (shadow_map,) = sun_maps(truth_view.buffer, truth_view.scene, settings, None)
+    rotation = np.reshape(shadow_map.uniforms["light_from_frame"], (3, 3)).T
+    receivers = truth_view.receivers
+    in_light = truth_view.buffer.position_frame_m[receivers] @ rotation.T + shadow_map.uniforms["light_offset_m"]
+    col, row = np.floor(in_light[:, :2] / shadow_map.uniforms["texel_m"]).astype(int).T
+    depth, stored = in_light[:, 2] / shadow_map.uniforms["window_m"][2], depths[::-1][row, col]
+    tangent = np.tan(np.arccos(np.clip(-(truth_view.buffer.normal_frame[receivers] @ rotation.T)[:, 2], 1e-6, 1.0)))
+    wrong_shares: dict[str, list[float]] = {"constant": [], "slope": [], "clamped": []}
+    for b in BIAS_CONSTANTS:
+        for name, bias in (("constant", b), ("slope", b * tangent), ("clamped", np.minimum(b * tangent, MAX_SLOPE_BIAS))):
+            dark = np.zeros(receivers.shape, bool)
+            dark[receivers] = depth - bias > stored
+            wrong_shares[name].append(_wrong_cast(truth_view, dark))
+    return {**wrong_shares, "texel": float(max(shadow_map.uniforms["texel_m"]) / shadow_map.uniforms["window_m"][2])}
 
 
-def _wrong_cast(look: ViewWithTruth, dark: np.ndarray) -> float:
+def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
     """Return ``skugga.shadows.truth.metrics.ErrorMetrics.wrong_cast`` alone, which needs no search for distances."""
-    truth = look.truth
+    truth = truth_view.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
 
@@ -121,11 +124,11 @@ def section(figures: Figures) -> Section:
     def of(row: str, figure: str, scenes: tuple[str, ...] = tuple(LEVELS)) -> dict[str, float]:
         return {scene: figures[scene]["rows"][row][figure] for scene in scenes}
 
-    def at_least_times(some: dict[str, float], ratio: float, others: dict[str, float]) -> bool | None:
-        return all_of(at_least(some[scene], ratio * others[scene]) for scene in some)
+    def at_least_times(scene_values: dict[str, float], ratio: float, reference_values: dict[str, float]) -> bool | None:
+        return all_of(at_least(scene_values[scene], ratio * reference_values[scene]) for scene in scene_values)
 
-    def at_most_times(some: dict[str, float], ratio: float, others: dict[str, float]) -> bool | None:
-        return all_of(at_most(some[scene], ratio * others[scene]) for scene in some)
+    def at_most_times(scene_values: dict[str, float], ratio: float, reference_values: dict[str, float]) -> bool | None:
+        return all_of(at_most(scene_values[scene], ratio * reference_values[scene]) for scene in scene_values)
 
     acne, panning = of(NO_BIAS, "false_shadow"), of(TOO_MUCH, "missed_shadow")
     regret = {name: _regret(figures, name) for name in FORMULAS}
@@ -136,13 +139,13 @@ def section(figures: Figures) -> Section:
     none_fits = opposite(at_most(regret["constant"], ALIKE))
     slope_helps = at_most(regret["slope"], regret["constant"])
     clamp_helps = at_most(best["clamped"], best["slope"])
-    culled, biased, bare = (of(row, "wrong_cast", CLOSED) for row in (CULLED, BODIES, BARE_BODIES))
+    culled, biased, bare = (of(row, "wrong_cast", CLOSED_SCENES) for row in (CULLED, BODIES, BARE_BODIES))
     spares = at_most_times(culled, ALIKE, biased)
     missed, ground, bodies = (
-        [of(row, f"missed_{where}", CLOSED) for row in (CULLED, BODIES)] for where in ("cast", "ground", "bodies")
+        [of(row, f"missed_{part}", CLOSED_SCENES) for row in (CULLED, BODIES)] for part in ("cast", "ground", "bodies")
     )
     no_panning = at_most_times(missed[0], ALIKE, missed[1])
-    apart = (
+    cull_reason = (
         f"on the ground {shares(ground[0])} is missed, with the slope's bias {shares(ground[1])}; on the bodies "
         f"{shares(bodies[0])}, and {shares(bodies[1])}"
     )
@@ -178,7 +181,7 @@ def section(figures: Figures) -> Section:
         Claim(
             REPORT,
             "no one bias is right: it depends on the scene and on the map's resolution",
-            f"the constant that serves all scenes and both maps ({COARSE} and {TEXELS}) best has up to "
+            f"the constant that serves all scenes and both maps ({COARSE_MAP_SIZE} and {TEXELS}) best has up to "
             f"{factor(regret['constant'])} times the wrong share of each one's own best (held if over {ALIKE:g})",
             none_fits,
             f"what is needed goes with the texel, as a share of the range of depths {percent(min(texels))} to "
@@ -208,7 +211,7 @@ def section(figures: Figures) -> Section:
         ),
         Claim(
             REPORT,
-            f"held to at most {CLAMP} of the depths it is best",
+            f"held to at most {MAX_SLOPE_BIAS} of the depths it is best",
             f"mean wrong share, each with its own best b: {percent(best['clamped'])} with the bound, {percent(best['slope'])} "
             "without (held if less)",
             clamp_helps,
@@ -240,15 +243,15 @@ def section(figures: Figures) -> Section:
             no_panning,
             reason(
                 no_panning,
-                f"nothing is moved, so shadow begins where the back face does: {apart}",
-                f"{apart}. Nothing is moved, so on the ground shadow begins where it should; but bodies that touch or pass into "
+                f"nothing is moved, so shadow begins where the back face does: {cull_reason}",
+                f"{cull_reason}. Nothing is moved, so on the ground shadow begins where it should; but bodies that touch or pass into "
                 "one another have back faces on the very faces that they shade, or behind them, and those are lit",
             ),
         ),
         Claim(
             REPORT,
             "2 x 2 and 3 x 3 taps make edges ever softer",
-            f"points in half shadow, by taps a side: {'; '.join(f'{taps}: {shares(some)}' for taps, some in soft.items())} (held "
+            f"points in half shadow, by taps a side: {'; '.join(f'{taps}: {shares(tap_values)}' for taps, tap_values in soft.items())} (held "
             "if none with one, and the more with more)",
             softer,
             "a point at an edge is lit by the share of its taps that are; a bias made for one tap does not do for more: at 3 x 3 "
@@ -272,7 +275,7 @@ def section(figures: Figures) -> Section:
         f"{SIZE[0]} x {SIZE[1]} pixels, one map of {TEXELS} and 24 bits, one tap or as many a side as named. `x` is the scale of "
         "the bias (0: none). `bodies` are maps of the meshes alone, without the level ground. `partial` is the share of points "
         "facing the sun that are neither lit nor in shadow; `off` is the error of their visibility. The report's formulas use "
-        f"the same maps as drawn, for {len(CONSTANTS)} values of b from {CONSTANTS[0]:g} to {CONSTANTS[-1]:g} of the map's depths.",
+        f"the same maps as drawn, for {len(BIAS_CONSTANTS)} values of b from {BIAS_CONSTANTS[0]:g} to {BIAS_CONSTANTS[-1]:g} of the map's depths.",
         tables,
         claims,
     )
@@ -285,15 +288,15 @@ def _formula_cases(figures: Figures) -> list[dict[str, Any]]:
 
 def _regret(figures: Figures, formula: str) -> float:
     """Return for the minimax constant its worst ratio to a case's own least wrong share."""
-    wrong = np.array([case[formula] for case in _formula_cases(figures)])
-    return float((wrong / wrong.min(axis=1, keepdims=True)).max(axis=0).min())
+    wrong_shares = np.array([case[formula] for case in _formula_cases(figures)])
+    return float((wrong_shares / wrong_shares.min(axis=1, keepdims=True)).max(axis=0).min())
 
 
 def _tolerance(figures: Figures) -> float:
     """Return the least ratio, over the cases, of the last to the first constant bias whose wrong share is alike to the least."""
-    wrong = (np.array(case["constant"]) for case in _formula_cases(figures))
-    good = [np.flatnonzero(row <= ALIKE * row.min()) for row in wrong]
-    return min(CONSTANTS[alike[-1]] / CONSTANTS[alike[0]] for alike in good)
+    wrong_shares = (np.array(case["constant"]) for case in _formula_cases(figures))
+    near_best = [np.flatnonzero(row <= ALIKE * row.min()) for row in wrong_shares]
+    return min(BIAS_CONSTANTS[alike[-1]] / BIAS_CONSTANTS[alike[0]] for alike in near_best)
 
 
 def _best(figures: Figures, formula: str) -> float:

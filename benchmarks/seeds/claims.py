@@ -14,14 +14,14 @@ Figures = dict[str, Any]
 class Claim:
     """A source's claim, in our words; our finding, with its figures; whether the claim holds here, and the reason.
 
-    ``held`` is ``None`` if the experiment cannot decide it.
+    ``verdict`` is ``None`` if the experiment cannot decide it.
     """
 
     source: str
-    says: str
-    found: str
-    held: bool | None
-    why: str
+    statement: str
+    finding: str
+    verdict: bool | None
+    reason: str
 
 
 Tables = list[tuple[str, list[dict[str, str]]]]
@@ -36,7 +36,7 @@ class Section:
     """
 
     title: str
-    how: str
+    method: str
     tables: Tables = field(default_factory=list)
     claims: list[Claim] = field(default_factory=list)
     pictures: list[tuple[str, str]] = field(default_factory=list)
@@ -52,7 +52,7 @@ class Experiment:
 
 def markdown(section: Section) -> str:
     """Format a section as Markdown."""
-    parts = [f"## {section.title}", section.how]
+    parts = [f"## {section.title}", section.method]
     for title, rows in section.tables:
         parts.append("\n".join([f"**{title}**", "", *table(rows)]))
     if section.claims:
@@ -66,7 +66,12 @@ def claims_table(claims: list[Claim]) -> list[str]:
     words = {True: "held", False: "**not held**", None: "open"}
     return table(
         [
-            {"claim": f"{claim.says} ({claim.source})", "found here": claim.found, "": words[claim.held], "why": claim.why}
+            {
+                "claim": f"{claim.statement} ({claim.source})",
+                "found here": claim.finding,
+                "": words[claim.verdict],
+                "why": claim.reason,
+            }
             for claim in claims
         ]
     )

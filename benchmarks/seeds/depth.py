@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.spatialace import ENOUGH
+from benchmarks.seeds.spatialace import MAX_COVERAGE_ERROR
 from benchmarks.seeds.verdicts import SPATIALACE, at_most, percent, reason, whole_percent
 from benchmarks.seeds.views import ViewWithTruth, one_map, scene_of, settings_of, shallow, view_with_truth
 from skugga.shadows.maps.settings import ShadowMapSettings
@@ -22,12 +22,12 @@ from skugga.terrain.scene import Scene
 
 BITS = (16, 24, 32)
 SUNS = {3: SunSpec(azimuth=205, altitude=3), 30: SunSpec(azimuth=205, altitude=30)}
-MAP = 4096
+MAP_SIZE = 4096
 SIZE = (320, 320)
 RELIEF_M, SIDE_M, MIDDLE_M = 2000, 12_000, 6000
 EYE_M, AHEAD = (0.0, 0.0), (0.6, 0.8)
 PLANE, OFFSET = "receiver_plane", "polygon_offset"
-STEPS_OFF = {PLANE: 1.0, OFFSET: 4.5}
+ERROR_STEPS = {PLANE: 1.0, OFFSET: 4.5}
 """The error of a depth in steps of the map: half a step by rounding, and half a step by the point's bias or the four units
 of polygon offset.
 """
@@ -37,10 +37,10 @@ def mountains(folder: Path) -> Scene:
     """Return mountains of 2,000 m, with thin walls on a slope, behind which a shadow begins at zero depth."""
     trimesh.creation.box(extents=(6.0, 0.2, 3.0)).export(folder / "wall.obj")
     rng = np.random.default_rng(2)
-    eye, ahead = np.array(EYE_M), np.array(AHEAD)
+    eye, forward = np.array(EYE_M), np.array(AHEAD)
     distance_m, aside_m = rng.uniform(20.0, 600.0, 150), rng.uniform(-0.4, 0.4, 150)
-    base = eye + distance_m[:, None] * (ahead + aside_m[:, None] * np.array([-ahead[1], ahead[0]]))
-    target = [*(eye + 300.0 * ahead).tolist(), 0.0]
+    base = eye + distance_m[:, None] * (forward + aside_m[:, None] * np.array([-forward[1], forward[0]]))
+    target = [*(eye + 300.0 * forward).tolist(), 0.0]
     ground = {"kind": "ridges", "size": [SIDE_M] * 2, "cell": 30, "relief": RELIEF_M, "seed": 5}
     level = {
         "version": 1,
@@ -61,47 +61,47 @@ def measure() -> Figures:
         for altitude, sun in SUNS.items():
             scene = scene_and_view.with_sun(sun)
             for name in ("map", "perspective"):
-                look = view_with_truth(scene, name, SIZE)
-                figures[f"{name}, {altitude} degrees"] = {bias: _by_bits(look, bias, altitude) for bias in STEPS_OFF}
+                truth_view = view_with_truth(scene, name, SIZE)
+                figures[f"{name}, {altitude} degrees"] = {bias: _by_bits(truth_view, bias, altitude) for bias in ERROR_STEPS}
     return figures
 
 
-def _by_bits(look: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, Any]:
+def _by_bits(truth_view: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, Any]:
     """Return errors by bits.
 
     Also the number of pixels whose class differs from that with 32 bits, as a share of the cast shadow, and its upper bound.
     """
-    plans = {bits: look.plan(one_map(MAP, bias=bias, depth_bits=bits)) for bits in BITS}
-    dark = {bits: np.nan_to_num(look.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
-    shaded = ~look.truth.lit & look.truth.valid & ~look.truth.attached
-    found: dict[str, Any] = {"shadow": float(shaded.sum() / look.truth.valid.sum())}
+    plans = {bits: truth_view.plan(one_map(MAP_SIZE, bias=bias, depth_bits=bits)) for bits in BITS}
+    dark = {bits: np.nan_to_num(truth_view.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
+    shaded = ~truth_view.truth.lit & truth_view.truth.valid & ~truth_view.truth.attached
+    result: dict[str, Any] = {"shadow": float(shaded.sum() / truth_view.truth.valid.sum())}
     for bits, plan in plans.items():
-        settings = settings_of(look, plan)
+        settings = settings_of(truth_view, plan)
         assert isinstance(settings, ShadowMapSettings)
-        (drawn,) = sun_maps(look.buffer, look.scene, settings, None)
-        step_m = drawn.uniforms["window_m"][2] * drawn.uniforms["depth_step"]
-        off_m = STEPS_OFF[bias] * step_m
-        shift_px = off_m * np.cos(np.radians(altitude_deg)) / _pixel_m(look)
-        edge = boundary(shaded, look.truth.valid)
-        found[str(bits)] = {
-            "wrong_cast": look.errors(np.where(look.buffer.valid, 1.0 - dark[bits], np.nan))["wrong_cast"],
-            "step_m": step_m, "texels": step_m / max(drawn.uniforms["texel_m"]),
+        (shadow_map,) = sun_maps(truth_view.buffer, truth_view.scene, settings, None)
+        step_m = shadow_map.uniforms["window_m"][2] * shadow_map.uniforms["depth_step"]
+        off_m = ERROR_STEPS[bias] * step_m
+        shift_px = off_m * np.cos(np.radians(altitude_deg)) / _pixel_m(truth_view)
+        edge = boundary(shaded, truth_view.truth.valid)
+        result[str(bits)] = {
+            "wrong_cast": truth_view.errors(np.where(truth_view.buffer.valid, 1.0 - dark[bits], np.nan))["wrong_cast"],
+            "step_m": step_m, "texels": step_m / max(shadow_map.uniforms["texel_m"]),
             "shift_px": float(np.median(shift_px[edge])), "bound": float(2.0**0.5 * shift_px[edge].sum() / shaded.sum()),
-            "near": float((shaded & shallow(look, look.buffer, off_m)).sum() / shaded.sum()),
+            "near": float((shaded & shallow(truth_view, truth_view.buffer, off_m)).sum() / shaded.sum()),
             "changed": float((dark[bits] != dark[BITS[-1]]).sum() / shaded.sum()),
-            "healed": float(((dark[bits] != dark[BITS[-1]]) & look.truth.lit).sum() / shaded.sum()),
+            "healed": float(((dark[bits] != dark[BITS[-1]]) & truth_view.truth.lit).sum() / shaded.sum()),
         }  # fmt: skip
-    return found
+    return result
 
 
-def _pixel_m(look: ViewWithTruth) -> np.ndarray:
+def _pixel_m(truth_view: ViewWithTruth) -> np.ndarray:
     """Return a pixel's side (rows, cols) on a surface that faces the viewer, metres."""
-    if isinstance(look.view, MapView):
-        return np.full(look.buffer.valid.shape, look.descriptor.pixel_m)
-    return look.ahead_m * look.view.pixel
+    if isinstance(truth_view.view, MapView):
+        return np.full(truth_view.buffer.valid.shape, truth_view.descriptor.pixel_m)
+    return truth_view.ahead_m * truth_view.view.pixel
 
 
-NO_FINER = 1e-4
+MAX_CHANGED_SHARE = 1e-4
 """The share of the cast shadow that may change where one map is no finer than another."""
 
 
@@ -110,18 +110,18 @@ def section(figures: Figures) -> Section:
     fewer = [(key, bits, case[bits]) for key, case in cases.items() for bits in map(str, BITS[:-1])]
     over = [(key, bits, row) for key, bits, row in fewer if row["changed"] > row["bound"]]
     changed = {
-        (bits, bias): max(row["changed"] for (_, each), case, row in fewer if (each, case) == (bias, bits))
+        (bits, bias): max(row["changed"] for (_, key_bias), case, row in fewer if (key_bias, case) == (bias, bits))
         for bits in map(str, BITS[:-1])
-        for bias in STEPS_OFF
+        for bias in ERROR_STEPS
     }
-    cost = {bias: max(abs(_cost(case)) for (_, each), case in cases.items() if each == bias) for bias in STEPS_OFF}
+    cost = {bias: max(abs(_cost(case)) for (_, key_bias), case in cases.items() if key_bias == bias) for bias in ERROR_STEPS}
     dearest = max(cases, key=lambda key: abs(_cost(cases[key])))
     in_texels = max(case["16"]["texels"] for case in cases.values())
     lit = {bits: _lit_share([row for (_, bias), case, row in fewer if (bias, case) == (OFFSET, bits)]) for bits in ("16", "24")}
     bounded = not over
-    suffices = at_most(max(cost.values()), ENOUGH)
-    no_finer = at_most(max(changed["24", bias] for bias in STEPS_OFF), NO_FINER)
-    where = "; ".join(f"{name} with `{bias}` of {bits} bits" for (name, bias), bits, _ in over)
+    suffices = at_most(max(cost.values()), MAX_COVERAGE_ERROR)
+    no_finer = at_most(max(changed["24", bias] for bias in ERROR_STEPS), MAX_CHANGED_SHARE)
+    cases_text = "; ".join(f"{name} with `{bias}` of {bits} bits" for (name, bias), bits, _ in over)
     acne = (
         f"with `{OFFSET}` {whole_percent(lit['24'])} of what changes are lit points: acne, which is no edge of a shadow. Its four "
         "units are steps of 24 bits in the one map, and of the float's own exponent in the other, smaller where depths are below "
@@ -140,22 +140,22 @@ def section(figures: Figures) -> Section:
                 "of the edge only the part where shadow begins can move, not the one that a far crest throws, and walls and "
                 f"slopes are thicker than a step; with `{OFFSET}` {whole_percent(lit['16'])} of what changes at 16 bits are lit "
                 "points: acne that the larger units hide",
-                f"it is over in: {where}; {whole_percent(_lit_share([row for _, _, row in over]))} of what changes there are lit "
+                f"it is over in: {cases_text}; {whole_percent(_lit_share([row for _, _, row in over]))} of what changes there are lit "
                 "points: acne, which is no edge of a shadow and comes and goes with the offset's unit",
             ),
         ),
         Claim(
             SPATIALACE,
             "16 bits suffice for a landscape under the sun (the thesis calls its shadows a little coarse: so the bits have to "
-            f"cost no more than {percent(ENOUGH)} of the cast shadow, the error that the engine allows unless asked for less)",
+            f"cost no more than {percent(MAX_COVERAGE_ERROR)} of the cast shadow, the error that the engine allows unless asked for less)",
             f"16 bits change the wrong share of the cast shadow by at most {percent(cost[PLANE])} with `{PLANE}`, by "
             f"{percent(cost[OFFSET])} with `{OFFSET}`, up or down, beside 32 bits, over {RELIEF_M} m of relief (held if at most "
-            f"{percent(ENOUGH)})",
+            f"{percent(MAX_COVERAGE_ERROR)})",
             suffices,
             f"a step of 16 bits is up to {in_texels:.2f} of a texel"
             + reason(
                 suffices,
-                f", since a map of {MAP} texels has fewer of them than 65,535: texels are what an edge is off by. Most changes in "
+                f", since a map of {MAP_SIZE} texels has fewer of them than 65,535: texels are what an edge is off by. Most changes in "
                 f"{dearest[0]} with `{dearest[1]}`, where 16 bits are {'worse' if _cost(cases[dearest]) > 0.0 else 'better'}"
                 + (
                     f": their larger units hide acne ({whole_percent(lit['16'])} of what changes are lit points)"
@@ -169,13 +169,13 @@ def section(figures: Figures) -> Section:
             "shadows/maps/shadow_map.py",
             "the sun's map of 32 bits is no finer than that of 24",
             f"at most {percent(changed['24', PLANE])} of the cast shadow changes with `{PLANE}`, {percent(changed['24', OFFSET])} "
-            f"with `{OFFSET}` (held if at most {percent(NO_FINER)} with either)",
+            f"with `{OFFSET}` (held if at most {percent(MAX_CHANGED_SHARE)} with either)",
             no_finer,
             reason(
                 no_finer,
                 "a float's steps near 1 are those of 24 bits, and both are far below what float32 makes of positions",
                 acne
-                if changed["24", PLANE] <= NO_FINER
+                if changed["24", PLANE] <= MAX_CHANGED_SHARE
                 else "a float's steps are finer than those of 24 bits wherever depths are below 1/2",
             ),
         ),
@@ -197,7 +197,7 @@ def section(figures: Figures) -> Section:
     return Section(
         "The bits of a depth",
         f"Generated mountains of {RELIEF_M} m over {SIDE_M // 1000} km, with thin walls on a slope; the map shows the middle half "
-        f"a side. {SIZE[0]} x {SIZE[1]} pixels, one map of {MAP}, one tap. A point that is e behind its caster, along the ray, "
+        f"a side. {SIZE[0]} x {SIZE[1]} pixels, one map of {MAP_SIZE}, one tap. A point that is e behind its caster, along the ray, "
         f"lies e cos(altitude) from the foot of an upright caster on level ground. `{PLANE}` may be off by one step (half for the "
         f"rounding of drawn depths, half for the bias), `{OFFSET}` by four units and a half. `shift` is the median over edge "
         "pixels. `bound` is the length of the edges (times the root of 2, for slanting ones) times the shift at each, over the "
@@ -208,9 +208,9 @@ def section(figures: Figures) -> Section:
     )
 
 
-def _cost(its: Figures) -> float:
+def _cost(case_figures: Figures) -> float:
     """Return the increase of the wrong share from 32 to 16 bits."""
-    return its["16"]["wrong_cast"] - its["32"]["wrong_cast"]
+    return case_figures["16"]["wrong_cast"] - case_figures["32"]["wrong_cast"]
 
 
 def _lit_share(rows: list[Figures]) -> float:

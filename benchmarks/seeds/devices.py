@@ -46,7 +46,7 @@ def about_devices(measured: Measured) -> str:
     if len(names) > 1:
         listed = "; ".join(f"({number}) {name}" for number, name in enumerate(names, 1))
         lines = [f"Devices: {listed}. Where their figures differ, tables have one for each, in this order, as `1.00 / 0.52`."]
-    if all(each["software"] for each in measured.values()):
+    if all(device_figures["software"] for device_figures in measured.values()):
         return "\n\n".join([*lines, NO_GPU])
     return "\n\n".join([*lines, LATER])
 
@@ -54,33 +54,37 @@ def about_devices(measured: Measured) -> str:
 def section_of(name: str, experiment: Experiment, measured: Measured) -> str | None:
     """Format an experiment's part of the page as Markdown, with the figures of all devices that ran it."""
     sections = {
-        device: experiment.section(each["experiments"][name]) for device, each in measured.items() if name in each["experiments"]
+        device: experiment.section(device_figures["experiments"][name])
+        for device, device_figures in measured.items()
+        if name in device_figures["experiments"]
     }
     if not sections:
         return None
-    (first, section), *others = sections.items()
+    (first, section), *other_sections = sections.items()
     only = "" if first == next(iter(measured)) else f" (measured on {first} alone)"
-    tables = _beside(section.tables, {device: other.tables for device, other in others})
-    page = markdown(replace(section, how=section.how + only, tables=tables))
-    return "\n".join([page, *(_judged(device, other.claims) for device, other in others if other.claims)])
+    tables = _merge_tables(section.tables, {device: other.tables for device, other in other_sections})
+    page = markdown(replace(section, method=section.method + only, tables=tables))
+    return "\n".join([page, *(_judged(device, other.claims) for device, other in other_sections if other.claims)])
 
 
-def _beside(tables: Tables, others: Mapping[str, Tables]) -> Tables:
+def _merge_tables(tables: Tables, other_tables: Mapping[str, Tables]) -> Tables:
     """Merge tables of all devices into common cells; a table with other rows than the first device's stands by itself, below."""
-    found: Tables = []
+    result: Tables = []
     for number, (title, rows) in enumerate(tables):
-        joined, apart = [[{key: [value] for key, value in row.items()} for row in rows], []]
-        for device, theirs in others.items():
-            rows_there = theirs[number][1] if number < len(theirs) else []
+        merged_rows, separate_tables = [[{key: [value] for key, value in row.items()} for row in rows], []]
+        for device, device_tables in other_tables.items():
+            rows_there = device_tables[number][1] if number < len(device_tables) else []
             if _heads(rows_there) != _heads(rows):
-                apart.append((f"{title}: {device}", rows_there))
+                separate_tables.append((f"{title}: {device}", rows_there))
                 continue
-            for row, valid in zip(joined, rows_there, strict=True):
+            for row, valid in zip(merged_rows, rows_there, strict=True):
                 for key, value in valid.items():
                     row[key].append(value)
-        cells = [{key: values[0] if len({*values}) == 1 else " / ".join(values) for key, values in row.items()} for row in joined]
-        found += [(title, cells), *apart]
-    return found
+        cells = [
+            {key: values[0] if len({*values}) == 1 else " / ".join(values) for key, values in row.items()} for row in merged_rows
+        ]
+        result += [(title, cells), *separate_tables]
+    return result
 
 
 def _heads(rows: list[dict[str, str]]) -> list[tuple[tuple[str, ...], str]]:

@@ -12,15 +12,15 @@ from itertools import permutations
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.algorithms import RIVALS
+from benchmarks.algorithms import COMPARED_VARIANTS
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.times import LIGHTS, ratio, timed
+from benchmarks.seeds.times import LIGHTS, measure_times, ratio
 from benchmarks.seeds.verdicts import (
     DRAW,
+    DRAW_FACTOR,
     FOUR,
     HYBRID,
     PSM,
-    SAME,
     SCENES,
     SHORT,
     SM,
@@ -40,13 +40,13 @@ from skugga.terrain.geo.camera import PerspectiveView
 
 ERROR_SIZE = (640, 512)
 
-MOVES = (-0.04, -0.02, 0.0, 0.02, 0.04)
+CAMERA_MOVES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 """Small moves of the camera to its right, as a share of the median distance of the visible points."""
 
-RIGHT = 0.001
+MAX_RIGHT_SHARE = 0.001
 """A share of the cast shadow, or of the decidable pixels, below this counts as no error."""
 
-AGREES = 0.5
+MIN_RANK_CORRELATION = 0.5
 """The least rank correlation that counts as agreement."""
 
 GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
@@ -58,35 +58,35 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 """The thesis's grades, 1 to 5, in speed, quality and robustness (table 2)."""
 
 
-def errors(look: ViewWithTruth, asked: tuple[str, ...] = FOUR) -> Figures:
+def errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = FOUR) -> Figures:
     """Return errors of the algorithms; the share of wrong pixels on foliage, and the median number of pixels per texel there."""
-    out: Figures = {}
-    for key in asked:
-        plan = look.plan(RIVALS[key])
-        visibility, texels_px = look.visibility(plan), look.texels_px(plan)
-        figures = look.errors(visibility, texels_px)
-        wrong = look.truth.decidable & ~look.truth.attached & ((visibility < 0.5) == look.truth.lit)
-        out[key] = {name: figures[name] for name in ("wrong_cast", "edge_p95", "interior")}
-        out[key]["on_foliage"] = float((look.buffer.kind[wrong] == FOREST).mean()) if wrong.any() else 0.0
-        out[key]["texel_px"] = float(np.median(texels_px[wrong])) if wrong.any() else 0.0
-    return out
+    result: Figures = {}
+    for key in algorithms:
+        plan = truth_view.plan(COMPARED_VARIANTS[key])
+        visibility, texels_px = truth_view.visibility(plan), truth_view.texels_px(plan)
+        figures = truth_view.errors(visibility, texels_px)
+        wrong_pixels = truth_view.truth.decidable & ~truth_view.truth.attached & ((visibility < 0.5) == truth_view.truth.lit)
+        result[key] = {name: figures[name] for name in ("wrong_cast", "edge_p95", "interior")}
+        result[key]["on_foliage"] = float((truth_view.buffer.kind[wrong_pixels] == FOREST).mean()) if wrong_pixels.any() else 0.0
+        result[key]["texel_px"] = float(np.median(texels_px[wrong_pixels])) if wrong_pixels.any() else 0.0
+    return result
 
 
 @cache
 def along_path(level: str) -> list[Figures]:
-    """Return errors in a level's main view, the camera moved to its right by each of ``MOVES``."""
+    """Return errors in a level's main view, the camera moved to its right by each of ``CAMERA_MOVES``."""
     scene = bundled(level)
     view = scene.view("main", size=ERROR_SIZE)
     assert isinstance(view, PerspectiveView)
     aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
-    moved = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in MOVES]
-    return [errors(with_truth(scene, each, "main")) for each in moved]
+    moved_views = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in CAMERA_MOVES]
+    return [errors(with_truth(scene, moved_view, "main")) for moved_view in moved_views]
 
 
 def measure() -> Figures:
     return {
         "paths": {scene: along_path(f"thesis_{scene}") for scene in SCENES},
-        "times": {f"{scene}{sun}": timed(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
+        "times": {f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
     }
 
 
@@ -112,33 +112,33 @@ GRADE_COLUMNS = {"speed": 0, "speed_sun": 0, "wrong_cast": 1, "edge_p95": 1, "ro
 """Measured figure -> the grade that it is compared with."""
 
 
-BY_AND_LARGE = "the order of the grades is that of the figures, by and large"
-LITTLE_APART = "edges are within a pixel or two for all of them, so that ranks go by little"
-HYBRID_SAVES = "the hybrid saves more of its volumes than it did then"
-COARSE = "texels of PSM are coarse far away"
+SAME_ORDER_REASON = "the order of the grades is that of the figures, by and large"
+CLOSE_RANKS_REASON = "edges are within a pixel or two for all of them, so that ranks go by little"
+HYBRID_SAVES_REASON = "the hybrid saves more of its volumes than it did then"
+COARSE_PSM_REASON = "texels of PSM are coarse far away"
 
-WHYS: dict[str, dict[str, str]] = {
+REASONS: dict[str, dict[str, str]] = {
     "speed": {
         "SM": "SM's map costs less to make than PSM's",
         "PSM": "SM's look-up tests the triangle anew for each tap of a spot's map, PSM works it out once for each pixel",
         "SV": "few volumes cost less than SM's look-up",
-        "hybrid": HYBRID_SAVES,
+        "hybrid": HYBRID_SAVES_REASON,
     },
     "speed_sun": {
         "SM": "SM's map costs less to make than PSM's",
         "PSM": "under the sun the look-ups of SM and PSM cost much the same",
         "SV": "few volumes cost less than a look-up",
-        "hybrid": HYBRID_SAVES,
+        "hybrid": HYBRID_SAVES_REASON,
     },
     "wrong_cast": {
-        "SM": COARSE,
+        "SM": COARSE_PSM_REASON,
         "PSM": "PSM, fitted to all that is seen, is finer than SM",
         "SV": "volumes are exact",
         "hybrid": "the hybrid is as right as SV, since its mask marks what its map does not prove",
     },
-    "edge_p95": dict.fromkeys(SHORT.values(), LITTLE_APART),
+    "edge_p95": dict.fromkeys(SHORT.values(), CLOSE_RANKS_REASON),
     "robustness": {
-        "SM": COARSE,
+        "SM": COARSE_PSM_REASON,
         "PSM": "PSM errs and changes about as little as SM",
         "SV": "volumes hardly change with the camera",
         "hybrid": "the hybrid is as right as SV",
@@ -155,13 +155,15 @@ def agreement(column: str, measured: dict[tuple[str, str], float]) -> float:
 
 def contradictions(column: str, measured: dict[tuple[str, str], float]) -> dict[str, list[str]]:
     """Return scenes with the pairs of algorithms that grades and figures order differently."""
-    out: dict[str, list[str]] = {}
+    result: dict[str, list[str]] = {}
     for scene in SCENES:
-        for one, other in permutations(FOUR, 2):
-            better = GRADES[one][scene][GRADE_COLUMNS[column]] > GRADES[other][scene][GRADE_COLUMNS[column]]
-            if better and measured[scene, one] > measured[scene, other] * SAME + (0.0 if GRADE_COLUMNS[column] == 0 else RIGHT):
-                out.setdefault(scene, []).append(f"{SHORT[one]} before {SHORT[other]}")
-    return out
+        for algorithm, other in permutations(FOUR, 2):
+            better = GRADES[algorithm][scene][GRADE_COLUMNS[column]] > GRADES[other][scene][GRADE_COLUMNS[column]]
+            if better and measured[scene, algorithm] > measured[scene, other] * DRAW_FACTOR + (
+                0.0 if GRADE_COLUMNS[column] == 0 else MAX_RIGHT_SHARE
+            ):
+                result.setdefault(scene, []).append(f"{SHORT[algorithm]} before {SHORT[other]}")
+    return result
 
 
 def section(figures: Figures) -> Section:
@@ -192,20 +194,23 @@ def section(figures: Figures) -> Section:
     claims = []
     for column, values in measured.items():
         rho, against = agreement(column, values), contradictions(column, values)
-        where = "; ".join(f"{SCENES[scene]}: {', '.join(pairs)}" for scene, pairs in against.items()) or "nowhere"
-        verdict = at_least(rho, AGREES)
+        contradictions_text = "; ".join(f"{SCENES[scene]}: {', '.join(pairs)}" for scene, pairs in against.items()) or "nowhere"
+        verdict = at_least(rho, MIN_RANK_CORRELATION)
         turned = {pair.split(" before ")[1] for pairs in against.values() for pair in pairs}
-        reasons = "; ".join(WHYS[column][key] for key in SHORT.values() if key in turned)
-        why = reason(
+        reasons = "; ".join(REASONS[column][key] for key in SHORT.values() if key in turned)
+        reason_text = reason(
             verdict,
-            BY_AND_LARGE,
+            SAME_ORDER_REASON,
             reasons or "the figures differ by too little to be ranked",
             f"{DRAW}; {reasons}" if reasons else DRAW,
         )
         if verdict and reasons:
-            why += f"; where it is not: {reasons}"
-        found = f"rank correlation {rho:.2f} (held if at least {AGREES}); graded the other way round: {where}"
-        claims.append(Claim(f"{THESIS}, table 2", texts[column], found, verdict, why))
+            reason_text += f"; where it is not: {reasons}"
+        finding = (
+            f"rank correlation {rho:.2f} (held if at least {MIN_RANK_CORRELATION}); graded "
+            f"the other way round: {contradictions_text}"
+        )
+        claims.append(Claim(f"{THESIS}, table 2", texts[column], finding, verdict, reason_text))
     mean = {
         key: {column: float(np.mean([values[scene, key] for scene in SCENES])) for column, values in measured.items()}
         for key in FOUR
@@ -214,25 +219,31 @@ def section(figures: Figures) -> Section:
     most_others = max(mean[key]["robustness"] for key in (SM, SV, HYBRID))
     least_robust = at_least(mean[PSM]["robustness"], most_others)
     quality = agreement("wrong_cast", measured["wrong_cast"])
-    untestable = opposite(at_least(quality, AGREES))
-    apart = at_most(max(mean[SV]["wrong_cast"], mean[HYBRID]["wrong_cast"]), min(mean[SM]["wrong_cast"], mean[PSM]["wrong_cast"]))
-    per, moved = (
+    untestable = opposite(at_least(quality, MIN_RANK_CORRELATION))
+    separates_edges = at_most(
+        max(mean[SV]["wrong_cast"], mean[HYBRID]["wrong_cast"]), min(mean[SM]["wrong_cast"], mean[PSM]["wrong_cast"])
+    )
+    per, moved_text = (
         ", ".join(f"{SHORT[key]} {percent(mean[key][column])}" for key in FOUR) for column in ("wrong_cast", "robustness")
     )
     thin = measured["wrong_cast"]["water_tower", HYBRID] - measured["wrong_cast"]["water_tower", SV]
-    loses = at_least(thin, RIGHT)
+    loses = at_least(thin, MAX_RIGHT_SHARE)
     claims += [
         Claim(
             f"{THESIS}, 7.4",
             "SV and the hybrid are high in quality, SM and PSM low",
             f"mean `wrong_cast`: {per} (held if both of the former are less than both of the latter)",
-            apart,
-            reason(apart, "volumes decide at edges, where maps are wrong", "what volumes decide is no better than what maps do"),
+            separates_edges,
+            reason(
+                separates_edges,
+                "volumes decide at edges, where maps are wrong",
+                "what volumes decide is no better than what maps do",
+            ),
         ),
         Claim(
             f"{THESIS}, 7.4",
             "PSM is the least robust of the four",
-            f"mean of interior error and change: {moved} (held if PSM's is the largest)",
+            f"mean of interior error and change: {moved_text} (held if PSM's is the largest)",
             least_robust,
             reason(
                 least_robust,
@@ -243,7 +254,7 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, 7.2.3",
             "the hybrid loses thin casters (Water Tower) and is worse than SV there",
-            f"`wrong_cast` of the hybrid less that of SV: {percent(thin)} (held if at least {percent(RIGHT)})",
+            f"`wrong_cast` of the hybrid less that of SV: {percent(thin)} (held if at least {percent(MAX_RIGHT_SHARE)})",
             loses,
             reason(
                 loses,
@@ -256,7 +267,7 @@ def section(figures: Figures) -> Section:
             f"{THESIS}, 7.4",
             "an objective test of quality and robustness is almost impossible",
             f"`wrong_cast` orders the pictures as the author's eye does with a rank correlation of {quality:.2f} (held if under "
-            f"{AGREES})",
+            f"{MIN_RANK_CORRELATION})",
             untestable,
             reason(
                 untestable,
@@ -269,9 +280,9 @@ def section(figures: Figures) -> Section:
         "The grades (table 2)",
         "The thesis's subjective grades (speed / quality / robustness, 5 is best) beside figures under the same kind of light, "
         f"the spot. Speed: times as above. Quality: errors against ray-traced truth in {ERROR_SIZE[0]} x {ERROR_SIZE[1]}, means "
-        f"over {len(MOVES)} places of the camera within {whole_percent(max(MOVES))} of its distance to either side. Robustness: "
+        f"over {len(CAMERA_MOVES)} places of the camera within {whole_percent(max(CAMERA_MOVES))} of its distance to either side. Robustness: "
         "the sum of the largest interior error on the way and the change of `wrong_cast` (largest less least). Correlations are "
-        f"Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {AGREES} counts as agreement.",
+        f"Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {MIN_RANK_CORRELATION} counts as agreement.",
         [("Grades and figures", rows)],
         claims,
     )

@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sheet
-from benchmarks.seeds.verdicts import SAME, THESIS, all_of, at_least, at_most, percent, reason, whole_percent
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, draw_crop, write_sheet
+from benchmarks.seeds.verdicts import DRAW_FACTOR, THESIS, all_of, at_least, at_most, percent, reason, whole_percent
 from benchmarks.seeds.views import Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
 from skugga.shadows.truth.metrics import boundary
@@ -22,10 +22,10 @@ FRAME = (1280, 1024)
 """The thesis's frame size."""
 
 MAP_SIZES = (256, 512, 1024, 2048, 4096)
-FINE = 2048
+FINE_MAP_SIZE = 2048
 """The map size in the thesis's text."""
 
-WIDE_DEG = 58.0
+WIDE_CUTOFF_DEG = 58.0
 """The cut-off angle of the thesis's water tower, by its own listing."""
 
 SHARP_EDGE_PX = 1.0
@@ -53,21 +53,21 @@ def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray,
     return axis, float(np.degrees(np.arccos((directions @ axis).min())))
 
 
-def texels_at_edges_px(look: ViewWithTruth, map_size: int) -> np.ndarray:
+def texels_at_edges_px(truth_view: ViewWithTruth, map_size: int) -> np.ndarray:
     """Return the pixels per texel of a spot's map at the pixels (n,) of truth's shadow edges.
 
     d = d_s (r_s / r_i) (cos b / cos a): a texel's side d_s at distance 1 from the light, the distances r_s to the light and r_i to
     the eye, the angles a and b between the surface's normal and the directions to the light and to the eye (M. Stamminger and G.
     Drettakis 2002; the thesis's equation 1).
     """
-    buffer, lamp, receivers = look.buffer, look.scene.lamps[look.light], look.receivers
-    edge = boundary(~look.truth.lit & receivers, receivers)
+    buffer, lamp, receivers = truth_view.buffer, truth_view.scene.lamps[truth_view.light], truth_view.receivers
+    edge = boundary(~truth_view.truth.lit & receivers, receivers)
     points, normals = buffer.position_frame_m[edge].astype(np.float64), buffer.normal_frame[edge].astype(np.float64)
     source, axis, _ = lamp.in_frame(buffer.frame)
-    to_light, to_eye = source - points, look.perspective.in_frame(buffer.frame)[0] - points
+    to_light, to_eye = source - points, truth_view.perspective.in_frame(buffer.frame)[0] - points
     cosines = [np.abs((direction * normals).sum(axis=1)) / np.linalg.norm(direction, axis=1) for direction in (to_eye, to_light)]
     texel = 2.0 * np.tan(np.radians(lamp.cutoff_deg)) / (map_size - 2 * MAP_BORDER_TEXELS)
-    return texel * -(to_light @ axis) / (look.ahead_m[edge] * look.perspective.pixel) * cosines[0] / cosines[1]
+    return texel * -(to_light @ axis) / (truth_view.ahead_m[edge] * truth_view.perspective.pixel) * cosines[0] / cosines[1]
 
 
 def measure() -> Figures:
@@ -81,15 +81,15 @@ def measure() -> Figures:
         apex_m = np.array(lamp["position"], np.float64)
         axis, least_deg = smallest_cone(apex_m, tower.vertices_earth_m)
         lamp["target"] = (apex_m + 0.9 * apex_m[2] / -axis[2] * axis).tolist()
-        for cutoff_deg in (1.001 * least_deg, WIDE_DEG):
+        for cutoff_deg in (1.001 * least_deg, WIDE_CUTOFF_DEG):
             lamp["cutoff"] = cutoff_deg
-            look = view_with_truth(scene_of(level, folder), "close", FRAME)
+            truth_view = view_with_truth(scene_of(level, folder), "close", FRAME)
             for map_size in MAP_SIZES:
                 variant = Variant({"algorithm": "shadow_map", "map_size": map_size, "filter": 1})
-                figures, m = draw_variant(look, variant).figures, texels_at_edges_px(look, map_size)
+                figures, m = draw_variant(truth_view, variant).figures, texels_at_edges_px(truth_view, map_size)
                 rows.append({"cutoff_deg": cutoff_deg, "map_size": map_size, "texel_px": float(m.mean()), **figures})
                 words = f"{map_size}, {cutoff_deg:.1f}°: {percent(figures['wrong_cast'])} wrong"
-                cells.append(CaptionedPicture(drawn(look, variant, CROP), words))
+                cells.append(CaptionedPicture(draw_crop(truth_view, variant, CROP), words))
     write_sheet("seeds-map-size.webp", cells, len(MAP_SIZES))
     return {"rows": rows}
 
@@ -98,46 +98,46 @@ def section(figures: Figures) -> Section:
     rows = figures["rows"]
     least_deg, wide_deg = (min(row["cutoff_deg"] for row in rows), max(row["cutoff_deg"] for row in rows))
     small, wide = ([row for row in rows if row["cutoff_deg"] == angle] for angle in (least_deg, wide_deg))
-    fine, fine_wide = (next(row for row in part if row["map_size"] == FINE) for part in (small, wide))
+    fine_row, fine_wide = (next(row for row in part if row["map_size"] == FINE_MAP_SIZE) for part in (small, wide))
     predicted = [row for row in rows if row["texel_px"] >= 1.0]
     ratios = [row["cast_edge_mean"] / (row["texel_px"] / 4.0) for row in predicted]
-    falls = all_of(
+    is_decreasing = all_of(
         at_least(a["wrong_cast"], b["wrong_cast"]) for part in (small, wide) for a, b in zip(part, part[1:], strict=False)
     )
-    sharp = fine["edge_p95"] <= SHARP_EDGE_PX  # both are whole pixels, or nearly: no draws
-    nice = all_of((falls, sharp))
+    sharp = fine_row["edge_p95"] <= SHARP_EDGE_PX  # both are whole pixels, or nearly: no draws
+    nice = all_of((is_decreasing, sharp))
     worse = all_of(at_least(b["wrong_cast"], a["wrong_cast"]) for a, b in zip(small, wide, strict=True))
     jagged = all_of((worse, fine_wide["edge_p95"] > SHARP_EDGE_PX))
     predicts = at_most(max(*ratios, *(1.0 / ratio for ratio in ratios)), PREDICTED_WITHIN)
-    displaced = f"95 % of the edges are off by at most {fine['edge_p95']:.1f} px"
+    displaced = f"95 % of the edges are off by at most {fine_row['edge_p95']:.1f} px"
     claims = [
         Claim(
             f"{THESIS}, figure 52",
-            f"jaggedness falls with the map's size, to very nice edges at {FINE} under the smallest cut-off",
-            f"from {percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to {percent(fine['wrong_cast'])} at {FINE}, "
+            f"jaggedness falls with the map's size, to very nice edges at {FINE_MAP_SIZE} under the smallest cut-off",
+            f"from {percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to {percent(fine_row['wrong_cast'])} at {FINE_MAP_SIZE}, "
             f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most "
             f"{SHARP_EDGE_PX:g} px there)",
             nice,
             reason(
                 nice,
-                f"a texel covers {fine['texel_px']:.2f} px at {FINE}: an edge can hardly leave its pixel",
-                f"a texel still covers {fine['texel_px']:.2f} px at {FINE}"
+                f"a texel covers {fine_row['texel_px']:.2f} px at {FINE_MAP_SIZE}: an edge can hardly leave its pixel",
+                f"a texel still covers {fine_row['texel_px']:.2f} px at {FINE_MAP_SIZE}"
                 if not sharp
                 else "where texels are smaller than pixels a larger map has nothing left to mend",
             ),
         ),
         Claim(
             f"{THESIS}, figure 53",
-            f"a larger cut-off is worse at every size, and not even {FINE} removes its stairs",
-            f"{percent(fine_wide['wrong_cast'])} wrong at {FINE} under {wide_deg:.0f}°, beside {percent(fine['wrong_cast'])} "
+            f"a larger cut-off is worse at every size, and not even {FINE_MAP_SIZE} removes its stairs",
+            f"{percent(fine_wide['wrong_cast'])} wrong at {FINE_MAP_SIZE} under {wide_deg:.0f}°, beside {percent(fine_row['wrong_cast'])} "
             f"under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held if worse at every size, and over "
             f"{SHARP_EDGE_PX:g} px)",
             jagged,
             reason(
                 jagged,
-                f"texels grow with the tangent of the cut-off: they are {fine_wide['texel_px'] / fine['texel_px']:.1f} times as "
-                f"large, {fine_wide['texel_px']:.1f} px at {FINE}",
-                f"a texel of the wide cone covers {fine_wide['texel_px']:.1f} px at {FINE}",
+                f"texels grow with the tangent of the cut-off: they are {fine_wide['texel_px'] / fine_row['texel_px']:.1f} times as "
+                f"large, {fine_wide['texel_px']:.1f} px at {FINE_MAP_SIZE}",
+                f"a texel of the wide cone covers {fine_wide['texel_px']:.1f} px at {FINE_MAP_SIZE}",
             ),
         ),
         Claim(
@@ -171,7 +171,7 @@ def section(figures: Figures) -> Section:
         f"The water tower's shadow from close by, {FRAME[0]} x {FRAME[1]} pixels, one tap. The spot's cone is first the smallest "
         f"that holds the tower ({least_deg:.1f}°), then opened to {wide_deg:.0f}°, as in the thesis's listing. `texel` is the "
         "size of a texel in the picture that the thesis's equation 1 predicts, the mean over the shadow's edges. Errors within "
-        f"{whole_percent(SAME - 1.0)} of one another count as the same.",
+        f"{whole_percent(DRAW_FACTOR - 1.0)} of one another count as the same.",
         [("Shadow maps by size", table)],
         claims,
         [

@@ -17,7 +17,7 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import CaptionedPicture, CropBox, write_sheet, wrong_in
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, draw_errors, write_sheet
 from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, factor, percent, reason
 from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
 from skugga.shadows.maps import perspective_shadow_map, post_perspective
@@ -35,19 +35,19 @@ SUN_ALTITUDE_DEG = 28.0
 FLOOR_M = 280.0
 """The bundled floor of 200 m ends before a light that stands ahead of the viewer."""
 
-EQUAL = 1.25
+EQUAL_FACTOR = 1.25
 """Errors that differ by at most this factor count as about equal."""
 
-MUCH_WORSE = 1.5
+WORSE_FACTOR = 1.5
 
-NEARER = (1.5, 0.5, 0.25)
+DISTANCE_SHARES = (1.5, 0.5, 0.25)
 """Distances of the spot in figure 55 from the objects, as shares of the camera's."""
 
 NEAR_PLACES = ((180.0, 45.0), (45.0, 70.0), (315.0, 70.0))
 """Its directions from the objects: degrees clockwise of the view's direction, and degrees of altitude."""
 
 NEAR_CUTOFF_DEG = 75.0
-SHOWN = NEAR_PLACES[0][0], NEARER[-1]
+SHOWN_CASE = NEAR_PLACES[0][0], DISTANCE_SHARES[-1]
 """Direction and distance of the pictures in the sheet of figure 55."""
 
 DIRECTION_CROP: CropBox = (80, 330, 400, 270)
@@ -80,7 +80,7 @@ from the bundled level; a sun's altitude, degrees.
 @contextmanager
 def without_perspective() -> Iterator[None]:
     """Replace perspective maps by uniform ones, fitted to the same receivers."""
-    with patch.object(post_perspective, "CONE_DEG", 90.0):
+    with patch.object(post_perspective, "UNIFORM_MAP_CONE_DEG", 90.0):
         yield
 
 
@@ -88,11 +88,11 @@ def without_perspective() -> Iterator[None]:
 def without_uniform_maps() -> Iterator[None]:
     """Allow uniform maps only if no slide-back is possible, not if these have the smaller texels."""
 
-    def made(*of: Any) -> PostPerspective:
-        one = PostPerspective(*of)
-        return replace(one, texel=np.inf) if one.kind is None else one
+    def penalized_uniform(*of: Any) -> PostPerspective:
+        fit = PostPerspective(*of)
+        return replace(fit, texel=np.inf) if fit.kind is None else fit
 
-    with patch.object(post_perspective, "PostPerspective", made):
+    with patch.object(post_perspective, "PostPerspective", penalized_uniform):
         yield
 
 
@@ -101,8 +101,8 @@ def without_slide_back() -> Iterator[None]:
     """Use the camera's own perspective, or the shortest slide-back that keeps everything on the map."""
     ranked = perspective_shadow_map.post_perspectives
 
-    def shortest_first(*given: Any) -> list[PostPerspective]:
-        return sorted(ranked(*given), key=lambda each: each.slide_m)
+    def shortest_first(*args: Any) -> list[PostPerspective]:
+        return sorted(ranked(*args), key=lambda candidate: candidate.slide_m)
 
     with without_uniform_maps(), patch.object(perspective_shadow_map, "post_perspectives", shortest_first):
         yield
@@ -123,14 +123,14 @@ def variants() -> dict[str, Variant]:
     }
 
 
-def thirds(look: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
+def thirds(truth_view: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
     """Return wrong pixels in the nearest and in the farthest third of true cast shadow, as shares of that third."""
-    truth, ahead_m = look.truth, look.ahead_m
-    cast = truth.decidable & ~truth.lit & look.receivers
-    wrong = truth.decidable & (dark == truth.lit) & look.buffer.valid
+    truth, ahead_m = truth_view.truth, truth_view.ahead_m
+    cast = truth.decidable & ~truth.lit & truth_view.receivers
+    wrong_pixels = truth.decidable & (dark == truth.lit) & truth_view.buffer.valid
     first_m, last_m = np.quantile(ahead_m[cast], [1 / 3, 2 / 3])
     parts = {"near": ahead_m <= first_m, "far": ahead_m > last_m}
-    return {name: float((wrong & part).sum() / max(int((cast & part).sum()), 1)) for name, part in parts.items()}
+    return {name: float((wrong_pixels & part).sum() / max(int((cast & part).sum()), 1)) for name, part in parts.items()}
 
 
 def stone_circles(folder: Path, view: str, turn_deg: float, distance_m: float | None, up: float, **lamp: Any) -> Scene:
@@ -151,9 +151,9 @@ def stone_circles(folder: Path, view: str, turn_deg: float, distance_m: float | 
     return scene_of(level, folder)
 
 
-def _row(look: ViewWithTruth, name: str, variant: Variant, place: dict[str, Any]) -> tuple[DrawnVariant, dict[str, Any]]:
-    each = draw_variant(look, variant)
-    return each, {**place, "map": name, **each.figures, "note": each.note}
+def _row(truth_view: ViewWithTruth, name: str, variant: Variant, place: dict[str, Any]) -> tuple[DrawnVariant, dict[str, Any]]:
+    drawn_variant = draw_variant(truth_view, variant)
+    return drawn_variant, {**place, "map": name, **drawn_variant.figures, "note": drawn_variant.note}
 
 
 def measure_light_direction() -> Figures:
@@ -161,14 +161,14 @@ def measure_light_direction() -> Figures:
     rows, cells = [], []
     with TemporaryDirectory() as folder:
         for light, (turn_deg, distance_m, up, lamp) in LIGHTS.items():
-            look = view_with_truth(stone_circles(Path(folder), "main", turn_deg, distance_m, up, **lamp), "main", SIZE)
-            farthest_m = float(look.ahead_m[look.receivers].max())
+            truth_view = view_with_truth(stone_circles(Path(folder), "main", turn_deg, distance_m, up, **lamp), "main", SIZE)
+            farthest_m = float(truth_view.ahead_m[truth_view.receivers].max())
             for name, variant in variants().items():
-                each, row = _row(look, name, variant, {"light": light, "farthest_m": farthest_m})
-                rows.append({**row, **thirds(look, each.dark)})
+                drawn_variant, row = _row(truth_view, name, variant, {"light": light, "farthest_m": farthest_m})
+                rows.append({**row, **thirds(truth_view, drawn_variant.dark)})
                 if light in (RIGHT, FRONT, EYE) and name in (UNIFORM, OURS):
                     text = f"{light}, {name}: {percent(row['wrong_cast'])} wrong"
-                    cells.append(CaptionedPicture(wrong_in(look, each, DIRECTION_CROP), text))
+                    cells.append(CaptionedPicture(draw_errors(truth_view, drawn_variant, DIRECTION_CROP), text))
     write_sheet("seeds-light-direction.webp", cells, 2)
     return {"rows": rows}
 
@@ -179,16 +179,20 @@ def measure_bad_case() -> Figures:
     distance_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
     with TemporaryDirectory() as folder:
         for turn_deg, high_deg in NEAR_PLACES:
-            for share in NEARER:
+            for share in DISTANCE_SHARES:
                 flat, up = share * distance_m * np.cos(np.radians(high_deg)), share * distance_m * np.sin(np.radians(high_deg))
                 scene = stone_circles(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_CUTOFF_DEG)
-                look = view_with_truth(scene, "overview", SIZE)
+                truth_view = view_with_truth(scene, "overview", SIZE)
                 for name, variant in variants().items():
-                    each, row = _row(look, name, variant, {"turn_deg": turn_deg, "high_deg": high_deg, "share": share})
+                    drawn_variant, row = _row(
+                        truth_view, name, variant, {"turn_deg": turn_deg, "high_deg": high_deg, "share": share}
+                    )
                     rows.append(row)
-                    if (turn_deg, share) == SHOWN and name != BARE:
+                    if (turn_deg, share) == SHOWN_CASE and name != BARE:
                         cells.append(
-                            CaptionedPicture(wrong_in(look, each, BAD_CROP), f"{name}: {percent(row['wrong_cast'])} wrong")
+                            CaptionedPicture(
+                                draw_errors(truth_view, drawn_variant, BAD_CROP), f"{name}: {percent(row['wrong_cast'])} wrong"
+                            )
                         )
     write_sheet("seeds-bad-case.webp", cells, 2)
     return {"rows": rows}
@@ -197,8 +201,8 @@ def measure_bad_case() -> Figures:
 def section_light_direction(figures: Figures) -> Section:
     row_by_key = {(row["light"], row["map"]): row for row in figures["rows"]}
 
-    def ratio(light: str, one: str, other: str, key: str = "wrong_cast") -> float:
-        return row_by_key[light, one][key] / max(row_by_key[light, other][key], 1e-9)
+    def ratio(light: str, map_name: str, other: str, key: str = "wrong_cast") -> float:
+        return row_by_key[light, map_name][key] / max(row_by_key[light, other][key], 1e-9)
 
     def right(name: str, part: str) -> str:
         return percent(row_by_key[RIGHT, name][part])
@@ -207,10 +211,10 @@ def section_light_direction(figures: Figures) -> Section:
     nearer = all_of((at_most(nearest, 1.0), at_most(ratio(RIGHT, OURS, UNIFORM, "near"), 1.0)))
     farther = at_least(farthest, 1.0)
     front = {light: ratio(light, ALWAYS, FITTED) for light in (FRONT, NEAR, SUN_FRONT)}
-    equal = all_of((at_most(front[FRONT], EQUAL), at_least(front[FRONT], 1.0 / EQUAL)))
+    equal = all_of((at_most(front[FRONT], EQUAL_FACTOR), at_least(front[FRONT], 1.0 / EQUAL_FACTOR)))
     off_px = {light: row_by_key[light, UNIFORM]["cast_edge_mean"] for light in (RIGHT, FRONT, NEAR, BEHIND)}
     eye_px, at_eye = row_by_key[EYE, UNIFORM]["cast_edge_mean"], ratio(EYE, ALWAYS, FITTED)
-    miner = all_of((at_least(at_eye, 1.0 / EQUAL), at_most(eye_px, min(off_px.values()))))
+    miner = all_of((at_least(at_eye, 1.0 / EQUAL_FACTOR), at_most(eye_px, min(off_px.values()))))
     gain = {light: ratio(light, FITTED, ALWAYS) for light in (RIGHT, WIDE, SUN_RIGHT)}
     farthest_m = {light: row_by_key[light, OURS]["farthest_m"] for light in gain}
     sun_better = at_least(gain[SUN_RIGHT], max(gain[RIGHT], gain[WIDE]))
@@ -235,7 +239,7 @@ def section_light_direction(figures: Figures) -> Section:
             f"{THESIS}, 7.2.2",
             "with the light in front both are about equal: near objects are far from a spot, and the two perspectives cancel",
             f"wrong with perspective over without, both fitted: {factor(front[FRONT])} under a spot {LIGHTS[FRONT][1]:.0f} m "
-            f"ahead (held if within a factor of {EQUAL}), {factor(front[NEAR])} under one {LIGHTS[NEAR][1]:.0f} m ahead, "
+            f"ahead (held if within a factor of {EQUAL_FACTOR}), {factor(front[NEAR])} under one {LIGHTS[NEAR][1]:.0f} m ahead, "
             f"{factor(front[SUN_FRONT])} under the sun",
             equal,
             reason(
@@ -250,7 +254,7 @@ def section_light_direction(figures: Figures) -> Section:
             "with the light behind, a miner's lamp, uniform maps are nearly perfect and perspective adds nothing",
             f"with the spot just behind the eye uniform edges are off by {eye_px:.2f} px in the mean, from elsewhere by "
             f"{min(off_px.values()):.2f} to {max(off_px.values()):.2f} px; wrong with perspective over without: {factor(at_eye)} "
-            f"(held if off by the least, and perspective lowers errors by at most a factor of {EQUAL})",
+            f"(held if off by the least, and perspective lowers errors by at most a factor of {EQUAL_FACTOR})",
             miner,
             reason(
                 miner,
@@ -309,18 +313,18 @@ def section_bad_case(figures: Figures) -> Section:
         return [row_by_key[*place, name]["wrong_cast"] / max(row_by_key[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer]
 
     worst = {name: max(times_uniform(name)) for name in MAP_VARIANTS}
-    bad = at_least(worst[OURS], MUCH_WORSE)
-    stretched = all_of((at_least(worst[BARE], MUCH_WORSE), at_most(worst[FITTED], MUCH_WORSE)))
+    is_bad = at_least(worst[OURS], WORSE_FACTOR)
+    stretched = all_of((at_least(worst[BARE], WORSE_FACTOR), at_most(worst[FITTED], WORSE_FACTOR)))
     fallen_back = sum(row_by_key[*place, OURS]["note"].startswith("a uniform map") for place in nearer)
     claims = [
         Claim(
             f"{THESIS}, figure 55",
             "where the light is nearer to the objects than the camera is, perspective maps are often far worse",
-            f"in {sum(ratio > MUCH_WORSE for ratio in times_uniform(OURS))} of {len(nearer)} such places over {MUCH_WORSE:g} "
-            f"times the errors of the uniform map; at worst {factor(worst[OURS])} times (held if over {MUCH_WORSE:g} anywhere)",
-            bad,
+            f"in {sum(ratio > WORSE_FACTOR for ratio in times_uniform(OURS))} of {len(nearer)} such places over {WORSE_FACTOR:g} "
+            f"times the errors of the uniform map; at worst {factor(worst[OURS])} times (held if over {WORSE_FACTOR:g} anywhere)",
+            is_bad,
             reason(
-                bad,
+                is_bad,
                 "the slide-back with the smallest texels in the mean has large ones where the shadows lie",
                 f"a uniform map, fitted to what is seen, is among those that are chosen from, and is taken in {fallen_back} of "
                 f"these places; were the best slide-back taken always, the worst would be {factor(worst[ALWAYS])} times",
@@ -331,7 +335,7 @@ def section_bad_case(figures: Figures) -> Section:
             "because the camera's transformation stretches the objects until they are small in the map",
             f"the camera's perspective with the shortest slide-back has up to {factor(worst[BARE])} times the errors of the "
             f"uniform map; the same receivers without perspective up to {factor(worst[FITTED])} times (held if the former is "
-            f"over, the latter at most {MUCH_WORSE:g})",
+            f"over, the latter at most {WORSE_FACTOR:g})",
             stretched,
             reason(
                 stretched,
@@ -341,9 +345,9 @@ def section_bad_case(figures: Figures) -> Section:
         ),
     ]
     table = [
-        {"spot": f"{turn:.0f}° off, {high:.0f}° high, {share:g} of the camera's distance"}
-        | {name: percent(row_by_key[turn, high, share, name]["wrong_cast"]) for name in MAP_VARIANTS}
-        for turn, high, share in places
+        {"spot": f"{turn_deg:.0f}° off, {high:.0f}° high, {share:g} of the camera's distance"}
+        | {name: percent(row_by_key[turn_deg, high, share, name]["wrong_cast"]) for name in MAP_VARIANTS}
+        for turn_deg, high, share in places
     ]
     return Section(
         "A bad case for perspective maps (figure 55)",
@@ -355,7 +359,7 @@ def section_bad_case(figures: Figures) -> Section:
         [
             (
                 "seeds-bad-case.webp",
-                f"The spot {SHOWN[0]:.0f}° off the view's direction at {SHOWN[1]:g} of the camera's distance; false shadow red, "
+                f"The spot {SHOWN_CASE[0]:.0f}° off the view's direction at {SHOWN_CASE[1]:g} of the camera's distance; false shadow red, "
                 "missed shadow blue",
             )
         ],

@@ -34,24 +34,26 @@ class CaptionedPicture:
     text: str
 
 
-def drawn(look: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) -> Image.Image:
+def draw_crop(truth_view: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) -> Image.Image:
     """Draw a part of a view, ``shrink`` times smaller; only for settings that do not depend on the view's extent."""
     with variant.without():
-        color = render_frame(look.scene, _part(look.perspective, box), look.plan(variant.asked)).color
+        color = render_frame(truth_view.scene, _part(truth_view.perspective, box), truth_view.plan(variant.overrides)).color
     clear_caches("light")
     return Image.fromarray(color).convert("RGB").reduce(shrink)
 
 
-def wrong_in(look: ViewWithTruth, each: DrawnVariant, box: CropBox) -> Image.Image:
+def draw_errors(truth_view: ViewWithTruth, drawn_variant: DrawnVariant, box: CropBox) -> Image.Image:
     """Draw a part of a result in gray, false shadow red and missed shadow blue."""
     left, top, width, height = box
-    here = slice(top, top + height), slice(left, left + width)
-    gray = render_frame(look.scene, _part(look.perspective, box), look.plan({"algorithm": "none"})).color.mean(axis=2)
-    dark, lit, known = each.dark[here], look.truth.lit[here], look.truth.decidable[here]
-    shade = np.where(dark & look.receivers[here], IN_SHADOW * gray, gray)
+    crop = slice(top, top + height), slice(left, left + width)
+    gray = render_frame(truth_view.scene, _part(truth_view.perspective, box), truth_view.plan({"algorithm": "none"})).color.mean(
+        axis=2
+    )
+    dark, lit, decidable = drawn_variant.dark[crop], truth_view.truth.lit[crop], truth_view.truth.decidable[crop]
+    shade = np.where(dark & truth_view.receivers[crop], IN_SHADOW * gray, gray)
     row = ComparisonRow(
-        figures={}, visibility=np.where(dark, np.uint8(0), np.uint8(255)), false_shadow=known & dark & lit,
-        missed_shadow=known & ~dark & ~lit,
+        figures={}, visibility=np.where(dark, np.uint8(0), np.uint8(255)), false_shadow=decidable & dark & lit,
+        missed_shadow=decidable & ~dark & ~lit,
     )  # fmt: skip
     return Image.fromarray(false_colours(shade, row))
 
@@ -61,18 +63,18 @@ def _part(view: PerspectiveView, box: CropBox) -> PerspectiveView:
     return view.part(top, left, height, width)
 
 
-_written = True
+_writes_pictures = True
 
 
 def write_pictures(write: bool) -> None:
     """Enable or disable writing of sheets: the page shows those of one device."""
-    global _written
-    _written = write
+    global _writes_pictures
+    _writes_pictures = write
 
 
 def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> None:
     """Write cells of one size in rows, each over its caption, as a file in ``IMAGES``."""
-    if not _written:
+    if not _writes_pictures:
         return
     width, height = cells[0].picture.size
     step_x, step_y = width + GAP_PX, height + 2 * TEXT_PX + GAP_PX

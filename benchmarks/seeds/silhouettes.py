@@ -18,11 +18,11 @@ from benchmarks.seeds.verdicts import (
     at_least,
     at_most,
     factor,
+    format_largest,
     listed_by_scene,
     percent,
     reason,
     titled,
-    up_to,
 )
 from benchmarks.seeds.views import ViewWithTruth, bundled, view_with_truth
 from skugga.shadows.passes import PassRecord
@@ -30,7 +30,7 @@ from skugga.shadows.volumes.drawing import count
 from skugga.shadows.volumes.edges import Edges, closed_parts, edges_of
 from skugga.shadows.volumes.layers import batches
 from skugga.shadows.volumes.settings import VolumeSettings
-from skugga.shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, facing, silhouette, turns_of
+from skugga.shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, facing, orientations_of, silhouette
 from skugga.shadows.volumes.volumes import MAX_VOLUME_LAYERS, Volumes, volumes_of
 from skugga.terrain.casters.casting import caster_solids
 from skugga.terrain.compiled import compiled
@@ -39,13 +39,13 @@ from skugga.terrain.level.level import SUN
 LEVELS = ("thesis_street_sun", "thesis_water_tower_sun", "thesis_rocks_sun", "thesis_boxgrid_sun")
 SIZE = (640, 512)
 REPEATS = 7
-INSIDE = "thesis_boxgrid_sun", "close"
+SHADOWED_EYE_VIEW = "thesis_boxgrid_sun", "close"
 """A level and its view whose eye is in the shadow."""
 
 SAME_PICTURE_SHARE = 1e-4
 """Pictures count as the same if at most this share of their pixels differs."""
 
-INSIDE_WRONG = 0.001
+MAX_WRONG_SHARE = 0.001
 """The tolerated wrong share of the cast shadow where counting is right."""
 
 CountingSetting = Literal["auto", "z_fail"]
@@ -61,57 +61,62 @@ def _volumes_of(level: str) -> dict[str, float]:
 
     Also measure the engine's volumes, counted by z-fail, by the engine's own choice, and so without their caps.
     """
-    look = view_with_truth(bundled(level), "main", SIZE)
-    light = np.array(look.scene.light_position(SUN, look.buffer.frame))
-    vertices, triangles = caster_solids(look.scene.objects, look.buffer.frame)
-    shared, apart = edges_of(vertices, triangles), unshared(triangles)
+    truth_view = view_with_truth(bundled(level), "main", SIZE)
+    light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
+    vertices, triangles = caster_solids(truth_view.scene.objects, truth_view.buffer.frame)
+    shared, separate_edges = edges_of(vertices, triangles), unshared(triangles)
     rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
-    turns = turns_of(facing(vertices, triangles, light), rule)
-    groups = batches(vertices, triangles, shared, turns, light, MAX_VOLUME_LAYERS)
+    orientations = orientations_of(facing(vertices, triangles, light), rule)
+    groups = batches(vertices, triangles, shared, orientations, light, MAX_VOLUME_LAYERS)
 
     def built(edges: Edges) -> list[Volumes]:
-        turns_of(facing(vertices, triangles, light), rule)  # the work for each new sun
+        orientations_of(facing(vertices, triangles, light), rule)  # the work for each new sun
         return [extruded(vertices, silhouette(triangles, edges, group), light) for group in groups]
 
-    silhouettes, polygons, own = built(shared), built(apart), _engines(look, light)
-    sides = [replace(each, faces=each.faces[: each.first_cap], part=each.part[: each.first_cap], casting=0) for each in own]
+    silhouettes, polygons, engine_volumes = built(shared), built(separate_edges), _engines(truth_view, light)
+    sides = [
+        replace(volume, faces=volume.faces[: volume.first_cap], part=volume.part[: volume.first_cap], casting=0)
+        for volume in engine_volumes
+    ]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "silhouettes": (silhouettes, "z_fail"), "polygons": (polygons, "z_fail"),
-        "auto": (own, "auto"), "z_fail": (own, "z_fail"), "sides": (sides, "auto"),
+        "auto": (engine_volumes, "auto"), "z_fail": (engine_volumes, "z_fail"), "sides": (sides, "auto"),
     }  # fmt: skip
-    counts = {name: _counted(look, light, *method) for name, method in methods.items()}
+    counts = {name: _counted(truth_view, light, *method) for name, method in methods.items()}
     tasks: dict[str, Callable[[], object]] = {
         "structure": lambda: closed_parts(edges_of(vertices, triangles)),
         "build_silhouettes": lambda: built(shared),
-        "build_polygons": lambda: built(apart),
+        "build_polygons": lambda: built(separate_edges),
     }
-    tasks |= {f"fill_{name}": lambda method=method: _counted(look, light, *method) for name, method in methods.items()}
-    neighbours_by_search(shared.ends[shared.of_triangle[:1]])  # compiles
+    tasks |= {f"fill_{name}": lambda method=method: _counted(truth_view, light, *method) for name, method in methods.items()}
+    neighbours_by_search(shared.ends[shared.triangle_edges[:1]])  # compiles
     start = time.perf_counter()
-    neighbours_by_search(shared.ends[shared.of_triangle])
+    neighbours_by_search(shared.ends[shared.triangle_edges])
     search_ms = 1000.0 * (time.perf_counter() - start)
-    valid, first = look.buffer.valid.sum(), counts["auto"][0]
+    valid, first = truth_view.buffer.valid.sum(), counts["auto"][0]
     return {
         **{f"{name}_ms": float(np.median([ms for ms, _ in runs])) for name, runs in interleaved_times(tasks, REPEATS).items()},
         "search_ms": search_ms,
-        "triangles": len(triangles), "casting": int((turns != 0).sum()),
-        "sides": sum(each.first_cap for each in silhouettes), "sides_polygons": sum(each.first_cap for each in polygons),
+        "triangles": len(triangles), "casting": int((orientations != 0).sum()),
+        "sides": sum(volume.first_cap for volume in silhouettes), "sides_polygons": sum(volume.first_cap for volume in polygons),
         **{f"faces_{name}": faces for name, (_, faces) in counts.items()},
         **{f"differs_{name}": float(((dark > 0) != (first > 0)).sum() / valid) for name, (dark, _) in counts.items()},
     }  # fmt: skip
 
 
-def _engines(look: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
+def _engines(truth_view: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
     """Return the engine's volumes of a view's meshes."""
-    return volumes_of(look.buffer, look.scene, light, ("meshes",), look.casters, PassRecord(""))
+    return volumes_of(truth_view.buffer, truth_view.scene, light, ("meshes",), truth_view.casters, PassRecord(""))
 
 
-def _counted(look: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], counting: CountingSetting) -> tuple[np.ndarray, int]:
+def _counted(
+    truth_view: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], counting: CountingSetting
+) -> tuple[np.ndarray, int]:
     """Return the number of volumes that contain each point that faces the sun (rows, cols), and the number of drawn faces."""
     record = PassRecord("")
-    wanted = look.receivers
+    receivers = truth_view.receivers
     return count(
-        look.buffer, look.scene, light, volumes, VolumeSettings(counting=counting), wanted, False, record
+        truth_view.buffer, truth_view.scene, light, volumes, VolumeSettings(counting=counting), receivers, False, record
     ), record.triangles
 
 
@@ -119,19 +124,19 @@ def unshared(triangles: np.ndarray) -> Edges:
     """Return edges of triangles (m, 3) as if none were shared: the silhouette of such a mesh is that of each triangle."""
     start, end = triangles, np.roll(triangles, -1, axis=1)
     ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=-1).reshape(-1, 2)
-    along = np.where(start < end, np.int8(1), np.int8(-1))
-    return Edges(ends.astype(np.int32), np.arange(triangles.size, dtype=np.int32).reshape(-1, 3), along)
+    directions = np.where(start < end, np.int8(1), np.int8(-1))
+    return Edges(ends.astype(np.int32), np.arange(triangles.size, dtype=np.int32).reshape(-1, 3), directions)
 
 
 def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes:
     """Return the sun's volumes over a silhouette's caps, as one caster: a triangle to infinity from each edge, and the caps."""
     count = len(vertices)
-    a, b = np.repeat(of.edges, of.times, axis=0).T
+    a, b = np.repeat(of.edges, of.multiplicity, axis=0).T
     sides = np.column_stack([b, a, np.full(len(a), count)])
     points = np.vstack([np.column_stack([vertices, np.ones(count)]), np.append(-light[:3], 0.0)])
-    used = vertices[of.caps.ravel()]
+    cap_vertices = vertices[of.caps.ravel()]
     faces = np.concatenate([sides, of.caps]).astype(np.int32)
-    low, high = used.min(axis=0)[None], used.max(axis=0)[None]
+    low, high = cap_vertices.min(axis=0)[None], cap_vertices.max(axis=0)[None]
     return Volumes(points.astype(np.float32), faces, np.zeros(len(faces), np.int32), low, high, of.edges, len(sides), len(of.caps))
 
 
@@ -154,22 +159,22 @@ def neighbours_by_search(ends):
 
 def _inside() -> dict[str, float]:
     """Measure with the eye in shadow: wrong shares of the cast shadow for z-pass, for z-fail, and as casters request it."""
-    level, name = INSIDE
-    look = view_with_truth(bundled(level), name, SIZE)
-    light = np.array(look.scene.light_position(SUN, look.buffer.frame))
-    own = _engines(look, light)
+    level, name = SHADOWED_EYE_VIEW
+    truth_view = view_with_truth(bundled(level), name, SIZE)
+    light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
+    engine_volumes = _engines(truth_view, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: z-pass counts everything
-    by_pass = [replace(each, low_m=each.low_m - beyond_m, high_m=each.high_m - beyond_m) for each in own]
+    by_pass = [replace(volume, low_m=volume.low_m - beyond_m, high_m=volume.high_m - beyond_m) for volume in engine_volumes]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "z_pass": (by_pass, "auto"),
-        "z_fail": (own, "z_fail"),
-        "auto": (own, "auto"),
+        "z_fail": (engine_volumes, "z_fail"),
+        "auto": (engine_volumes, "auto"),
     }
-    wrong = {}
+    wrong_shares = {}
     for key, method in methods.items():
-        layers, _ = _counted(look, light, *method)
-        wrong[key] = look.errors(look.finished((layers == 0).astype(np.float32)))["wrong_cast"]
-    return wrong
+        layers, _ = _counted(truth_view, light, *method)
+        wrong_shares[key] = truth_view.errors(truth_view.finished((layers == 0).astype(np.float32)))["wrong_cast"]
+    return wrong_shares
 
 
 def section(figures: Figures) -> Section:
@@ -179,25 +184,27 @@ def section(figures: Figures) -> Section:
     def span(of: Callable[[dict[str, float]], float]) -> str:
         return listed_by_scene({name: of(row) for name, row in scenes.items()})
 
-    def alone(row: dict[str, float]) -> float:
+    def polygons_ms(row: dict[str, float]) -> float:
         return row["build_polygons_ms"] + row["fill_polygons_ms"]
 
-    def joined(row: dict[str, float], structure: str) -> float:
-        return (row[f"{structure}_ms"] + row["build_silhouettes_ms"] + row["fill_silhouettes_ms"]) / alone(row)
+    def relative_cost(row: dict[str, float], structure: str) -> float:
+        return (row[f"{structure}_ms"] + row["build_silhouettes_ms"] + row["fill_silhouettes_ms"]) / polygons_ms(row)
 
-    apart, bare = (max(row[f"differs_{name}"] for row in rows) for name in ("polygons", "sides"))
-    fewer = all_of([*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(apart, SAME_PICTURE_SHARE)])
-    slower = any_of(at_least(joined(row, "search"), 1.0) for row in rows)
-    faster = all_of(at_most(joined(row, "structure"), 1.0) for row in rows)
+    differing_polygons, differing_sides = (max(row[f"differs_{name}"] for row in rows) for name in ("polygons", "sides"))
+    fewer = all_of(
+        [*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(differing_polygons, SAME_PICTURE_SHARE)]
+    )
+    slower = any_of(at_least(relative_cost(row, "search"), 1.0) for row in rows)
+    faster = all_of(at_most(relative_cost(row, "structure"), 1.0) for row in rows)
     fewer_faces = all_of(at_most(row["faces_sides"], row["faces_z_fail"]) for row in rows)
     quicker = all_of(at_most(row["fill_sides_ms"], row["fill_z_fail_ms"]) for row in rows)
-    robust = all_of((at_most(inside["z_fail"], INSIDE_WRONG), at_least(inside["z_pass"], INSIDE_WRONG)))
+    robust = all_of((at_most(inside["z_fail"], MAX_WRONG_SHARE), at_least(inside["z_pass"], MAX_WRONG_SHARE)))
     claims = [
         Claim(
             REPORT,
             "silhouettes need fewer volumes than one for each polygon (11 instead of 24), for the same shadow",
             f"sides that are drawn, as a share of those without: {span(lambda row: row['sides'] / row['sides_polygons'])}; of "
-            f"the pixels {up_to(apart)} differ (held if fewer everywhere, and at most {percent(SAME_PICTURE_SHARE)} differ)",
+            f"the pixels {format_largest(differing_polygons)} differ (held if fewer everywhere, and at most {percent(SAME_PICTURE_SHARE)} differ)",
             fewer,
             reason(
                 fewer,
@@ -209,7 +216,7 @@ def section(figures: Figures) -> Section:
             REPORT,
             "made badly, silhouettes make volumes slower than none: there by finding neighbours through comparing all edges",
             "time with silhouettes over time without, when every side is held against every other: "
-            f"{span(lambda row: joined(row, 'search'))} (held if over 1 anywhere)",
+            f"{span(lambda row: relative_cost(row, 'search'))} (held if over 1 anywhere)",
             slower,
             reason(
                 slower,
@@ -223,7 +230,7 @@ def section(figures: Figures) -> Section:
             REPORT,
             "a better structure of edges would make them much faster",
             "time over that without silhouettes, the edge table made anew each time: "
-            f"{span(lambda row: joined(row, 'structure'))} (held if under 1 everywhere)",
+            f"{span(lambda row: relative_cost(row, 'structure'))} (held if under 1 everywhere)",
             faster,
             reason(
                 faster,
@@ -237,9 +244,13 @@ def section(figures: Figures) -> Section:
             REPORT,
             "z-pass draws fewer faces than z-fail, since it needs no caps",
             f"faces without caps over those of z-fail: {span(lambda row: row['faces_sides'] / row['faces_z_fail'])} (held if "
-            f"under 1 everywhere); of the pixels {up_to(bare)} differ without caps",
+            f"under 1 everywhere); of the pixels {format_largest(differing_sides)} differ without caps",
             fewer_faces,
-            ("a cap lies on a surface that is drawn, and is never before what is seen. " if bare <= SAME_PICTURE_SHARE else "")
+            (
+                "a cap lies on a surface that is drawn, and is never before what is seen. "
+                if differing_sides <= SAME_PICTURE_SHARE
+                else ""
+            )
             + "The engine draws caps for z-pass too, and leaves out faces wholly on the side of the points that does not count "
             "either way, so that which way draws more of them is up to the view: by default "
             f"{span(lambda row: row['faces_auto'] / row['faces_z_fail'])} of z-fail's",
@@ -263,7 +274,7 @@ def section(figures: Figures) -> Section:
             "z-pass is wrong with the eye in a volume; z-fail is right",
             f"wrong of the cast shadow with the eye in the shadow: z-pass {percent(inside['z_pass'])}, z-fail "
             f"{percent(inside['z_fail'])}, caster by caster {percent(inside['auto'])} (held if z-fail gets at most "
-            f"{percent(INSIDE_WRONG)} wrong and z-pass more)",
+            f"{percent(MAX_WRONG_SHARE)} wrong and z-pass more)",
             robust,
             reason(
                 robust,
@@ -280,11 +291,11 @@ def section(figures: Figures) -> Section:
             "triangles": str(row["triangles"]),
             "casting": str(row["casting"]),
             "sides (polygons)": f"{row['sides']} ({row['sides_polygons']})",
-            "search": factor(row["search_ms"] / alone(row)),
-            "edge table": factor(row["structure_ms"] / alone(row)),
-            "build": factor(row["build_silhouettes_ms"] / alone(row)),
-            "fill": factor(row["fill_silhouettes_ms"] / alone(row)),
-            "table, build and fill": factor(joined(row, "structure")),
+            "search": factor(row["search_ms"] / polygons_ms(row)),
+            "edge table": factor(row["structure_ms"] / polygons_ms(row)),
+            "build": factor(row["build_silhouettes_ms"] / polygons_ms(row)),
+            "fill": factor(row["fill_silhouettes_ms"] / polygons_ms(row)),
+            "table, build and fill": factor(relative_cost(row, "structure")),
         }
         for name, row in scenes.items()
     ]

@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.algorithms import frames_of_sizes
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import interleaved_times
-from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, factor, percent, reason, up_to, whole_percent
-from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, shallow, view_with_truth
+from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, factor, format_largest, percent, reason, whole_percent
+from benchmarks.seeds.views import ShadowOverrides, ViewWithTruth, bundled, one_map, settings_of, shallow, view_with_truth
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
@@ -23,7 +23,7 @@ from skugga.terrain.cache import clear_caches
 REPEATS = 11
 FRAME = (800, 600)
 SIZES = (64, 128, 256, 512, 1024)
-CHOSEN = "512"
+CHOSEN_SIZE = "512"
 """The size that the thesis chooses."""
 
 THEIR_FPS_WITHOUT = 58.88
@@ -41,10 +41,10 @@ STEEP, FLAT_SCENE, TWICE = 1.5, 1.1, 2.0
 below the second; a gain is large at the third and above.
 """
 
-ENOUGH = 0.03
+MAX_COVERAGE_ERROR = 0.03
 """The engine's default target error (``shadows.max_error``)."""
 
-TENTH = 0.1
+MAX_DEPTH_CHANGE = 0.1
 """Bits may change at most this share of the existing error."""
 
 MIN_LEAK = 0.01
@@ -52,66 +52,68 @@ MIN_LEAK = 0.01
 
 
 def measure() -> Figures:
-    look = view_with_truth(bundled("spatialace"), "main", FRAME)
+    truth_view = view_with_truth(bundled("spatialace"), "main", FRAME)
     rows = frames_of_sizes(REPEATS, SIZES, depth_bits=16)
-    true_shares = coverage_truth(look.buffer, look.scene, look.casters, BLOCK_PX)
+    true_shares = coverage_truth(truth_view.buffer, truth_view.scene, truth_view.casters, BLOCK_PX)
 
-    def quality(asked: Asked) -> dict[str, float]:
-        seen = look.visibility(look.plan(asked))
-        wrong_cast = look.errors(seen)["wrong_cast"]
-        return {"wrong_cast": wrong_cast, "coverage": coverage_error(block_shares(1.0 - seen), true_shares)}
+    def quality(overrides: ShadowOverrides) -> dict[str, float]:
+        visibility = truth_view.visibility(truth_view.plan(overrides))
+        wrong_cast = truth_view.errors(visibility)["wrong_cast"]
+        return {"wrong_cast": wrong_cast, "coverage": coverage_error(block_shares(1.0 - visibility), true_shares)}
 
-    def soft(size: int, bits: int) -> Asked:
+    def soft(size: int, bits: int) -> ShadowOverrides:
         return one_map(size, depth_bits=bits, filter="auto")
 
     return {
         "times": {f"{name} {size}": {"ratio": row["ratio"], "draws": row["map_draws"]} for (name, size), row in rows.items()},
-        "passes_ms": _passes_ms(look, {size: look.plan(soft(size, 16)) for size in SIZES}),
+        "passes_ms": _passes_ms(truth_view, {size: truth_view.plan(soft(size, 16)) for size in SIZES}),
         "quality": {str(size): quality(soft(size, 16)) for size in SIZES},
         "deeper": {str(size): quality(soft(size, 24)) for size in SIZES},
         "without": quality({"algorithm": "none"}),
-        "hidden": {str(size): _hidden(look, look.plan(one_map(size, depth_bits=16, bias="polygon_offset"))) for size in SIZES},
+        "hidden": {
+            str(size): _hidden(truth_view, truth_view.plan(one_map(size, depth_bits=16, bias="polygon_offset"))) for size in SIZES
+        },
     }
 
 
-def _passes_ms(look: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
+def _passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
     """Return median milliseconds of drawing a map and of its lookup, by map size; sizes take turns."""
 
-    def drawn(plan: Plan) -> PassLog:
+    def draw_frame(plan: Plan) -> PassLog:
         clear_caches("light")
         log = PassLog()
-        look.visibility(plan, log)
+        truth_view.visibility(plan, log)
         return log
 
     def pass_ms(log: PassLog, name: str) -> float:
         return sum(record.ms for record in log.records.values() if record.name.endswith(name))
 
-    runs = interleaved_times({str(size): lambda plan=plan: drawn(plan) for size, plan in plans.items()}, REPEATS)
+    runs = interleaved_times({str(size): lambda plan=plan: draw_frame(plan) for size, plan in plans.items()}, REPEATS)
     return {
-        size: {name: float(np.median([pass_ms(log, name) for _, log in turns])) for name in ("depth map", "visibility")}
-        for size, turns in runs.items()
+        size: {name: float(np.median([pass_ms(log, name) for _, log in size_runs])) for name in ("depth map", "visibility")}
+        for size, size_runs in runs.items()
     }
 
 
-def _hidden(look: ViewWithTruth, plan: Plan) -> dict[str, float]:
+def _hidden(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
     """Return the answers of a map alone, with the former bias, on surfaces turned away from the sun.
 
     The figures are the share that it leaves lit, and how much of that, and of all such surfaces, lies within ``HIDDEN_TEXELS``,
     along the rays, of the first hit from the sun. Their normals are flipped, so that the map treats them as receivers;
     ``polygon_offset`` does not use normals.
     """
-    turned = look.turned
+    turned = truth_view.turned
     flipped = replace(
-        look.buffer, normal_frame=np.where(turned[..., None], -1.0, 1.0).astype(np.float32) * look.buffer.normal_frame
+        truth_view.buffer, normal_frame=np.where(turned[..., None], -1.0, 1.0).astype(np.float32) * truth_view.buffer.normal_frame
     )
-    leaks = turned & (replace(look, buffer=flipped).visibility(plan) >= 0.5)
-    settings = settings_of(look, plan)
+    leaks = turned & (replace(truth_view, buffer=flipped).visibility(plan) >= 0.5)
+    settings = settings_of(truth_view, plan)
     assert isinstance(settings, ShadowMapSettings)
     texel_m = max(settings.cascades[0].texel_m)
-    near = shallow(look, flipped, HIDDEN_TEXELS * texel_m) & turned
+    near = shallow(truth_view, flipped, HIDDEN_TEXELS * texel_m) & turned
     return {
         "texel_m": texel_m,
-        "turned": float(turned.sum() / look.buffer.valid.sum()),
+        "turned": float(turned.sum() / truth_view.buffer.valid.sum()),
         "lit": float(leaks.sum() / turned.sum()),
         "near": float(near.sum() / turned.sum()),
         "lit_near": float((leaks & near).sum() / max(leaks.sum(), 1)),
@@ -121,20 +123,30 @@ def _hidden(look: ViewWithTruth, plan: Plan) -> dict[str, float]:
 def section(figures: Figures) -> Section:
     frame, ms, quality = figures["times"], figures["passes_ms"], figures["quality"]
     first, last = str(SIZES[0]), str(SIZES[-1])
-    growth = {how: frame[f"{how} {last}"]["ratio"] / frame[f"{how} {first}"]["ratio"] for how in THEIR_FPS}
-    thesis_gain = {how: fps[0] / fps[-1] for how, fps in THEIR_FPS.items()}
-    kept, redrawn = (frame[f"{how} {CHOSEN}"]["ratio"] for how in ("kept", "redrawn"))
-    place = SIZES.index(int(CHOSEN))
+    growth = {mode: frame[f"{mode} {last}"]["ratio"] / frame[f"{mode} {first}"]["ratio"] for mode in THEIR_FPS}
+    thesis_gain = {mode: fps[0] / fps[-1] for mode, fps in THEIR_FPS.items()}
+    cached_ratio, redrawn_ratio = (frame[f"{mode} {CHOSEN_SIZE}"]["ratio"] for mode in ("kept", "redrawn"))
+    place = SIZES.index(int(CHOSEN_SIZE))
     their_gain = THEIR_FPS["kept"][place] / THEIR_FPS["redrawn"][place]
     map_share = {size: pass_ms["depth map"] / (pass_ms["depth map"] + pass_ms["visibility"]) for size, pass_ms in ms.items()}
-    steep, flat, pays = at_least(growth["redrawn"], STEEP), at_most(growth["kept"], FLAT_SCENE), at_least(redrawn / kept, TWICE)
-    coverage, without = quality[CHOSEN]["coverage"], figures["without"]["coverage"]
+    steep, flat, pays = (
+        at_least(growth["redrawn"], STEEP),
+        at_most(growth["kept"], FLAT_SCENE),
+        at_least(redrawn_ratio / cached_ratio, TWICE),
+    )
+    coverage, coverage_without = quality[CHOSEN_SIZE]["coverage"], figures["without"]["coverage"]
     deeper = max(abs(pass_ms["coverage"] - figures["deeper"][size]["coverage"]) for size, pass_ms in quality.items())
     suffices = all_of(
-        (at_most(coverage, ENOUGH), at_least(without, TWICE * coverage), at_most(deeper, TENTH * coverage)),
+        (
+            at_most(coverage, MAX_COVERAGE_ERROR),
+            at_least(coverage_without, TWICE * coverage),
+            at_most(deeper, MAX_DEPTH_CHANGE * coverage),
+        ),
     )
-    hidden = figures["hidden"][CHOSEN]
-    hides = all_of((at_least(hidden["lit"], MIN_LEAK), at_least(hidden["lit_near"], TWICE * hidden["near"])))
+    hidden_figures = figures["hidden"][CHOSEN_SIZE]
+    hides = all_of(
+        (at_least(hidden_figures["lit"], MIN_LEAK), at_least(hidden_figures["lit_near"], TWICE * hidden_figures["near"]))
+    )
     claims = [
         Claim(
             SPATIALACE,
@@ -169,24 +181,24 @@ def section(figures: Figures) -> Section:
         ),
         Claim(
             SPATIALACE,
-            f"keeping the map is what makes a map of {CHOSEN} bearable: redrawn frames take {factor(their_gain)} times as long",
-            f"{factor(redrawn / kept)} times as long (held from {TWICE:g} on)",
+            f"keeping the map is what makes a map of {CHOSEN_SIZE} bearable: redrawn frames take {factor(their_gain)} times as long",
+            f"{factor(redrawn_ratio / cached_ratio)} times as long (held from {TWICE:g} on)",
             pays,
             reason(
                 pays,
                 "drawing is most of what the shadow costs",
-                f"the look-up is paid either way: a kept frame takes {factor(kept)} times as long as one without shadows, a "
-                f"redrawn one {factor(redrawn)} times",
+                f"the look-up is paid either way: a kept frame takes {factor(cached_ratio)} times as long as one without shadows, a "
+                f"redrawn one {factor(redrawn_ratio)} times",
             ),
         ),
         Claim(
             SPATIALACE,
-            f"16 bits of depth and {CHOSEN} texels a side suffice: a little coarse, but far better than none",
-            f"blocks' shadow shares are off by {percent(coverage)}, without shadows by {percent(without)}; 24 bits change that by "
-            f"{up_to(deeper)} at any size (held if off by at most {percent(ENOUGH)}, by at most half of that without, "
-            f"and if bits change at most {whole_percent(TENTH)} of it)",
+            f"16 bits of depth and {CHOSEN_SIZE} texels a side suffice: a little coarse, but far better than none",
+            f"blocks' shadow shares are off by {percent(coverage)}, without shadows by {percent(coverage_without)}; 24 bits change that by "
+            f"{format_largest(deeper)} at any size (held if off by at most {percent(MAX_COVERAGE_ERROR)}, by at most half of that without, "
+            f"and if bits change at most {whole_percent(MAX_DEPTH_CHANGE)} of it)",
             suffices,
-            f"a texel is {hidden['texel_m']:.1f} m wide, "
+            f"a texel is {hidden_figures['texel_m']:.1f} m wide, "
             + reason(
                 suffices,
                 "next to which a step of 16 bits is small",
@@ -197,9 +209,9 @@ def section(figures: Figures) -> Section:
         Claim(
             SPATIALACE,
             "a map's self-shadow does not reach the edges; giving what is turned away from the sun the shadow's shade hides that",
-            f"of the surface turned away a biased map of {CHOSEN} alone leaves {percent(hidden['lit'])} lit, and "
-            f"{whole_percent(hidden['lit_near'])} of that lies within {HIDDEN_TEXELS:g} texels, along the rays, of what the sun "
-            f"meets first, where {whole_percent(hidden['near'])} of all that is turned away lies; decided by the normal, none of "
+            f"of the surface turned away a biased map of {CHOSEN_SIZE} alone leaves {percent(hidden_figures['lit'])} lit, and "
+            f"{whole_percent(hidden_figures['lit_near'])} of that lies within {HIDDEN_TEXELS:g} texels, along the rays, of what the sun "
+            f"meets first, where {whole_percent(hidden_figures['near'])} of all that is turned away lies; decided by the normal, none of "
             f"it is lit (held if at least {percent(MIN_LEAK)} is lit, near there at least {TWICE:g} times as often as elsewhere)",
             hides,
             reason(

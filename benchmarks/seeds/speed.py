@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.algorithms import RIVALS, plans_of, shot
+from benchmarks.algorithms import COMPARED_VARIANTS, benchmark_view, plans_of
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, interleaved_times, medians, ratio, timed
+from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, interleaved_times, measure_times, medians, ratio
 from benchmarks.seeds.verdicts import (
     DRAW,
+    DRAW_FACTOR,
     FOUR,
     HYBRID,
     PSM,
-    SAME,
     SCENES,
     SHORT,
     SM,
@@ -27,8 +27,8 @@ from benchmarks.seeds.verdicts import (
     at_least,
     at_most,
     factor,
+    join_scene_names,
     listed_by_scene,
-    named,
     percent,
     reason,
     titled,
@@ -50,13 +50,13 @@ THEIR_GROWTH = 260.0 / 200.0
 THEIR_MAP_SHARE = 0.25, 0.45
 """The range that counts as about 35 %, the map's share of the thesis's frames."""
 
-LITTLE = 1.5
+MAX_NEAR_RATIO = 1.5
 """Up to this ratio a time is a little behind another."""
 
-MUCH_THE_SAME = 0.8
+MIN_EQUAL_RATIO = 0.8
 """Up to this ratio a time is about as long as another."""
 
-INDEPENDENT = 1.25
+MAX_INDEPENDENT_RATIO = 1.25
 """A time does not depend on the pixels if four times as many increase it by at most this ratio."""
 
 STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
@@ -66,8 +66,8 @@ def timed_sizes(level: str) -> Figures:
     """Return times in a level's main view, whole and with a quarter of the pixels: by algorithm and size."""
     runs = {}
     for size in (SIZE, HALF_SIZE):
-        view_shot = shot(level, "main", size)
-        plans = plans_of(view_shot, {key: RIVALS[key] for key in FOUR})
+        view_shot = benchmark_view(level, "main", size)
+        plans = plans_of(view_shot, {key: COMPARED_VARIANTS[key] for key in FOUR})
         runs |= {f"{key} {size[0]}": (view_shot, plan) for key, plan in plans.items()}
     return medians(runs, REPEATS)
 
@@ -77,21 +77,21 @@ def whole_frames(level: str) -> Figures:
     scene = bundled(level)
     view = scene.view("main", size=SIZE)
     descriptor = describe(scene, view, "main")
-    variants = {"none": {"algorithm": "none"}} | {str(size): RIVALS[SM] | {"map_size": size} for size in MAP_SIZES}
+    variants = {"none": {"algorithm": "none"}} | {str(size): COMPARED_VARIANTS[SM] | {"map_size": size} for size in MAP_SIZES}
     plans = {key: make_plan(descriptor, scene.loaded.level, overrides) for key, overrides in variants.items()}
 
-    def drawn(plan: Plan) -> float:
+    def depth_map_ms(plan: Plan) -> float:
         clear_caches("light")
         return sum(record.ms for record in render_frame(scene, view, plan).passes if record.name.endswith("depth map"))
 
-    runs_by_key = interleaved_times({key: lambda plan=plan: drawn(plan) for key, plan in plans.items()}, FRAME_REPEATS)
+    runs_by_key = interleaved_times({key: lambda plan=plan: depth_map_ms(plan) for key, plan in plans.items()}, FRAME_REPEATS)
     medians_ms = {key: np.median(np.array(runs), axis=0) for key, runs in runs_by_key.items()}
     return {key: {"ms": float(whole_ms), "map": float(map_ms / whole_ms)} for key, (whole_ms, map_ms) in medians_ms.items()}
 
 
 def measure_stages() -> Figures:
     return {
-        "views": {f"{scene}{sun}": timed(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
+        "views": {f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
         "sizes": timed_sizes("thesis_water_tower"),
         "frames": whole_frames("thesis_water_tower"),
     }
@@ -99,7 +99,7 @@ def measure_stages() -> Figures:
 
 def measure_stencil() -> Figures:
     methods = SV, "two passes"
-    return {"levels": {level: timed(f"thesis_{level}", "main", methods, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
+    return {"levels": {level: measure_times(f"thesis_{level}", "main", methods, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
 
 
 def section_stages(figures: Figures) -> Section:
@@ -116,7 +116,7 @@ def section_stages(figures: Figures) -> Section:
         "the map and drawing the scene from the light. *look-up*: rendering with the map; in the hybrid, finding the silhouette "
         "pixels. *volumes*: finding silhouettes and building volumes. *counting*: drawing volumes into the stencil. *between*: "
         "time outside of all passes; in the hybrid mainly finding which points lie on lit faces of casters. The thesis's times "
-        f"include drawing the scene, ours are the shadow alone. Times within {whole_percent(SAME - 1.0)} count as the same: a "
+        f"include drawing the scene, ours are the shadow alone. Times within {whole_percent(DRAW_FACTOR - 1.0)} count as the same: a "
         "draw.",
         tables,
         [*claims, *_size_claims(figures["sizes"]), *_frame_claims(figures["frames"])],
@@ -131,8 +131,8 @@ def _stage_row(scene: str, key: str, at: Figures) -> dict[str, str]:
 
 
 def _timing_claims(views: Figures, light: str) -> list[Claim]:
-    def over(one: str, other: str) -> dict[str, float]:
-        return {scene: ratio(at, one, other) for scene, at in views.items()}
+    def over(algorithm: str, other: str) -> dict[str, float]:
+        return {scene: ratio(at, algorithm, other) for scene, at in views.items()}
 
     def stage_ms(at: Figures, key: str, *stages: str) -> float:
         return sum(at[key]["redrawn"]["stages"][name] for name in stages)
@@ -140,17 +140,17 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
     def median_share(key: str, stage: str) -> str:
         return whole_percent(float(np.median([stage_ms(at, key, stage) / at[key]["redrawn"]["ms"] for at in views.values()])))
 
-    def claim(says: str, found: str, verdict: ClaimVerdict, why: str) -> Claim:
-        return Claim(f"{THESIS}, 7.1, {light}", says, found, verdict, why)
+    def claim(statement: str, finding: str, verdict: ClaimVerdict, reason_text: str) -> Claim:
+        return Claim(f"{THESIS}, 7.1, {light}", statement, finding, verdict, reason_text)
 
-    least = {scene: min(ratio(at, key, SM) for key in FOUR[1:]) for scene, at in views.items()}
-    behind, beaten, hybrid = over(PSM, SM), over(SV, PSM), over(HYBRID, SV)
+    fastest_other = {scene: min(ratio(at, key, SM) for key in FOUR[1:]) for scene, at in views.items()}
+    psm_ratios, volume_ratios, hybrid_ratios = over(PSM, SM), over(SV, PSM), over(HYBRID, SV)
     looked = float(np.median([stage_ms(at, PSM, "look-up") / stage_ms(at, SM, "look-up") for at in views.values()]))
     stages = (
         f"making the map is {median_share(SM, 'map')} of SM's time (medians) and {median_share(PSM, 'map')} of PSM's; PSM's "
         f"look-up takes {factor(looked)} times as long as SM's"
     )
-    if light == "the spot" and looked * SAME < 1.0:
+    if light == "the spot" and looked * DRAW_FACTOR < 1.0:
         stages += (
             ": a spot's map tests the triangle anew for each tap, a perspective map works it out once for each pixel, and it "
             "alone leaves out what is turned away from the light"
@@ -158,16 +158,16 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
     volume = {
         scene: stage_ms(at, HYBRID, "volumes", "counting") / stage_ms(at, SV, "volumes", "counting") for scene, at in views.items()
     }
-    loses = [scene for scene in views if hybrid[scene] > SAME]
+    loses = [scene for scene in views if hybrid_ratios[scene] > DRAW_FACTOR]
     bare = {scene: stage_ms(views[scene], HYBRID, "volumes", "counting") / views[scene][SV]["redrawn"]["ms"] for scene in loses}
     lead = {scene: ratio(at, HYBRID, max((SM, PSM, SV), key=lambda key, at=at: ratio(at, key, SM))) for scene, at in views.items()}
     last = {scene: max(FOUR, key=lambda key, at=at: ratio(at, key, SM)) for scene, at in views.items()}
-    fastest = all_of(at_least(value, 1.0) for value in least.values())
-    near = all_of(all_of((at_least(value, 1.0), at_most(value, LITTLE))) for value in behind.values())
-    street = all_of(at_most(value, 1.0) if scene == "street" else at_least(value, 1.0) for scene, value in beaten.items())
-    boxgrid = all_of(at_most(value, 1.0) if scene == "boxgrid" else at_least(value, 1.0) for scene, value in hybrid.items())
+    fastest = all_of(at_least(value, 1.0) for value in fastest_other.values())
+    near = all_of(all_of((at_least(value, 1.0), at_most(value, MAX_NEAR_RATIO))) for value in psm_ratios.values())
+    street = all_of(at_most(value, 1.0) if scene == "street" else at_least(value, 1.0) for scene, value in volume_ratios.items())
+    boxgrid = all_of(at_most(value, 1.0) if scene == "boxgrid" else at_least(value, 1.0) for scene, value in hybrid_ratios.items())
     cheaper = all_of(
-        at_most(value, 1.0) if scene in ("boxgrid", "water_tower") else MUCH_THE_SAME <= value <= 1.0 / MUCH_THE_SAME
+        at_most(value, 1.0) if scene in ("boxgrid", "water_tower") else MIN_EQUAL_RATIO <= value <= 1.0 / MIN_EQUAL_RATIO
         for scene, value in volume.items()
     )
     for_map = all_of(at_most(value, 1.0) for value in bare.values()) if loses else None
@@ -175,45 +175,45 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
     return [
         claim(
             "SM is the fastest everywhere",
-            f"time of the fastest other, of SM's: {listed_by_scene(least)} (held if over 1 everywhere)",
+            f"time of the fastest other, of SM's: {listed_by_scene(fastest_other)} (held if over 1 everywhere)",
             fastest,
             reason(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW}: {stages}"),
         ),
         claim(
             "PSM is a little behind SM in all scenes",
-            f"time of PSM, of SM's: {listed_by_scene(behind)} (held if over 1 and at most {LITTLE:g} everywhere)",
+            f"time of PSM, of SM's: {listed_by_scene(psm_ratios)} (held if over 1 and at most {MAX_NEAR_RATIO:g} everywhere)",
             near,
             reason(near, stages, stages, f"{DRAW}: {stages}"),
         ),
         claim(
             "SV beats PSM in Street, and only there",
-            f"time of SV, of PSM's: {listed_by_scene(beaten)} (held if under 1 in Street, over 1 elsewhere)",
+            f"time of SV, of PSM's: {listed_by_scene(volume_ratios)} (held if under 1 in Street, over 1 elsewhere)",
             street,
             reason(
                 street,
                 "Street's volumes have few faces, which draw in less time than pixels are looked up",
                 "beside Street there are scenes in which volumes cover little of the picture"
-                if beaten["street"] * SAME <= 1.0
+                if volume_ratios["street"] * DRAW_FACTOR <= 1.0
                 else "what SV costs with few faces is the same for all scenes: depths are drawn, the stencil is read back; next to "
                 "that PSM's look-up is cheap enough",
             ),
         ),
         claim(
             "SV beats the hybrid in all scenes but BoxGrid",
-            f"time of the hybrid, of SV's: {listed_by_scene(hybrid)} (held if under 1 in BoxGrid, over 1 elsewhere)",
+            f"time of the hybrid, of SV's: {listed_by_scene(hybrid_ratios)} (held if under 1 in BoxGrid, over 1 elsewhere)",
             boxgrid,
             reason(
                 boxgrid,
                 "only there volumes cover the picture so often that leaving them out pays for map and mask",
                 "what the hybrid leaves out would be filled by the processor here, which fills slowly: that pays for map and "
-                f"mask in {named([scene for scene, value in hybrid.items() if value * SAME <= 1.0])}",
+                f"mask in {join_scene_names([scene for scene, value in hybrid_ratios.items() if value * DRAW_FACTOR <= 1.0])}",
             ),
         ),
         claim(
             "the volumes alone (made and drawn) are cheaper in the hybrid in BoxGrid and Water Tower, about as dear elsewhere",
             f"time of the hybrid's volumes and counting, of SV's: {listed_by_scene(volume)} (held if under 1 in "
             "these two, and within a "
-            f"factor of {1.0 / MUCH_THE_SAME:g} elsewhere)",
+            f"factor of {1.0 / MIN_EQUAL_RATIO:g} elsewhere)",
             cheaper,
             reason(
                 cheaper,
@@ -254,16 +254,19 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
 def _size_claims(sizes: Figures) -> list[Claim]:
     grown = {key: sizes[f"{key} {SIZE[0]}"]["redrawn"]["ms"] / sizes[f"{key} {HALF_SIZE[0]}"]["redrawn"]["ms"] for key in FOUR}
     per = ", ".join(f"{SHORT[key]} {value:.1f}" for key, value in grown.items())
-    found = f"times with four times the pixels, of those before (Water Tower, the spot): {per}"
-    free, less = at_most(max(grown[SM], grown[PSM]), INDEPENDENT), at_most(grown[HYBRID], grown[SV])
+    finding = f"times with four times the pixels, of those before (Water Tower, the spot): {per}"
+    maps_are_independent, hybrid_grows_less = (
+        at_most(max(grown[SM], grown[PSM]), MAX_INDEPENDENT_RATIO),
+        at_most(grown[HYBRID], grown[SV]),
+    )
     return [
         Claim(
             f"{THESIS}, 7.1",
             "SM and PSM do not depend on the screen's resolution",
-            f"{found} (held if at most {INDEPENDENT:g} for both)",
-            free,
+            f"{finding} (held if at most {MAX_INDEPENDENT_RATIO:g} for both)",
+            maps_are_independent,
             reason(
-                free,
+                maps_are_independent,
                 "the map costs most",
                 "every pixel is looked up, and on a processor pixels are what costs; only the map itself does not depend on them",
             ),
@@ -271,10 +274,10 @@ def _size_claims(sizes: Figures) -> list[Claim]:
         Claim(
             f"{THESIS}, 7.1",
             "a higher resolution hits the hybrid less than SV",
-            f"{found} (held if less for the hybrid)",
-            less,
+            f"{finding} (held if less for the hybrid)",
+            hybrid_grows_less,
             reason(
-                less,
+                hybrid_grows_less,
                 "its map stays as it is, and marked pixels grow with the length of edges",
                 "what is common to both, depths and the read-back of the stencil, grows with the pixels and outweighs what is "
                 "left out",
@@ -323,15 +326,15 @@ def section_stencil(figures: Figures) -> Section:
     rows = [
         {
             "scene": titled(level),
-            **{how: f"{ratio(tower, 'two passes', SV, how):.2f}" for how in ("redrawn", "kept")},
+            **{mode: f"{ratio(tower, 'two passes', SV, mode):.2f}" for mode in ("redrawn", "kept")},
             "counting alone": f"{_counting_ms(tower, 'two passes') / _counting_ms(tower, SV):.2f}",
         }
         for level, tower in ((level, figures["levels"][level]) for level in STENCIL_LEVELS)
     ]
     tower = figures["levels"]["water_tower"]
-    faster = all_of(at_least(ratio(tower, "two passes", SV, how), 1.0) for how in ("redrawn", "kept"))
+    faster = all_of(at_least(ratio(tower, "two passes", SV, mode), 1.0) for mode in ("redrawn", "kept"))
     saved = "each face is sent, transformed and clipped once instead of twice"
-    beside = (
+    times_text = (
         "two passes draw the same pixels in all: each face is filled once, and dropped once before it is filled. What is saved "
         "is transforming corners a second time, which is little beside filling and reading the stencil back"
     )
@@ -347,7 +350,7 @@ def section_stencil(figures: Figures) -> Section:
                 f"two passes take {factor(ratio(tower, 'two passes', SV))} times as long in the water tower, "
                 f"{factor(ratio(tower, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
                 faster,
-                reason(faster, saved, beside, f"{DRAW}: {beside}"),
+                reason(faster, saved, times_text, f"{DRAW}: {times_text}"),
             )
         ],
     )

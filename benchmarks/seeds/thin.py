@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import CaptionedPicture, CropBox, write_sheet, wrong_in
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, draw_errors, write_sheet
 from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, percent, reason
 from benchmarks.seeds.views import Variant, bundled, draw_variant, view_with_truth
 
@@ -11,7 +11,7 @@ FRAME = (1280, 1024)
 """The thesis's frame size."""
 
 MAP_SIZES = (128, 256, 512, 1024)
-SHOWN = (128, 512)
+SHOWN_SIZES = (128, 512)
 MASKS = ("original", "conservative")
 
 MAX_WRONG = 0.001
@@ -23,32 +23,34 @@ CROP: CropBox = (180, 500, 480, 300)
 def measure() -> Figures:
     """Measure the water tower's ladder and braces by the hybrids, by map size."""
     rows, cells = [], []
-    look = view_with_truth(bundled("thesis_water_tower"), "close", FRAME)
+    truth_view = view_with_truth(bundled("thesis_water_tower"), "close", FRAME)
     for mask in MASKS:
         for map_size in MAP_SIZES:
-            each = draw_variant(look, Variant({"algorithm": "hybrid", "mask": mask, "map_size": map_size}))
-            rows.append({"mask": mask, "map_size": map_size, **each.figures})
-            if map_size in SHOWN:
-                words = f"{mask}, map of {map_size}: {percent(each.figures['wrong_cast'])} wrong"
-                cells.append(CaptionedPicture(wrong_in(look, each, CROP), words))
+            drawn_variant = draw_variant(truth_view, Variant({"algorithm": "hybrid", "mask": mask, "map_size": map_size}))
+            rows.append({"mask": mask, "map_size": map_size, **drawn_variant.figures})
+            if map_size in SHOWN_SIZES:
+                words = f"{mask}, map of {map_size}: {percent(drawn_variant.figures['wrong_cast'])} wrong"
+                cells.append(CaptionedPicture(draw_errors(truth_view, drawn_variant, CROP), words))
     write_sheet("seeds-thin.webp", cells, 2)
     return {"rows": rows}
 
 
 def section(figures: Figures) -> Section:
     original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in MASKS)
-    coarse, fine = original[0], original[-1]
+    coarse_row, fine_row = original[0], original[-1]
     worst = max(row["wrong_cast"] for row in conservative)
-    misses = all_of((at_least(coarse["missed_shadow"], fine["missed_shadow"]), at_least(coarse["wrong_cast"], MAX_WRONG)))
+    misses = all_of(
+        (at_least(coarse_row["missed_shadow"], fine_row["missed_shadow"]), at_least(coarse_row["wrong_cast"], MAX_WRONG))
+    )
     exact = at_most(worst, MAX_WRONG)
-    matters = None if exact is None else not exact
+    mask_matters = None if exact is None else not exact
     claims = [
         Claim(
             f"{THESIS}, figure 56",
             "with a small map the hybrid misses thin casters",
-            f"the original mask misses {percent(coarse['missed_shadow'])} of the shadow at {coarse['map_size']} texels, "
-            f"{percent(fine['missed_shadow'])} at {fine['map_size']}; connected parts of the picture that are wrong away from "
-            f"edges: {coarse['interior_parts']} and {fine['interior_parts']} (held if it misses more with the smaller map, and "
+            f"the original mask misses {percent(coarse_row['missed_shadow'])} of the shadow at {coarse_row['map_size']} texels, "
+            f"{percent(fine_row['missed_shadow'])} at {fine_row['map_size']}; connected parts of the picture that are wrong away from "
+            f"edges: {coarse_row['interior_parts']} and {fine_row['interior_parts']} (held if it misses more with the smaller map, and "
             f"over {percent(MAX_WRONG)} of the cast shadow is wrong there)",
             misses,
             reason(
@@ -64,9 +66,9 @@ def section(figures: Figures) -> Section:
             f"the conservative mask gets at most {percent(worst)} of the cast shadow wrong at any size from {MAP_SIZES[0]} to "
             f"{MAP_SIZES[-1]} (held if over {percent(MAX_WRONG)}); it leaves {percent(conservative[0]['marked'])} of the pixels "
             f"to volumes at the smallest, {percent(conservative[-1]['marked'])} at the largest",
-            matters,
+            mask_matters,
             reason(
-                matters,
+                mask_matters,
                 "its marks leave out pixels that they should not",
                 "its texels hold intervals of depth of all that touches them, and every pixel that these do not decide is "
                 "marked: the size is a matter of speed alone",

@@ -1,6 +1,6 @@
 """Times of shadow algorithms, and of other tasks, that take turns.
 
-Times are those of the shadow alone (``algorithms.turns``), medians; each is measured once in a process.
+Times are those of the shadow alone (``algorithms.run_interleaved``), medians; each is measured once in a process.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.algorithms import COUNTING_VARIANTS, RIVALS, Shot, plans_of, shot, turns
+from benchmarks.algorithms import COMPARED_VARIANTS, COUNTING_VARIANTS, BenchmarkView, benchmark_view, plans_of, run_interleaved
 from benchmarks.seeds.claims import Figures
 from benchmarks.seeds.verdicts import FOUR
 from skugga.shadows.plan import Plan
@@ -33,35 +33,35 @@ STAGE_NAMES = (*dict.fromkeys(PASS_STAGES.values()), BETWEEN)
 
 
 @cache
-def timed(level: str, view: str, asked: tuple[str, ...] = FOUR, repeats: int = REPEATS) -> Figures:
+def measure_times(level: str, view: str, algorithms: tuple[str, ...] = FOUR, repeats: int = REPEATS) -> Figures:
     """Return times of algorithms in a view."""
-    view_shot = shot(level, view, SIZE)
-    every = {**RIVALS, **COUNTING_VARIANTS}
+    view_shot = benchmark_view(level, view, SIZE)
+    every = {**COMPARED_VARIANTS, **COUNTING_VARIANTS}
     return medians(
-        {key: (view_shot, plan) for key, plan in plans_of(view_shot, {key: every[key] for key in asked}).items()}, repeats
+        {key: (view_shot, plan) for key, plan in plans_of(view_shot, {key: every[key] for key in algorithms}).items()}, repeats
     )
 
 
-def medians(runs: dict[str, tuple[Shot, Plan]], repeats: int) -> Figures:
+def medians(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> Figures:
     """Return median milliseconds of each run, total and by stage, redrawn and cached, and the share of marked pixels."""
-    found = turns(runs, repeats)
-    out: Figures = {}
-    for (key, how), milliseconds_of_runs in found.times_ms.items():
+    interleaved = run_interleaved(runs, repeats)
+    result: Figures = {}
+    for (key, mode), milliseconds_of_runs in interleaved.times_ms.items():
         stages: dict[str, list[float]] = {name: [] for name in STAGE_NAMES}
-        for all_ms, passes_ms in zip(milliseconds_of_runs, found.passes_ms[key, how], strict=True):
+        for all_ms, passes_ms in zip(milliseconds_of_runs, interleaved.passes_ms[key, mode], strict=True):
             for name in STAGE_NAMES[:-1]:
-                stages[name].append(sum(ms for each, ms in passes_ms.items() if PASS_STAGES[each] == name))
+                stages[name].append(sum(ms for pass_name, ms in passes_ms.items() if PASS_STAGES[pass_name] == name))
             stages[BETWEEN].append(all_ms - sum(passes_ms.values()))
         medians_ms = {name: float(np.median(milliseconds)) for name, milliseconds in stages.items()}
-        out.setdefault(key, {})[how] = {"ms": float(np.median(milliseconds_of_runs)), "stages": medians_ms}
-    for key, log in found.logs.items():
-        out[key]["marked"] = float(sum(record.marked for record in log.records.values()) / runs[key][0].valid.sum())
-    return out
+        result.setdefault(key, {})[mode] = {"ms": float(np.median(milliseconds_of_runs)), "stages": medians_ms}
+    for key, log in interleaved.logs.items():
+        result[key]["marked"] = float(sum(record.marked for record in log.records.values()) / runs[key][0].valid.sum())
+    return result
 
 
-def ratio(at: Figures, one: str, other: str, how: str = "redrawn") -> float:
+def ratio(at: Figures, algorithm: str, other: str, mode: str = "redrawn") -> float:
     """Return the ratio of one algorithm's time to another's."""
-    return at[one][how]["ms"] / at[other][how]["ms"]
+    return at[algorithm][mode]["ms"] / at[other][mode]["ms"]
 
 
 def interleaved_times(tasks: dict[str, Callable[[], T]], repeats: int) -> dict[str, list[tuple[float, T]]]:

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sheet
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, draw_crop, write_sheet
 from benchmarks.seeds.thin import MAX_WRONG
 from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, percent, reason
 from benchmarks.seeds.views import LevelDocument, Variant, draw_variant, scene_of, view_with_truth
@@ -23,7 +23,7 @@ from skugga.shadows.volumes.silhouettes import Silhouette, silhouette
 
 SIZE = (960, 768)
 TEXELS = 1024
-WHOLE: CropBox = (0, 0, *SIZE)
+FULL_BOX: CropBox = (0, 0, *SIZE)
 BARK, LEAF_GREEN = (96, 74, 54, 255), (78, 118, 52, 255)
 
 
@@ -31,12 +31,12 @@ BARK, LEAF_GREEN = (96, 74, 54, 255), (78, 118, 52, 255)
 def closed_meshes_alone() -> Iterator[None]:
     """Use volumes of the triangles that face the light, with sides at edges between two triangles, as for closed meshes."""
 
-    def between_two(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhouette:
-        facing = np.maximum(turns, 0)
+    def between_two(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) -> Silhouette:
+        facing = np.maximum(orientations, 0)
         outline = silhouette(triangles, edges, facing)
-        meeting = np.bincount(edges.of_triangle[edges.of_triangle >= 0], minlength=len(edges.ends))
-        kept = meeting[np.flatnonzero(signed_sums(edges, facing))] == 2
-        return Silhouette(outline.edges[kept], outline.times[kept], outline.caps)
+        meeting = np.bincount(edges.triangle_edges[edges.triangle_edges >= 0], minlength=len(edges.ends))
+        is_shared = meeting[np.flatnonzero(signed_sums(edges, facing))] == 2
+        return Silhouette(outline.edges[is_shared], outline.multiplicity[is_shared], outline.caps)
 
     with patch.object(volumes, "silhouette", between_two):
         yield
@@ -51,23 +51,23 @@ def open_tree(seed: int = 7) -> trimesh.Trimesh:
     trunk = np.array([[0, 0, 0], [0.1, 0.05, 2.2], [-0.05, 0.1, 4.4], [0.1, 0, 7.6]])
     parts, leaves_at = [_open_tube(trunk, [0.34, 0.25, 0.17, 0.04])], []
     for number in range(12):
-        height, turn = 2.0 + 0.42 * number, 2.4 * number
-        out = np.array([np.cos(turn), np.sin(turn), 0.0])
+        height, azimuth_rad = 2.0 + 0.42 * number, 2.4 * number
+        branch_direction = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
         start, length = np.array([0, 0, height]), 3.3 - 0.2 * number
-        ends = start + length * (np.array([[0.0], [0.5], [1.0]]) * out + np.array([[0.0], [0.16], [0.42]]) * [0, 0, 1])
+        ends = start + length * (np.array([[0.0], [0.5], [1.0]]) * branch_direction + np.array([[0.0], [0.16], [0.42]]) * [0, 0, 1])
         parts.append(_open_tube(ends, [0.11, 0.07, 0.02]))
         for share in (0.45, 0.7, 0.9):
             position = start + share * (ends[2] - start)
-            tip = position + 0.35 * length * _unit(rng.normal(size=3) + 0.6 * out)
+            tip = position + 0.35 * length * _unit(rng.normal(size=3) + 0.6 * branch_direction)
             parts.append(_open_tube(np.array([position, tip]), [0.035, 0.012]))
             leaves_at.append(position + np.linspace(0.1, 1.1, 10)[:, None] * (tip - position))
     colors = [BARK] * sum(len(faces) for _, faces in parts)
     for position in np.concatenate(leaves_at):
         position = position + rng.normal(scale=0.14, size=3)
         axis = _unit(rng.normal(size=3))
-        aside = _unit(np.cross(axis, rng.normal(size=3)))
-        for across in (aside, np.cross(axis, aside)):
-            corners = position + 0.16 * np.array([-axis - across, axis - across, axis + across, across - axis])
+        side_axis = _unit(np.cross(axis, rng.normal(size=3)))
+        for leaf_axis in (side_axis, np.cross(axis, side_axis)):
+            corners = position + 0.16 * np.array([-axis - leaf_axis, axis - leaf_axis, axis + leaf_axis, leaf_axis - axis])
             faces = np.array([[0, 1, 2], [0, 2, 3]])
             parts.append((corners, faces if rng.random() < 0.5 else faces[:, ::-1]))
     first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
@@ -78,10 +78,10 @@ def open_tree(seed: int = 7) -> trimesh.Trimesh:
 
 def _open_tube(path_m: np.ndarray, radii_m: list[float], sides: int = 7) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and triangles of a tube along a path (k, 3), without ends."""
-    along = _unit(path_m[-1] - path_m[0])
-    across = _unit(np.cross(along, np.eye(3)[np.argmin(np.abs(along))]))
-    turn = 2.0 * np.pi * np.arange(sides) / sides
-    circle = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(along, across)
+    tube_axis = _unit(path_m[-1] - path_m[0])
+    normal = _unit(np.cross(tube_axis, np.eye(3)[np.argmin(np.abs(tube_axis))]))
+    angle_rad = 2.0 * np.pi * np.arange(sides) / sides
+    circle = np.cos(angle_rad)[:, None] * normal + np.sin(angle_rad)[:, None] * np.cross(tube_axis, normal)
     vertices = (path_m[:, None] + np.array(radii_m)[:, None, None] * circle).reshape(-1, 3)
     k = np.arange(sides)
     ring = np.concatenate([
@@ -98,11 +98,11 @@ TREE_LIGHTS: dict[str, LevelDocument] = {
     "spot": {"sun": "none", "lights": {"lamp": {"kind": "spot", "position": [-14, -9, 19], "target": [0, 0, 4], "cutoff": 24}}},
     "sun": {"sun": {"azimuth": 237, "altitude": 42}},
 }
-CLOSED = "volumes as of closed meshes"
+ASSUMED_CLOSED = "volumes as of closed meshes"
 TREE_ROWS = {
     SM: Variant({"algorithm": "shadow_map", "map_size": TEXELS, "cascades": 1, "filter": 1}),
     PSM: Variant({"algorithm": "perspective_shadow_map", "map_size": TEXELS, "filter": 1}),
-    CLOSED: Variant({"algorithm": "shadow_volume"}, closed_meshes_alone),
+    ASSUMED_CLOSED: Variant({"algorithm": "shadow_volume"}, closed_meshes_alone),
     SV: Variant({"algorithm": "shadow_volume"}),
     HYBRID: Variant({"algorithm": "hybrid"}),
 }
@@ -118,13 +118,13 @@ def measure() -> Figures:
         folder = Path(name)
         tree.export(folder / "tree.ply")
         for light, keys in TREE_LIGHTS.items():
-            look = view_with_truth(scene_of({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE)
+            truth_view = view_with_truth(scene_of({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE)
             for algorithm, variant in TREE_ROWS.items():
-                figures = draw_variant(look, variant).figures
+                figures = draw_variant(truth_view, variant).figures
                 rows.append({"light": light, "algorithm": algorithm, **figures})
                 if light == "sun" and algorithm != PSM:
                     words = f"{algorithm}: {percent(figures['wrong_cast'])} wrong"
-                    cells.append(CaptionedPicture(drawn(look, variant, WHOLE, shrink=2), words))
+                    cells.append(CaptionedPicture(draw_crop(truth_view, variant, FULL_BOX, shrink=2), words))
     write_sheet("seeds-tree.webp", cells, 2)
     return {"rows": rows, "triangles": len(tree.faces), "open_edges": int((sides == 1).sum()), "edges": len(sides)}
 
@@ -136,8 +136,8 @@ def section(figures: Figures) -> Section:
         return max(row_by_key[light, algorithm][figure] for light in TREE_LIGHTS)
 
     maps = max(worst(SM, "interior"), worst(PSM, "interior"))
-    wrong = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, CLOSED)}
-    maps_hold, fail = at_most(maps, MAX_INTERIOR), at_least(max(wrong[SV], wrong[HYBRID]), MAX_WRONG)
+    worst_shares = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, ASSUMED_CLOSED)}
+    maps_hold, fail = at_most(maps, MAX_INTERIOR), at_least(max(worst_shares[SV], worst_shares[HYBRID]), MAX_WRONG)
     claims = [
         Claim(
             f"{THESIS}, figure 57",
@@ -153,8 +153,8 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, figure 57",
             "shadow volumes and the hybrid need closed meshes, and fail on the tree",
-            f"wrong at most in {percent(wrong[SV])} (volumes) and {percent(wrong[HYBRID])} (hybrid) of the cast shadow (held if "
-            f"over {percent(MAX_WRONG)} of either); volumes that are made as of closed meshes in {percent(wrong[CLOSED])}",
+            f"wrong at most in {percent(worst_shares[SV])} (volumes) and {percent(worst_shares[HYBRID])} (hybrid) of the cast shadow (held if "
+            f"over {percent(MAX_WRONG)} of either); volumes that are made as of closed meshes in {percent(worst_shares[ASSUMED_CLOSED])}",
             fail,
             reason(
                 fail,

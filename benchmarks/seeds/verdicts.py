@@ -8,10 +8,10 @@ THESIS = "Sindholt 2005"
 REPORT = "bachelor's report, Copenhagen"
 SPATIALACE = "SpatialAce thesis, Chalmers"
 
-SAME = 1.05
+DRAW_FACTOR = 1.05
 """Figures within this factor of a limit, or of one another, are a draw."""
 
-DRAW = f"a draw: what decides lies within {100.0 * (SAME - 1.0):.0f} % of its limit"
+DRAW = f"a draw: what decides lies within {100.0 * (DRAW_FACTOR - 1.0):.0f} % of its limit"
 
 SM, PSM, SV, HYBRID = "shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid"
 FOUR = SM, PSM, SV, HYBRID
@@ -24,9 +24,9 @@ ClaimVerdict = bool | None
 
 def at_most(value: float, limit: float) -> ClaimVerdict:
     """Return whether a figure is at most a limit."""
-    if value * SAME <= limit:
+    if value * DRAW_FACTOR <= limit:
         return True
-    return False if value > limit * SAME else None
+    return False if value > limit * DRAW_FACTOR else None
 
 
 def at_least(value: float, limit: float) -> ClaimVerdict:
@@ -36,24 +36,24 @@ def at_least(value: float, limit: float) -> ClaimVerdict:
 
 def all_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
     """Return whether all hold: false if one fails; else a draw if one is a draw."""
-    found = [*verdicts]
-    if any(one is False for one in found):
+    verdict_list = [*verdicts]
+    if any(verdict is False for verdict in verdict_list):
         return False
-    return None if None in found else True
+    return None if None in verdict_list else True
 
 
 def any_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
     """Return whether one holds: a draw if none does and one is a draw."""
-    return opposite(all_of(opposite(one) for one in verdicts))
+    return opposite(all_of(opposite(verdict) for verdict in verdicts))
 
 
 def opposite(verdict: ClaimVerdict) -> ClaimVerdict:
     return None if verdict is None else not verdict
 
 
-def reason(verdict: ClaimVerdict, held: str, fails: str, draw: str = DRAW) -> str:
+def reason(verdict: ClaimVerdict, if_held: str, if_failed: str, if_draw: str = DRAW) -> str:
     """Return the reason for a verdict."""
-    return draw if verdict is None else held if verdict else fails
+    return if_draw if verdict is None else if_held if verdict else if_failed
 
 
 def percent(share: float) -> str:
@@ -62,7 +62,7 @@ def percent(share: float) -> str:
     return "under 0.01 %" if 0.0 < value < 0.005 else f"{round(value, 2 if value < 10.0 else 1):g} %"
 
 
-def up_to(share: float) -> str:
+def format_largest(share: float) -> str:
     """Format the largest of some shares of errors in per cent."""
     text = percent(share)
     return text if share == 0.0 or text.startswith("under") else f"at most {text}"
@@ -84,11 +84,11 @@ def titled(name: str) -> str:
     return f"{SCENES.get(scene, '')}{rest.replace('_sun', ' (sun)')}"
 
 
-def listed_by_scene(values: dict[str, float], told: Callable[[float], str] = factor) -> str:
+def listed_by_scene(values: dict[str, float], format_value: Callable[[float], str] = factor) -> str:
     """Format values by the names of their scenes."""
-    return ", ".join(f"{titled(name)} {told(value)}" for name, value in values.items())
+    return ", ".join(f"{titled(name)} {format_value(value)}" for name, value in values.items())
 
 
-def named(found: list[str]) -> str:
+def join_scene_names(scene_names: list[str]) -> str:
     """Format names of scenes."""
-    return ", ".join(map(titled, found)) or "none"
+    return ", ".join(map(titled, scene_names)) or "none"

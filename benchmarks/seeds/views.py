@@ -38,7 +38,7 @@ from skugga.terrain.scene import Scene, build_scene
 SAMPLES = 4
 """Sub-samples a pixel that decide where truth is decidable."""
 
-Asked = dict[str, Any]
+ShadowOverrides = dict[str, Any]
 LevelDocument = dict[str, Any]
 
 
@@ -75,11 +75,11 @@ class ViewWithTruth:
         eye, camera_from_frame = self.perspective.in_frame(self.buffer.frame)
         return (self.buffer.position_frame_m - eye) @ camera_from_frame[2]
 
-    def plan(self, asked: Asked) -> Plan:
+    def plan(self, overrides: ShadowOverrides) -> Plan:
         """Return a plan; ``bias_scale`` is no key of a level: it changes the settings themselves."""
-        asked = dict(asked)
-        scale = asked.pop("bias_scale", None)
-        plan = make_plan(self.descriptor, self.scene.loaded.level, asked)
+        overrides = dict(overrides)
+        scale = overrides.pop("bias_scale", None)
+        plan = make_plan(self.descriptor, self.scene.loaded.level, overrides)
         if scale is None:
             return plan
         scaled = {
@@ -139,21 +139,21 @@ def scene_of(level: LevelDocument, folder: Path) -> Scene:
     return build_scene(load_level(path))
 
 
-def one_map(size: int, **asked: Any) -> Asked:
+def one_map(size: int, **overrides: Any) -> ShadowOverrides:
     """Return settings of one hard-edged shadow map of 24 bits, with overrides."""
-    return {"algorithm": "shadow_map", "map_size": size, "cascades": 1, "filter": 1, "depth_bits": 24, **asked}
+    return {"algorithm": "shadow_map", "map_size": size, "cascades": 1, "filter": 1, "depth_bits": 24, **overrides}
 
 
-def settings_of(look: ViewWithTruth, plan: Plan) -> AlgorithmSettings:
+def settings_of(truth_view: ViewWithTruth, plan: Plan) -> AlgorithmSettings:
     """Return settings that all casters share."""
-    return next(iter(plan.settings[look.light].values()))
+    return next(iter(plan.settings[truth_view.light].values()))
 
 
 @dataclass(frozen=True)
 class Variant:
     """Overrides and, for a control, the part that is disabled meanwhile."""
 
-    asked: Asked
+    overrides: ShadowOverrides
     without: Callable[[], AbstractContextManager[Any]] = nullcontext
 
 
@@ -166,7 +166,7 @@ class DrawnVariant:
     note: str
 
 
-def draw_variant(look: ViewWithTruth, variant: Variant) -> DrawnVariant:
+def draw_variant(truth_view: ViewWithTruth, variant: Variant) -> DrawnVariant:
     """Draw an algorithm's result in a view, with everything redrawn.
 
     The figures are errors; ``cast_edge_mean``, the mean displacement of the edges of cast shadow alone, pixels; and ``marked``, the
@@ -175,24 +175,26 @@ def draw_variant(look: ViewWithTruth, variant: Variant) -> DrawnVariant:
     log = PassLog()
     clear_caches("light")
     with variant.without():
-        plan = look.plan(variant.asked)
-        visibility, texels_px = look.visibility(plan, log), look.texels_px(plan)
+        plan = truth_view.plan(variant.overrides)
+        visibility, texels_px = truth_view.visibility(plan, log), truth_view.texels_px(plan)
     clear_caches("light")
     dark = np.nan_to_num(visibility, nan=1.0) < 0.5
-    edges_px = edge_distances(dark & look.receivers, ~look.truth.lit & look.receivers, look.receivers)
+    edges_px = edge_distances(dark & truth_view.receivers, ~truth_view.truth.lit & truth_view.receivers, truth_view.receivers)
     records = log.records.values()
-    figures = look.errors(visibility, texels_px) | {
+    figures = truth_view.errors(visibility, texels_px) | {
         "cast_edge_mean": float(edges_px.mean()) if edges_px.size else 0.0,
-        "marked": sum(record.marked for record in records) / max(int(look.buffer.valid.sum()), 1),
+        "marked": sum(record.marked for record in records) / max(int(truth_view.buffer.valid.sum()), 1),
     }
     return DrawnVariant(dark, figures, " ".join(record.note for record in records if record.note))
 
 
-def shallow(look: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
+def shallow(truth_view: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
     """Return which points see the sun after a move of ``depth_m`` towards it: those less than that behind the first hit from
     the sun.
     """
-    assert look.scene.sun is not None
-    to_sun = look.scene.sun.in_frame(buffer.frame)
-    moved = replace(buffer, position_frame_m=buffer.position_frame_m + depth_m * to_sun)
-    return lit_mask(moved, look.scene, SUN, ray_scene(look.buffer, look.scene, look.casters, ALL_KINDS))
+    assert truth_view.scene.sun is not None
+    to_sun = truth_view.scene.sun.in_frame(buffer.frame)
+    moved_buffer = replace(buffer, position_frame_m=buffer.position_frame_m + depth_m * to_sun)
+    return lit_mask(
+        moved_buffer, truth_view.scene, SUN, ray_scene(truth_view.buffer, truth_view.scene, truth_view.casters, ALL_KINDS)
+    )

@@ -23,7 +23,7 @@ from typing import Any
 
 from benchmarks.selection.cost_of_accuracy import write_cost_of_accuracy
 from benchmarks.selection.fit import cases_of, fit_model
-from benchmarks.selection.measure import measured, probes, redescribed, timed
+from benchmarks.selection.measure import measure_instance, probes, redescribed, time_again
 from benchmarks.selection.page import page, with_tables
 from benchmarks.selection.table import read_table, write_table
 from benchmarks.selection.views import ViewInstance, instances
@@ -40,7 +40,7 @@ USUAL_DEVICE = MODEL.with_name("usual_device.json")
 
 def _rounded(value: Any) -> Any:
     """Round every number to four digits."""
-    return {key: _rounded(each) for key, each in value.items()} if isinstance(value, dict) else float(f"{value:.4g}")
+    return {key: _rounded(entry) for key, entry in value.items()} if isinstance(value, dict) else float(f"{value:.4g}")
 
 
 def main() -> None:
@@ -57,12 +57,12 @@ def main() -> None:
     commands.add_parser("judge").add_argument("--write", action="store_true")
     args = parser.parse_args()
     if args.what in WORK_STEPS:
-        _go_on(args.what, args.data, args.folder, args.only, args.again)
+        _run_step(args.what, args.data, args.folder, args.only, args.again)
     elif args.what == "keep":
         profile = load_profile(device().renderer, device().version)
         if profile is None:
             parser.error("the device is not calibrated: skugga calibrate")
-        write_table([record for one in instances() if (record := _read(args.folder, one)) is not None], profile)
+        write_table([record for instance in instances() if (record := _read(args.folder, instance)) is not None], profile)
     elif args.what == "fit":
         views, profile = read_table()
         model = fit_model([case for view in views if not view.get("unseen") for case in cases_of(view)], profile)
@@ -78,22 +78,22 @@ def main() -> None:
             write_cost_of_accuracy(views)
 
 
-def _go_on(what: str, data: Path, folder: Path, only: list[str], again: bool) -> None:
+def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done: bool) -> None:
     """Run a step for all views where it is not done."""
     folder.mkdir(parents=True, exist_ok=True)
     for instance in instances():
         record = _read(folder, instance)
-        if (only and not any(word in instance.name for word in only)) or (record is None) != (what == "measure"):
+        if (only and not any(word in instance.name for word in only)) or (record is None) != (step == "measure"):
             continue
-        if record is not None and WORK_STEPS[what] in record and not again:
+        if record is not None and WORK_STEPS[step] in record and not repeats_done:
             continue
         start = time.perf_counter()
-        made = (
-            measured(instance, data)
+        new_record = (
+            measure_instance(instance, data)
             if record is None
-            else {"time": timed, "describe": redescribed, "probe": probes}[what](instance, data, record)
+            else {"time": time_again, "describe": redescribed, "probe": probes}[step](instance, data, record)
         )
-        _path(folder, instance).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+        _path(folder, instance).write_text(json.dumps(new_record, indent=1) + "\n", encoding="utf-8")
         print(f"{instance.name}: {time.perf_counter() - start:.1f} s", flush=True)
 
 

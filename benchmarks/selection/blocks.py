@@ -52,7 +52,7 @@ def main() -> None:
     profile = load_profile(gpu.renderer, gpu.version)
     assert profile is not None, "run skugga calibrate first"
     differences: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    held: dict[tuple[str, float], list[tuple[bool, float]]] = defaultdict(list)
+    outcomes: dict[tuple[str, float], list[tuple[bool, float]]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
         for name in LEVELS:
             opened = scene_of(RASTERS.get(name, name), data, Path(folder))
@@ -60,54 +60,55 @@ def main() -> None:
             for sun in SUNS:
                 for pixel_m in (cell_m, 4.0 * cell_m):
                     text = f"{name}, {sun.altitude:g} degrees, {pixel_m:.3g} m"
-                    _one(text, opened.with_sun(sun), pixel_m, profile, differences, held)
+                    _compare_block(text, opened.with_sun(sun), pixel_m, profile, differences, outcomes)
             opened.close()
-    for what, values in differences.items():
-        off, chance = np.array(values).T
-        square, by_chance, third = np.mean(off**2), np.mean(chance**2), np.quantile(np.abs(off), 2 / 3)
+    for label, values in differences.items():
+        deviation, chance = np.array(values).T
+        square, by_chance, third = np.mean(deviation**2), np.mean(chance**2), np.quantile(np.abs(deviation), 2 / 3)
         print(
-            f"{what}: {len(off)} differences of logarithms, root mean square {np.sqrt(square):.2f}, by chance (few points, noisy "
+            f"{label}: {len(deviation)} differences of logarithms, root mean square {np.sqrt(square):.2f}, by chance (few points, noisy "
             f"clocks) {np.sqrt(by_chance):.2f}; two in three under {third:.2f}"
         )
-    for (how, target), rows in held.items():
+    for (policy, target), rows in outcomes.items():
         met, times = [row[0] for row in rows], [row[1] for row in rows]
-        print(f"{how}, {100 * target:g} %: {sum(met)} of {len(met)} blocks keep to it, {np.mean(times):.1f} ms in the mean")
+        print(f"{policy}, {100 * target:g} %: {sum(met)} of {len(met)} blocks keep to it, {np.mean(times):.1f} ms in the mean")
 
 
-def _one(
+def _compare_block(
     name: str,
     scene: Scene,
     pixel_m: float,
     profile: DeviceProfile,
     differences: dict[str, list[tuple[float, float]]],
-    held: dict[tuple[str, float], list[tuple[bool, float]]],
+    outcomes: dict[tuple[str, float], list[tuple[bool, float]]],
 ) -> None:
     probed = probe_blocks(scene, pixel_m, profile, budget_s=BUDGET_S)
-    seen = probed.seen.get(SUN, ())
-    here = MapClass(0, 0)
+    observed_options = probed.observations.get(SUN, ())
+    origin_class = MapClass(0, 0)
     middle = probed_plan(scene, map_block(scene, pixel_m), device=profile, budget_s=BUDGET_S)
     elsewhere, of_middle = (
-        MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=each.seen),)).of(here) or {} for each in (probed, middle)
+        MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=probe.observations),)).of(origin_class) or {}
+        for probe in (probed, middle)
     )
-    print(name, [f"{each.choice} {each.error:.2%} {each.ms:.1f} ms" for each in seen], flush=True)
+    print(name, [f"{probe.choice} {probe.error:.2%} {probe.ms:.1f} ms" for probe in observed_options], flush=True)
     for place in PLACES:
         block = _Block(scene, map_block(scene, pixel_m, place), profile)
         if block.options is None:
             continue
         numbers = {option.choice.name: number for number, option in enumerate(block.options.options)}
-        for each in seen:
-            if each.choice in numbers:
-                error, ms, noise = block.shown(numbers[each.choice])
-                off, chance = log_error(error) - log_error(each.error), hypot(each.error_noise, noise)
-                differences["errors"].append((off, chance))
-                differences["times"].append((log(ms) - log(each.ms), hypot(each.ms_noise, each.ms_noise)))
+        for probe in observed_options:
+            if probe.choice in numbers:
+                error, ms, noise = block.measured_option(numbers[probe.choice])
+                deviation, chance = log_error(error) - log_error(probe.error), hypot(probe.error_noise, noise)
+                differences["errors"].append((deviation, chance))
+                differences["times"].append((log(ms) - log(probe.ms), hypot(probe.ms_noise, probe.ms_noise)))
         beliefs = {"predict": block.options}
-        for how, what in (("a probe of the middle", of_middle), ("probes", elsewhere)):
-            beliefs[how] = block.options.after(what.get(SUN, ()))
+        for policy, observations in (("a probe of the middle", of_middle), ("probes", elsewhere)):
+            beliefs[policy] = block.options.after(observations.get(SUN, ()))
         for target in TARGETS:
-            for how, believed in beliefs.items():
-                error, ms, _ = block.shown(leader_of(believed, target, None))
-                held[how, target].append((error <= target, ms))
+            for policy, believed in beliefs.items():
+                error, ms, _ = block.measured_option(leader_of(believed, target, None))
+                outcomes[policy, target].append((error <= target, ms))
 
 
 class _Block:
@@ -122,7 +123,7 @@ class _Block:
             self._prover = SceneProber(pictures, options.planner, SUN, self.options)
         self._drawn: dict[int, tuple[float, float, float]] = {}
 
-    def shown(self, which: int) -> tuple[float, float, float]:
+    def measured_option(self, which: int) -> tuple[float, float, float]:
         """Return error and milliseconds of an option, and the standard deviation of the error's logarithm from the sampling
         of points.
         """
@@ -130,8 +131,10 @@ class _Block:
             ms = self._prover.draw(which)
             while not self._drawn and (self._prover.add_points_s() or np.inf) < MAX_POINTS_S:
                 self._prover.add_points()
-            seen = None if ms is None else self._prover.measurement(which).seen("", ms)
-            self._drawn[which] = (1.0, np.inf, 0.0) if seen is None else (seen.error, seen.ms, seen.error_noise)
+            observation = None if ms is None else self._prover.measurement(which).to_observation("", ms)
+            self._drawn[which] = (
+                (1.0, np.inf, 0.0) if observation is None else (observation.error, observation.ms, observation.error_noise)
+            )
         return self._drawn[which]
 
 

@@ -22,7 +22,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from benchmarks.selection.judge import GOALS, Goal, instances_of
 
-LOOSE, *FINER = [goal for goal in GOALS if goal.within is None]
+LOOSE, *FINER = [goal for goal in GOALS if goal.time_share is None]
 """The reference goal of prices, and the goals that have a price."""
 
 ROOT = Path(__file__).parents[2]
@@ -66,30 +66,30 @@ def cheapest_ms(view: Figures) -> dict[str, float]:
 
     It omits goals that no plan meets, and those that truth's own noise makes undecidable.
     """
-    found = {}
-    for one in instances_of([view], [LOOSE, *FINER]):
-        met = [row["ms"] for name, row in one.rows.items() if one.meets(name)]
-        if met and one.tellable:
-            found[one.goal.name] = min(met)
-    return found
+    result = {}
+    for instance in instances_of([view], [LOOSE, *FINER]):
+        met = [row["ms"] for name, row in instance.rows.items() if instance.meets(name)]
+        if met and instance.is_decidable:
+            result[instance.goal.name] = min(met)
+    return result
 
 
 def prices(views: Sequence[Figures]) -> list[Price]:
     """Return the prices of each finer goal over views."""
     cheapest = [cheapest_ms(view) for view in views]
-    found = []
+    result = []
     for goal in FINER:
         ratios = [ms[goal.name] / ms[LOOSE.name] for ms in cheapest if LOOSE.name in ms and goal.name in ms]
-        found.append(Price(goal, np.array(sorted(ratios)), len(views)))
-    return found
+        result.append(Price(goal, np.array(sorted(ratios)), len(views)))
+    return result
 
 
 def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
     """Group views by kind of scene."""
-    found: dict[str, list[Figures]] = {}
+    result: dict[str, list[Figures]] = {}
     for view in views:
-        found.setdefault(view["family"], []).append(view)
-    return found
+        result.setdefault(view["family"], []).append(view)
+    return result
 
 
 def sentence(views: Sequence[Figures]) -> str:
@@ -109,13 +109,13 @@ def table(views: Sequence[Figures]) -> str:
         f"| kind of scene | views | {' | '.join(f'{goal.name}: median, 90th percentile (views)' for goal in FINER)} |",
         "| --- | --- |" + " --- |" * len(FINER),
     ]
-    for name, its in [*families(views).items(), ("all", list(views))]:
-        cells = [f"{p.median:.2f}, {p.p90:.2f} ({len(p.ratios)})" if p.ratios.size else "none" for p in prices(its)]
-        lines.append(f"| {name} | {len(its)} | {' | '.join(cells)} |")
+    for name, family_views in [*families(views).items(), ("all", list(views))]:
+        cells = [f"{p.median:.2f}, {p.p90:.2f} ({len(p.ratios)})" if p.ratios.size else "none" for p in prices(family_views)]
+        lines.append(f"| {name} | {len(family_views)} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def with_part(text: str, part: str) -> str:
+def replace_part(text: str, part: str) -> str:
     """Replace the text between a page's marks."""
     start, end = f"<!-- {MARK} -->\n", f"<!-- end of {MARK} -->\n"
     if not (start in text and end in text):
@@ -138,15 +138,19 @@ def figure_svg(views: Sequence[Figures]) -> str:
 
     Kinds without a price appear only in the table.
     """
-    kinds = [(name, its) for name, its in families(views).items() if any(price.ratios.size for price in prices(its))]
+    kinds = [
+        (name, family_views)
+        for name, family_views in families(views).items()
+        if any(price.ratios.size for price in prices(family_views))
+    ]
     kinds.append(("all", list(views)))
     style = {"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK, "svg.hashsalt": "skugga"}
     with mpl.rc_context(style):
         figure = Figure(figsize=(9.4, 0.62 * len(kinds) + 1.5), layout="constrained")
         axes = figure.subplots()
-        for row, (_, its) in enumerate(kinds):
-            _strip(axes, row, prices(its))
-        _dressed(axes, [name for name, _ in kinds])
+        for row, (_, family_views) in enumerate(kinds):
+            _strip(axes, row, prices(family_views))
+        _style_axes(axes, [name for name, _ in kinds])
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
@@ -154,15 +158,15 @@ def figure_svg(views: Sequence[Figures]) -> str:
 
 def write_cost_of_accuracy(views: Sequence[Figures]) -> None:
     """Write the sentence into README and the page on accuracy, there with the table, and draw the figure."""
-    said = wrapped(sentence(views))
-    for path, part in ((README, said), (PAGE, f"{said}\n{table(views)}")):
-        path.write_text(with_part(path.read_text(encoding="utf-8"), part), encoding="utf-8")
+    text = wrapped(sentence(views))
+    for path, part in ((README, text), (PAGE, f"{text}\n{table(views)}")):
+        path.write_text(replace_part(path.read_text(encoding="utf-8"), part), encoding="utf-8")
     FIGURE.write_text(figure_svg(views), encoding="utf-8")
 
 
-def _strip(axes: Axes, row: int, its: Sequence[Price]) -> None:
+def _strip(axes: Axes, row: int, family_prices: Sequence[Price]) -> None:
     """Draw the points of a kind of scene, a line for each goal."""
-    for number, (price, colour) in enumerate(zip(its, SHADES, strict=True)):
+    for number, (price, colour) in enumerate(zip(family_prices, SHADES, strict=True)):
         y = row + 0.24 * (number - 1)
         axes.plot(price.ratios, np.full(len(price.ratios), y), ".", color=colour, markersize=7, alpha=0.6, markeredgewidth=0)
         if len(price.ratios) >= MIN_VIEWS:
@@ -170,7 +174,7 @@ def _strip(axes: Axes, row: int, its: Sequence[Price]) -> None:
             axes.plot([price.median, price.p90], [y, y], color=colour, linewidth=1.2)
 
 
-def _dressed(axes: Axes, names: Sequence[str]) -> None:
+def _style_axes(axes: Axes, names: Sequence[str]) -> None:
     axes.set(xscale="log", ylim=(len(names) - 0.5, -0.5), yticks=range(len(names)), yticklabels=names)
     ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100) if tick <= 1.4 * axes.get_xlim()[1]]
     axes.xaxis.set_major_locator(FixedLocator(ticks))

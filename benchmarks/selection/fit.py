@@ -37,41 +37,41 @@ from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.plan import Step
 from skugga.shadows.sweep.sweep import DECIMATED
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 from skugga.terrain.facts.probes import MIN_CAST_SHARE
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
 
 MAP_ALGORITHMS = ("shadow_map", "perspective_shadow_map")
-EXACT = ("shadow_volume", "hybrid", "sweep", DECIMATED)
+EXACT_ALGORITHMS = ("shadow_volume", "hybrid", "sweep", DECIMATED)
 
 KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
 
-START = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
+INITIAL_CONSTANTS = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
 """Start values: the parameters (maximum, half, steepness) of each kind of casters' response; pixels of a perspective map's
 texels at the picture's own size; the floors of both kinds of maps.
 """
 
-NARROW = 1e-9
+NARROWEST_PERSPECTIVE = 1e-9
 """A constant of perspective maps that makes them certainly narrower than a uniform one."""
 
-DRAWN_BACK = 0.1
+PRIOR_WEIGHT = 0.1
 """The weight of the prior, which pulls constants to their start, in residuals."""
 
-TOLD = 5e-4
+MIN_WRONG_SHARE = 5e-4
 """The least share of wrong pixels for a fit of the interior ones."""
 
 USUAL_TIME_SPREAD = 0.2
 """The spread of times where no calibration is available."""
 
-NOTHING_SHARED = SharedVariance(view=0.0, family=0.0)
-APART = SharedErrors(error=NOTHING_SHARED, interior=NOTHING_SHARED, time=NOTHING_SHARED)
+NO_SHARED_VARIANCE = SharedVariance(view=0.0, family=0.0)
+INDEPENDENT_ERRORS = SharedErrors(error=NO_SHARED_VARIANCE, interior=NO_SHARED_VARIANCE, time=NO_SHARED_VARIANCE)
 
 MAX_EXPONENT = 700.0
 """The largest argument of the exponential function in float64."""
 
-LADDER = np.log2(TEXEL_LADDER_PX)
+LADDER = np.log2(TEXEL_SIZES_PX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class FitCase:
         )
 
 
-def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
+def request_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
     """Return the request for a descriptor without a level."""
     return StandaloneRequest(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
 
@@ -119,13 +119,13 @@ def cases_of(view: Figures) -> list[FitCase]:
     if view["error"] == "wrong":
         return []
     descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
-    planner = planner_of(descriptor, asked_of(descriptor))
-    found: dict[str, FitCase] = {}
-    for choice in portfolio(descriptor, light, planner.casting(light), planner.asked):
+    planner = planner_of(descriptor, request_of(descriptor))
+    case_by_name: dict[str, FitCase] = {}
+    for choice in portfolio(descriptor, light, planner.casting(light), planner.requested_shadows):
         name = view["picks"].get(choice.name)
-        if name in view["rows"] and name not in found:
-            found[name] = FitCase(view, descriptor, planner.steps(light, choice), view["rows"][name])
-    return list(found.values())
+        if name in view["rows"] and name not in case_by_name:
+            case_by_name[name] = FitCase(view, descriptor, planner.steps(light, choice), view["rows"][name])
+    return list(case_by_name.values())
 
 
 def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> ErrorModel:
@@ -137,13 +137,15 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + ERROR_OFFSET)
 
-    def off(logarithms: np.ndarray) -> np.ndarray:
-        beside = DRAWN_BACK * (logarithms - np.log(START))  # constants without measurements stay where they are
-        return np.concatenate([np.log(terms.expected(np.exp(logarithms)) + ERROR_OFFSET) - measured, beside])
+    def deviations(logarithms: np.ndarray) -> np.ndarray:
+        prior_residuals = PRIOR_WEIGHT * (
+            logarithms - np.log(INITIAL_CONSTANTS)
+        )  # constants without measurements stay where they are
+        return np.concatenate([np.log(terms.expected(np.exp(logarithms)) + ERROR_OFFSET) - measured, prior_residuals])
 
-    found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
-    model = _model(np.exp(found.x))
-    by_itself = {name: [case.error for case in cases if case.error_groups == {name}] for name in EXACT}
+    solution = least_squares(deviations, np.log(INITIAL_CONSTANTS), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
+    model = _model(np.exp(solution.x))
+    by_itself = {name: [case.error for case in cases if case.error_groups == {name}] for name in EXACT_ALGORITHMS}
     floors = {
         name: float(np.exp(np.mean(np.log(np.array(own_shares) + ERROR_OFFSET))) - ERROR_OFFSET)
         for name, own_shares in by_itself.items()
@@ -154,20 +156,30 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     for name in error_groups():
         with_it = [(case, case.expected(model)) for case in cases if name in case.error_groups]
         spread[name] = _scale([(case.error + ERROR_OFFSET) / (expected.wrong_cast + ERROR_OFFSET) for case, expected in with_it])
-        interior_rows = [(case.row["interior"], expected.wrong) for case, expected in with_it if case.row["wrong"] > TOLD]
-        shares = [(interior + INTERIOR_OFFSET) / (wrong + INTERIOR_OFFSET) for interior, wrong in interior_rows]
+        interior_rows = [
+            (case.row["interior"], expected.wrong) for case, expected in with_it if case.row["wrong"] > MIN_WRONG_SHARE
+        ]
+        shares = [(interior + INTERIOR_OFFSET) / (wrong_share + INTERIOR_OFFSET) for interior, wrong_share in interior_rows]
         inside[name] = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
         inside_spread[name] = _scale(np.array(shares) / inside[name] if shares else [])
     model = model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
-    errors = _Deviations.of(cases, lambda case, its: (log_error(case.error) - log_error(its.wrong_cast)) / its.spread, model)
+    errors = _Deviations.of(
+        cases,
+        lambda case, expected_errors: (log_error(case.error) - log_error(expected_errors.wrong_cast)) / expected_errors.spread,
+        model,
+    )
     interiors = _Deviations.of(
-        cases, lambda case, its: (log_interior(case.row["interior"]) - log_interior(its.interior)) / its.interior_spread, model
+        cases,
+        lambda case, expected_errors: (
+            (log_interior(case.row["interior"]) - log_interior(expected_errors.interior)) / expected_errors.interior_spread
+        ),
+        model,
     )
     shared = model.shared.model_copy(update={"error": errors.shared, "interior": interiors.shared})
     if device is not None:
-        times = _Deviations.of(cases, lambda case, its: log(case.row["ms"] / case.expected_ms(device)), model)
+        times = _Deviations.of(cases, lambda case, expected_errors: log(case.row["ms"] / case.expected_ms(device)), model)
         shared = shared.model_copy(update={"time": times.shared})
-        model = model.model_copy(update={"time_spread": max(_scale(np.exp(times.off)), MIN_SPREAD)})
+        model = model.model_copy(update={"time_spread": max(_scale(np.exp(times.deviations)), MIN_SPREAD)})
     return model.model_copy(update={"shared": shared})
 
 
@@ -175,17 +187,19 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
 class _Deviations:
     """Deviations of rows from their expected values (n,), with the number of the view and the family of each."""
 
-    off: np.ndarray
+    deviations: np.ndarray
     view: np.ndarray
     family: np.ndarray
 
     @classmethod
-    def of(cls, cases: Sequence[FitCase], off: Callable[[FitCase, ExpectedErrors], float], model: ErrorModel) -> _Deviations:
+    def of(
+        cls, cases: Sequence[FitCase], deviation_of: Callable[[FitCase, ExpectedErrors], float], model: ErrorModel
+    ) -> _Deviations:
         views: dict[int, int] = {}
         families: dict[object, int] = {}
         rows = [
             (
-                off(case, case.expected(model)),
+                deviation_of(case, case.expected(model)),
                 views.setdefault(id(case.view), len(views)),
                 families.setdefault(tuple((step.algorithm, step.kinds) for step in case.steps), len(families)),
             )
@@ -200,17 +214,17 @@ class _Deviations:
 
         Each view has the same weight.
         """
-        variance, other, same = [], [], []
+        variance, other, same_family = [], [], []
         for number in np.unique(self.view):
-            off, family = self.off[self.view == number], self.family[self.view == number]
-            products, alike = np.outer(off, off), family[:, None] == family
-            apart = ~np.eye(len(off), dtype=bool)
-            variance.append(np.mean(off**2))
+            deviations, family = self.deviations[self.view == number], self.family[self.view == number]
+            products, alike = np.outer(deviations, deviations), family[:, None] == family
+            off_diagonal = ~np.eye(len(deviations), dtype=bool)
+            variance.append(np.mean(deviations**2))
             other += [np.mean(products[~alike])] if (~alike).any() else []
-            same += [np.mean(products[alike & apart])] if (alike & apart).any() else []
+            same_family += [np.mean(products[alike & off_diagonal])] if (alike & off_diagonal).any() else []
         view = float(np.clip(np.mean(other) / np.mean(variance), 0.0, 1.0)) if other else 0.0
-        both = float(np.clip(np.mean(same) / np.mean(variance), view, 1.0)) if same else view
-        return SharedVariance(view=view, family=both - view)
+        family_covariance = float(np.clip(np.mean(same_family) / np.mean(variance), view, 1.0)) if same_family else view
+        return SharedVariance(view=view, family=family_covariance - view)
 
 
 class _Terms:
@@ -230,10 +244,18 @@ class _Terms:
                 for kind, casting in step_castings(case.descriptor, case.light, step):
                     for band in casting.bands:
                         follows = isinstance(step.settings, PerspectiveMapSettings)
-                        fixed, narrow = (texel_px_of(case.descriptor, case.light, step, band, px) for px in (1e9, NARROW))
+                        fixed, narrow = (
+                            texel_px_of(case.descriptor, case.light, step, band, px) for px in (1e9, NARROWEST_PERSPECTIVE)
+                        )
                         if fixed > 0.0:
                             rows.append(
-                                (number, KINDS.index(kind), band.share / cast, fixed, narrow / NARROW if follows else np.inf)
+                                (
+                                    number,
+                                    KINDS.index(kind),
+                                    band.share / cast,
+                                    fixed,
+                                    narrow / NARROWEST_PERSPECTIVE if follows else np.inf,
+                                )
                             )
                             differs.append(smoothed_ladder(band.differs))
         self._of, self._kind, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
@@ -246,33 +268,33 @@ class _Terms:
         low = np.minimum(ladder_index.astype(int), len(LADDER) - 2)
         first, second = (np.take_along_axis(self._differs, (low + k)[:, None], axis=1)[:, 0] for k in (0, 1))
         differs = first + (second - first) * (ladder_index - low)
-        differs = np.where(texel <= TEXEL_LADDER_PX[0], self._differs[:, 0] * texel / TEXEL_LADDER_PX[0], differs)
-        most, half, steepness = counts[self._kind].T
+        differs = np.where(texel <= TEXEL_SIZES_PX[0], self._differs[:, 0] * texel / TEXEL_SIZES_PX[0], differs)
+        maximum, half, steepness = counts[self._kind].T
         # The search tries steep curves, whose powers would overflow.
         powers = np.exp(np.minimum(steepness * np.log(half / np.maximum(texel, 1e-9)), MAX_EXPONENT))
-        counted = most / (1.0 + powers)
-        total = np.bincount(self._of, self._share * differs * counted, minlength=self._count)
+        responses = maximum / (1.0 + powers)
+        total = np.bincount(self._of, self._share * differs * responses, minlength=self._count)
         return np.minimum(total + self._maps @ floors, 1.0)
 
 
 def _model(x: np.ndarray) -> ErrorModel:
     values = np.reshape(x[:-3], (len(KINDS), 3)).tolist()
-    counted = {kind: HillCurve(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
+    curves = {kind: HillCurve(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
     floor = {name: x[-2 + MAP_ALGORITHMS.index(name)] if name in MAP_ALGORITHMS else 0.0 for name in error_groups()}
     zeros = dict.fromkeys(error_groups(), 0.0)
     return ErrorModel(
-        counted=counted,
+        counted=curves,
         perspective=x[-3],
         floor=floor,
         interior=zeros,
         spread=zeros,
         interior_spread=zeros,
         time_spread=USUAL_TIME_SPREAD,
-        shared=APART,
+        shared=INDEPENDENT_ERRORS,
     )  # type: ignore[arg-type]
 
 
 def _scale(ratios: Sequence[float]) -> float:
     """Return the scale of the logistic distribution that has the same central interval of nine tenths as the ratios' logarithms."""
-    off = float(np.quantile(np.abs(np.log(ratios)), 0.9)) if len(ratios) else 0.0
-    return max(off / np.log(19.0), MIN_SPREAD)
+    deviations = float(np.quantile(np.abs(np.log(ratios)), 0.9)) if len(ratios) else 0.0
+    return max(deviations / np.log(19.0), MIN_SPREAD)

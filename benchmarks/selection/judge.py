@@ -6,7 +6,7 @@ Losses are multiples of the virtual best's, so that a view that takes seconds ha
 strict scores a miss costs ten times the view's slowest row instead, whatever meets the target (PAR10 with a fixed cutoff).
 
 A target below ``NOISE_FLOORS`` times the error of truth's own sub-samples cannot be distinguished from a somewhat larger one. Such
-instances are a class of their own (``tellable``), which counts neither in met targets nor in regret.
+instances are a class of their own (``is_decidable``), which counts neither in met targets nor in regret.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ PAR_FACTOR = 10.0
 NOISE_FLOORS = 3.0
 """The smallest decidable target, as a multiple of truth's own noise."""
 
-WITHIN = 0.10
+MIN_GAP = 0.10
 """Where the single best lies this near to the virtual best, the gap is too small to report."""
 
-WORST = 5
+WORST_COUNT = 5
 """The number of worst choices in the report."""
 
 Figures = dict[str, Any]
@@ -43,7 +43,7 @@ class Goal:
 
     name: str
     max_error: float
-    within: float | None = None
+    time_share: float | None = None
 
 
 GOALS = (
@@ -67,7 +67,7 @@ class GoalInstance:
         return self.rows[name][self.view["error"]]
 
     @property
-    def tellable(self) -> bool:
+    def is_decidable(self) -> bool:
         """Whether truth's own noise allows to decide which rows keep to the error."""
         return self.goal.max_error >= NOISE_FLOORS * self.view["noise_floor"]
 
@@ -78,22 +78,24 @@ class GoalInstance:
 
     def meets(self, name: str) -> bool:
         """Return whether a row meets the error (or the smallest decidable error) and the time."""
-        most = max(self.goal.max_error, NOISE_FLOORS * self.view["noise_floor"])
+        max_error = max(self.goal.max_error, NOISE_FLOORS * self.view["noise_floor"])
         row = self.rows[name]
-        return self.error(name) <= most and row["interior"] <= MAX_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
+        return (
+            self.error(name) <= max_error and row["interior"] <= MAX_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
+        )
 
     def losses(self, strict: bool = False) -> dict[str, float]:
         """Return the loss of every row, as a multiple of the least; ``strict``: with a fixed cutoff."""
         met = {name: row["ms"] for name, row in self.rows.items() if self.meets(name)}
         if met:
             cutoff = max(row["ms"] for row in self.rows.values()) if strict else max(met.values())
-            found = {name: met.get(name, PAR_FACTOR * cutoff) for name in self.rows}
+            loss_by_row = {name: met.get(name, PAR_FACTOR * cutoff) for name in self.rows}
         else:
             over = {name: self._overshoot(name) for name in self.rows}
             timely = {name: over[name] for name, row in self.rows.items() if self.max_ms is None or row["ms"] <= self.max_ms}
-            found = {name: timely.get(name, PAR_FACTOR * max(timely.values())) for name in self.rows} if timely else over
-        least = max(min(found.values()), 1e-12)
-        return {name: value / least for name, value in found.items()}
+            loss_by_row = {name: timely.get(name, PAR_FACTOR * max(timely.values())) for name in self.rows} if timely else over
+        min_loss = max(min(loss_by_row.values()), 1e-12)
+        return {name: value / min_loss for name, value in loss_by_row.items()}
 
     @property
     def cheapest(self) -> str | None:
@@ -112,13 +114,15 @@ class GoalInstance:
 
 def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[GoalInstance]:
     """Return every view with every goal; those with fewer than two rows offer no choice."""
-    made = []
+    result = []
     for view in views:
         ms = [row["ms"] for row in view["rows"].values()]
         for goal in goals if len(ms) > 1 else ():
-            limit = None if goal.within is None else float(f"{min(ms) ** (1 - goal.within) * max(ms) ** goal.within:.3g}")
-            made.append(GoalInstance(view, goal, limit))
-    return made
+            limit = (
+                None if goal.time_share is None else float(f"{min(ms) ** (1 - goal.time_share) * max(ms) ** goal.time_share:.3g}")
+            )
+            result.append(GoalInstance(view, goal, limit))
+    return result
 
 
 @dataclass(frozen=True)
@@ -142,39 +146,42 @@ class PolicyScore:
     """Mean loss of the single best."""
     single_met: float
     gap_closed: float | None
-    """``None`` where single best and virtual best lie within ``WITHIN``."""
+    """``None`` where single best and virtual best lie within ``MIN_GAP``."""
     worst: list[tuple[str, str, str, float]]
     """View, goal, chosen row and regret of the worst choices."""
 
 
-def judged(
+def score_choices(
     instances: Sequence[GoalInstance],
-    taken: Mapping[tuple[str, str], str],
+    choices: Mapping[tuple[str, str], str],
     single: Mapping[tuple[str, str], str],
-    own_ms: Callable[[GoalInstance], float] = lambda one: 0.0,
+    own_ms: Callable[[GoalInstance], float] = lambda instance: 0.0,
     strict: bool = False,
 ) -> PolicyScore:
-    """Score the rows ``taken`` by (view, goal), and compare them with those of the single best.
+    """Score the rows ``choices`` by (view, goal), and compare them with those of the single best.
 
     ``own_ms`` is the time of the choice itself, ``strict`` as in ``GoalInstance.losses``.
     """
-    losses = [one.losses(strict) for one in instances]
-    keys = [(one.view["name"], one.goal.name) for one in instances]
-    spent = [one.share_of_best(own_ms(one)) for one in instances]
-    own = np.array([loss[taken[key]] for loss, key in zip(losses, keys, strict=True)]) + spent
+    losses = [instance.losses(strict) for instance in instances]
+    keys = [(instance.view["name"], instance.goal.name) for instance in instances]
+    selection_losses = [instance.share_of_best(own_ms(instance)) for instance in instances]
+    policy_losses = np.array([loss[choices[key]] for loss, key in zip(losses, keys, strict=True)]) + selection_losses
     best = np.array([loss[single[key]] for loss, key in zip(losses, keys, strict=True)])
-    can = np.array([one.can_be_met for one in instances])
-    met = np.array([one.meets(taken[key]) for one, key in zip(instances, keys, strict=True)])
-    single_met = np.array([one.meets(single[key]) for one, key in zip(instances, keys, strict=True)])
-    dirty = [able and one.rows[taken[key]]["interior"] > MAX_INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
-    regret, gap = own - 1.0, float(best.mean() - 1.0)
-    worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST]
-    terrain = np.array([one.view["terrain"] for one in instances])
+    can = np.array([instance.can_be_met for instance in instances])
+    met = np.array([instance.meets(choices[key]) for instance, key in zip(instances, keys, strict=True)])
+    single_met = np.array([instance.meets(single[key]) for instance, key in zip(instances, keys, strict=True)])
+    dirty = [
+        able and instance.rows[choices[key]]["interior"] > MAX_INTERIOR
+        for instance, key, able in zip(instances, keys, can, strict=True)
+    ]
+    regret, gap = policy_losses - 1.0, float(best.mean() - 1.0)
+    worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST_COUNT]
+    terrain = np.array([instance.view["terrain"] for instance in instances])
     return PolicyScore(
         len(instances), _mean(met[can]), _interval(met[can], terrain[can]), _mean(regret), _interval(regret, terrain),
         float(np.median(regret)), float(np.quantile(regret, 0.95)), _mean(regret[met]), float(np.mean(dirty)), _mean(best),
-        _mean(single_met[can]), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
-        [(view, goal, taken[view, goal], float(one_regret)) for one_regret, (view, goal) in worst],
+        _mean(single_met[can]), None if gap <= MIN_GAP else float((best.mean() - policy_losses.mean()) / gap),
+        [(view, goal, choices[view, goal], float(one_regret)) for one_regret, (view, goal) in worst],
     )  # fmt: skip
 
 
@@ -192,8 +199,8 @@ def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0
     sums = np.array([values[terrain == name].sum() for name in names], np.float64)
     counts = np.array([(terrain == name).sum() for name in names], np.float64)
-    drawn = np.random.default_rng(0).integers(0, len(names), (DRAWS, len(names)))
-    means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
+    draws = np.random.default_rng(0).integers(0, len(names), (DRAWS, len(names)))
+    means = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)
 
@@ -203,7 +210,7 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if values.size else 0.0
 
 
-def stand_in(choice: str, view: Figures) -> str | None:
+def equivalent_row(choice: str, view: Figures) -> str | None:
     """Return the row that a choice becomes in a view, without options that do not apply (cascades, sizes, a sweep of level
     ground).
     """
@@ -211,10 +218,10 @@ def stand_in(choice: str, view: Figures) -> str | None:
     swept = next((name for name, row in view["rows"].items() if row["algorithms"] == ["sweep"]), None)
     if company.startswith("sweep") and choice not in view["picks"] and swept is not None:
         return swept  # only relief casts here: the other options of the choice have no effect
-    alone = company.removeprefix("sweep+").removeprefix("shadow_map+")
-    for one in (company, alone, company.split("+")[0]):
+    single_algorithm = company.removeprefix("sweep+").removeprefix("shadow_map+")
+    for candidate in (company, single_algorithm, company.split("+")[0]):
         for end in range(len(settings), -1, -1):
-            for words in ([one, *settings[:end]], [one, *settings[:end], "x1"]):
+            for words in ([candidate, *settings[:end]], [candidate, *settings[:end], "x1"]):
                 if (name := " ".join(words)) in view["picks"]:
                     return view["picks"][name]
     return None
@@ -222,11 +229,11 @@ def stand_in(choice: str, view: Figures) -> str | None:
 
 def single_best(training: Sequence[GoalInstance]) -> str:
     """Return the choice with the least mean loss over the training instances; a choice that cannot be drawn misses the target."""
-    names = sorted({name for one in training for name in one.view["picks"] if not name.startswith("rules ")})
-    losses = [(one, one.losses()) for one in training]
+    names = sorted({name for instance in training for name in instance.view["picks"] if not name.startswith("rules ")})
+    losses = [(instance, instance.losses()) for instance in training]
 
     def mean(choice: str) -> float:
-        rows = [(stand_in(choice, one.view), loss) for one, loss in losses]
+        rows = [(equivalent_row(choice, instance.view), loss) for instance, loss in losses]
         return float(np.mean([PAR_FACTOR * max(loss.values()) if row is None else loss[row] for row, loss in rows]))
 
     return min(names, key=mean)
@@ -237,13 +244,13 @@ def marginal(instances: Sequence[GoalInstance], algorithms: Sequence[str]) -> di
 
     It is the increase of the virtual best's mean loss without it, and the share of instances whose best row has it.
     """
-    found = {}
+    result = {}
     for algorithm in algorithms:
-        without, best = [], []
-        for one in instances:
-            losses = one.losses()
-            rest = [loss for name, loss in losses.items() if algorithm not in one.rows[name]["algorithms"]]
-            without.append(min(rest, default=PAR_FACTOR * max(losses.values())))
-            best.append(algorithm in one.rows[min(losses, key=losses.__getitem__)]["algorithms"])
-        found[algorithm] = float(np.mean(without) - 1.0), float(np.mean(best))
-    return found
+        losses_without, best = [], []
+        for instance in instances:
+            losses = instance.losses()
+            rest = [loss for name, loss in losses.items() if algorithm not in instance.rows[name]["algorithms"]]
+            losses_without.append(min(rest, default=PAR_FACTOR * max(losses.values())))
+            best.append(algorithm in instance.rows[min(losses, key=losses.__getitem__)]["algorithms"])
+        result[algorithm] = float(np.mean(losses_without) - 1.0), float(np.mean(best))
+    return result

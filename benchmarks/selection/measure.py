@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.selection.judge import GOALS
-from benchmarks.selection.probes import recorded
+from benchmarks.selection.probes import record_probes
 from benchmarks.selection.views import ViewInstance
 from skugga.selector.candidates import name_of
 from skugga.selector.cost.device_profile import load_profile
@@ -38,7 +38,7 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
     """Return by name the plans of all choices of a light, and those of the rules for each requested error."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
-    choices = portfolio(descriptor, light, planner.casting(light), planner.asked)
+    choices = portfolio(descriptor, light, planner.casting(light), planner.requested_shadows)
     plans = {choice.name: planner.plan({light: choice}, {}) for choice in choices}
     return plans | {f"rules {goal.max_error:g}": make_plan(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 
@@ -50,17 +50,17 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     it.
     """
     names: dict[str, str] = {}
-    known: dict[str, list[tuple[list[Step], str]]] = {}
+    rows_by_name: dict[str, list[tuple[list[Step], str]]] = {}
     for choice, plan in plans.items():
         name, light_steps = name_of(plan, light), plan.steps_under(light)
-        same_name = known.setdefault(name, [])
+        same_name = rows_by_name.setdefault(name, [])
         row = next((row for steps, row in same_name if steps == light_steps), f"{name} ({choice})" if same_name else name)
         same_name.append((light_steps, row))
         names[choice] = row
     return names
 
 
-def measured(instance: ViewInstance, data: Path) -> Figures:
+def measure_instance(instance: ViewInstance, data: Path) -> Figures:
     """Return an instance's record: its descriptor as ``POST /plan`` takes it, times and errors of its rows, and by choice
     the row.
 
@@ -71,21 +71,21 @@ def measured(instance: ViewInstance, data: Path) -> Figures:
         light = scene.light_names[0]
         descriptor = describe(scene, view, instance.view)
         plans = plans_of(descriptor, scene, light)
-        found = _compared(scene, view, instance.view, light, plans)
-        error, names = "wrong" if NO_CAST in found.remarks else found.error, rows_of(plans, light)
+        comparison = _compared(scene, view, instance.view, light, plans)
+        error, names = "wrong" if NO_CAST in comparison.remarks else comparison.error, rows_of(plans, light)
         record = {
             "name": instance.name, "family": instance.family, "terrain": instance.terrain, "unseen": instance.unseen,
             "light": light,
-            "renderer": device().renderer, "error": error, "boundary": _rounded(found.boundary),
-            "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks,
-            "rows": {row: _row(compared_row.figures, light) for row, compared_row in zip(names.values(), found.rows, strict=True)},
+            "renderer": device().renderer, "error": error, "boundary": _rounded(comparison.boundary),
+            "noise_floor": _rounded(comparison.noise_floor), "remarks": comparison.remarks,
+            "rows": {row: _row(compared_row.figures, light) for row, compared_row in zip(names.values(), comparison.rows, strict=True)},
             "picks": names,
             "descriptor": descriptor.model_dump(mode="json"),
         }  # fmt: skip
         return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
 
 
-def timed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
+def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """Return the record with its rows timed again."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
@@ -99,11 +99,11 @@ def _timed(
 ) -> dict[str, Figures]:
     """Return rows with their median milliseconds: of a perspective view, or the mean over a map's blocks."""
     pictures = picture_blocks(scene, view)
-    drawn = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
+    plan_by_row = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(1 + RUNS):
         for name, row_times in times.items():
-            row_times.append(run_light(scene, pictures, drawn[name], light).times[0])
+            row_times.append(run_light(scene, pictures, plan_by_row[name], light).times[0])
     count = len(pictures) if isinstance(view, MapView) else 1
     return {name: row | {"ms": _rounded(float(np.median(times[name][1:])) / count), "runs": RUNS} for name, row in rows.items()}
 
@@ -134,8 +134,8 @@ def probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
         scene, view = instance.opened(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
         assert profile is not None
-        made = recorded(scene, view, instance.view, record["light"], profile)
-        return record | {"probe": _all_rounded(made)}
+        probe_record = record_probes(scene, view, instance.view, record["light"], profile)
+        return record | {"probe": _all_rounded(probe_record)}
 
 
 def _all_rounded(value: Any) -> Any:
@@ -143,9 +143,9 @@ def _all_rounded(value: Any) -> Any:
         case float():
             return _rounded(value)
         case dict():
-            return {key: _all_rounded(each) for key, each in value.items()}
+            return {key: _all_rounded(entry) for key, entry in value.items()}
         case list():
-            return [_all_rounded(each) for each in value]
+            return [_all_rounded(entry) for entry in value]
     return value
 
 

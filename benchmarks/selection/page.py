@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.selection.fit import cases_of
-from benchmarks.selection.judge import GOALS, GoalInstance, PolicyScore, instances_of, judged, marginal
+from benchmarks.selection.judge import GOALS, GoalInstance, PolicyScore, instances_of, marginal, score_choices
 from benchmarks.selection.policies import BUDGET_S, Split, errors_of_time, splits
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.formatting import format_percent
@@ -35,14 +35,14 @@ ALGORITHM_TITLES = {each.name: each.plural for each in selectable_algorithms()}
 
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:
     """Format all tables as Markdown."""
-    made = splits(views, device)
+    all_splits = splits(views, device)
     parts = [
-        _what(views),
-        *(_policies(each) for each in made),
-        _anytime(made),
-        _parts(made[0]),
-        _probes(made),
-        _worst(made),
+        _instances_text(views),
+        *(_policies(split) for split in all_splits),
+        _anytime(all_splits),
+        _met_shares(all_splits[0]),
+        _probes(all_splits),
+        _worst(all_splits),
         _marginal(views),
         _times(views, device),
     ]
@@ -56,7 +56,7 @@ def with_tables(text: str, tables: str) -> str:
     return before + START + tables + END + after
 
 
-def _what(views: Sequence[Figures]) -> str:
+def _instances_text(views: Sequence[Figures]) -> str:
     families: dict[str, list[Figures]] = {}
     for view in views:
         families.setdefault(view["family"], []).append(view)
@@ -72,60 +72,63 @@ def _what(views: Sequence[Figures]) -> str:
     total_row = ["all", len(views), len({view["terrain"] for view in views}), sum(len(view["rows"]) for view in views)]
     goals = ", ".join(goal.name for goal in GOALS)
     instances = instances_of(views)
-    told = [one for one in instances if one.tellable]
+    decidable = [instance for instance in instances if instance.is_decidable]
     text = (
         f"\nEach view counts once with each of {len(GOALS)} targets ({goals}): {len(instances)} instances, measured on\n"
-        f"{views[0]['renderer']}. In {len(instances) - len(told)} of them the target lies under three noise floors of truth:\n"
-        f"they are a class of their own. Of the other {len(told)}, some plan meets {sum(one.can_be_met for one in told)}.\n\n"
+        f"{views[0]['renderer']}. In {len(instances) - len(decidable)} of them the target lies under three noise floors of truth:\n"
+        f"they are a class of their own. Of the other {len(decidable)}, some plan meets {sum(instance.can_be_met for instance in decidable)}.\n\n"
     )
     return text + markdown_table(["family", "views", "terrains", "plans measured"], [*rows, total_row])
 
 
-def _policies(made: Split) -> str:
+def _policies(split: Split) -> str:
     """Format the scores of the policies: first of decidable instances, then by other rules of counting."""
-    told = [one for one in made.instances if one.tellable]
-    free = [one for one in told if one.max_ms is None]
+    decidable = [instance for instance in split.instances if instance.is_decidable]
+    free = [instance for instance in decidable if instance.max_ms is None]
     rows = []
-    for policy in made.taken:
-        rows.append(_score_row(policy, judged(told, made.taken[policy], made.single), TARGETS.get(policy, {})))
+    for policy in split.choices:
+        rows.append(_score_row(policy, score_choices(decidable, split.choices[policy], split.single), TARGETS.get(policy, {})))
         name = f"{policy}, no limit of time"
-        rows.append(_score_row(name, judged(free, made.taken[policy], made.single), TARGETS.get(name, {})))
+        rows.append(_score_row(name, score_choices(free, split.choices[policy], split.single), TARGETS.get(name, {})))
     heads = [
         "policy", "targets met (95 % interval)", "gap closed", "relative regret: mean (95 % interval)", "median", "p95",
         "mean where met", "interior error though a clean row met the target", "aims: met, gap closed, mean, p95",
     ]  # fmt: skip
-    text = f"\n**{made.name[0].upper()}{made.name[1:]}.** {len(told)} instances whose targets can be told.\n\n"
-    return text + markdown_table(heads, rows) + "\n" + _counted_otherwise(made) + _singles(made)
+    text = f"\n**{split.name[0].upper()}{split.name[1:]}.** {len(decidable)} instances whose targets can be told.\n\n"
+    return text + markdown_table(heads, rows) + "\n" + _alternative_scores(split) + _singles(split)
 
 
-def _score_row(name: str, its: PolicyScore, aims: Mapping[str, str]) -> list[str]:
-    low, high = its.met_interval
+def _score_row(name: str, score: PolicyScore, aims: Mapping[str, str]) -> list[str]:
+    low, high = score.met_interval
     aim = ", ".join(aims.get(key, "-") for key in ("met", "gap", "mean", "p95")) if aims else ""
     return [
-        name, f"{100.0 * its.met:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})", _gap(its),
-        f"{its.regret:.2f} ({its.regret_interval[0]:.2f} to {its.regret_interval[1]:.2f})", f"{its.regret_median:.2f}",
-        f"{its.regret_p95:.2f}", f"{its.regret_met:.2f}", format_percent(its.unclean), aim,
+        name, f"{100.0 * score.met:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})", _format_gap(score),
+        f"{score.regret:.2f} ({score.regret_interval[0]:.2f} to {score.regret_interval[1]:.2f})", f"{score.regret_median:.2f}",
+        f"{score.regret_p95:.2f}", f"{score.regret_met:.2f}", format_percent(score.unclean), aim,
     ]  # fmt: skip
 
 
-def _counted_otherwise(made: Split) -> str:
+def _alternative_scores(split: Split) -> str:
     """Format the same choices by other rules of counting."""
-    told = [one for one in made.instances if one.tellable]
-    loose = list(made.instances)
-    met = [one for one in told if one.can_be_met]
+    decidable = [instance for instance in split.instances if instance.is_decidable]
+    loose = list(split.instances)
+    met = [instance for instance in decidable if instance.can_be_met]
 
-    def own_ms(one: GoalInstance, frames: int) -> float:
-        return 1000.0 * made.probe_s[one.view["name"], one.goal.name] / frames
+    def own_ms(instance: GoalInstance, frames: int) -> float:
+        return 1000.0 * split.probe_s[instance.view["name"], instance.goal.name] / frames
 
     rows = []
-    for policy, taken in made.taken.items():
-        strict = judged(told, taken, made.single, strict=True)
-        able = judged(met, taken, made.single)
-        everything = judged(loose, taken, made.single)
-        paid = [judged(told, taken, made.single, lambda one, frames=frames: own_ms(one, frames)) for frames in (1, 1000)]
+    for policy, choices in split.choices.items():
+        strict = score_choices(decidable, choices, split.single, strict=True)
+        able = score_choices(met, choices, split.single)
+        all_score = score_choices(loose, choices, split.single)
+        paid = [
+            score_choices(decidable, choices, split.single, lambda instance, frames=frames: own_ms(instance, frames))
+            for frames in (1, 1000)
+        ]
         rows.append([
-            policy, f"{strict.regret:.2f}", _gap(strict), f"{able.regret:.2f}",
-            f"{100.0 * everything.met:.1f} %, {everything.regret:.2f}, {_gap(everything)}",
+            policy, f"{strict.regret:.2f}", _format_gap(strict), f"{able.regret:.2f}",
+            f"{100.0 * all_score.met:.1f} %, {all_score.regret:.2f}, {_format_gap(all_score)}",
             f"{paid[0].regret:.1f}, {paid[1].regret:.2f}" if policy == "probe" else "",
         ])  # fmt: skip
     heads = [
@@ -136,83 +139,90 @@ def _counted_otherwise(made: Split) -> str:
     return "Counted otherwise (strict: a miss costs ten times the slowest row of the view):\n\n" + markdown_table(heads, rows)
 
 
-def _singles(made: Split) -> str:
+def _singles(split: Split) -> str:
     """Format the single best of each goal."""
     best: dict[str, tuple[str, int]] = {}
-    for name, parts in made.best.items():
+    for name, parts in split.best.items():
         goal, choice = name.split(": ", 1)
         if parts > best.get(goal, ("", 0))[1]:
             best[goal] = choice, parts
     named = "; ".join(f"{goal}: `{choice}`" for goal, (choice, _) in best.items())
-    score = judged([one for one in made.instances if one.tellable], made.single, made.single)
+    score = score_choices([instance for instance in split.instances if instance.is_decidable], split.single, split.single)
     return (
         f"\nThe single best of each target, refitted with each part left out (most often {named}), meets\n"
         f"{format_percent(score.met)} with a mean relative regret of {score.regret:.2f}.\n"
     )
 
 
-def _anytime(made: Sequence[Split]) -> str:
+def _anytime(all_splits: Sequence[Split]) -> str:
     """Format the value of more time, with dense woods (whose frames take a second) and without."""
     rows = []
-    for each in made:
-        told = [one for one in each.instances if one.tellable]
-        for budget, taken in [*each.by_budget.items(), ("no limit (`measure`)", each.taken["measure"])]:
-            for kind, its in (("all", told), ("without dense wood", [one for one in told if one.view["family"] != DENSE])):
-                if kind == "all" or len(its) < len(told):
-                    score = judged(its, taken, each.single)
-                    cells = [f"{100.0 * score.met:.1f} %", f"{score.regret:.2f}", f"{score.regret_p95:.2f}", _gap(score)]
-                    rows.append([each.name, budget, kind, *cells])
+    for split in all_splits:
+        decidable = [instance for instance in split.instances if instance.is_decidable]
+        for budget, choices in [*split.by_budget.items(), ("no limit (`measure`)", split.choices["measure"])]:
+            for kind, subset in (
+                ("all", decidable),
+                ("without dense wood", [instance for instance in decidable if instance.view["family"] != DENSE]),
+            ):
+                if kind == "all" or len(subset) < len(decidable):
+                    score = score_choices(subset, choices, split.single)
+                    cells = [f"{100.0 * score.met:.1f} %", f"{score.regret:.2f}", f"{score.regret_p95:.2f}", _format_gap(score)]
+                    rows.append([split.name, budget, kind, *cells])
     heads = ["split", "time of the probe", "views", "targets met", "mean relative regret", "p95", "gap closed"]
     return "\nWhat more time is worth:\n\n" + markdown_table(heads, rows)
 
 
-def _parts(made: Split) -> str:
+def _met_shares(split: Split) -> str:
     """Format the share of met targets that are feasible, by target and by family; families without the limit of time."""
-    able = [one for one in made.instances if one.tellable and one.can_be_met]
-    parts = {goal.name: [one for one in able if one.goal.name == goal.name] for goal in GOALS}
-    for one in able:
-        if one.max_ms is None:
-            parts.setdefault(one.view["family"], []).append(one)
+    able = [instance for instance in split.instances if instance.is_decidable and instance.can_be_met]
+    parts = {goal.name: [instance for instance in able if instance.goal.name == goal.name] for goal in GOALS}
+    for instance in able:
+        if instance.max_ms is None:
+            parts.setdefault(instance.view["family"], []).append(instance)
 
     def met(policy: str, part: Sequence[GoalInstance]) -> str:
-        taken = made.taken[policy]
-        return f"{sum(one.meets(taken[one.view['name'], one.goal.name]) for one in part)} of {len(part)}" if part else ""
+        choices = split.choices[policy]
+        return (
+            f"{sum(instance.meets(choices[instance.view['name'], instance.goal.name]) for instance in part)} of {len(part)}"
+            if part
+            else ""
+        )
 
-    rows = [[name, *(met(policy, part) for policy in made.taken)] for name, part in parts.items()]
+    rows = [[name, *(met(policy, part) for policy in split.choices)] for name, part in parts.items()]
     text = "\nTargets met of those that some plan meets (held-out views), by target, and by family without the limit of time:\n\n"
-    return text + markdown_table(["target or family", *made.taken], rows)
+    return text + markdown_table(["target or family", *split.choices], rows)
 
 
-def _probes(made: Sequence[Split]) -> str:
+def _probes(all_splits: Sequence[Split]) -> str:
     """Format the time of probes, and the number of options that they draw."""
     rows = []
-    for each in made:
+    for split in all_splits:
         for kind in ("perspective", "map"):
             keys = [
-                (one.view["name"], one.goal.name)
-                for one in each.instances
-                if one.view["descriptor"]["view_kind"] == kind and each.drawn[one.view["name"], one.goal.name]
+                (instance.view["name"], instance.goal.name)
+                for instance in split.instances
+                if instance.view["descriptor"]["view_kind"] == kind and split.drawn[instance.view["name"], instance.goal.name]
             ]
             if keys:
-                seconds, drawn = (np.array([its[key] for key in keys]) for its in (each.probe_s, each.drawn))
+                seconds, draw_counts = (np.array([values[key] for key in keys]) for values in (split.probe_s, split.drawn))
                 rows.append([
-                    f"{each.name}, {kind}", len(keys), f"{np.median(seconds):.2f} s", f"{np.quantile(seconds, 0.9):.2f} s",
-                    f"{seconds.max():.1f} s", f"{np.mean(drawn):.1f}",
+                    f"{split.name}, {kind}", len(keys), f"{np.median(seconds):.2f} s", f"{np.quantile(seconds, 0.9):.2f} s",
+                    f"{seconds.max():.1f} s", f"{np.mean(draw_counts):.1f}",
                 ])  # fmt: skip
     text = f"\nWhat a probe of {BUDGET_S:g} s takes (pictures of 640 x 512 pixels, blocks of a map; one draw is always made):\n\n"
     return text + markdown_table(["views", "instances", "median", "nine of ten", "most", "options drawn, mean"], rows)
 
 
-def _gap(its: PolicyScore) -> str:
-    return "no gap to speak of" if its.gap_closed is None else f"{its.gap_closed:.2f}"
+def _format_gap(score: PolicyScore) -> str:
+    return "no gap to speak of" if score.gap_closed is None else f"{score.gap_closed:.2f}"
 
 
-def _worst(made: Sequence[Split]) -> str:
-    told = [one for one in made[0].instances if one.tellable]
+def _worst(all_splits: Sequence[Split]) -> str:
+    decidable = [instance for instance in all_splits[0].instances if instance.is_decidable]
     rows = [
         [policy, view, goal, f"`{row_name}`", f"{regret:.1f}"]
-        for policy, taken in made[0].taken.items()
-        for view, goal, row_name, regret in judged(told, taken, made[0].single).worst
+        for policy, choices in all_splits[0].choices.items()
+        for view, goal, row_name, regret in score_choices(decidable, choices, all_splits[0].single).worst
     ]
     heads = ["policy", "view", "target", "taken", "relative regret"]
     return "\nThe worst choices (held-out views):\n\n" + markdown_table(heads, rows)
@@ -222,9 +232,13 @@ def _marginal(views: Sequence[Figures]) -> str:
     instances = instances_of(views)
     rows = []
     for name, (gain, share) in marginal(instances, list(ALGORITHM_TITLES)).items():
-        wins = [one for one in instances if name in one.rows[min(one.losses(), key=one.losses().__getitem__)]["algorithms"]]
-        where = f"{wins[0].view['name']}, {wins[0].goal.name}" if wins else "nowhere"
-        rows.append([ALGORITHM_TITLES[name], f"{gain:.3f}", format_percent(share), where])
+        wins = [
+            instance
+            for instance in instances
+            if name in instance.rows[min(instance.losses(), key=instance.losses().__getitem__)]["algorithms"]
+        ]
+        example = f"{wins[0].view['name']}, {wins[0].goal.name}" if wins else "nowhere"
+        rows.append([ALGORITHM_TITLES[name], f"{gain:.3f}", format_percent(share), example])
     return "\nWhat each algorithm adds to the virtual best:\n\n" + markdown_table(
         ["algorithm", "mean loss more without it", "takes part in the best", "for example"], rows
     )
@@ -233,12 +247,19 @@ def _marginal(views: Sequence[Figures]) -> str:
 def _times(views: Sequence[Figures], device: DeviceProfile) -> str:
     cases, rows = [case for view in views for case in cases_of(view)], []
     for name in ALGORITHM_TITLES:
-        off = errors_of_time(cases, device, lambda case, name=name: name in case.algorithms)
+        deviations = errors_of_time(cases, device, lambda case, name=name: name in case.algorithms)
         rows.append(
-            [ALGORITHM_TITLES[name], len(off), format_percent(float(np.median(np.abs(off)))), f"{100.0 * np.median(off):+.0f} %"]
+            [
+                ALGORITHM_TITLES[name],
+                len(deviations),
+                format_percent(float(np.median(np.abs(deviations)))),
+                f"{100.0 * np.median(deviations):+.0f} %",
+            ]
         )
-    off = errors_of_time(cases, device)
-    rows.append(["all", len(off), format_percent(float(np.median(np.abs(off)))), f"{100.0 * np.median(off):+.0f} %"])
+    deviations = errors_of_time(cases, device)
+    rows.append(
+        ["all", len(deviations), format_percent(float(np.median(np.abs(deviations)))), f"{100.0 * np.median(deviations):+.0f} %"]
+    )
     plan_ms = [view["plan_ms"] for view in views]
     text = "\nExpected times against those measured; none of these scenes is among those that the device is calibrated with:\n\n"
     text += markdown_table(["plans with", "number", "median error", "median bias"], rows)

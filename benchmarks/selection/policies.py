@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.selection.fit import FitCase, asked_of, cases_of, fit_model
-from benchmarks.selection.judge import GOALS, GoalInstance, instances_of, single_best, stand_in
+from benchmarks.selection.fit import FitCase, cases_of, fit_model, request_of
+from benchmarks.selection.judge import GOALS, GoalInstance, equivalent_row, instances_of, single_best
 from benchmarks.selection.probes import RecordedProver, recorded_options
 from skugga.selector.candidates import name_of
 from skugga.selector.choices import StandaloneRequest
@@ -24,7 +24,7 @@ from skugga.terrain.level.level import Shadows
 POLICIES = ("rules", "predict", "probe", "measure")
 
 Figures = dict[str, Any]
-Taken = dict[tuple[str, str], str]
+RowChoices = dict[tuple[str, str], str]
 
 FOLDS = 3
 """Folds of the views of each terrain: each is judged by models that were fitted to the others."""
@@ -43,15 +43,15 @@ class Split:
 
     name: str
     instances: Sequence[GoalInstance]
-    taken: Mapping[str, Taken]
-    single: Taken
+    choices: Mapping[str, RowChoices]
+    single: RowChoices
     best: Mapping[str, int]
     """The single best choices by goal, and the number of folds where each was it."""
     probe_s: Mapping[tuple[str, str], float]
     """The duration of an instance's probe."""
     drawn: Mapping[tuple[str, str], int]
     """The number of options that it draws."""
-    by_budget: Mapping[str, Taken]
+    by_budget: Mapping[str, RowChoices]
     """The choices with probes of other durations."""
 
 
@@ -73,101 +73,103 @@ def terrains(views: Sequence[Figures]) -> list[list[Figures]]:
 def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]], device: DeviceProfile) -> Split:
     """Judge all folds (views to judge, views to fit to) by models and a single best for each goal from the training views."""
     cases: dict[str, list[FitCase]] = {}
-    taken: dict[str, Taken] = {policy: {} for policy in POLICIES}
-    single: Taken = {}
+    choices: dict[str, RowChoices] = {policy: {} for policy in POLICIES}
+    single: RowChoices = {}
     bests: dict[str, int] = {}
     instances: list[GoalInstance] = []
     probe_s: dict[tuple[str, str], float] = {}
-    drawn: dict[tuple[str, str], int] = {}
-    by_budget: dict[str, Taken] = {}
-    for part, others in parts:
-        for view in others:
+    draw_counts: dict[tuple[str, str], int] = {}
+    by_budget: dict[str, RowChoices] = {}
+    for part, training_views in parts:
+        for view in training_views:
             cases.setdefault(view["name"], cases_of(view))
-        model = fit_model([case for view in others for case in cases[view["name"]]], device)
-        best = {goal.name: single_best(instances_of(others, [goal])) for goal in GOALS}
+        model = fit_model([case for view in training_views for case in cases[view["name"]]], device)
+        best = {goal.name: single_best(instances_of(training_views, [goal])) for goal in GOALS}
         for goal, choice in best.items():
             bests[f"{goal}: {choice}"] = bests.get(f"{goal}: {choice}", 0) + 1
         for view in part:
-            for one in instances_of([view]):
-                key = (view["name"], one.goal.name)
-                instances.append(one)
-                single[key] = stand_in(best[one.goal.name], view) or max(one.rows, key=one.losses().__getitem__)
-                taken["rules"][key] = view["picks"][_rules_pick(one)]
-                taken["predict"][key] = predicted(one, device, model)
-                found, names = replayed(one, device, model, BUDGET_S)
-                taken["probe"][key] = taken["predict"][key] if found is None else names[_leader(found, one)]
-                probe_s[key], drawn[key] = (0.0, 0) if found is None else (found.seconds, len(found.drawn))
-                for policy, budget_s in [("measure", None), *((f"{each:g} s", each) for each in BUDGETS_S)]:
-                    found, names = replayed(one, device, model, budget_s)
-                    chosen = taken["predict"][key] if found is None else names[_leader(found, one)]
-                    (taken if policy == "measure" else by_budget).setdefault(policy, {})[key] = chosen
-    return Split(name, instances, taken, single, bests, probe_s, drawn, by_budget)
+            for instance in instances_of([view]):
+                key = (view["name"], instance.goal.name)
+                instances.append(instance)
+                single[key] = equivalent_row(best[instance.goal.name], view) or max(
+                    instance.rows, key=instance.losses().__getitem__
+                )
+                choices["rules"][key] = view["picks"][_rules_pick(instance)]
+                choices["predict"][key] = predicted(instance, device, model)
+                probe, names = replayed(instance, device, model, BUDGET_S)
+                choices["probe"][key] = choices["predict"][key] if probe is None else names[_leader(probe, instance)]
+                probe_s[key], draw_counts[key] = (0.0, 0) if probe is None else (probe.seconds, len(probe.drawn))
+                for policy, budget_s in [("measure", None), *((f"{limit_s:g} s", limit_s) for limit_s in BUDGETS_S)]:
+                    probe, names = replayed(instance, device, model, budget_s)
+                    chosen = choices["predict"][key] if probe is None else names[_leader(probe, instance)]
+                    (choices if policy == "measure" else by_budget).setdefault(policy, {})[key] = chosen
+    return Split(name, instances, choices, single, bests, probe_s, draw_counts, by_budget)
 
 
-def _rules_pick(one: GoalInstance) -> str:
+def _rules_pick(instance: GoalInstance) -> str:
     """Return the name of the rules' plan for a goal."""
-    within = f"rules {one.goal.max_error:g} within"
-    return within if one.max_ms is not None and within in one.view["picks"] else f"rules {one.goal.max_error:g}"
+    within = f"rules {instance.goal.max_error:g} within"
+    return within if instance.max_ms is not None and within in instance.view["picks"] else f"rules {instance.goal.max_error:g}"
 
 
-def _leader(probe: LightProbe, one: GoalInstance) -> int:
-    return leader_of(probe.options, one.goal.max_error, one.max_ms)
+def _leader(probe: LightProbe, instance: GoalInstance) -> int:
+    return leader_of(probe.options, instance.goal.max_error, instance.max_ms)
 
 
-def _described(one: GoalInstance) -> tuple[Descriptor, StandaloneRequest]:
+def _policy_input(instance: GoalInstance) -> tuple[Descriptor, StandaloneRequest]:
     """Return the input of a policy: the descriptor without the view's name, and the target."""
-    descriptor = Descriptor.model_validate({**one.view["descriptor"], "view": "view"})
-    return descriptor, asked_of(descriptor, Shadows(max_error=one.goal.max_error, max_ms=one.max_ms))
+    descriptor = Descriptor.model_validate({**instance.view["descriptor"], "view": "view"})
+    return descriptor, request_of(descriptor, Shadows(max_error=instance.goal.max_error, max_ms=instance.max_ms))
 
 
-def predicted(one: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
+def predicted(instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
     """Return the row that ``predict`` chooses."""
-    descriptor, asked = _described(one)
-    return name_of(predicted_plan(descriptor, asked, None, device, model), one.view["light"])
+    descriptor, request = _policy_input(instance)
+    return name_of(predicted_plan(descriptor, request, None, device, model), instance.view["light"])
 
 
 def replayed(
-    one: GoalInstance, device: DeviceProfile, model: ErrorModel | None, budget_s: float | None
+    instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None, budget_s: float | None
 ) -> tuple[LightProbe | None, list[str]]:
     """Replay a probe of an instance from its view's record; also return the names of its options' rows.
 
     The result is ``None`` without a record.
     """
-    record, light = one.view.get("probe") or {}, one.view["light"]
-    options = plan_options(planner_of(*_described(one)), device, model)
+    record, light = instance.view.get("probe") or {}, instance.view["light"]
+    options = plan_options(planner_of(*_policy_input(instance)), device, model)
     if light not in options.lights or not record:
         return None, []
-    its = options.lights[light]
-    names = [name_of(options.planner.plan({light: each.choice}, {}), light) for each in its.options]
-    known = recorded_options(its, [name if name in one.rows else "" for name in names], record)
-    if not known.numbers:
+    light_options = options.lights[light]
+    names = [name_of(options.planner.plan({light: option.choice}, {}), light) for option in light_options.options]
+    known_options = recorded_options(light_options, [name if name in instance.rows else "" for name in names], record)
+    if not known_options.numbers:
         return None, names
     prober = RecordedProver(record, names)
-    return probe_options(known, prober, one.goal.max_error, one.max_ms, budget_s), names
+    return probe_options(known_options, prober, instance.goal.max_error, instance.max_ms, budget_s), names
 
 
 def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
     """Return views held out of known terrains, all of a terrain held out, and terrains that no model was ever fitted to."""
-    known, unseen = ([view for view in views if bool(view.get("unseen")) is which] for which in (False, True))
+    known_views, unseen_views = ([view for view in views if bool(view.get("unseen")) is which] for which in (False, True))
 
-    def without(parts: Sequence[Sequence[Figures]]) -> list[tuple[Sequence[Figures], Sequence[Figures]]]:
+    def held_out_folds(parts: Sequence[Sequence[Figures]]) -> list[tuple[Sequence[Figures], Sequence[Figures]]]:
         return [
-            (part, [view for other, its in enumerate(parts) if other != number for view in its])
+            (part, [view for other, other_part in enumerate(parts) if other != number for view in other_part])
             for number, part in enumerate(parts)
         ]
 
-    made = [split("held-out views", without(held_out_views(known)), device)]
-    made.append(split("leave one terrain out", without(terrains(known)), device))
-    if unseen:
-        made.append(split("unseen terrains", [(unseen, known)], device))
-    return made
+    result = [split("held-out views", held_out_folds(held_out_views(known_views)), device)]
+    result.append(split("leave one terrain out", held_out_folds(terrains(known_views)), device))
+    if unseen_views:
+        result.append(split("unseen terrains", [(unseen_views, known_views)], device))
+    return result
 
 
 def errors_of_time(
     cases: Iterable[FitCase], device: DeviceProfile, which: Callable[[FitCase], bool] = lambda case: True
 ) -> np.ndarray:
     """Return the errors of rows' expected times, as shares of the measured ones."""
-    off = []
+    deviations = []
     for case in filter(which, cases):
-        off.append(case.expected_ms(device) / case.row["ms"] - 1.0)
-    return np.array(off)
+        deviations.append(case.expected_ms(device) / case.row["ms"] - 1.0)
+    return np.array(deviations)

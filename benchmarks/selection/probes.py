@@ -22,7 +22,7 @@ from skugga.terrain.scene import Scene
 Figures = dict[str, Any]
 
 
-def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, profile: DeviceProfile) -> Figures:
+def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, profile: DeviceProfile) -> Figures:
     """Record the observations of probes for a light's options.
 
     ``start_s`` is the time of work that is done once, whatever is drawn. ``points_s`` is the time of truth on all lattices up to
@@ -32,28 +32,28 @@ def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: st
     options = plan_options(planner_of(descriptor, level), profile)
     if light not in options.lights:
         return {}
-    its = options.lights[light]
-    effects = options.planner.plan({light: its.options[0].choice}, {}).runs
+    light_options = options.lights[light]
+    effects = options.planner.plan({light: light_options.options[0].choice}, {}).runs
     start = time.perf_counter()
     pictures = ProbedPictures(scene, view, effects)
-    prober = SceneProber(pictures, options.planner, light, its)
+    prober = SceneProber(pictures, options.planner, light, light_options)
     assert pictures.drawn
     start_s = time.perf_counter() - start
     rows: dict[str, Figures] = {}
-    drawn: list[tuple[int, str]] = []
-    for which, option in enumerate(its.options):
+    drawn_options: list[tuple[int, str]] = []
+    for which, option in enumerate(light_options.options):
         start = time.perf_counter()
         ms = prober.draw(which)
         if ms is not None:
             row = name_of(options.planner.plan({light: option.choice}, {}), light)
             rows[row] = {"ms": ms, "draw_s": time.perf_counter() - start, "proofs": []}
-            drawn.append((which, row))
+            drawn_options.append((which, row))
     points_s: list[float] = []
     for step in range(MAX_DOUBLINGS + 1):
         if step:
             prober.add_points()
         start = time.perf_counter()
-        for number, (which, row) in enumerate(drawn):
+        for number, (which, row) in enumerate(drawn_options):
             rows[row]["proofs"].append(list(astuple(prober.measurement(which))))
             if number == 0:  # the first draw pays for the points
                 points_s.append(time.perf_counter() - start + (points_s[-1] if points_s else 0.0))

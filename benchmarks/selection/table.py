@@ -41,7 +41,7 @@ def _packed(view: Figures) -> Figures:
     """Return the record without defaults and names of columns; ``picks`` and ``probe`` refer to rows by number."""
     names = list(view["rows"])
     descriptor = Descriptor.model_validate(view["descriptor"]).model_dump(mode="json", exclude_defaults=True)
-    probe = _with_rows(view, lambda rows: {str(names.index(row)): its for row, its in rows if row in names})
+    probe = _with_rows(view, lambda rows: {str(names.index(row)): observations for row, observations in rows if row in names})
     return view | probe | {
         "descriptor": _rounded(descriptor),
         "rows": {name: [row[column] for column in ROW_COLUMNS] for name, row in view["rows"].items()},
@@ -51,7 +51,7 @@ def _packed(view: Figures) -> Figures:
 
 def _unpacked(line: Figures) -> Figures:
     names = list(line["rows"])
-    return line | _with_rows(line, lambda rows: {names[int(number)]: its for number, its in rows}) | {
+    return line | _with_rows(line, lambda rows: {names[int(number)]: observations for number, observations in rows}) | {
         "rows": {name: dict(zip(ROW_COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
         "picks": {choice: names[number] for choice, number in line["picks"].items()},
     }  # fmt: skip
@@ -70,7 +70,7 @@ def _rounded(value: Any, digits: int = DIGITS) -> Any:
         case float():
             return float(f"{value:.{digits}g}")
         case dict():
-            return {key: _rounded(each, digits) for key, each in value.items()}
+            return {key: _rounded(entry, digits) for key, entry in value.items()}
         case list():
-            return [_rounded(each, digits) for each in value]
+            return [_rounded(entry, digits) for entry in value]
     return value

@@ -23,14 +23,14 @@ PERSPECTIVE_PX, MAP_PX, DENSE_PX = (640, 512), (512, 512), (320, 256)
 
 SunAngles = tuple[float, float]
 
-FAULT = (740_900.0, 4_021_000.0, 747_300.0, 4_027_400.0)
+FAULT_BOUNDS = (740_900.0, 4_021_000.0, 747_300.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16: the ridge of the Jacksboro fault and the hills west of it."""
-VILLAGE = (754_330.0, 4_012_390.0, 755_530.0, 4_013_590.0)
+VILLAGE_BOUNDS = (754_330.0, 4_012_390.0, 755_530.0, 4_013_590.0)
 """The same of houses, hedges and woods in its valley."""
 
 CITY = "urban/goteborg_1m"
 
-DENSE_WOOD = (-84.200, 36.21633, -84.148, 36.25433)
+DENSE_WOOD_BOUNDS = (-84.200, 36.21633, -84.148, 36.25433)
 """West, south, east and north, degrees: a part of the same, modelled as entirely wooded."""
 
 
@@ -77,7 +77,7 @@ def scene_of(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
         return build_scene(load_level(find_level(level)))
     path = folder / "level.yaml"
     text = json.dumps({"version": 1, **level}).replace("DATA/", f"{data.resolve()}/")
-    (folder / "wood.geojson").write_text(json.dumps(_rectangle(DENSE_WOOD)), encoding="utf-8")
+    (folder / "wood.geojson").write_text(json.dumps(_rectangle(DENSE_WOOD_BOUNDS)), encoding="utf-8")
     path.write_text(text, encoding="utf-8")  # JSON is YAML
     return build_scene(load_level(path))
 
@@ -134,7 +134,7 @@ RASTERS: dict[str, dict[str, Any]] = {
     ),
     "quebec": _raster("forest/quebec_DTM.tif", forest=[{"source": "DATA/forest/quebec_CHM.tif"}]),
     "jacksboro, dense": {
-        "terrain": {"source": "jacksboro", "bounds": list(DENSE_WOOD)},
+        "terrain": {"source": "jacksboro", "bounds": list(DENSE_WOOD_BOUNDS)},
         "forest": [{"source": "wood.geojson", "density": 220, "height": [14, 24], "crown": [6, 9], "seed": 1}],
     },
     "sanfrancisco": _raster("urban/sanfrancisco_elev_3857.tif"),
@@ -159,7 +159,7 @@ def _thesis() -> Iterator[ViewInstance]:
 
 def _relief() -> Iterator[ViewInstance]:
     for sun in ((237.0, 4.0), (120.0, 15.0), (200.0, 40.0), (180.0, 68.0)):
-        yield ViewInstance(f"jacksboro, map, {sun[1]:g}", "relief, map", "jacksboro", "jacksboro", "map", sun, FAULT)
+        yield ViewInstance(f"jacksboro, map, {sun[1]:g}", "relief, map", "jacksboro", "jacksboro", "map", sun, FAULT_BOUNDS)
     maps: tuple[tuple[str, tuple[SunAngles, ...]], ...] = (
         ("bigtujunga", ((301.0, 7.0), (150.0, 33.0))), ("zion", ((263.0, 20.0),)), ("grenoble", ((112.0, 9.0),)),
         ("sierra", ((203.0, 24.0),)), ("himalaya", ((95.0, 2.0), (170.0, 12.0))), ("vinschgau", ((211.0, 16.0),)),
@@ -183,7 +183,7 @@ def _relief() -> Iterator[ViewInstance]:
 
 def _wooded() -> Iterator[ViewInstance]:
     for sun in ((255.0, 9.0), (160.0, 42.0)):
-        yield ViewInstance(f"village, map, {sun[1]:g}", "wooded, map", "jacksboro", "jacksboro_wooded", "map", sun, VILLAGE)
+        yield ViewInstance(f"village, map, {sun[1]:g}", "wooded, map", "jacksboro", "jacksboro_wooded", "map", sun, VILLAGE_BOUNDS)
     views: tuple[tuple[str, SunAngles | None], ...] = (
         ("village", None),
         ("village", (245.0, 12.0)),

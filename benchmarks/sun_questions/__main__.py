@@ -28,10 +28,10 @@ from benchmarks.sun_questions.words import sun_page
 from benchmarks.sweep_speed import _processor
 
 HERE = Path(__file__).parent
-KEPT = HERE / "sun_questions.json"
+FIGURES_FILE = HERE / "sun_questions.json"
 PAGE = HERE.parents[1] / "docs" / "sun-questions.md"
 
-SHORT = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
+QUESTION_BY_OPTION = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
 
 
 REPEATS = 2
@@ -56,37 +56,39 @@ class Measuring:
             try:
                 self.checks.append(convention_check(tool, self._folder))
                 tools.append(tool)
-                self._say(f"conventions of {tool.name}")
+                self._print_progress(f"conventions of {tool.name}")
             except RuntimeError as error:
                 self.left_out[tool.name] = str(error)
-        for name, (_, _, about) in RASTERS.items():
+        for name, (_, _, description) in RASTERS.items():
             dem = read_dem(self._data, name, self._side, self._folder)
             if dem is not None:
                 rows, cols = dem.height_m.shape
                 self._case(
-                    HOURS, name, f"{about}: its middle, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled"
+                    HOURS,
+                    name,
+                    f"{description}: its middle, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled",
                 )
                 for answer in hours_answers(tools, dem, name, self._cells, self.left_out):
                     self._add(answer)
 
     def point(self) -> None:
         """Measure the second question."""
-        for name, (_, _, about) in RASTERS.items():
+        for name, (_, _, description) in RASTERS.items():
             dem = read_dem(self._data, name, None, self._folder)
             if dem is not None:
                 rows, cols = dem.height_m.shape
                 for place in places_of(dem):
-                    self._case(HORIZON, f"{name}, {place}", f"{about}, {cols} x {rows} cells of {dem.cell_m:g} m")
+                    self._case(HORIZON, f"{name}, {place}", f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m")
                 for answer in horizon_answers(horizon_tools(self._python), dem, REPEATS, self.left_out):
                     self._add(answer)
 
     def masks(self) -> None:
         """Measure the third question."""
-        name, (_, _, about) = next(iter(RASTERS.items()))
+        name, (_, _, description) = next(iter(RASTERS.items()))
         dem = read_dem(self._data, name, None, self._folder)
         if dem is not None:
             rows, cols = dem.height_m.shape
-            self._case(MASKS, name, f"{about}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled")
+            self._case(MASKS, name, f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled")
             for answer in mask_answers(self._python, dem, 2 * self._cells, self.left_out):
                 self._add(answer)
 
@@ -94,27 +96,31 @@ class Measuring:
     def took_s(self) -> float:
         return time.perf_counter() - self._begin
 
-    def _case(self, question: str, case: str, about: str) -> None:
-        self.cases.append(QuestionCase(question, case, about))
+    def _case(self, question: str, case: str, description: str) -> None:
+        self.cases.append(QuestionCase(question, case, description))
 
     def _add(self, answer: SunAnswer) -> None:
         self.answers.append(answer)
-        self._say(f"{answer.case}: {answer.tool}: {answer.whole_s or 0.0:.1f} s, wrong {answer.wrong}")
+        self._print_progress(f"{answer.case}: {answer.tool}: {answer.whole_s or 0.0:.1f} s, wrong {answer.wrong}")
 
-    def _say(self, what: str) -> None:
-        print(f"{self.took_s:4.0f} s  {what}", flush=True)
+    def _print_progress(self, message: str) -> None:
+        print(f"{self.took_s:4.0f} s  {message}", flush=True)
 
 
-def measured(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
+def measure_questions(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
     """Measure the questions ``only``; the other questions have their stored figures."""
-    with tempfile.TemporaryDirectory() as made:
-        measuring = Measuring(data, python, side, cells, Path(made))
+    with tempfile.TemporaryDirectory() as folder_name:
+        measuring = Measuring(data, python, side, cells, Path(folder_name))
         for name in only:
             {"hours": measuring.hours, "point": measuring.point, "masks": measuring.masks}[name]()
-    asked = {SHORT[name] for name in only}
-    before = SunComparison.read(json.loads(KEPT.read_text("utf-8"))) if KEPT.exists() and len(only) < len(SHORT) else None
-    cases = [each for each in before.cases if each.question not in asked] if before else []
-    answers = [each for each in before.answers if each.question not in asked] if before else []
+    questions = {QUESTION_BY_OPTION[name] for name in only}
+    before = (
+        SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))
+        if FIGURES_FILE.exists() and len(only) < len(QUESTION_BY_OPTION)
+        else None
+    )
+    cases = [entry for entry in before.cases if entry.question not in questions] if before else []
+    answers = [entry for entry in before.answers if entry.question not in questions] if before else []
     return SunComparison(
         where=f"{_processor()}, {os.cpu_count()} cores",
         load=os.getloadavg()[0],
@@ -133,15 +139,15 @@ def main() -> None:
     parser.add_argument("--python", default=sys.executable, metavar="PATH", help="the interpreter that has the others' packages")
     parser.add_argument("--side", type=int, default=300)
     parser.add_argument("--cells", type=int, default=1000)
-    parser.add_argument("--only", default=",".join(SHORT), help="of hours, point, masks")
+    parser.add_argument("--only", default=",".join(QUESTION_BY_OPTION), help="of hours, point, masks")
     parser.add_argument("--write-only", action="store_true")
     args = parser.parse_args()
     if not args.write_only:
-        if args.data is None or not set(args.only.split(",")) <= set(SHORT):
-            parser.error(f"a folder of rasters is needed, and --only takes {', '.join(SHORT)}")
-        found = measured(args.data, args.python, args.side, args.cells, args.only.split(","))
-        KEPT.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
-    PAGE.write_text(sun_page(SunComparison.read(json.loads(KEPT.read_text("utf-8")))), "utf-8")
+        if args.data is None or not set(args.only.split(",")) <= set(QUESTION_BY_OPTION):
+            parser.error(f"a folder of rasters is needed, and --only takes {', '.join(QUESTION_BY_OPTION)}")
+        comparison = measure_questions(args.data, args.python, args.side, args.cells, args.only.split(","))
+        FIGURES_FILE.write_text(json.dumps(asdict(comparison), indent=1) + "\n", "utf-8")
+    PAGE.write_text(sun_page(SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))), "utf-8")
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ import rasterio
 from pyproj import Transformer
 
 from benchmarks.peers.tools import PROGRAMS as PEERS_PROGRAMS
-from benchmarks.peers.tools import version_said, write_dem
+from benchmarks.peers.tools import version_in_output, write_dem
 
 ROOT = Path(__file__).resolve().parents[2]
-ASKING = Path(__file__).with_name("programs.py")
+PROGRAMS_FILE = Path(__file__).with_name("programs.py")
 
 DATE = "2024-03-21"
 
@@ -75,19 +75,21 @@ def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionD
         height_m, transform = source.read(1).astype(np.float32), source.transform
     rows, cols = height_m.shape
     northing = transform.f + transform.e * rows / 2
-    taken = [min(side or length, length) for length in (rows, cols)]
-    top, left = (rows - taken[0]) // 2, (cols - taken[1]) // 2
-    part = np.ascontiguousarray(height_m[top : top + taken[0], left : left + taken[1]])
+    part_size = [min(side or length, length) for length in (rows, cols)]
+    top, left = (rows - part_size[0]) // 2, (cols - part_size[1]) // 2
+    part = np.ascontiguousarray(height_m[top : top + part_size[0], left : left + part_size[1]])
     return dem_of(name, part, transform.a, crs, northing, folder)
 
 
 def versions_of(python: str) -> dict[str, str]:
     """Return tool -> version of the available tools; packages are those of the interpreter ``python``."""
     packages = {"Whitebox Workflows": "whitebox-workflows whitebox_workflows", "topocalc": "topocalc topocalc.horizon"}
-    commands = {name: [python, str(PEERS_PROGRAMS), "--version", *what.split()] for name, what in packages.items()}
+    commands = {
+        name: [python, str(PEERS_PROGRAMS), "--version", *packages_of_tool.split()] for name, packages_of_tool in packages.items()
+    }
     commands |= {
         "GRASS": ["grass", "--version"],
         "Skugga": [sys.executable, str(PEERS_PROGRAMS), "--version", "skugga", "numpy"],
     }
-    found = {name: version_said(command) for name, command in commands.items()}
-    return {name: number for name, number in found.items() if number is not None}
+    versions = {name: version_in_output(command) for name, command in commands.items()}
+    return {name: number for name, number in versions.items() if number is not None}

@@ -14,7 +14,7 @@ import rasterio
 
 from benchmarks.peers.tools import ToolRun, run_process
 from benchmarks.sun_hours_accuracy import CellRays, ray_truth
-from benchmarks.sun_questions.asking import ASKING, DATE, SKUGGA, SKUGGA_COMMAND, QuestionDem, dem_of
+from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA, SKUGGA_COMMAND, QuestionDem, dem_of
 from benchmarks.sun_questions.figures import ConventionCheck, SunAnswer
 from benchmarks.sun_questions.sun_paths import (
     R_SUN_DAY_NUMBER,
@@ -35,10 +35,10 @@ from skugga.terrain.scene import build_scene
 
 HOURS = "hours of a day"
 
-EVERY_S = 10.0
+STEP_S = 10.0
 """Seconds between rays."""
 
-OFF_RIM = 3
+RIM_CELLS = 3
 
 CLIFF_M, CLIFF_CELL_M, CLIFF_SHAPE = 300.0, 10.0, (161, 241)
 """The check of conventions: the height of a cliff in the east of a level floor; a cell's side, and cells."""
@@ -72,8 +72,8 @@ class HoursTool:
         out = dem.path.with_name(f"hours{self.suffix}")
         compute_s = None
         if self.computing is not None:
-            aside = dem.path.with_name("hours.npy")
-            compute_s = run_process(self.computing(dem, aside), aside).compute_s
+            array_file = dem.path.with_name("hours.npy")
+            compute_s = run_process(self.computing(dem, array_file), array_file).compute_s
         run = run_process(self.command(dem, out), out)
         return self.read(out, dem), run, run.compute_s if compute_s is None else compute_s
 
@@ -84,19 +84,19 @@ class HoursTruth:
     def __init__(self, dem: QuestionDem, cells: int) -> None:
         self._dem = dem
         rows, cols = dem.height_m.shape
-        inner = (np.arange(OFF_RIM, length - OFF_RIM) for length in (rows, cols))
-        row, col = (each.ravel() for each in np.meshgrid(*inner, indexing="ij"))
-        some = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
-        self.row, self.col = row[some], col[some]
+        inner = (np.arange(RIM_CELLS, length - RIM_CELLS) for length in (rows, cols))
+        row, col = (indices.ravel() for indices in np.meshgrid(*inner, indexing="ij"))
+        sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
+        self.row, self.col = row[sample], col[sample]
 
     @cached_property
     def astronomy(self) -> np.ndarray:
         """Hours by NREL's sun with refraction, on the round earth, above the level plane: Skugga's definition."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
-        found = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), EVERY_S / 60.0)[0]
+        hours = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), STEP_S / 60.0)[0]
         scene.close()
-        return found
+        return hours
 
     @cached_property
     def solar_day(self) -> np.ndarray:
@@ -104,11 +104,11 @@ class HoursTruth:
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
         rays, frame = CellRays.over(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
-        azimuth, altitude = r_sun_path(self._dem.lon_lat[1], EVERY_S)
+        azimuth, altitude = r_sun_path(self._dem.lon_lat[1], STEP_S)
         enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > -1.0])
-        found = _hours(rays, frame.directions_from_earth(enu @ scene.world.earth_from_anchor.T), 0.0)
+        hours = _hours(rays, frame.directions_from_earth(enu @ scene.world.earth_from_anchor.T), 0.0)
         scene.close()
-        return found
+        return hours
 
     @cached_property
     def suncalc(self) -> np.ndarray:
@@ -120,7 +120,7 @@ class HoursTruth:
         nodes[..., 2] = dem.height_m
         start = nodes[self.row, self.col]
         rays = CellRays(sheet_of(nodes), start, np.broadcast_to(np.array([0.0, 0.0, 1.0]), start.shape))
-        azimuth, altitude = suncalc(*dem.lon_lat, EVERY_S)
+        azimuth, altitude = suncalc(*dem.lon_lat, STEP_S)
         enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > SUNCALC_LEAST_DEG])
         return _hours(rays, enu, np.sin(np.radians(SUNCALC_LEAST_DEG)))
 
@@ -130,7 +130,7 @@ class HoursTruth:
 
 
 def _hours(rays: CellRays, directions: np.ndarray, least_sine: float) -> np.ndarray:
-    return np.asarray(sum(rays.see(direction, least_sine).astype(np.float64) for direction in directions) * EVERY_S / 3600.0)
+    return np.asarray(sum(rays.see(direction, least_sine).astype(np.float64) for direction in directions) * STEP_S / 3600.0)
 
 
 def astronomical_day(scene) -> WindowSun:  # noqa: ANN001
@@ -141,32 +141,32 @@ def astronomical_day(scene) -> WindowSun:  # noqa: ANN001
 def day_length_h(sun: str, dem: QuestionDem) -> float:
     """Return hours from rise to set over a level horizon, by a tool's own sun; Whitebox's begin half a degree below it."""
     if sun == "suncalc":
-        return float((suncalc(*dem.lon_lat, EVERY_S)[1] >= SUNCALC_LEAST_DEG).mean() * 24.0)
+        return float((suncalc(*dem.lon_lat, STEP_S)[1] >= SUNCALC_LEAST_DEG).mean() * 24.0)
     return float((_path(sun, dem)[1] > 0.0).mean() * 24.0)
 
 
 def _path(sun: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and altitudes (n,) every ``EVERY_S`` seconds of a day."""
+    """Return azimuths and altitudes (n,) every ``STEP_S`` seconds of a day."""
     if sun == "suncalc":
-        return suncalc(*dem.lon_lat, EVERY_S)
+        return suncalc(*dem.lon_lat, STEP_S)
     if sun == "solar day":
-        return r_sun_path(dem.lon_lat[1], EVERY_S)
+        return r_sun_path(dem.lon_lat[1], STEP_S)
     scene = build_scene(load_level(dem.path))
     day = astronomical_day(scene)
-    times = np.arange(EVERY_S / 120.0, day.window.minutes, EVERY_S / 60.0)
+    times = np.arange(STEP_S / 120.0, day.window.minutes, STEP_S / 60.0)
     enu = day.direction(times) @ scene.world.earth_from_anchor
     scene.close()
     return np.degrees(np.arctan2(enu[:, 0], enu[:, 1])) % 360.0, np.degrees(np.arcsin(enu[:, 2]))
 
 
 def _raster(path: Path, dem: QuestionDem) -> np.ndarray:
-    with rasterio.open(path) as written:
-        return written.read(1)
+    with rasterio.open(path) as dataset:
+        return dataset.read(1)
 
 
 def hours_tools(python: str) -> list[HoursTool]:
     """Return all tools with their settings; packages are those of the interpreter ``python``."""
-    asking = str(ASKING)
+    asking = str(PROGRAMS_FILE)
 
     def skugga(minutes: int) -> HoursTool:
         return HoursTool(
@@ -185,11 +185,11 @@ def hours_tools(python: str) -> list[HoursTool]:
         )  # fmt: skip
 
     def r_sun(minutes: int, degrees: str = "") -> HoursTool:
-        how, more = (f"horizons every {degrees}°", [degrees]) if degrees else ("own walk", [])
+        method, extra_arguments = (f"horizons every {degrees}°", [degrees]) if degrees else ("own walk", [])
         return HoursTool(
-            f"GRASS r.sun, {how}, {minutes} min", "GRASS", "solar day",
+            f"GRASS r.sun, {method}, {minutes} min", "GRASS", "solar day",
             lambda dem, out: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.sun", str(dem.path),
-                              str(out), str(R_SUN_DAY_NUMBER), str(minutes), *more],
+                              str(out), str(R_SUN_DAY_NUMBER), str(minutes), *extra_arguments],
             _raster,
         )  # fmt: skip
 
@@ -206,14 +206,14 @@ def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
     floor = np.full(CLIFF_SHAPE, 100.0, np.float32)
     cliff = floor.copy()
     cliff[:, CLIFF_COL:] += CLIFF_M
-    middle, found = CLIFF_SHAPE[0] // 2, []
+    middle, middle_rows = CLIFF_SHAPE[0] // 2, []
     for name, height_m in (("floor", floor), ("cliff", cliff)):
         dem = dem_of(name, height_m, CLIFF_CELL_M, "EPSG:32632", 5_200_000.0, folder)
-        found.append(tool.run(dem)[0][middle])
+        middle_rows.append(tool.run(dem)[0][middle])
     distance_m = (CLIFF_COL - np.arange(CLIFF_SHAPE[1])[CLIFF_CHECKED]) * CLIFF_CELL_M
-    expected = hours_before_cliff(*_path(tool.sun, dem), EVERY_S, CLIFF_M, distance_m)
-    wrong = np.abs(found[1][CLIFF_CHECKED] - expected).mean() * 60.0
-    return ConventionCheck(tool.name, float(found[0][middle]), day_length_h(tool.sun, dem), float(wrong))
+    expected = hours_before_cliff(*_path(tool.sun, dem), STEP_S, CLIFF_M, distance_m)
+    error_min = np.abs(middle_rows[1][CLIFF_CHECKED] - expected).mean() * 60.0
+    return ConventionCheck(tool.name, float(middle_rows[0][middle]), day_length_h(tool.sun, dem), float(error_min))
 
 
 def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
@@ -225,9 +225,9 @@ def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: in
         except RuntimeError as error:
             left_out[tool.name] = str(error)
             continue
-        some = hours[truth.row, truth.col]
-        wrong, as_is = (np.abs(some - truth.of(sun)) * 60.0 for sun in (tool.sun, "astronomy"))
+        sampled_hours = hours[truth.row, truth.col]
+        error_min, as_is = (np.abs(sampled_hours - truth.of(sun)) * 60.0 for sun in (tool.sun, "astronomy"))
         yield SunAnswer(
-            HOURS, case, tool.name, tool.ours, compute_s, run.whole_s, run.cpu_s, float(wrong.mean()),
-            float(np.percentile(wrong, 99)), float(as_is.mean()),
+            HOURS, case, tool.name, tool.ours, compute_s, run.whole_s, run.cpu_s, float(error_min.mean()),
+            float(np.percentile(error_min, 99)), float(as_is.mean()),
         )  # fmt: skip

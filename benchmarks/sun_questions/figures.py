@@ -71,11 +71,11 @@ class SunComparison:
     def read(values: dict[str, Any]) -> SunComparison:
         """Build it from JSON values."""
         kinds = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
-        return SunComparison(**{**values, **{key: [kind(**each) for each in values[key]] for key, kind in kinds.items()}})
+        return SunComparison(**{**values, **{key: [kind(**entry) for entry in values[key]] for key, kind in kinds.items()}})
 
     def of(self, question: str, case: str | None = None) -> list[SunAnswer]:
         """Return the answers to a question; of one case, if given."""
-        return [each for each in self.answers if each.question == question and case in (None, each.case)]
+        return [answer for answer in self.answers if answer.question == question and case in (None, answer.case)]
 
 
 ANSWER_CLOCKS: dict[str, Callable[[SunAnswer], float | None]] = {
@@ -86,12 +86,12 @@ ANSWER_CLOCKS: dict[str, Callable[[SunAnswer], float | None]] = {
 """The clocks by which tools are compared."""
 
 
-def standings(found: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
+def standings(comparison: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
     """Return the standings of all tools in each case of a question, if they have seconds by a clock and an error."""
-    out: dict[str, list[ToolStanding]] = {}
-    for answer in found.of(question):
+    result: dict[str, list[ToolStanding]] = {}
+    for answer in comparison.of(question):
         taken_s = ANSWER_CLOCKS[clock](answer)
         if taken_s is not None and answer.wrong is not None:
             tool = ToolRecord(answer.tool, "", "", answer.ours, True, 0.0)
-            out.setdefault(answer.case, []).append(ToolStanding(tool, taken_s, answer.wrong))
-    return out
+            result.setdefault(answer.case, []).append(ToolStanding(tool, taken_s, answer.wrong))
+    return result

@@ -92,12 +92,12 @@ def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth
     def flat_(step_deg: float) -> np.ndarray:
         return np.stack([flat.see(direction) for direction in enu(step_deg)])
 
-    found = []
+    masks = []
     for lit in (round_, flat_):
-        lower, here, higher = (lit(step) for step in (-NEAR_DEG, 0.0, NEAR_DEG))
-        found += [here, lower == higher]
+        lower, nominal, higher = (lit(step) for step in (-NEAR_DEG, 0.0, NEAR_DEG))
+        masks += [nominal, lower == higher]
     scene.close()
-    return MaskTruth(row, col, path.azimuth_deg, path.altitude_deg, *found)
+    return MaskTruth(row, col, path.azimuth_deg, path.altitude_deg, *masks)
 
 
 def wrong_share(lit: np.ndarray, truth: np.ndarray, sure: np.ndarray) -> float:
@@ -111,7 +111,7 @@ def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, 
     truth = mask_truth(dem, times, cells)
     yield from _skugga(dem, times, truth)
     for tool in tools_of(python):
-        if tool.name in PEER_NAMES and tool.found() is not None:
+        if tool.name in PEER_NAMES and tool.installed_version() is not None:
             try:
                 yield from _peer(tool, dem, truth)
             except RuntimeError as error:
@@ -125,48 +125,66 @@ def _skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterat
     shade = [*SKUGGA_COMMAND, "shade", str(dem.path), "-o", str(dem.path.with_name("mask_{time}.tif"))]
     single = [*shade[:-1], str(dem.path.with_name("mask.tif")), "--time"]
     run_process([*single, begin], dem.path.with_name("mask.tif"))
-    once = run_process([*shade, "--from", begin, "--to", end, "--step", f"{MASK_STEP_MIN}m"], names[-1])
+    single_run = run_process([*shade, "--from", begin, "--to", end, "--step", f"{MASK_STEP_MIN}m"], names[-1])
     lit = np.stack([_read(name, truth, lambda values: values == MASK_LIT) for name in names])
-    wrong = wrong_share(lit, truth.round_lit, truth.round_sure)
-    yield _mask_answer(dem, "Skugga shade, one run", True, [once], wrong, wrong)
-    some = times[EACH_OF // 2 :: EACH_OF]
-    each = [run_process([*single, time.strftime("%Y-%m-%dT%H:%M:%SZ")], dem.path.with_name("mask.tif")) for time in some]
-    yield _mask_answer(dem, f"Skugga shade, {MASK_COUNT} runs", True, each, wrong, wrong, MASK_COUNT / len(some))
+    error_share = wrong_share(lit, truth.round_lit, truth.round_sure)
+    yield _mask_answer(dem, "Skugga shade, one run", True, [single_run], error_share, error_share)
+    sampled_times = times[EACH_OF // 2 :: EACH_OF]
+    runs = [run_process([*single, time.strftime("%Y-%m-%dT%H:%M:%SZ")], dem.path.with_name("mask.tif")) for time in sampled_times]
+    yield _mask_answer(
+        dem, f"Skugga shade, {MASK_COUNT} runs", True, runs, error_share, error_share, MASK_COUNT / len(sampled_times)
+    )
 
 
 def _peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]:
     every = EACH_OF_SLOW.get(tool.name, EACH_OF)
-    runs, lit, asked = [], [], list(range(every // 2, MASK_COUNT, every))
-    for n in asked:
+    runs, lit, indices = [], [], list(range(every // 2, MASK_COUNT, every))
+    for n in indices:
         job = ToolJob(dem.path, float(truth.azimuth_deg[n]), float(truth.altitude_deg[n]), dem.path.with_name("mask.tif"))
         runs.append(tool.run(job))
         if tool.lit is not None:
             lit.append(tool.mask(job)[truth.row, truth.col])
-    wrong = as_is = None
+    error_share = as_is = None
     if lit:
-        found = np.stack(lit)
-        wrong = wrong_share(found, truth.flat_lit[asked], truth.flat_sure[asked])
-        as_is = wrong_share(found, truth.round_lit[asked], truth.round_sure[asked])
-    times = MASK_COUNT / len(asked)
-    yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, wrong, as_is, times)
+        lit_stack = np.stack(lit)
+        error_share = wrong_share(lit_stack, truth.flat_lit[indices], truth.flat_sure[indices])
+        as_is = wrong_share(lit_stack, truth.round_lit[indices], truth.round_sure[indices])
+    times = MASK_COUNT / len(indices)
+    yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, error_share, as_is, times)
     computing = [run.compute_s for run in runs if run.compute_s is not None]
     if len(computing) == len(runs):
         start = min(runs, key=lambda run: run.whole_s - (run.compute_s or 0.0))
         compute_s, begin_s = sum(computing) * times, start.whole_s - (start.compute_s or 0.0)
         yield SunAnswer(
-            MASKS, dem.name, f"{tool.name}, one process at best", False, None, begin_s + compute_s, None, wrong, None, as_is, True
+            MASKS,
+            dem.name,
+            f"{tool.name}, one process at best",
+            False,
+            None,
+            begin_s + compute_s,
+            None,
+            error_share,
+            None,
+            as_is,
+            True,
         )
 
 
 def _mask_answer(
-    dem: QuestionDem, name: str, ours: bool, runs: list[ToolRun], wrong: float | None, as_is: float | None, times: float = 1.0
+    dem: QuestionDem,
+    name: str,
+    is_ours: bool,
+    runs: list[ToolRun],
+    error_share: float | None,
+    as_is: float | None,
+    times: float = 1.0,
 ) -> SunAnswer:
-    whole, cpu = (times * sum(getattr(run, what) for run in runs) for what in ("whole_s", "cpu_s"))
-    return SunAnswer(MASKS, dem.name, name, ours, None, whole, cpu, wrong, None, as_is, times > 1.0)
+    wall_s, cpu_s = (times * sum(getattr(run, cost) for run in runs) for cost in ("whole_s", "cpu_s"))
+    return SunAnswer(MASKS, dem.name, name, is_ours, None, wall_s, cpu_s, error_share, None, as_is, times > 1.0)
 
 
 def _read(path: Path, truth: MaskTruth, lit: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    with rasterio.open(path) as written:
-        found = lit(written.read(1))[truth.row, truth.col]
+    with rasterio.open(path) as dataset:
+        values = lit(dataset.read(1))[truth.row, truth.col]
     os.unlink(path)
-    return found
+    return values

@@ -11,7 +11,7 @@ import numpy as np
 from pyproj import Geod, Transformer
 
 from benchmarks.peers.tools import run_process
-from benchmarks.sun_questions.asking import ASKING, DATE, SKUGGA, SKUGGA_COMMAND, QuestionDem
+from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA, SKUGGA_COMMAND, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
 
 HORIZON = "horizon at a point"
@@ -27,7 +27,7 @@ FAR_M = 20_000.0
 
 WGS84_AXES_M = (6_378_137.0, 6_356_752.314245)
 
-HARDLY = 1e-9
+EPSILON = 1e-9
 """Columns, or shares of a direction, below this count as zero."""
 
 MARGIN = 0.15
@@ -47,12 +47,14 @@ def exact_horizon(
     angle of ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
     """
     rows, cols = height_m.shape
-    ahead = [((length - 1 - at) if way > 0 else -at) / way for at, way, length in ((col, right, cols), (row, down, rows)) if way]
-    end = min(ahead)
-    ways = [abs(way) for way in (right, down, right - down, right + down) if abs(way) > HARDLY]
-    along = np.concatenate([np.arange(1.0, np.floor(end * way + HARDLY) + 1.0) / way for way in ways])
-    z_m = surface_at(height_m, row + along * down, col + along * right)
-    distance_m, z0_m = along * step_m, float(height_m[row, col])
+    rim_distances = [
+        ((length - 1 - at) if rate > 0 else -at) / rate for at, rate, length in ((col, right, cols), (row, down, rows)) if rate
+    ]
+    end = min(rim_distances)
+    crossing_rates = [abs(rate) for rate in (right, down, right - down, right + down) if abs(rate) > EPSILON]
+    crossings = np.concatenate([np.arange(1.0, np.floor(end * rate + EPSILON) + 1.0) / rate for rate in crossing_rates])
+    z_m = surface_at(height_m, row + crossings * down, col + crossings * right)
+    distance_m, z0_m = crossings * step_m, float(height_m[row, col])
     if np.isinf(radius_m):
         return float(np.degrees(np.arctan(((z_m - z0_m) / distance_m).max())))
     angle = distance_m / radius_m
@@ -85,16 +87,16 @@ def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) 
     length = np.hypot(east, north)
     radius = _radius_m(lat, azimuth_deg)
     return np.array([
-        exact_horizon(dem.height_m, row, col, e, -n, dem.cell_m * FAR_M / each, r)
-        for e, n, each, r in zip(east / length, north / length, length, radius, strict=True)
+        exact_horizon(dem.height_m, row, col, e, -n, dem.cell_m * FAR_M / step_length, r)
+        for e, n, step_length, r in zip(east / length, north / length, length, radius, strict=True)
     ])  # fmt: skip
 
 
 def flat_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
     """Return the horizon towards azimuths from the grid's north in a flat world."""
     azimuth = np.radians(azimuth_deg)
-    ways = zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
-    return np.array([exact_horizon(dem.height_m, row, col, right, down, dem.cell_m) for right, down in ways])
+    directions = zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
+    return np.array([exact_horizon(dem.height_m, row, col, right, down, dem.cell_m) for right, down in directions])
 
 
 def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:
@@ -145,12 +147,12 @@ class HorizonTool:
     truth: Callable[[QuestionDem, int, int, np.ndarray], np.ndarray]
     suffix: str = ".npy"
     share: float = 1.0
-    whole: Callable[[QuestionDem, Path, tuple[float, float]], list[str]] | None = None
+    full_command: Callable[[QuestionDem, Path, tuple[float, float]], list[str]] | None = None
 
 
 def horizon_tools(python: str) -> list[HorizonTool]:
     """Return all tools; packages are those of the interpreter ``python``."""
-    asking = str(ASKING)
+    asking = str(PROGRAMS_FILE)
 
     def grass(path: Path) -> np.ndarray:
         direction, angle = np.loadtxt(path, delimiter=",", skiprows=1).T
@@ -172,7 +174,7 @@ def horizon_tools(python: str) -> list[HorizonTool]:
             "Skugga", True,
             lambda dem, out, at: [*SKUGGA, asking, "point", str(dem.path), str(out), *place(at)],
             np.load, true_horizon,
-            whole=lambda dem, out, at: [*SKUGGA_COMMAND, "point", str(dem.path), "--at", ",".join(place(at)), "--crs", dem.crs,
+            full_command=lambda dem, out, at: [*SKUGGA_COMMAND, "point", str(dem.path), "--at", ",".join(place(at)), "--crs", dem.crs,
                                         "--date", DATE, "--horizon", "pvlib", "-o", str(out.with_suffix(".csv"))],
         ),
         grass_tool("1"),
@@ -191,10 +193,10 @@ def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, le
     Skugga's commands run once before to compile loops.
     """
     for tool in tools:
-        if tool.whole is not None:
+        if tool.full_command is not None:
             out, at = dem.path.with_name(f"horizon{tool.suffix}"), dem.xy(*(length // 2 for length in dem.height_m.shape))
             run_process(tool.command(dem, out, at), out)
-            run_process(tool.whole(dem, out, at), out.with_suffix(".csv"))
+            run_process(tool.full_command(dem, out, at), out.with_suffix(".csv"))
     for place, (row, col) in places_of(dem).items():
         for tool in tools:
             out = dem.path.with_name(f"horizon{tool.suffix}")
@@ -202,20 +204,20 @@ def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, le
                 runs = [
                     run_process(tool.command(dem, out, dem.xy(row, col)), out) for _ in range(repeats if tool.share == 1.0 else 1)
                 ]
-                whole = runs
-                if tool.whole is not None:
-                    written = out.with_suffix(".csv")
-                    whole = [run_process(tool.whole(dem, out, dem.xy(row, col)), written) for _ in range(repeats)]
+                whole_runs = runs
+                if tool.full_command is not None:
+                    csv_file = out.with_suffix(".csv")
+                    whole_runs = [run_process(tool.full_command(dem, out, dem.xy(row, col)), csv_file) for _ in range(repeats)]
             except RuntimeError as error:
                 left_out[tool.name] = str(error)
                 continue
             azimuth, angle = tool.read(out)
-            wrong = np.abs(angle - tool.truth(dem, row, col, azimuth))
+            error_deg = np.abs(angle - tool.truth(dem, row, col, azimuth))
             as_is = np.abs(angle - true_horizon(dem, row, col, azimuth))
             compute_s = float(np.median([run.compute_s for run in runs if run.compute_s is not None]))
             more_s = compute_s * (1.0 / tool.share - 1.0)
             yield SunAnswer(
                 HORIZON, f"{dem.name}, {place}", tool.name, tool.ours, compute_s + more_s,
-                float(np.median([run.whole_s for run in whole])) + more_s, float(np.median([run.cpu_s for run in whole])) + more_s,
-                float(wrong.mean()), float(np.percentile(wrong, 99)), float(as_is.mean()), tool.share < 1.0,
+                float(np.median([run.whole_s for run in whole_runs])) + more_s, float(np.median([run.cpu_s for run in whole_runs])) + more_s,
+                float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(as_is.mean()), tool.share < 1.0,
             )  # fmt: skip

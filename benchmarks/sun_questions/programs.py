@@ -86,9 +86,9 @@ def point(path: str, out: str, x: str, y: str) -> float:
     elsewhere = view.grid.x(view.cols / 3.0), view.grid.y(view.rows / 3.0)
     horizon_profile(load_surroundings(scene, place_at(scene, elsewhere, crs)))
     start = time.perf_counter()
-    found = horizon_profile(load_surroundings(scene, place_at(scene, (float(x), float(y)), crs)))
+    profile = horizon_profile(load_surroundings(scene, place_at(scene, (float(x), float(y)), crs)))
     taken_s = time.perf_counter() - start
-    np.save(out, np.stack([found.azimuth_deg, found.elevation_deg]))
+    np.save(out, np.stack([profile.azimuth_deg, profile.elevation_deg]))
     scene.close()
     return taken_s
 
@@ -121,7 +121,7 @@ def r_horizon(path: str, out: str, x: str, y: str, degrees: str, distance: str) 
     return time.perf_counter() - start
 
 
-QUESTIONS_ASKED = {
+QUESTION_FUNCTIONS = {
     "sunhours": sunhours,
     "time_in_daylight": time_in_daylight,
     "r.sun": r_sun,
@@ -131,4 +131,4 @@ QUESTIONS_ASKED = {
 }
 
 if __name__ == "__main__":
-    print(f"\n{QUESTIONS_ASKED[sys.argv[1]](*sys.argv[2:]):.6f}")
+    print(f"\n{QUESTION_FUNCTIONS[sys.argv[1]](*sys.argv[2:]):.6f}")

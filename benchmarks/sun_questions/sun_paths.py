@@ -37,8 +37,8 @@ def r_sun_path(lat_deg: float, every_s: float) -> tuple[np.ndarray, np.ndarray]:
 
     The declination is that of GRASS r.sun (Gruter 1984) for the day's number, constant through the day.
     """
-    turn = 2.0 * np.pi * R_SUN_DAY_NUMBER / 365.25
-    declination = np.arcsin(0.3978 * np.sin(turn - 1.4 + 0.0355 * np.sin(turn - 0.0489)))
+    year_angle = 2.0 * np.pi * R_SUN_DAY_NUMBER / 365.25
+    declination = np.arcsin(0.3978 * np.sin(year_angle - 1.4 + 0.0355 * np.sin(year_angle - 0.0489)))
     hour = np.arange(every_s / 2, DAY_S, every_s) * (2.0 * np.pi / DAY_S) - np.pi
     return _angles(hour, np.full(len(hour), declination), np.radians(lat_deg))
 

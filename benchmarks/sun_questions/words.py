@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.peers.figures import beaten_rows, unmatched_peers
+from benchmarks.peers.figures import dominated_rows, unmatched_peers
 from benchmarks.peers.pages import percent, seconds
 from benchmarks.seeds.claims import table
 from benchmarks.sun_questions.day_hours import HOURS
@@ -28,80 +28,86 @@ def amount(question: str, value: float | None) -> str:
     return f"{value:.2f}" if value >= 0.1 or value == 0.0 else f"{value:.1g}"
 
 
-def _taken(value: float | None, answer: SunAnswer) -> str:
+def _format_seconds(value: float | None, answer: SunAnswer) -> str:
     return "-" if value is None else f"{'~ ' if answer.scaled else ''}{seconds(value)}"
 
 
-def answer_table(found: SunComparison, question: str) -> list[str]:
+def answer_table(comparison: SunComparison, question: str) -> list[str]:
     """Format a line for each tool in each case."""
     rows = []
-    for answer in found.of(question):
+    for answer in comparison.of(question):
         name = f"**{answer.tool}**" if answer.ours else answer.tool
         row = {"case": answer.case, "tool": name}
-        if any(each.compute_s is not None for each in found.of(question)):
-            row["computing, s"] = _taken(answer.compute_s, answer)
-        row["whole process, s"], row["its CPU time, s"] = _taken(answer.whole_s, answer), _taken(answer.cpu_s, answer)
+        if any(sun_answer.compute_s is not None for sun_answer in comparison.of(question)):
+            row["computing, s"] = _format_seconds(answer.compute_s, answer)
+        row["whole process, s"], row["its CPU time, s"] = (
+            _format_seconds(answer.whole_s, answer),
+            _format_seconds(answer.cpu_s, answer),
+        )
         row[f"wrong, {UNITS[question]}"] = amount(question, answer.wrong)
-        if any(each.wrong_p99 is not None for each in found.of(question)):
+        if any(sun_answer.wrong_p99 is not None for sun_answer in comparison.of(question)):
             row["99 % under"] = amount(question, answer.wrong_p99)
         row["wrong as it is"] = amount(question, answer.wrong_as_is)
         rows.append(row)
     return table(rows)
 
 
-def question_verdict(found: SunComparison, question: str) -> str:
+def question_verdict(comparison: SunComparison, question: str) -> str:
     """Describe by each clock whether a peer is both faster and more accurate than rows of Skugga's, and who is faster or
     more accurate.
     """
-    peers = {answer.tool for answer in found.of(question) if not answer.ours and answer.wrong is not None}
-    if not peers or not any(answer.ours for answer in found.of(question)):
+    peers = {answer.tool for answer in comparison.of(question) if not answer.ours and answer.wrong is not None}
+    if not peers or not any(answer.ours for answer in comparison.of(question)):
         return "Open: there was nothing to compare with."
     lines = []
     for clock in ANSWER_CLOCKS:
-        places = standings(found, question, clock)
-        if not places:
+        case_standings = standings(comparison, question, clock)
+        if not case_standings:
             continue
-        lost, over = beaten_rows(places), unmatched_peers(places)
-        where = "; ".join(f"{own} by {peer} ({case})" for own, peer, case in lost)
-        said = (
-            f"in {len(places)} case{'s' * (len(places) > 1)} no peer is both faster and more accurate than any row of Skugga's."
-            if not lost
-            else f"beaten in both at once: {where}. "
+        dominated, over = dominated_rows(case_standings), unmatched_peers(case_standings)
+        dominated_text = "; ".join(f"{our_row} by {peer} ({case})" for our_row, peer, case in dominated)
+        text = (
+            f"in {len(case_standings)} case{'s' * (len(case_standings) > 1)} no peer is both faster and more accurate than any row of Skugga's."
+            if not dominated
+            else f"beaten in both at once: {dominated_text}. "
             + (
                 "**Not** on the front: " + "; ".join(f"{peer} beats every row ({case})" for peer, case in over) + "."
                 if over
                 else "No peer beats all of its rows in any case."
             )
         )
-        lines.append(f"- **By {clock}:** {said}")
-    return "\n".join([*lines, *_behind(found, question)])
+        lines.append(f"- **By {clock}:** {text}")
+    return "\n".join([*lines, *_better_peers(comparison, question)])
 
 
-def _behind(found: SunComparison, question: str) -> list[str]:
+def _better_peers(comparison: SunComparison, question: str) -> list[str]:
     """Describe which peers are better than every row of Skugga's in one respect: more accurate, or faster."""
-    lines = [_ahead(found, question, "wrong", "the whole process", "more accurate")]
-    return lines + [_ahead(found, question, "seconds", clock, f"faster by {clock}") for clock in ANSWER_CLOCKS]
+    lines = [_better_peers_text(comparison, question, "wrong", "the whole process", "more accurate")]
+    return lines + [_better_peers_text(comparison, question, "seconds", clock, f"faster by {clock}") for clock in ANSWER_CLOCKS]
 
 
-def _ahead(found: SunComparison, question: str, merit: str, clock: str, word: str) -> str:
+def _better_peers_text(comparison: SunComparison, question: str, merit: str, clock: str, word: str) -> str:
     """Describe the peers that are better than Skugga's best row, with the number of cases and the largest factor."""
-    places_of = standings(found, question, clock)
-    if not places_of:
+    standings_by_case = standings(comparison, question, clock)
+    if not standings_by_case:
         return f"- {word[0].upper()}{word[1:]}: not measured."
     times: dict[str, list[float]] = {}
-    for places in places_of.values():
-        own = min(getattr(place, merit) for place in places if place.tool.ours)
-        for place in places:
-            value = getattr(place, merit)
-            if not place.tool.ours and value < own:
-                times.setdefault(place.tool.name, []).append(own / value if value else float("inf"))
+    for case_standings in standings_by_case.values():
+        our_best = min(getattr(standing, merit) for standing in case_standings if standing.tool.ours)
+        for standing in case_standings:
+            value = getattr(standing, merit)
+            if not standing.tool.ours and value < our_best:
+                times.setdefault(standing.tool.name, []).append(our_best / value if value else float("inf"))
     if not times:
         return f"- {word[0].upper()}{word[1:]} than Skugga's best row: no peer, in any case."
-    who = "; ".join(f"{name} in {len(more)} of {len(places_of)} cases, up to {max(more):.2g} times" for name, more in times.items())
-    return f"- {word[0].upper()}{word[1:]} than Skugga's best row: {who}."
+    peers_text = "; ".join(
+        f"{name} in {len(ratios)} of {len(standings_by_case)} cases, up to {max(ratios):.2g} times"
+        for name, ratios in times.items()
+    )
+    return f"- {word[0].upper()}{word[1:]} than Skugga's best row: {peers_text}."
 
 
-def check_table(found: SunComparison) -> list[str]:
+def check_table(comparison: SunComparison) -> list[str]:
     """Format a line for each tool: its results on a level floor and before a cliff."""
     return table([
         {
@@ -111,11 +117,11 @@ def check_table(found: SunComparison) -> list[str]:
             "floor is off, minutes": f"{(check.floor_h - check.day_h) * 60.0:+.1f}",
             "before a cliff wrong, minutes": f"{check.cliff_wrong_min:.1f}",
         }
-        for check in found.checks
+        for check in comparison.checks
     ])  # fmt: skip
 
 
-HOW = {
+METHODS = {
     HOURS: """21 March, rasters of which every tool gets the same GeoTIFF. Truth are rays every 10 seconds. `Wrong` is the mean over
 the sampled cells of the minutes by which a tool differs from rays under *its own* sun, earth and horizon, so that only shadows
 and steps of time are judged; `wrong as it is` the same beside astronomy's sun (NREL's, with refraction) on the round earth,
@@ -150,25 +156,25 @@ and to the west of a long cliff of 300 m those of the closed form.
 The sun's path of each is made again for truth. What is left on the level floor is a tool's own: steps of time or of azimuth."""
 
 
-def sun_page(found: SunComparison) -> str:
+def sun_page(comparison: SunComparison) -> str:
     """Format the page, in Markdown."""
-    versions = ", ".join(f"{name} {number}" for name, number in found.versions.items())
+    versions = ", ".join(f"{name} {number}" for name, number in comparison.versions.items())
     parts = [
         "# Questions of sun: Skugga beside other tools",
         "Made by `python -m benchmarks.sun_questions DATA --python PATH` (`DATA`: a folder with the rasters named below; `PATH`:\n"
         "an interpreter that has the others' packages), which writes every number and verdict. Masks of one sun, by more tools:\n"
         "[peers.md](peers.md).",
-        f"{versions}. {found.where}; {found.took_s / 60.0:.0f} minutes. **The machine was shared** with other work (load "
-        f"{found.load:.1f} at the end): wall-clock seconds are comparable only with each other, and CPU time of a process and its\n"
+        f"{versions}. {comparison.where}; {comparison.took_s / 60.0:.0f} minutes. **The machine was shared** with other work (load "
+        f"{comparison.load:.1f} at the end): wall-clock seconds are comparable only with each other, and CPU time of a process and its\n"
         "children, which suffers less, stands beside them. Every tool runs as a process of its own, one at a time.",
     ]
     for question in TITLES:
-        if found.of(question):
-            cases = "\n".join(f"- *{each.case}*: {each.about}" for each in found.cases if each.question == question)
-            parts += [f"## {TITLES[question]}", question_verdict(found, question), cases, HOW[question]]
-            parts.append("\n".join(answer_table(found, question)))
-            if question == HOURS and found.checks:
-                parts += ["### Conventions", CONVENTIONS, "\n".join(check_table(found))]
-    if found.left_out:
-        parts += ["## Left out", "\n".join(f"- {name}: {why}" for name, why in found.left_out.items())]
+        if comparison.of(question):
+            cases = "\n".join(f"- *{case.case}*: {case.about}" for case in comparison.cases if case.question == question)
+            parts += [f"## {TITLES[question]}", question_verdict(comparison, question), cases, METHODS[question]]
+            parts.append("\n".join(answer_table(comparison, question)))
+            if question == HOURS and comparison.checks:
+                parts += ["### Conventions", CONVENTIONS, "\n".join(check_table(comparison))]
+    if comparison.left_out:
+        parts += ["## Left out", "\n".join(f"- {name}: {reason}" for name, reason in comparison.left_out.items())]
     return "\n\n".join(parts) + "\n"

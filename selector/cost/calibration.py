@@ -35,7 +35,7 @@ TIMING_ROUNDS = 3
 since the first run includes compilation.
 """
 
-LIMIT_S = 90.0
+TIME_LIMIT_S = 90.0
 """Seconds after which the third round stops. The first two rounds always complete."""
 
 Progress = Callable[[int, int], None]
@@ -87,9 +87,9 @@ def calibrate(on_step: Progress | None = None) -> DeviceProfile:
 def _timed_jobs(start_s: float, on_step: Progress) -> list[CalibrationJob]:
     with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
         jobs = [job for calibration_view in calibration_views(Path(folder)) for job in calibration_jobs(calibration_view)]
-        for turn in range(TIMING_ROUNDS):
-            for number, job in enumerate(jobs, start=turn * len(jobs) + 1):
-                if turn <= 1 or time.perf_counter() - start_s < LIMIT_S:
+        for round_number in range(TIMING_ROUNDS):
+            for number, job in enumerate(jobs, start=round_number * len(jobs) + 1):
+                if round_number <= 1 or time.perf_counter() - start_s < TIME_LIMIT_S:
                     _run(job)
                 on_step(number, TIMING_ROUNDS * len(jobs))
     return jobs
@@ -99,7 +99,7 @@ def calibration_jobs(calibration_view: CalibrationView) -> list[CalibrationJob]:
     """Return the jobs of a calibration view."""
     descriptor = describe(calibration_view.scene, calibration_view.view, calibration_view.name, "points")
     picture = picture_buffer(calibration_view.scene, calibration_view.view)
-    casters = find_casters(calibration_view.scene, picture.own)
+    casters = find_casters(calibration_view.scene, picture.pixel_buffer)
     return [
         CalibrationJob(
             calibration_view.scene,
@@ -119,7 +119,7 @@ def _steps(descriptor: Descriptor, calibration_view: CalibrationView) -> Iterato
             kind for kind in calibration_view.kinds if can_serve(algorithm.name, descriptor, calibration_view.light, kind)
         )
         if algorithm.passes and kinds:
-            for settings in algorithm.calibrated(descriptor, calibration_view.light, calibration_view.grid):
+            for settings in algorithm.calibration_settings(descriptor, calibration_view.light, calibration_view.grid):
                 yield Step(calibration_view.light, kinds, algorithm.name, settings)
 
 
@@ -131,8 +131,8 @@ def _run(job: CalibrationJob) -> None:
     left_ms = (time.perf_counter() - start) * 1000.0
     passes_ms = {name.split(": ", 1)[1]: record.ms for name, record in log.records.items()}
     pass_of = ALGORITHMS[step.algorithm].cost.passes
-    *others, last = sorted(job.work, key=lambda part: pass_of.get(_base_part(part)) is None)
-    for part in others:
+    *earlier_parts, last = sorted(job.work, key=lambda part: pass_of.get(_base_part(part)) is None)
+    for part in earlier_parts:
         part_ms = passes_ms[pass_of[_base_part(part)]]
         left_ms -= part_ms
         job.min_ms[part] = min(part_ms, job.min_ms.get(part, np.inf))

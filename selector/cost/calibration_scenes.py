@@ -19,8 +19,8 @@ from skugga.terrain.ground.generated_ground import ENGINEERING
 from skugga.terrain.level.level import CasterKind, load_level
 from skugga.terrain.scene import Scene, build_scene
 
-FLOOR: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}}
-BALL_M = 5.0
+FLOOR_TERRAIN: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}}
+BALL_RADIUS_M = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,30 +70,46 @@ def calibration_levels(
     few, many = _balls(folder, 1, 5), _balls(folder, 3, 36)
     near, wide = _camera([-30, -46, 34], [0, -4, 0]), _camera([40, -70, 60], [0, 0, 0])
     spot: dict[str, Any] = {"kind": "spot", "position": [20, -30, 60], "target": [0, 0, 0], "cutoff": 40}
-    yield "few_balls", _level(FLOOR, near, meshes=[few]), "main", (640, 512), "sun", ("meshes",), "full"
-    yield "few_balls_small", _level(FLOOR, wide, meshes=[few], sun=(300, 20)), "main", (360, 280), "sun", ("meshes",), "some"
-    yield "many_balls", _level(FLOOR, wide, meshes=[many]), "main", (640, 512), "sun", ("meshes",), "some"
-    yield "many_balls_large", _level(FLOOR, near, meshes=[many], sun=(60, 48)), "main", (960, 720), "sun", ("meshes",), "few"
-    dense = _lattice(folder)
+    yield "few_balls", _level(FLOOR_TERRAIN, near, meshes=[few]), "main", (640, 512), "sun", ("meshes",), "full"
+    yield (
+        "few_balls_small",
+        _level(FLOOR_TERRAIN, wide, meshes=[few], sun=(300, 20)),
+        "main",
+        (360, 280),
+        "sun",
+        ("meshes",),
+        "some",
+    )
+    yield "many_balls", _level(FLOOR_TERRAIN, wide, meshes=[many]), "main", (640, 512), "sun", ("meshes",), "some"
+    yield (
+        "many_balls_large",
+        _level(FLOOR_TERRAIN, near, meshes=[many], sun=(60, 48)),
+        "main",
+        (960, 720),
+        "sun",
+        ("meshes",),
+        "few",
+    )
+    dense = _box_lattice(folder)
     low, far = _camera([-26, -34, 16], [0, 0, 6]), _camera([60, -50, 48], [0, 0, 0])
-    yield "lattice", _level(FLOOR, low, meshes=[dense], sun=(100, 24)), "main", (640, 512), "sun", ("meshes",), "some"
-    yield "lattice_far", _level(FLOOR, far, meshes=[dense], sun=(220, 40)), "main", (400, 320), "sun", ("meshes",), "few"
-    yield "few_balls_map", _level(FLOOR, near, meshes=[few], sun=(60, 45)), "map", (256, 256), "sun", ("meshes",), "full"
-    yield "many_balls_map", _level(FLOOR, near, meshes=[many], sun=(60, 25)), "map", (384, 384), "sun", ("meshes",), "some"
+    yield "lattice", _level(FLOOR_TERRAIN, low, meshes=[dense], sun=(100, 24)), "main", (640, 512), "sun", ("meshes",), "some"
+    yield "lattice_far", _level(FLOOR_TERRAIN, far, meshes=[dense], sun=(220, 40)), "main", (400, 320), "sun", ("meshes",), "few"
+    yield "few_balls_map", _level(FLOOR_TERRAIN, near, meshes=[few], sun=(60, 45)), "map", (256, 256), "sun", ("meshes",), "full"
+    yield "many_balls_map", _level(FLOOR_TERRAIN, near, meshes=[many], sun=(60, 25)), "map", (384, 384), "sun", ("meshes",), "some"
     for kind, lamp in (("spot", spot), ("omni", {"kind": "omni", "position": [8, -8, 30]})):
-        level = _level(FLOOR, near, meshes=[many], sun=None) | {"lights": {"lamp": lamp}}
+        level = _level(FLOOR_TERRAIN, near, meshes=[many], sun=None) | {"lights": {"lamp": lamp}}
         yield f"{kind}_balls", level, "main", (640, 512), "lamp", ("meshes",), "full"
-        level = _level(FLOOR, wide, meshes=[few], sun=None) | {"lights": {"lamp": lamp}}
+        level = _level(FLOOR_TERRAIN, wide, meshes=[few], sun=None) | {"lights": {"lamp": lamp}}
         yield f"{kind}_few_balls", level, "main", (360, 280), "lamp", ("meshes",), "some"
-    hills, fine = _hills(3200, 40, 350), _hills(4000, 16, 500)
+    hills, fine_hills = _hills(3200, 40, 350), _hills(4000, 16, 500)
     over, down = _camera([-900, -1100, 900], [0, 0, 0]), _camera([1200, 900, 1500], [-200, 0, 0])
     yield "hills", _level(hills, over, sun=(120, 25)), "main", (640, 512), "sun", ("relief",), "full"
-    yield "fine_hills", _level(fine, down, sun=(250, 15)), "main", (480, 400), "sun", ("relief",), "some"
+    yield "fine_hills", _level(fine_hills, down, sun=(250, 15)), "main", (480, 400), "sun", ("relief",), "some"
     wide, high_camera = _hills(8000, 8, 700), _camera([-2200, -2600, 1900], [0, 0, 0])
     yield "wide_hills", _level(wide, high_camera, sun=(200, 20)), "main", (400, 320), "sun", ("relief",), "few"
     yield "wide_hills_map", _level(wide, high_camera, sun=(310, 12)), "map", (448, 448), "sun", ("relief",), "few"
     yield "hills_map", _level(hills, over, sun=(120, 25)), "map", (280, 280), "sun", ("relief",), "full"
-    yield "fine_hills_map", _level(fine, down, sun=(250, 15)), "map", (256, 256), "sun", ("relief",), "some"
+    yield "fine_hills_map", _level(fine_hills, down, sun=(250, 15)), "map", (256, 256), "sun", ("relief",), "some"
     houses = {**_balls(folder, 2, 60, radius_m=12.0), "at": _positions(60, 900.0)}
     grove, wood = _forest(folder, "grove", 400.0, 60.0), _forest(folder, "wood", 1500.0, 130.0)
     close = _camera([-150, -200, 160], [0, 0, 0])
@@ -119,12 +135,12 @@ def calibration_levels(
 
 
 def _level(
-    terrain: dict[str, Any], main: dict[str, Any], sun: tuple[float, float] | None = (140.0, 38.0), **more: Any
+    terrain: dict[str, Any], main: dict[str, Any], sun: tuple[float, float] | None = (140.0, 38.0), **level_keys: Any
 ) -> dict[str, Any]:
     placed: Any = "none" if sun is None else {"azimuth": sun[0], "altitude": sun[1]}
     half_m = 0.35 * (terrain.get("flat") or terrain["generate"])["size"][0]  # away from the rim, where the ground ends
     plan = {"kind": "map", "bounds": [-half_m, -half_m, half_m, half_m]}
-    return {"terrain": terrain, "views": {"main": main, "map": plan}, "sun": placed, **more}
+    return {"terrain": terrain, "views": {"main": main, "map": plan}, "sun": placed, **level_keys}
 
 
 def _camera(eye: list[float], target: list[float]) -> dict[str, Any]:
@@ -142,7 +158,7 @@ def _positions(count: int, side_m: float) -> list[list[float]]:
     return np.round(places * side_m, 3).tolist()
 
 
-def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) -> dict[str, Any]:
+def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_RADIUS_M) -> dict[str, Any]:
     """Return a mesh of a level: balls of 20 x 4^halvings triangles each."""
     import trimesh
 
@@ -151,7 +167,7 @@ def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) ->
     return {"source": path.name, "at": _positions(count, 110.0)}
 
 
-def _lattice(folder: Path) -> dict[str, Any]:
+def _box_lattice(folder: Path) -> dict[str, Any]:
     """Return a mesh of a level: 8 x 8 x 6 boxes above one another, whose shadow volumes overlap in many layers."""
     import trimesh
 

@@ -95,8 +95,8 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
         profile = DeviceProfile.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the whole file"
-        return f"{path}: {where}: {first['msg'].lower()}: run skugga calibrate again"
+        field_path = ".".join(map(str, first["loc"])) or "the whole file"
+        return f"{path}: {field_path}: {first['msg'].lower()}: run skugga calibrate again"
     if (profile.renderer, profile.version) != (renderer, version):
         return f"{path} is for another device, {profile.renderer}: run skugga calibrate again"
     return profile

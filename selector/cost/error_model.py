@@ -35,14 +35,14 @@ from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
+from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, Casting
 from skugga.terrain.facts.probes import MIN_CAST_SHARE
 from skugga.terrain.level.level import CasterKind
 
 ASSUMED_CASTING = Casting(
     share=0.1,
     bands=(
-        CastBand(near_m=0.0, share=1.0, cast=0.1, pixel_m=1.0, differs=tuple(min(0.005 * px, 0.1) for px in TEXEL_LADDER_PX)),
+        CastBand(near_m=0.0, share=1.0, cast=0.1, pixel_m=1.0, differs=tuple(min(0.005 * px, 0.1) for px in TEXEL_SIZES_PX)),
     ),
 )  # fmt: skip
 """Assumed shadows without facts in the descriptor: a tenth of the visible surface, with an edge every hundred pixels."""
@@ -59,8 +59,8 @@ MIN_SPREAD = 0.05
 
 def error_groups() -> tuple[str, ...]:
     """Return the groups with fitted constants: algorithms, and kinds of views of an algorithm where they differ."""
-    more = [group for each in ALGORITHMS.values() for group in each.error_groups if group != each.name]
-    return (*ALGORITHMS, *more)
+    view_groups = [group for algorithm in ALGORITHMS.values() for group in algorithm.error_groups if group != algorithm.name]
+    return (*ALGORITHMS, *view_groups)
 
 
 @dataclass(frozen=True)
@@ -188,25 +188,27 @@ def step_wrong_share(descriptor: Descriptor, light: str, step: Step, model: Erro
     )
 
 
-def combine_errors(descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel) -> ExpectedErrors:
+def combine_errors(
+    descriptor: Descriptor, light: str, step_shares: Iterable[tuple[Step, float]], model: ErrorModel
+) -> ExpectedErrors:
     """Return the errors of steps, each with its wrong share. Raises ``UnmeasuredError`` for a step without constants."""
-    wrong = interior = spread = interior_spread = 0.0
-    for step, step_wrong in wrong_of:
+    wrong_share = interior = spread = interior_spread = 0.0
+    for step, step_wrong in step_shares:
         constants = _constants(descriptor, step, model)
         inside = step_wrong * constants.interior
-        wrong, spread = wrong + step_wrong, spread + step_wrong * constants.spread
+        wrong_share, spread = wrong_share + step_wrong, spread + step_wrong * constants.spread
         interior, interior_spread = interior + inside, interior_spread + inside * constants.interior_spread
     return ExpectedErrors(
-        min(wrong, 1.0), min(wrong / _cast_share(descriptor, light), 1.0), min(interior, 1.0),
-        spread / wrong if wrong > 0.0 else MIN_SPREAD, interior_spread / interior if interior > 0.0 else MIN_SPREAD,
+        min(wrong_share, 1.0), min(wrong_share / _cast_share(descriptor, light), 1.0), min(interior, 1.0),
+        spread / wrong_share if wrong_share > 0.0 else MIN_SPREAD, interior_spread / interior if interior > 0.0 else MIN_SPREAD,
     )  # fmt: skip
 
 
 def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants:
-    found = constants_of(descriptor, step, model)
-    if found is None:
+    constants = constants_of(descriptor, step, model)
+    if constants is None:
         raise UnmeasuredError(step.algorithm, NO_ERRORS)
-    return found
+    return constants
 
 
 def _cast_share(descriptor: Descriptor, light: str) -> float:
@@ -228,12 +230,12 @@ def _wrong_share_of_kind(
     accuracy = ALGORITHMS[step.algorithm].accuracy
     if accuracy.wrong_share is not None:
         return accuracy.wrong_share(casting)
-    wrong = 0.0
+    wrong_share = 0.0
     for band in casting.bands:
         texel_px = texel_px_of(descriptor, light, step, band, model.perspective)
         if texel_px > 0.0:
-            wrong += band.share * _interpolated_difference(band, texel_px) * model.counted[kind].of(texel_px)
-    return wrong
+            wrong_share += band.share * _interpolated_difference(band, texel_px) * model.counted[kind].of(texel_px)
+    return wrong_share
 
 
 def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, perspective: float) -> float:
@@ -252,21 +254,21 @@ def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
     The differing share grows about in proportion to a texel's side. So each value is estimated from the next ``POOLED_SIZES`` sizes
     together; the larger ones have most of the observations.
     """
-    sides = [sum(TEXEL_LADDER_PX[k : k + POOLED_SIZES]) for k in range(len(TEXEL_LADDER_PX))]
-    window_sums = [sum(differs[k : k + POOLED_SIZES]) for k in range(len(TEXEL_LADDER_PX))]
+    sides = [sum(TEXEL_SIZES_PX[k : k + POOLED_SIZES]) for k in range(len(TEXEL_SIZES_PX))]
+    window_sums = [sum(differs[k : k + POOLED_SIZES]) for k in range(len(TEXEL_SIZES_PX))]
     return tuple(
-        min(px * part / window_side, 1.0) for px, part, window_side in zip(TEXEL_LADDER_PX, window_sums, sides, strict=True)
+        min(px * part / window_side, 1.0) for px, part, window_side in zip(TEXEL_SIZES_PX, window_sums, sides, strict=True)
     )
 
 
 def _interpolated_difference(band: CastBand, texel_px: float) -> float:
     """Interpolate ``differs`` between the texel sizes of the ladder. Below the smallest size it is proportional."""
     differs = smoothed_ladder(band.differs)
-    if texel_px <= TEXEL_LADDER_PX[0]:
-        return differs[0] * texel_px / TEXEL_LADDER_PX[0]
-    above = bisect(TEXEL_LADDER_PX, texel_px)
-    if above == len(TEXEL_LADDER_PX):
+    if texel_px <= TEXEL_SIZES_PX[0]:
+        return differs[0] * texel_px / TEXEL_SIZES_PX[0]
+    above = bisect(TEXEL_SIZES_PX, texel_px)
+    if above == len(TEXEL_SIZES_PX):
         return differs[-1]
-    low, high = TEXEL_LADDER_PX[above - 1], TEXEL_LADDER_PX[above]
+    low, high = TEXEL_SIZES_PX[above - 1], TEXEL_SIZES_PX[above]
     share = log2(texel_px / low) / log2(high / low)
     return differs[above - 1] * (1.0 - share) + differs[above] * share

@@ -11,6 +11,6 @@ NO_RATES = "this device has no rates for {part}: run skugga calibrate again"
 class UnmeasuredError(Exception):
     """An algorithm cannot be predicted. The policy that predicts catches this, falls back, and reports the reason."""
 
-    def __init__(self, algorithm: AlgorithmName, why: str) -> None:
-        super().__init__(f"{algorithm}: {why}")
-        self.algorithm, self.why = algorithm, why
+    def __init__(self, algorithm: AlgorithmName, reason: str) -> None:
+        super().__init__(f"{algorithm}: {reason}")
+        self.algorithm, self.reason = algorithm, reason

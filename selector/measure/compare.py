@@ -232,16 +232,16 @@ def compare(
             trial_s = time.perf_counter() - start - began_s
             draw_times_s |= {algorithm: min(trial_s, draw_times_s.get(algorithm, trial_s)) for algorithm in names}
         step(done, total)
-    for turn in range(ROW_REPEATS):
-        for trial in sorted(trials, key=lambda trial: trial.first[0]) if view_truth.whole.valid.any() else []:
+    for repeat in range(ROW_REPEATS):
+        for trial in sorted(trials, key=lambda trial: trial.first[0]) if view_truth.full_truth.valid.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
                 trial.later.append(run_light(scene, pictures, trial.plan, light).times)
-        step(len(plans) + 3 + turn, total)
+        step(len(plans) + 3 + repeat, total)
     rows = [_with_times(trial) for trial in trials]
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
-        view, light, rows, view_truth.whole.valid, view_truth.error, view_truth.whole.boundary, view_truth.whole.cast, surface,
+        view, light, rows, view_truth.full_truth.valid, view_truth.error, view_truth.full_truth.boundary, view_truth.full_truth.cast, surface,
         floor, remarks, tuple(left_out), default,
     )  # fmt: skip
 
@@ -287,7 +287,7 @@ def _select_plans(plans: list[Plan], light: str, names: Collection[str]) -> list
 def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
     """Return the error of truth with sub-samples of another seed (their majority or their share) against truth."""
     light = view_truth.blocks[0].light
-    if (light == SUN and not scene.sun_is_up) or not view_truth.whole.valid.any():
+    if (light == SUN and not scene.sun_is_up) or not view_truth.full_truth.valid.any():
         return 0.0
     votes = []
     for ground in view_truth.blocks:
@@ -299,12 +299,12 @@ def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
         votes.append(np.where(ground.buffer.valid, count / TRUTH_SAMPLES, np.nan))
     if view_truth.error == "coverage":
         return view_truth.coverage(votes)
-    return error_metrics(view_truth.assembled(votes, np.nan), view_truth.whole, 1.0).wrong_cast
+    return error_metrics(view_truth.assembled(votes, np.nan), view_truth.full_truth, 1.0).wrong_cast
 
 
 def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
     """Return a plan's first run with its errors, but without its final times."""
-    light, truth = view_truth.blocks[0].light, view_truth.whole
+    light, truth = view_truth.blocks[0].light, view_truth.full_truth
     run = run_light(scene, pictures, plan, light)
     for ground, part in zip(view_truth.blocks, run.parts, strict=True):
         part[ground.attached] = 0.0
@@ -335,7 +335,7 @@ def picture_blocks(scene: Scene, view: View) -> list[DrawnBlock]:
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     pictures = [picture_buffer(scene, part) for part, _, _ in parts]
-    return [(picture, find_casters(scene, picture.own)) for picture in pictures]
+    return [(picture, find_casters(scene, picture.pixel_buffer)) for picture in pictures]
 
 
 def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: str) -> TimedRun:
@@ -388,7 +388,7 @@ def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
 
 
 def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> list[str]:
-    truth, remarks = view_truth.whole, []
+    truth, remarks = view_truth.full_truth, []
     if not truth.valid.any():
         remarks.append("the view shows no surface: there is nothing to compare")
     elif not scene.light_names:

@@ -158,8 +158,8 @@ class PictureTruth:
     @cached_property
     def rays(self) -> RayScene:
         """The ray scene. A map under the sun needs too few rays to justify a copy of its ground."""
-        walked = isinstance(self.picture.view, MapView) and self.light == SUN
-        return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS, walked)
+        traverse_sheets = isinstance(self.picture.view, MapView) and self.light == SUN
+        return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS, traverse_sheets)
 
     @cached_property
     def nodes(self) -> MapNodes | None:
@@ -174,21 +174,21 @@ class PictureTruth:
         """
         truth = lattice.truth
         dark, true_dark = lattice.at_points(dark) & truth.valid, ~truth.lit & truth.valid
-        wrong = truth.decidable & (dark != true_dark)
+        is_wrong = truth.decidable & (dark != true_dark)
         cast = truth.decidable & (dark | true_dark) & ~truth.attached
         decided, wrong_count, cast_count, wrong_cast = (
-            int(np.count_nonzero(which)) for which in (truth.decidable, wrong, cast, wrong & cast)
+            int(np.count_nonzero(which)) for which in (truth.decidable, is_wrong, cast, is_wrong & cast)
         )
-        return PointCounts(decided, wrong_count, cast_count, wrong_cast, self._inside(lattice, wrong, steps, pixel_m))
+        return PointCounts(decided, wrong_count, cast_count, wrong_cast, self._inside(lattice, is_wrong, steps, pixel_m))
 
-    def _inside(self, lattice: Lattice, wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
+    def _inside(self, lattice: Lattice, is_wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
         """Return the number of wrong points (rows, cols) inside truth's shadows or lit areas."""
-        if not wrong.any():
+        if not is_wrong.any():
             return 0
         drawing: Sequence[Step | None] = steps or [None]
         texel_px = np.max([texel_footprint_px(self.scene, step, lattice.buffer, pixel_m) for step in drawing], axis=0)
-        distance_px = np.maximum(INTERIOR_PX, 2.0 * texel_px[wrong]).astype(np.float64)
-        row, col = (first + lattice.every * index for first, index in zip(lattice.first, np.nonzero(wrong), strict=True))
+        distance_px = np.maximum(INTERIOR_PX, 2.0 * texel_px[is_wrong]).astype(np.float64)
+        row, col = (first + lattice.every * index for first, index in zip(lattice.first, np.nonzero(is_wrong), strict=True))
         self._trace(edge_test_region(row, col, distance_px, self.picture.valid.shape))
         return int(np.count_nonzero(far_from_edges(self._dark, self.picture.valid, row, col, distance_px)))
 

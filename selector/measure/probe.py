@@ -17,7 +17,7 @@ from skugga.selector.measure.view_truth import View
 from skugga.selector.observation import Observation
 from skugga.selector.planner.planner import make_plan, planner_of
 from skugga.selector.predict import PlanOptions, plan_from_options, plan_options
-from skugga.shadows.algorithm import Reasoned
+from skugga.shadows.algorithm import NamedReason
 from skugga.shadows.plan import Plan
 from skugga.terrain.describe import describe
 from skugga.terrain.scene import Scene
@@ -36,12 +36,12 @@ class ProbedView:
     ----------
     plan
         The plan.
-    seen
+    observations
         Observations by light.
     """
 
     plan: Plan
-    seen: Mapping[str, tuple[Observation, ...]]
+    observations: Mapping[str, tuple[Observation, ...]]
 
 
 def probed_plan(
@@ -106,23 +106,23 @@ def probed_plan(
         probes[light] = probe_options(light_options, prober, options.max_error, options.time_limits_ms()[light], left_s, on_step)
         options = replace(options, lights={**options.lights, light: probes[light].options})
     policy: PolicyName = "measure" if budget_s is None else "probe"
-    reasons = [] if device is not None else [Reasoned(name=f"policy {policy}", reason=UNCALIBRATED_PROBE)]
+    reasons = [] if device is not None else [NamedReason(name=f"policy {policy}", reason=UNCALIBRATED_PROBE)]
     reasons += [reason for light, probe in probes.items() for reason in _reasons(options, light, probe)]
     plan = plan_from_options(options, policy, reasons)
-    return ProbedView(plan, {light: tuple(probe.options.seen.values()) for light, probe in probes.items()})
+    return ProbedView(plan, {light: tuple(probe.options.observations.values()) for light, probe in probes.items()})
 
 
-def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[Reasoned]:
+def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[NamedReason]:
     """Return the drawn candidates of a light, their results and the change that they made."""
     light_options, reasons = probe.options, []
-    expected = {each.choice.name: each for each in light_options.options}
+    expected = {option.choice.name: option for option in light_options.options}
     for which, (ms, measurement) in probe.drawn.items():
         name = light_options.options[which].choice.name
         before = f"expected: {format_percent(expected[name].errors.wrong_cast)} in {format_duration(expected[name].ms)}"
         reasons.append(
-            Reasoned(name=f"{light}: probed {name}", reason=f"{_errors_text(measurement)} in {format_duration(ms)} ({before})")
+            NamedReason(name=f"{light}: probed {name}", reason=f"{_errors_text(measurement)} in {format_duration(ms)} ({before})")
         )
-    return [*reasons, Reasoned(name=f"{light}: probe", reason=_result_text(options, light, probe))]
+    return [*reasons, NamedReason(name=f"{light}: probe", reason=_result_text(options, light, probe))]
 
 
 def _errors_text(measurement: ErrorMeasurement) -> str:
@@ -139,16 +139,18 @@ def _errors_text(measurement: ErrorMeasurement) -> str:
 def _result_text(options: PlanOptions, light: str, probe: LightProbe) -> str:
     """Return the result of a probe in words."""
     light_options, max_error = probe.options, options.max_error
-    drawn = len(probe.drawn)
+    drawn_count = len(probe.drawn)
     text = (
-        f"{drawn} of {len(light_options.options)} candidates drawn and compared with truth in "
+        f"{drawn_count} of {len(light_options.options)} candidates drawn and compared with truth in "
         f"{format_duration(1000.0 * probe.seconds)}: "
     )
     if not light_options.numbers:
         return text + "no candidate can draw this view"
     leader = leader_of(light_options, max_error, options.time_limits_ms()[light])
-    before, now = (light_options.options[which].choice.name for which in (probe.initial_leader, leader))
-    text += f"the choice remains {now}" if before == now else f"the choice is {now} instead of {before}"
+    name_before, name_after = (light_options.options[which].choice.name for which in (probe.initial_leader, leader))
+    text += (
+        f"the choice remains {name_after}" if name_before == name_after else f"the choice is {name_after} instead of {name_before}"
+    )
     chance = light_options.miss_chance(leader, max_error)
     limit = format_percent(max_error)
     if leader not in probe.drawn:

@@ -89,7 +89,7 @@ class ErrorMeasurement:
     def _interior_noise(self) -> float:
         return (log_interior(self.interior_high) - log_interior(self.interior_low)) / (2.0 * INTERVAL_Z)
 
-    def seen(self, choice: str, ms: float) -> Observation:
+    def to_observation(self, choice: str, ms: float) -> Observation:
         """Return this as an observation of a choice that took ``ms`` milliseconds."""
         return Observation(
             choice=choice, error=self.error, error_noise=self._error_noise, interior=self.interior,
@@ -167,25 +167,26 @@ def probe_options(
     while True:
         measurements = {which: prober.measurement(which) for which in drawn_ms}
         posterior = prior.after(
-            measurement.seen(prior.options[which].choice.name, drawn_ms[which]) for which, measurement in measurements.items()
+            measurement.to_observation(prior.options[which].choice.name, drawn_ms[which])
+            for which, measurement in measurements.items()
         )
         leader = leader_of(posterior, max_error, max_ms) if posterior.numbers else None
-        more_s = prober.add_points_s() if drawn_ms else None
+        add_points_s = prober.add_points_s() if drawn_ms else None
         undecided = {
-            which for which, measurement in measurements.items() if more_s is not None and not measurement.decides(max_error)
+            which for which, measurement in measurements.items() if add_points_s is not None and not measurement.decides(max_error)
         }
         if leader in measurements:
             gains = _gains(posterior, leader, (set(posterior.numbers) - set(drawn_ms)) | undecided, max_error, max_ms)
             next_option = leader if leader in undecided else _largest_gain(gains, least_gain)
         else:
             next_option = leader
-            if leader is not None and more_s is not None and more_s < prober.draw_s(posterior.figures(leader).ms):
-                opened = _largest_gain(_gains(posterior, leader, undecided, max_error, max_ms), least_gain)
-                next_option = leader if opened is None else opened
+            if leader is not None and add_points_s is not None and add_points_s < prober.draw_s(posterior.figures(leader).ms):
+                best_undecided = _largest_gain(_gains(posterior, leader, undecided, max_error, max_ms), least_gain)
+                next_option = leader if best_undecided is None else best_undecided
         step_s = 0.0 if next_option is None else prober.draw_s(posterior.figures(next_option).ms)
         if next_option is not None and next_option in drawn_ms:
-            assert more_s is not None
-            step_s = more_s
+            assert add_points_s is not None
+            step_s = add_points_s
         if next_option is None or not has_time(step_s):
             drawn = {which: (ms, measurements[which]) for which, ms in drawn_ms.items()}
             return LightProbe(posterior, drawn, initial_leader, prober.elapsed_s(), leader in measurements and next_option is None)
@@ -205,9 +206,11 @@ def leader_of(options: LightOptions, max_error: float, max_ms: float | None) -> 
     return options.number(least_expected_loss(options.forecasts(max_error), max_error, max_ms).winner.name)
 
 
-def _gains(options: LightOptions, leader: int, others: Collection[int], max_error: float, max_ms: float | None) -> dict[int, float]:
+def _gains(
+    options: LightOptions, leader: int, option_numbers: Collection[int], max_error: float, max_ms: float | None
+) -> dict[int, float]:
     """Return the expected gains of other options over the leader."""
-    return {which: expected_gain(options, which, leader, max_error, max_ms) for which in sorted(others) if which != leader}
+    return {which: expected_gain(options, which, leader, max_error, max_ms) for which in sorted(option_numbers) if which != leader}
 
 
 def _largest_gain(gains: Mapping[int, float], least_gain: float) -> int | None:
@@ -233,12 +236,12 @@ def expected_gain(options: LightOptions, which: int, leader: int, max_error: flo
     return max(meets, in_time * nearer)
 
 
-def _expected_saving(belief: GaussianEstimate, which: int, than_log: float) -> float:
+def _expected_saving(estimate: GaussianEstimate, which: int, than_log: float) -> float:
     """Return the expected relative saving of a log-normal value against another one, whose logarithm is ``than_log``.
 
     A larger value saves 0. The formula is that of a put option's price (F. Black and M. Scholes, 1973).
     """
-    mean, sd = float(belief.mean[which]) - than_log, sqrt(max(float(belief.covariance[which, which]), 0.0))
+    mean, sd = float(estimate.mean[which]) - than_log, sqrt(max(float(estimate.covariance[which, which]), 0.0))
     if sd == 0.0:
         return max(1.0 - exp(min(mean, 0.0)), 0.0)
     return _normal_below(-mean / sd) - exp(min(mean + sd * sd / 2.0, 50.0)) * _normal_below(-mean / sd - sd)

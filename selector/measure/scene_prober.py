@@ -54,12 +54,12 @@ def probed_part(view: View) -> View:
     if not isinstance(view, MapView):
         return view
 
-    def common(part: tuple[View, int, int]) -> int:
+    def common_pixels(part: tuple[View, int, int]) -> int:
         block, row, col = part
         rows = min(row + block.rows, view.rows) - max(row, 0)
         return rows * (min(col + block.cols, view.cols) - max(col, 0))
 
-    return max(blocks_of(view), key=common)[0]
+    return max(blocks_of(view), key=common_pixels)[0]
 
 
 class SceneProber:
@@ -107,7 +107,10 @@ class SceneProber:
     @cached_property
     def _truths(self) -> list[PictureTruth]:
         pictures = self._pictures
-        return [PictureTruth(pictures.scene, each.own, casters, self._light, pictures.effects) for each, casters in pictures.drawn]
+        return [
+            PictureTruth(pictures.scene, picture.pixel_buffer, casters, self._light, pictures.effects)
+            for picture, casters in pictures.drawn
+        ]
 
     @property
     def uses_coverage(self) -> bool:
@@ -138,9 +141,9 @@ class SceneProber:
                     dark = self._dark[which][number]
                     self._counted[key] = self._truths[number].counts(lattice, dark, self._steps[which], self._pixel_m)
                 total += self._counted[key]
-        return self._of_coverage(which, total) if self.uses_coverage else measurement_from_counts(total, self._is_complete)
+        return self._coverage_measurement(which, total) if self.uses_coverage else measurement_from_counts(total, self._is_complete)
 
-    def _of_coverage(self, which: int, total: PointCounts) -> ErrorMeasurement:
+    def _coverage_measurement(self, which: int, total: PointCounts) -> ErrorMeasurement:
         """Return the errors by coverage: the mean difference of the shadow shares in blocks of pixels."""
         blocks = COVERAGE_BLOCKS * 2**self._doublings
         if not self._shares:
@@ -152,16 +155,26 @@ class SceneProber:
                 for truth in self._truths
             ]
             self._coverage_s = time.perf_counter() - start
-        off = np.concatenate([
+        share_errors = np.concatenate([
             np.abs(block_shares(1.0 - part) - shares).ravel()
             for part, shares in zip(self._parts[which], self._shares, strict=True)
         ])  # fmt: skip
-        off = off[np.isfinite(off)]
-        mean, half = (float(off.mean()), INTERVAL_Z * float(off.std()) / max(len(off), 1) ** 0.5) if len(off) else (0.0, 1.0)
+        share_errors = share_errors[np.isfinite(share_errors)]
+        mean, half = (
+            (float(share_errors.mean()), INTERVAL_Z * float(share_errors.std()) / max(len(share_errors), 1) ** 0.5)
+            if len(share_errors)
+            else (0.0, 1.0)
+        )
         half = 0.0 if self._doublings == MAX_DOUBLINGS else half
         inside = measurement_from_counts(total, self._is_complete)
         return ErrorMeasurement(
-            mean, max(mean - half, 0.0), min(mean + half, 1.0), inside.interior, inside.interior_low, inside.interior_high, len(off)
+            mean,
+            max(mean - half, 0.0),
+            min(mean + half, 1.0),
+            inside.interior,
+            inside.interior_low,
+            inside.interior_high,
+            len(share_errors),
         )
 
     @property

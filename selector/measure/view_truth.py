@@ -16,7 +16,7 @@ from skugga.shadows.render import bands_of
 from skugga.shadows.truth.cache import cached_truth
 from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
 from skugga.shadows.truth.metrics import ErrorMetrics, block_shares, coverage_error, error_metrics
-from skugga.shadows.truth.truth import ALL_KINDS, SOFT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
+from skugga.shadows.truth.truth import ALL_KINDS, AREA_LIGHT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
 from skugga.shadows.visibility import without_hidden_points
 from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -85,7 +85,7 @@ class ViewTruth:
         The view.
     blocks
         Truth by block.
-    whole
+    full_truth
         Truth of the whole view.
     true_shares
         True shadow shares by block, the reference of coverage; empty if coverage is not computed.
@@ -93,7 +93,7 @@ class ViewTruth:
 
     view: View
     blocks: list[TruthBlock]
-    whole: Truth
+    full_truth: Truth
     true_shares: Sequence[np.ndarray] = ()
 
     @cached_property
@@ -105,7 +105,7 @@ class ViewTruth:
     @property
     def error(self) -> ErrorName:
         """The error that targets limit in this view."""
-        return "coverage" if self.whole.boundary > MAX_UNDECIDABLE_SHARE else "wrong_cast"
+        return "coverage" if self.full_truth.boundary > MAX_UNDECIDABLE_SHARE else "wrong_cast"
 
     def assembled(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
         """Return one array of the view (rows, cols) from an array for each block."""
@@ -131,7 +131,7 @@ class ViewTruth:
         footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.blocks]
         true_visibility = self.true_visibility if soft else None
         return error_metrics(
-            self.assembled(parts, np.nan), self.whole, pixel_m, self.assembled(footprints_px, 0.0), true_visibility
+            self.assembled(parts, np.nan), self.full_truth, pixel_m, self.assembled(footprints_px, 0.0), true_visibility
         )
 
     def coverage(self, parts: Sequence[np.ndarray]) -> float:
@@ -205,8 +205,8 @@ def _area_visibility(ground: TruthBlock, every: int) -> np.ndarray:
     elif ground.truth.valid.any():
         points = subsampled_points(ground.buffer, every)
         rays = ray_scene(ground.buffer, ground.scene, ground.casters, ALL_KINDS)
-        seen = area_visibility(points, ground.scene, ground.light, rays, SOFT_SAMPLES)
-        out[::every, ::every] = np.where(points.valid, seen, np.nan)
+        visibility = area_visibility(points, ground.scene, ground.light, rays, AREA_LIGHT_SAMPLES)
+        out[::every, ::every] = np.where(points.valid, visibility, np.nan)
     return out
 
 

@@ -18,21 +18,21 @@ def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[
     """Return the choices of the rules for some lights. The reason is the first rule that applies, with its source."""
     choices = {}
     for light in lights:
-        algorithms = {kind: _first(RuleInput(descriptor, light, kind, shadows)) for kind in descriptor.casters}
+        algorithms = {kind: _first_applicable_rule(RuleInput(descriptor, light, kind, shadows)) for kind in descriptor.casters}
         choices[light] = Choice(
             "rules",
             {kind: name for kind, (name, _) in algorithms.items()},
-            why={kind: why for kind, (_, why) in algorithms.items()},
+            reason={kind: reason for kind, (_, reason) in algorithms.items()},
         )
     return choices
 
 
-def _first(case: RuleInput) -> tuple[AlgorithmName, str]:
+def _first_applicable_rule(case: RuleInput) -> tuple[AlgorithmName, str]:
     """Return the algorithm and the reason of the first rule that applies and whose algorithm can serve."""
     for rule in RULES:
         if (
             can_serve(rule.algorithm, case.descriptor, case.light, case.kind, case.requested_shadows)
-            and (why := rule.reason_for(case)) is not None
+            and (reason := rule.reason_for(case)) is not None
         ):
-            return rule.algorithm, f"{why} ({rule.source})"
+            return rule.algorithm, f"{reason} ({rule.source})"
     return FALLBACK, NO_RULE

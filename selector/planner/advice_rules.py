@@ -135,8 +135,8 @@ class Rule:
 
 def _needs_map_settings(case: RuleInput) -> str | None:
     taps = (1, "sun") if case.light == SUN and case.kind == "relief" else (1,)
-    others = {"filter": ("auto", *taps)}
-    keys = [key for key in MAP_SETTINGS if getattr(case.requested_shadows, key) not in others.get(key, ("auto",))]
+    unforced_values = {"filter": ("auto", *taps)}
+    keys = [key for key in MAP_SETTINGS if getattr(case.requested_shadows, key) not in unforced_values.get(key, ("auto",))]
     if not keys:
         return None
     return (

@@ -19,7 +19,7 @@ from skugga.selector.planner.shadow_request import ShadowRequest, resolve_shadow
 from skugga.shadows.algorithm import (
     FALLBACK_REQUIREMENT,
     AlgorithmSettings,
-    Reasoned,
+    NamedReason,
     Requirement,
     SettingsRequest,
     is_area,
@@ -30,7 +30,7 @@ from skugga.shadows.plan import Plan, Step, Target, plan_steps
 from skugga.shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
 from skugga.shadows.render import passes_of
 from skugga.terrain.effects import EFFECTS
-from skugga.terrain.effects.cast_shadows import sun_kind_verdict, sun_verdict
+from skugga.terrain.effects.cast_shadows import sun_caster_verdict, sun_verdict
 from skugga.terrain.errors import InputError, UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
@@ -42,7 +42,7 @@ from skugga.terrain.level.level import (
     Shadows,
     ShadowSettings,
     expand_override,
-    spelt,
+    override_text,
 )
 
 SETTING_NAMES = tuple(key for key in ShadowSettings.model_fields if key != "algorithm")
@@ -79,20 +79,22 @@ def make_plan(
         An override cannot be served.
     """
     planner = planner_of(descriptor, plan_request, overrides)
-    return planner.plan(choices_by_rules(descriptor, planner.asked, planner.lights) if choices is None else choices, rejected or {})
+    return planner.plan(
+        choices_by_rules(descriptor, planner.requested_shadows, planner.lights) if choices is None else choices, rejected or {}
+    )
 
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
     """Return the planner of a descriptor: all that its plans share, whatever is chosen. Raises the errors of ``make_plan``."""
-    asked = resolve_shadow_request(descriptor, plan_request, overrides)
-    shadows = asked.shadows
+    request = resolve_shadow_request(descriptor, plan_request, overrides)
+    shadows = request.shadows
     effects, left_out = _effects(descriptor, plan_request, shadows)
     try:
         algorithm_override = expand_override(shadows.algorithm, plan_request.light_names)
     except PydanticCustomError as error:
-        raise InputError("algorithm", spelt(shadows.algorithm), error.message()) from None
+        raise InputError("algorithm", override_text(shadows.algorithm), error.message()) from None
     forced = frozenset(name for name in EFFECTS if _requested_effect(plan_request, name) == "on")
-    return Planner(descriptor, asked, effects, left_out, algorithm_override, forced)
+    return Planner(descriptor, request, effects, left_out, algorithm_override, forced)
 
 
 SUPERSAMPLING_REASON = (
@@ -122,11 +124,11 @@ class Planner:
 
     descriptor: Descriptor
     request: ShadowRequest
-    effects: list[Reasoned]
-    left_out: list[Reasoned]
+    effects: list[NamedReason]
+    left_out: list[NamedReason]
     algorithm_override: AlgorithmOverride
     forced: frozenset[EffectName]
-    _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[Reasoned]]] = field(default_factory=dict)
+    _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[NamedReason]]] = field(default_factory=dict)
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
     _interned_settings: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
 
@@ -147,20 +149,22 @@ class Planner:
         return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced)
 
     @property
-    def asked(self) -> Shadows:
+    def requested_shadows(self) -> Shadows:
         """The combined shadow settings of the request and the level."""
         return self.request.shadows
 
     def casting(self, light: str) -> list[CasterKind]:
         """Return the kinds of casters that cast shadows under a light, or may."""
-        return [assignment.kind for assignment in self._assignments(light, None) if assignment.name != NO_SHADOWS]
+        return [assignment.kind for assignment in self._assignments(light, None) if assignment.algorithm != NO_SHADOWS]
 
     def steps(self, light: str, choice: Choice) -> tuple[Step, ...]:
         """Return the steps of a choice for a light. Raises the errors of ``make_plan``."""
         combination = (light, *choice.algorithm.items())
         if combination not in self._combinations:
             self._combinations[combination] = {
-                assignment.kind: assignment.name for assignment in self._assignments(light, choice) if assignment.name != NO_SHADOWS
+                assignment.kind: assignment.algorithm
+                for assignment in self._assignments(light, choice)
+                if assignment.algorithm != NO_SHADOWS
             }
         algorithm = self._combinations[combination]
         of_name = {name: self._resolve(light, name, choice)[0] for name in dict.fromkeys(algorithm.values())}
@@ -171,37 +175,37 @@ class Planner:
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
         """Return the plan for choices by light. Raises the errors of ``make_plan``."""
-        descriptor, shadows, requester = self.descriptor, self.asked, self.request.requester("algorithm")
+        descriptor, shadows, requester = self.descriptor, self.requested_shadows, self.request.requester("algorithm")
         assignments = [assignment for light in self.lights for assignment in self._assignments(light, choices.get(light))]
         reasons = [
-            Reasoned(name=f"{assignment.light}/{assignment.kind}: {assignment.name}", reason=assignment.why)
+            NamedReason(name=f"{assignment.light}/{assignment.kind}: {assignment.algorithm}", reason=assignment.reason)
             for assignment in assignments
         ]
         algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
         settings: dict[str, dict[CasterKind, AlgorithmSettings]] = {}
         reported = set()
         for assignment in assignments:
-            algorithm.setdefault(assignment.light, {})[assignment.kind] = assignment.name
-            kind_settings, setting_reasons = self._settings(assignment.light, assignment.name, choices.get(assignment.light))
-            if (assignment.light, assignment.name) not in reported:
+            algorithm.setdefault(assignment.light, {})[assignment.kind] = assignment.algorithm
+            kind_settings, setting_reasons = self._settings(assignment.light, assignment.algorithm, choices.get(assignment.light))
+            if (assignment.light, assignment.algorithm) not in reported:
                 reasons += setting_reasons
-                reported.add((assignment.light, assignment.name))
+                reported.add((assignment.light, assignment.algorithm))
             if kind_settings is not None:
                 settings.setdefault(assignment.light, {})[assignment.kind] = kind_settings
         if self._unreached_lamps:
             dark = format_list(list(self._unreached_lamps))
-            reasons.append(Reasoned(name="lamps left out", reason=f"no light from {dark} reaches the view"))
+            reasons.append(NamedReason(name="lamps left out", reason=f"no light from {dark} reaches the view"))
         reasons += _requested_setting_reasons(self.request, settings, reasons)
         if descriptor.pieces > 1 and settings:
-            reasons.append(Reasoned(name="supersampling", reason=SUPERSAMPLING_REASON.format(side=descriptor.pieces)))
+            reasons.append(NamedReason(name="supersampling", reason=SUPERSAMPLING_REASON.format(side=descriptor.pieces)))
         effects, left_out = _without_idle_effects(self.effects, self.left_out, algorithm, settings)
-        used = {assignment.name for assignment in assignments}
+        used_algorithms = {assignment.algorithm for assignment in assignments}
         no_shadows_reason = self._left_out_reasons.get("cast_shadows")
         plan = Plan(
             view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
             rejected=[
-                Reasoned(name=name, reason=no_shadows_reason or _rejection_reason(name, assignments, requester, rejected))
-                for name in ALGORITHMS if name not in used
+                NamedReason(name=name, reason=no_shadows_reason or _rejection_reason(name, assignments, requester, rejected))
+                for name in ALGORITHMS if name not in used_algorithms
             ],
             passes=[], target=Target(max_error=shadows.max_error, max_ms=shadows.max_ms), reasons=reasons,
         )  # fmt: skip
@@ -220,45 +224,58 @@ class Planner:
                 self.algorithm_override.get(light, {}).get(caster),
                 requirements_of(self.descriptor, kind_of_light, caster, self._is_area(light)),
             )
-            name, why, is_free = _algorithm(
+            name, reason, is_free = _algorithm(
                 self.descriptor, light, caster, requested, self.request, left_out_reasons, self.forced, choice
             )
-            requested_name, why_not = name, _fallback_reason(name, parts)
-            if why_not is not None:
-                name, why = FALLBACK, f"{self.request.requester('algorithm')} sets {requested_name}, but {why_not}"
+            requested_algorithm, fallback_reason = name, _fallback_reason(name, parts)
+            if fallback_reason is not None:
+                name, reason = FALLBACK, f"{self.request.requester('algorithm')} sets {requested_algorithm}, but {fallback_reason}"
             _check_served(name, light, caster, parts, self.request)
-            assignments.append(_Assignment(light, caster, name, why, is_free, parts, requested_name))
+            assignments.append(_Assignment(light, caster, name, reason, is_free, parts, requested_algorithm))
         return assignments
 
     def _is_area(self, light: str) -> bool:
         """Return whether a light is drawn as an area. The sun is not, if its edges are to be sharp."""
-        return is_area(self.descriptor, light, self.asked) and not (light == SUN and "soft_edges" in self._left_out_reasons)
+        return is_area(self.descriptor, light, self.requested_shadows) and not (
+            light == SUN and "soft_edges" in self._left_out_reasons
+        )
 
     def _open_settings(self, choice: Choice | None) -> dict[str, Any]:
         """Return the settings of a choice that the level and the request leave open."""
-        return {key: value for key, value in (choice.settings if choice else {}).items() if getattr(self.asked, key) == "auto"}
+        return {
+            key: value
+            for key, value in (choice.settings if choice else {}).items()
+            if getattr(self.requested_shadows, key) == "auto"
+        }
 
-    def _resolve(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
+    def _resolve(
+        self, light: str, name: AlgorithmName, choice: Choice | None
+    ) -> tuple[AlgorithmSettings | None, list[NamedReason]]:
         """Return the settings of an algorithm, if any, and the reasons for those that the choice left open. Results are cached."""
         open_settings = self._open_settings(choice)
         key = (light, name, *open_settings.items())
         if key not in self._resolved_settings:
-            asked, hard_edges_reason = self.asked.model_copy(update=open_settings), self._left_out_reasons.get("soft_edges")
-            settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, asked, hard_edges_reason))
+            shadows, hard_edges_reason = (
+                self.requested_shadows.model_copy(update=open_settings),
+                self._left_out_reasons.get("soft_edges"),
+            )
+            settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, shadows, hard_edges_reason))
             self._resolved_settings[key] = (
                 self._interned_settings.setdefault(settings, settings),
                 reasons,
             )  # equal settings share an object
         return self._resolved_settings[key]
 
-    def _settings(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
+    def _settings(
+        self, light: str, name: AlgorithmName, choice: Choice | None
+    ) -> tuple[AlgorithmSettings | None, list[NamedReason]]:
         """Return the settings of an algorithm, if any, and the reasons for them."""
         open_settings = self._open_settings(choice)
         settings, reasons = self._resolve(light, name, choice)
         chosen = [
-            Reasoned(name=f"{key} {value}", reason=choice.why[key])
+            NamedReason(name=f"{key} {value}", reason=choice.reason[key])
             for key, value in open_settings.items()
-            if choice and key in choice.why
+            if choice and key in choice.reason
         ]
         used_keys = {} if settings is None else settings.as_overrides
         return settings, [*(reasoned for reasoned in chosen if reasoned.name.split()[0] in used_keys), *reasons]
@@ -274,35 +291,35 @@ class _Assignment:
         Name of the light.
     kind
         Kind of casters.
-    name
+    algorithm
         The algorithm.
-    why
+    reason
         The reason for it.
     is_free
         Whether the policy chose it.
     parts
         What the algorithm must be able to do.
-    requested_name
+    requested_algorithm
         The chosen or requested algorithm, before a fallback.
     """
 
     light: str
     kind: CasterKind
-    name: AlgorithmName
-    why: str
+    algorithm: AlgorithmName
+    reason: str
     is_free: bool
     parts: tuple[Requirement, ...]
-    requested_name: AlgorithmName
+    requested_algorithm: AlgorithmName
 
 
-def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
+def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows) -> tuple[list[NamedReason], list[NamedReason]]:
     """Return the effects that run and those that are left out."""
-    effects: list[Reasoned] = []
-    left_out: list[Reasoned] = []
+    effects: list[NamedReason] = []
+    left_out: list[NamedReason] = []
     for name, effect in EFFECTS.items():
         verdict = effect.verdict(name, descriptor)
         requested = _requested_effect(plan_request, name)
-        runs, reason = verdict.called_for, verdict.reason
+        runs, reason = verdict.is_needed, verdict.reason
         if requested != "auto":
             runs, reason = requested == "on", f"forced {requested} by the level ({verdict.reason})"
         elif name == "soft_edges" and shadows.filter != "auto":
@@ -310,7 +327,7 @@ def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows
         missing_needs = [other for other in left_out if other.name in effect.needs]
         if runs and missing_needs:
             runs, reason = False, f"needs {missing_needs[0].name}, which is left out: {missing_needs[0].reason}"
-        (effects if runs else left_out).append(Reasoned(name=name, reason=reason))
+        (effects if runs else left_out).append(NamedReason(name=name, reason=reason))
     return effects, left_out
 
 
@@ -319,11 +336,11 @@ def _requested_effect(plan_request: PlanRequest, name: EffectName) -> str:
 
 
 def _without_idle_effects(
-    effects: list[Reasoned],
-    left_out: list[Reasoned],
+    effects: list[NamedReason],
+    left_out: list[NamedReason],
     algorithm: dict[str, dict[CasterKind, AlgorithmName]],
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
-) -> tuple[list[Reasoned], list[Reasoned]]:
+) -> tuple[list[NamedReason], list[NamedReason]]:
     """Return the effects that run and those that are left out, given the algorithms.
 
     Some effects have no work with some algorithms.
@@ -341,7 +358,7 @@ def _without_idle_effects(
     if "relief" not in casting:
         idle_reasons["outside_casters"] = "no algorithm draws shadows of the ground"
     stopped = [
-        Reasoned(name=effect.name, reason=f"{idle_reasons[effect.name]} ({effect.reason})")
+        NamedReason(name=effect.name, reason=f"{idle_reasons[effect.name]} ({effect.reason})")
         for effect in effects
         if effect.name in idle_reasons
     ]
@@ -366,23 +383,23 @@ def _algorithm(
 
     ``left_out_reasons`` has the reasons of the effects that are left out, ``forced`` the effects that the level forces on.
     """
-    needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
-    for effect in sorted(needed | ({"lamps"} if light != SUN else set())):
+    needed_effects = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
+    for effect in sorted(needed_effects | ({"lamps"} if light != SUN else set())):
         if effect in left_out_reasons:
             return NO_SHADOWS, left_out_reasons[effect], False
-    if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not sun_verdict(descriptor).called_for)):
+    if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not sun_verdict(descriptor).is_needed)):
         return NO_SHADOWS, sun_verdict(descriptor).reason, False
     if requested is not None:
         return requested, request.reason_for("algorithm"), False
     if caster == "relief" and descriptor.relief_m <= 0.0:
         return NO_SHADOWS, "level ground casts no shadow", False
-    if light == SUN and not needed & set(forced) and not sun_kind_verdict(descriptor, caster).called_for:
-        return NO_SHADOWS, sun_kind_verdict(descriptor, caster).reason, False
+    if light == SUN and not needed_effects & set(forced) and not sun_caster_verdict(descriptor, caster).is_needed:
+        return NO_SHADOWS, sun_caster_verdict(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
         return NO_SHADOWS, f"no light from {light} reaches the view", False
     if choice is None or caster not in choice.algorithm:
         return FALLBACK, "serves every view, light and kind of casters", True
-    return choice.algorithm[caster], choice.why.get(caster, choice.name), True
+    return choice.algorithm[caster], choice.reason.get(caster, choice.name), True
 
 
 def _fallback_reason(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
@@ -390,17 +407,20 @@ def _fallback_reason(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str
 
     ``None`` means that it serves, or that its refusal is an error.
     """
-    others = [part for part in parts if part != FALLBACK_REQUIREMENT]
-    return None if ALGORITHMS[name].refusal(others) else ALGORITHMS[name].refusal(parts)
+    other_parts = [part for part in parts if part != FALLBACK_REQUIREMENT]
+    return None if ALGORITHMS[name].refusal(other_parts) else ALGORITHMS[name].refusal(parts)
 
 
 def _check_served(
     name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], request: ShadowRequest
 ) -> None:
     """Raise ``UnsupportedError`` if an algorithm refuses, with the algorithms that serve instead."""
-    why = ALGORITHMS[name].refusal(parts)
-    if why is not None:
-        value, allowed = f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
+    reason = ALGORITHMS[name].refusal(parts)
+    if reason is not None:
+        value, allowed = (
+            f"{name} for {caster} under {light}",
+            f"{reason}; algorithms that can: {', '.join(algorithms_serving(parts))}",
+        )
         raise UnsupportedError(request.key_path("algorithm"), value, allowed)
 
 
@@ -409,12 +429,12 @@ def _rejection_reason(
 ) -> str:
     """Return why an algorithm is not used: its own refusal, the policy's reason against it, or the preferred algorithm."""
     free_assignments = [assignment for assignment in assignments if assignment.is_free]
-    if not ALGORITHMS[name].served:
+    if not ALGORITHMS[name].is_served:
         return ALGORITHMS[name].about
-    if any(assignment.requested_name == name for assignment in assignments):
-        return ALGORITHMS[name].refuses[FALLBACK_REQUIREMENT]
+    if any(assignment.requested_algorithm == name for assignment in assignments):
+        return ALGORITHMS[name].refusals[FALLBACK_REQUIREMENT]
     if not free_assignments:
-        return f"{requester} sets {', '.join(sorted({assignment.requested_name for assignment in assignments}))}"
+        return f"{requester} sets {', '.join(sorted({assignment.requested_algorithm for assignment in assignments}))}"
     if name == NO_SHADOWS:
         return "the view has casters and light, so shadows are drawn"
     if name in rejected:
@@ -422,24 +442,24 @@ def _rejection_reason(
     if len(free_assignments) == 1:
         return (
             ALGORITHMS[name].refusal(free_assignments[0].parts)
-            or f"{free_assignments[0].name} was preferred: {free_assignments[0].why}"
+            or f"{free_assignments[0].algorithm} was preferred: {free_assignments[0].reason}"
         )
     kinds_by_reason: dict[str, list[str]] = {}
     for assignment in free_assignments:
-        why = ALGORITHMS[name].refusal(assignment.parts) or f"{assignment.name} was preferred"
-        kinds_by_reason.setdefault(why, []).append(
+        reason = ALGORITHMS[name].refusal(assignment.parts) or f"{assignment.algorithm} was preferred"
+        kinds_by_reason.setdefault(reason, []).append(
             assignment.kind if assignment.light == SUN else f"{assignment.kind} under {assignment.light}"
         )
     return "; ".join(
-        f"for {' and '.join(parts)}: {why}" if len(kinds_by_reason) > 1 else why for why, parts in kinds_by_reason.items()
+        f"for {' and '.join(parts)}: {reason}" if len(kinds_by_reason) > 1 else reason for reason, parts in kinds_by_reason.items()
     )
 
 
 def _requested_setting_reasons(
     request: ShadowRequest,
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
-    given_reasons: list[Reasoned],
-) -> list[Reasoned]:
+    given_reasons: list[NamedReason],
+) -> list[NamedReason]:
     """Return a reason for each setting that is set: who set it, and whether any chosen algorithm has it.
 
     ``given_reasons`` are reported already.
@@ -452,7 +472,7 @@ def _requested_setting_reasons(
         name = f"{key} {value}"
         if value != "auto" and name not in reported:
             reason = request.reason_for(key)
-            if not any(each.as_overrides.get(key) == value for each in resolved):
+            if not any(resolved_settings.as_overrides.get(key) == value for resolved_settings in resolved):
                 reason += ", without effect: no chosen algorithm has this setting"
-            reasons.append(Reasoned(name=name, reason=reason))
+            reasons.append(NamedReason(name=name, reason=reason))
     return reasons

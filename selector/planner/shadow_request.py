@@ -53,7 +53,7 @@ class ShadowRequest:
 
     @property
     def _pin_scope(self) -> str:
-        return "" if self.pin is None else self.pin.where
+        return "" if self.pin is None else self.pin.scope_text
 
     def _is_pinned(self, key: str) -> bool:
         return key not in self.overrides and self.pin is not None and key in self.pin.settings
@@ -64,8 +64,8 @@ def resolve_shadow_request(
 ) -> ShadowRequest:
     """Return the shadow settings for a descriptor's view under its sun. Raises ``InputError`` for a wrong override."""
     request_overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
-    own = plan_request.shadows
-    number = own.pin_number(descriptor.view, descriptor.sun_altitude_deg)
-    pin = own.pins[number] if isinstance(own, LevelShadows) and number is not None else None
+    request_shadows = plan_request.shadows
+    number = request_shadows.pin_number(descriptor.view, descriptor.sun_altitude_deg)
+    pin = request_shadows.pins[number] if isinstance(request_shadows, LevelShadows) and number is not None else None
     pinned = {} if pin is None else pin.settings
-    return ShadowRequest(override(own, {**pinned, **request_overrides}), request_overrides, pin, number)
+    return ShadowRequest(override(request_shadows, {**pinned, **request_overrides}), request_overrides, pin, number)

@@ -32,15 +32,15 @@ class ConservativeMap:
     ----------
     nearest
         Points in front of it are lit.
-    nearest_other
+    nearest_other_depth
         Points on a casting triangle in front of it are lit.
-    shaded_beyond
+    shadow_depth
         Points behind it are in shadow.
     """
 
     nearest: np.ndarray
-    nearest_other: np.ndarray
-    shaded_beyond: np.ndarray
+    nearest_other_depth: np.ndarray
+    shadow_depth: np.ndarray
 
 
 def conservative_map(size: tuple[int, int], corners: np.ndarray, edges: np.ndarray) -> ConservativeMap:
@@ -86,7 +86,9 @@ def classify_points(
     """
     n = len(depth)
     slack, on_caster = np.broadcast_to(np.asarray(slack, float), n), np.broadcast_to(on_caster, n)
-    return _decided(conservative.nearest, conservative.nearest_other, conservative.shaded_beyond, u, v, depth, slack, on_caster)
+    return _classify(
+        conservative.nearest, conservative.nearest_other_depth, conservative.shadow_depth, u, v, depth, slack, on_caster
+    )
 
 
 def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
@@ -96,15 +98,20 @@ def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray
     sqrt(1 + 2 tangent²) z_near, with the tangent of half the map's angle of view. Then all cuts fall outside of the map, and the
     map misses no clipped part.
     """
-    ahead = corners_lamp_m[..., 2] >= z_near_m
-    number = ahead.sum(axis=1)
-    one_ahead, two_ahead = corners_lamp_m[number == 1], corners_lamp_m[number == 2]
-    tip, left, right = _rotate_corners(one_ahead, np.argmax(ahead[number == 1], axis=1))
-    single = np.stack([tip, _near_plane_intersection(tip, left, z_near_m), _near_plane_intersection(tip, right, z_near_m)], axis=1)
-    behind, left, right = _rotate_corners(two_ahead, np.argmin(ahead[number == 2], axis=1))
-    to_left, to_right = _near_plane_intersection(left, behind, z_near_m), _near_plane_intersection(right, behind, z_near_m)
-    double = [np.stack([left, right, to_right], axis=1), np.stack([left, to_right, to_left], axis=1)]
-    return np.concatenate([corners_lamp_m[number == 3], single, *double])
+    is_in_front = corners_lamp_m[..., 2] >= z_near_m
+    front_count = is_in_front.sum(axis=1)
+    one_in_front, two_in_front = corners_lamp_m[front_count == 1], corners_lamp_m[front_count == 2]
+    tip, left, right = _rotate_corners(one_in_front, np.argmax(is_in_front[front_count == 1], axis=1))
+    single_parts = np.stack(
+        [tip, _near_plane_intersection(tip, left, z_near_m), _near_plane_intersection(tip, right, z_near_m)], axis=1
+    )
+    back_corner, left, right = _rotate_corners(two_in_front, np.argmin(is_in_front[front_count == 2], axis=1))
+    to_left, to_right = (
+        _near_plane_intersection(left, back_corner, z_near_m),
+        _near_plane_intersection(right, back_corner, z_near_m),
+    )
+    double_parts = [np.stack([left, right, to_right], axis=1), np.stack([left, to_right, to_left], axis=1)]
+    return np.concatenate([corners_lamp_m[front_count == 3], single_parts, *double_parts])
 
 
 def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
@@ -112,11 +119,14 @@ def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
 
     The cut points are bit-identical to those of `clipped_triangles`.
     """
-    ahead = ends_lamp_m[..., 2] >= z_near_m
-    number = ahead.sum(axis=1)
-    crossing, first = ends_lamp_m[number == 1], ahead[number == 1, 0]
-    a, b = np.where(first[:, None], crossing[:, 0], crossing[:, 1]), np.where(first[:, None], crossing[:, 1], crossing[:, 0])
-    return np.concatenate([ends_lamp_m[number == 2], np.stack([a, _near_plane_intersection(a, b, z_near_m)], axis=1)])
+    is_in_front = ends_lamp_m[..., 2] >= z_near_m
+    front_count = is_in_front.sum(axis=1)
+    crossing, first_is_in_front = ends_lamp_m[front_count == 1], is_in_front[front_count == 1, 0]
+    a, b = (
+        np.where(first_is_in_front[:, None], crossing[:, 0], crossing[:, 1]),
+        np.where(first_is_in_front[:, None], crossing[:, 1], crossing[:, 0]),
+    )
+    return np.concatenate([ends_lamp_m[front_count == 2], np.stack([a, _near_plane_intersection(a, b, z_near_m)], axis=1)])
 
 
 def _rotate_corners(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -125,26 +135,26 @@ def _rotate_corners(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray,
     return corners[n, first], corners[n, (first + 1) % 3], corners[n, (first + 2) % 3]
 
 
-def _near_plane_intersection(ahead: np.ndarray, behind: np.ndarray, z_near_m: float) -> np.ndarray:
+def _near_plane_intersection(front_points: np.ndarray, back_points: np.ndarray, z_near_m: float) -> np.ndarray:
     """Return the intersections (n, 3) of segments with the plane z = z_near, from points ahead of it to points behind it.
 
     Triangles and edges use the same arithmetic, so shared edges have identical cuts.
     """
-    share = (ahead[:, 2] - z_near_m) / (ahead[:, 2] - behind[:, 2])
-    point = ahead + share[:, None] * (behind - ahead)
-    point[:, 2] = z_near_m
-    return point
+    share = (front_points[:, 2] - z_near_m) / (front_points[:, 2] - back_points[:, 2])
+    intersections = front_points + share[:, None] * (back_points - front_points)
+    intersections[:, 2] = z_near_m
+    return intersections
 
 
 @compiled
-def _decided(nearest, nearest_other, shaded_beyond, u, v, depth, slack, on_caster):
+def _classify(nearest, nearest_other_depth, shadow_depth, u, v, depth, slack, on_caster):
     rows, cols = nearest.shape
     out = np.full(len(depth), MASKED, np.uint8)
     for i in range(len(depth)):
         if 0.0 <= u[i] < cols and 0.0 <= v[i] < rows:
             row, col = int(v[i]), int(u[i])
-            if depth[i] + slack[i] < (nearest_other if on_caster[i] else nearest)[row, col]:
+            if depth[i] + slack[i] < (nearest_other_depth if on_caster[i] else nearest)[row, col]:
                 out[i] = LIT
-            elif depth[i] - slack[i] > shaded_beyond[row, col]:
+            elif depth[i] - slack[i] > shadow_depth[row, col]:
                 out[i] = SHADED
     return out

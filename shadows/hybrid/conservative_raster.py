@@ -13,22 +13,22 @@ from skugga.terrain.compiled import compiled, internal
 MAX_DEPTH_RUNS = 3
 """Maximum number of runs of a texel."""
 
-MARGIN = 1.0 / 64.0
+TEXEL_MARGIN = 1.0 / 64.0
 """Margin of a texel's square for triangles, in texels. It covers all rounding of coordinates."""
 
-EDGE_MARGIN = 2.0 * MARGIN
+EDGE_MARGIN = 2.0 * TEXEL_MARGIN
 """Margin for edges: a triangle that touches its widened square reaches well into the wider square of its edges."""
 
-OPEN_LAYERS = 1e9
+EDGE_RUN_LAYERS = 1e9
 """Lower bound of the layers of a run with an edge: its number of layers varies over the texel."""
 
-THIN_TEXELS = 2.0**-14
+MAX_THIN_TEXELS = 2.0**-14
 """Largest thickness, in texels, of triangles drawn as their three edges: rounding decides whether they cover a point."""
 
-THIN_SHARE = 2.0**-30
+MAX_THIN_AREA_SHARE = 2.0**-30
 """Largest area of such triangles as a share of the magnitudes of the products whose difference it is."""
 
-PROBE = (0.437, 0.613)
+LAYER_PROBE = (0.437, 0.613)
 """Point of a texel where layers are counted: inside, off the lattices and diagonals where meshes tend to have edges."""
 
 PROBE_MARGIN = 2.0**-20
@@ -53,7 +53,7 @@ def certain_depths(cols, rows, corners, edges):
 
     Returns
     -------
-    nearest, nearest_other, shaded_beyond
+    nearest, nearest_other_depth, shadow_depth
         Depths float64 (rows, cols), infinite if a texel has no such run:
 
         - the near bound of the first run,
@@ -61,8 +61,8 @@ def certain_depths(cols, rows, corners, edges):
         - the far bound of the first run that is whole and of one layer or more.
     """
     nearest = np.full((rows, cols), np.inf)
-    nearest_other = np.full((rows, cols), np.inf)
-    shaded_beyond = np.full((rows, cols), np.inf)
+    nearest_other_depth = np.full((rows, cols), np.inf)
+    shadow_depth = np.full((rows, cols), np.inf)
     runs = np.empty((rows, cols, MAX_DEPTH_RUNS + 1, 3))  # near bound, far bound, layers
     counts = np.zeros((rows, cols), np.int64)
     for t in range(len(corners)):
@@ -73,14 +73,14 @@ def certain_depths(cols, rows, corners, edges):
         for col in range(cols):
             count, run = counts[row, col], runs[row, col]
             if count > 0:
-                nearest[row, col] = nearest_other[row, col] = run[0, 0]
+                nearest[row, col] = nearest_other_depth[row, col] = run[0, 0]
                 if run[0, 2] == 1.0:
-                    nearest_other[row, col] = run[1, 0] if count > 1 else np.inf
+                    nearest_other_depth[row, col] = run[1, 0] if count > 1 else np.inf
             for k in range(count):
-                if 1.0 <= run[k, 2] < OPEN_LAYERS:
-                    shaded_beyond[row, col] = run[k, 1]
+                if 1.0 <= run[k, 2] < EDGE_RUN_LAYERS:
+                    shadow_depth[row, col] = run[k, 1]
                     break
-    return nearest, nearest_other, shaded_beyond
+    return nearest, nearest_other_depth, shadow_depth
 
 
 @internal
@@ -100,7 +100,7 @@ def _draw_triangle(runs, counts, corners):
     cu, cv, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     area, terms = bu * cv - bv * cu, abs(bu * cv) + abs(bv * cu)
     longest = np.sqrt(max(bu * bu + bv * bv, cu * cu + cv * cv, (cu - bu) ** 2 + (cv - bv) ** 2))
-    if abs(area) <= max(THIN_TEXELS * longest, THIN_SHARE * terms):
+    if abs(area) <= max(MAX_THIN_TEXELS * longest, MAX_THIN_AREA_SHARE * terms):
         for k in range(3):
             _draw_edge(runs, counts, corners[k], corners[(k + 1) % 3])
         return
@@ -108,18 +108,18 @@ def _draw_triangle(runs, counts, corners):
     z_min, z_max = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
     in_u = (abs(bz * cv) + abs(cz * bv) + abs(slope_u) * terms) / abs(area) * (u_max - u_min + 1.0)
     in_v = (abs(cz * bu) + abs(bz * cu) + abs(slope_v) * terms) / abs(area) * (v_max - v_min + 1.0)
-    reach = (abs(slope_u) + abs(slope_v)) * (0.5 + MARGIN)
+    reach = (abs(slope_u) + abs(slope_v)) * (0.5 + TEXEL_MARGIN)
     error = DEPTH_ROUNDING * (in_u + in_v + max(abs(z_min), abs(z_max)))
-    for row in range(*_texel_range(v_min - MARGIN, v_max + MARGIN, rows)):
-        low, high = _u_range(corners, row - MARGIN, row + 1.0 + MARGIN)
+    for row in range(*_texel_range(v_min - TEXEL_MARGIN, v_max + TEXEL_MARGIN, rows)):
+        low, high = _u_range(corners, row - TEXEL_MARGIN, row + 1.0 + TEXEL_MARGIN)
         if low > high:
             continue
-        probe_low, probe_high = _u_range(corners, row + PROBE[1] - PROBE_MARGIN, row + PROBE[1] + PROBE_MARGIN)
-        for col in range(*_texel_range(low - MARGIN, high + MARGIN, cols)):
+        probe_low, probe_high = _u_range(corners, row + LAYER_PROBE[1] - PROBE_MARGIN, row + LAYER_PROBE[1] + PROBE_MARGIN)
+        for col in range(*_texel_range(low - TEXEL_MARGIN, high + TEXEL_MARGIN, cols)):
             middle = a[2] + slope_u * (col + 0.5 - a[0]) + slope_v * (row + 0.5 - a[1])
             near = max(z_min, middle - reach) - error
             far = max(near, min(z_max, middle + reach) + error)
-            covers = probe_low - PROBE_MARGIN <= col + PROBE[0] <= probe_high + PROBE_MARGIN
+            covers = probe_low - PROBE_MARGIN <= col + LAYER_PROBE[0] <= probe_high + PROBE_MARGIN
             counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, 1.0 if covers else 0.0)
 
 
@@ -142,7 +142,7 @@ def _draw_edge(runs, counts, a, b):
             if first <= last:
                 z_first, z_last = a[2] + first * (b[2] - a[2]), a[2] + last * (b[2] - a[2])
                 near, far = min(z_first, z_last) - error, max(z_first, z_last) + error
-                counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, OPEN_LAYERS)
+                counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, EDGE_RUN_LAYERS)
 
 
 @internal
@@ -178,15 +178,15 @@ def _u_range(corners, low, high):
 
     The part is convex, so it meets exactly the squares of the row between these bounds.
     """
-    least, greatest = np.inf, -np.inf
+    u_min, u_max = np.inf, -np.inf
     for k in range(3):
         n = (k + 1) % 3
         start, stop = _clip_interval(corners[k, 1], corners[n, 1], low, high, 0.0, 1.0)
         if start <= stop:
-            way = corners[n, 0] - corners[k, 0]
-            u_start, u_stop = corners[k, 0] + start * way, corners[k, 0] + stop * way
-            least, greatest = min(least, u_start, u_stop), max(greatest, u_start, u_stop)
-    return least, greatest
+            edge_u = corners[n, 0] - corners[k, 0]
+            u_start, u_stop = corners[k, 0] + start * edge_u, corners[k, 0] + stop * edge_u
+            u_min, u_max = min(u_min, u_start, u_stop), max(u_max, u_start, u_stop)
+    return u_min, u_max
 
 
 @internal

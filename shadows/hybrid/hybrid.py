@@ -19,7 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from skugga.shadows.algorithm import FEW_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from skugga.shadows.algorithm import COMPANION_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from skugga.shadows.attached import attached
 from skugga.shadows.hybrid.conservative_map import MASKED, SHADED
 from skugga.shadows.hybrid.maps import classify_pixels, map_pictures
@@ -30,7 +30,7 @@ from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import lamp_map, sun_maps
 from skugga.shadows.passes import PassLog
 from skugga.shadows.volumes.drawing import count, faces_in_front
-from skugga.shadows.volumes.shadow_volume import KEEPS, VOLUME_REFUSALS, has_too_much_ground
+from skugga.shadows.volumes.shadow_volume import VOLUME_CACHES, VOLUME_REFUSALS, has_too_much_ground
 from skugga.shadows.volumes.tiles import marked_tiles
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.terrain.casters.reach import Casters
@@ -66,15 +66,15 @@ def fill(
         classes = classify_pixels(buffer, scene, light, kinds, volumes, settings.map.map_size, receiver_mask, passes, log)
         log.keep("shadow-map", light, map_pictures, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
     log.keep("volumes", light, faces_in_front, buffer, scene, volumes)
-    marks = classes == MASKED
-    log.keep("silhouettes", light, lambda: np.where(marks, np.uint8(255), np.uint8(0)))
+    is_masked = classes == MASKED
+    log.keep("silhouettes", light, lambda: np.where(is_masked, np.uint8(255), np.uint8(0)))
     with log.run(passes[3]) as record:
-        row, col = np.nonzero(marks[: buffer.view.rows])
+        row, col = np.nonzero(is_masked[: buffer.view.rows])
         record.marked += len(row)
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
-        counts = count(buffer, scene, light_frame, volumes, settings, marks, True, record)
+        counts = count(buffer, scene, light_frame, volumes, settings, is_masked, True, record)
     log.keep("stencil", light, counts.copy)
-    return np.where(np.where(marks, counts > 0, classes == SHADED), np.float32(0.0), np.float32(1.0))
+    return np.where(np.where(is_masked, counts > 0, classes == SHADED), np.float32(0.0), np.float32(1.0))
 
 
 def _classify_by_comparison(
@@ -93,7 +93,7 @@ def _classify_by_comparison(
     if isinstance(map_settings, ShadowMapSettings):
         maps = sun_maps(buffer, scene, map_settings, None)
     else:
-        maps = [drawn for drawn in [lamp_map(buffer, scene.lamps[light], map_settings, None)] if drawn is not None]
+        maps = [depth_map for depth_map in [lamp_map(buffer, scene.lamps[light], map_settings, None)] if depth_map is not None]
     if not maps:  # a lamp that shines on nothing
         with log.run(passes[1]):
             pass
@@ -104,7 +104,7 @@ def _classify_by_comparison(
     return classes
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
+def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
     sizes = (512, 2048) if grid != "few" and light == SUN and not descriptor.relief_m else (1024,)
     for size in sizes:
         yield resolve_hybrid(SettingsRequest(descriptor, light, Shadows(map_size=size)))[0]
@@ -116,21 +116,23 @@ ALGORITHM = Algorithm(
     plural="hybrid",
     fill=fill,
     passes=PASSES,
-    refuses={
+    refusals={
         **VOLUME_REFUSALS,
         "area light": "its map leaves pixels at hard edges to volumes, and a penumbra has no hard edge (shadow_volume serves it)",
     },
     layers=("shadow-map", "stencil", "silhouettes", "volumes"),
     settings=(HybridSettings,),
     resolve=resolve_hybrid,
-    keeps=("skugga.shadows.hybrid.maps", *KEEPS),
+    cache_names=("skugga.shadows.hybrid.maps", *VOLUME_CACHES),
     search=Search(
-        companion_map_sizes=FEW_MAP_SIZES, is_excluded=has_too_much_ground, variants=({"mask": "original"}, {"map_size": 2048})
+        companion_map_sizes=COMPANION_MAP_SIZES,
+        is_excluded=has_too_much_ground,
+        variants=({"mask": "original"}, {"map_size": 2048}),
     ),
     cost=Cost(
         hybrid_work,
         passes={"silhouettes": "silhouettes", "conservative map": "map", "counting": "stencil"},
-        calibrated=_calibrated,
+        calibration_settings=_calibration_settings,
     ),
     mark=Mark("triangle", "green"),
 )

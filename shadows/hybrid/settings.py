@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from skugga.shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.resolve import resolve_uniform_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.volumes.settings import StencilSettings, stencil_settings
@@ -35,14 +35,16 @@ class HybridSettings(StencilSettings):
 
 def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
     """Return the hybrid's settings under a light, and the reasons for those resolved from ``auto``."""
-    asked = request.shadows
-    size = HYBRID_TEXELS if asked.map_size == "auto" else asked.map_size
-    wish = asked.model_copy(update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"})
-    settings, _ = resolve_uniform_map(SettingsRequest(request.descriptor, request.light, wish))
-    mask = "conservative" if asked.mask == "auto" else asked.mask
+    shadows = request.shadows
+    size = HYBRID_TEXELS if shadows.map_size == "auto" else shadows.map_size
+    map_shadows = shadows.model_copy(
+        update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"}
+    )
+    settings, _ = resolve_uniform_map(SettingsRequest(request.descriptor, request.light, map_shadows))
+    mask = "conservative" if shadows.mask == "auto" else shadows.mask
     reasons = request.ignored_filter_reasons("hybrid")
-    if asked.map_size == "auto":
-        reasons.append(Reasoned(name=f"map_size {size}", reason="a small map: shadow volumes decide where it cannot"))
-    if asked.mask == "auto":
-        reasons.append(Reasoned(name=f"mask {mask}", reason="the map decides only pixels where it is provably right"))
-    return HybridSettings(map=settings, mask=mask, **stencil_settings(asked)), reasons
+    if shadows.map_size == "auto":
+        reasons.append(NamedReason(name=f"map_size {size}", reason="a small map: shadow volumes decide where it cannot"))
+    if shadows.mask == "auto":
+        reasons.append(NamedReason(name=f"mask {mask}", reason="the map decides only pixels where it is provably right"))
+    return HybridSettings(map=settings, mask=mask, **stencil_settings(shadows)), reasons

@@ -10,10 +10,10 @@ from skugga.shadows.maps.work import shadow_map_work
 from skugga.shadows.volumes.tiles import CULLING_TILE_PX
 from skugga.shadows.volumes.work import silhouette_counts, stencil_counts, volume_faces
 from skugga.shadows.work import Work, Workload
-from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 
-FINEST_SHARE = 256.0 * POSITION_ERROR
-"""Minimum texel size of a hybrid's map, as a share of the extent of the visible points (``FINEST_ERRORS`` rounding errors)."""
+MIN_TEXEL_SHARE = 256.0 * POSITION_ERROR
+"""Minimum texel size of a hybrid's map, as a share of the extent of the visible points (``MIN_TEXEL_ERRORS`` rounding errors)."""
 
 
 def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
@@ -28,27 +28,27 @@ def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
     _, caps, ground = volume_faces(task)
     faces = 6.0 if task.light_kind == "omni" else 1.0
     texels = faces * size**2
-    drawn = {
+    map_counts = {
         "blocks": 1.0, "texels": texels, "texels of ground": texels if task.caster_facts("relief") else 0.0,
         "texels in shadow": texels * task.facts.cast_share, "caps": caps, "ground": ground, "facing": task.facing,
     }  # fmt: skip
     mask = {"blocks": 1.0, "facing": task.facing, "pixels": task.pixels, "texels": texels}
-    return counting | {task.by_view("conservative map"): drawn, "mask": mask}
+    return counting | {task.by_view("conservative map"): map_counts, "mask": mask}
 
 
 def _texel_px(task: Workload, map_size: int) -> tuple[float, float]:
     """Return the size of a map's texel in pixels, and the number of texels a side."""
-    across_m = np.sqrt(task.seen_light_m2)
-    far_m = max((band.far_m for band in task.descriptor.bands), default=across_m)
-    texel_m = max(across_m / map_size, FINEST_SHARE * far_m / 2.0)
-    return texel_m / task.descriptor.pixel_m, across_m / texel_m
+    extent_m = np.sqrt(task.seen_light_m2)
+    far_m = max((band.far_m for band in task.descriptor.bands), default=extent_m)
+    texel_m = max(extent_m / map_size, MIN_TEXEL_SHARE * far_m / 2.0)
+    return texel_m / task.descriptor.pixel_m, extent_m / texel_m
 
 
 def _masked_share(task: Workload, side_px: float) -> float:
     """Return the share of the picture in squares of a side (pixels) with a shadow edge; 1 without facts on casters."""
     if not task.facts.casts:
         return 1.0
-    ladder = np.log2(TEXEL_LADDER_PX)
+    ladder = np.log2(TEXEL_SIZES_PX)
     shares = [
         band.share * np.interp(np.log2(side_px), ladder, band.differs)
         for kind, casting in task.facts.casts.items() if kind in task.kinds

@@ -23,7 +23,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device, device
 from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
-from skugga.terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
 if TYPE_CHECKING:
     from moderngl import Framebuffer
@@ -55,48 +55,48 @@ def draw_map(
     one.
     """
     meshes = caster_meshes(scene, buffer, kinds)
-    trees = _trees_drawn(depth_map, buffer, settings.filter == "sun")
+    trees = _map_trees(depth_map, buffer, settings.filter == "sun")
     # A block's sheets are made for every picture of it, so its pictures are cached instead.
     content = None if isinstance(buffer.view, MapView) else _content_key(depth_map, settings, meshes, trees)
-    kept = None if content is None else gl.depth_targets.kept(content)
-    if kept is not None:
+    cached_target = None if content is None else gl.depth_targets.get(content)
+    if cached_target is not None:
         record.kept += 1
         record.bytes = max(record.bytes, depth_map.nbytes)
-        return kept
+        return cached_target
     width, height = depth_map.size
-    across, down = depth_map.texture_size
-    target = gl.depth_target(_with_room(across), _with_room(down), depth_map.depth_bits)
+    texture_width, texture_height = depth_map.texture_size
+    target = gl.depth_target(_rounded_texture_side(texture_width), _rounded_texture_side(texture_height), depth_map.depth_bits)
     solid = gl.program(shader(depth_map.shaders[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
     set_uniforms(solid, depth_map.uniforms)
     if trees is not None:
         vertex = shader(depth_map.shaders[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
         leaves = gl.program(vertex, shader("shadows/maps/depth_tree.frag"))
-        set_uniforms(leaves, {**depth_map.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": trees.curvature})
-    largest = 0
+        set_uniforms(leaves, {**depth_map.uniforms, "foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": trees.curvature})
+    largest_bytes = 0
     factor, units = (settings.bias_scale * part if settings.bias == "polygon_offset" else 0.0 for part in POLYGON_OFFSET)
     with gl.depth_pass(target, (factor, units)):
         for number, face in enumerate(depth_map.faces):
             gl.ctx.viewport = (number % 3 * width, number // 3 * height, width, height)
             if len(depth_map.faces) > 1:
-                turned = _turned(depth_map.uniforms, face)
-                set_uniforms(solid, turned)
+                face_uniforms = _face_uniforms(depth_map.uniforms, face)
+                set_uniforms(solid, face_uniforms)
                 if trees is not None:
-                    set_uniforms(leaves, turned)
+                    set_uniforms(leaves, face_uniforms)
             for sheet in caster_sheets(scene, buffer, casters, kinds):
                 record.triangles += gl.draw_sheet(solid, sheet.position_frame_m, sheet.triangles)
-                largest = max(largest, sheet.position_frame_m.size * 4 + sheet.triangles.nbytes)
-            for (vertices, triangles), culled in _with_culling(meshes, scene, kinds, settings.culling):
-                with gl.cull_front_faces(_is_mirrored(depth_map)) if culled else nullcontext():
+                largest_bytes = max(largest_bytes, sheet.position_frame_m.size * 4 + sheet.triangles.nbytes)
+            for (vertices, triangles), culls_front in _meshes_with_culling(meshes, scene, kinds, settings.culling):
+                with gl.cull_front_faces(_is_mirrored(depth_map)) if culls_front else nullcontext():
                     record.triangles += gl.draw_triangles(solid, vertices, triangles)
-                largest = max(largest, len(vertices) * 12 + triangles.nbytes)
+                largest_bytes = max(largest_bytes, len(vertices) * 12 + triangles.nbytes)
             if trees is not None:
-                gl.layers(foliage().levels).use(0)
-                variant = np.concatenate([trees.turn, trees.variant[:, None]], axis=1)
+                gl.layers(foliage().mip_levels).use(0)
+                variant = np.concatenate([trees.yaw_cos_sin, trees.variant[:, None]], axis=1)
                 instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", variant)]
                 record.triangles += gl.draw_instances(leaves, QUAD_TRIANGLES, instances)
-                largest = max(largest, len(trees) * 40)
+                largest_bytes = max(largest_bytes, len(trees) * 40)
     record.map_texels += depth_map.texels
-    record.bytes = max(record.bytes, depth_map.nbytes + largest)
+    record.bytes = max(record.bytes, depth_map.nbytes + largest_bytes)
     gl.check("depth map")
     if content is not None:
         gl.depth_targets.keep(target, content)
@@ -108,13 +108,13 @@ def draw_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator[
 
     The next map is drawn before a map is yielded. An asynchronous device then works while the map is read and sampled.
     """
-    ahead = [draw(each) for each in maps[:1]]
-    for number, each in enumerate(maps):
-        ahead += [draw(following) for following in maps[number + 1 : number + 2]]
-        yield each, ahead.pop(0)
+    targets = [draw(depth_map) for depth_map in maps[:1]]
+    for number, depth_map in enumerate(maps):
+        targets += [draw(next_map) for next_map in maps[number + 1 : number + 2]]
+        yield depth_map, targets.pop(0)
 
 
-def depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndarray:
+def read_depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndarray:
     """Return a map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts.
 
     The light's up is the upper row.
@@ -123,7 +123,7 @@ def depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndarray:
     return texels if depth_map.uniforms["lamp"] else texels[::-1]
 
 
-def _with_room(side: int) -> int:
+def _rounded_texture_side(side: int) -> int:
     """Return a side of the texture in which a map is drawn.
 
     The sizes of maps that follow a camera or the sun differ a little. Rounding lets them share a texture.
@@ -131,7 +131,9 @@ def _with_room(side: int) -> int:
     return min(-(-side // TEXTURE_STEP) * TEXTURE_STEP, device().max_size) if side > TEXTURE_STEP else side
 
 
-def _with_culling(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:
+def _meshes_with_culling(
+    meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling
+) -> list[tuple[Mesh, bool]]:
     """Return the meshes and ground to draw, each with whether its front faces are culled: those of closed bodies alone."""
     if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]
@@ -156,14 +158,14 @@ def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh],
     return settings, depth_map.size, len(depth_map.faces), tuple(depth_map.uniforms.items()), geometry, tree_digest
 
 
-def _trees_drawn(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
+def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
     """Return a map's trees, without those that shade no visible point."""
     if depth_map.trees is None or depth_map.reach is None:
         return depth_map.trees
     return depth_map.trees.select(relevant_trees(depth_map, buffer, soft))
 
 
-def _turned(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:
+def _face_uniforms(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:
     """Return a lamp's rotation and offset, turned to one of its faces."""
     rotation = face @ np.array(uniforms["light_from_frame"]).reshape(3, 3).T
     return {"light_from_frame": tuple(rotation.T.ravel()), "light_offset_m": tuple(face @ np.array(uniforms["light_offset_m"]))}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skugga.shadows.maps.drawing import MapSettings, depths, draw_ahead, draw_map
+from skugga.shadows.maps.drawing import MapSettings, draw_ahead, draw_map, read_depths
 from skugga.shadows.maps.lookup import look_up
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassLog
@@ -65,7 +65,7 @@ def visibility_by_maps(
             return draw_map(gl, depth_map, buffer, scene, kinds, casters, settings, record)
 
     for depth_map, target in draw_ahead(maps, draw):
-        log.keep("shadow-map", light, depths, gl, depth_map, target)
+        log.keep("shadow-map", light, read_depths, gl, depth_map, target)
         with log.run(look_up_pass) as record:
             look_up(gl, depth_map, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
     return visibility

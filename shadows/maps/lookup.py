@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skugga.shadows.maps.drawing import MapSettings
-from skugga.shadows.maps.point_lookup import DepthComparison, LitPoints, look_points_up, sun_map
-from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, MIN_DISC_TAPS, WIDEST_TEXELS, samples_before_edges
+from skugga.shadows.maps.point_lookup import DepthComparison, LookupPoints, look_up_points, sun_map
+from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, MAX_HALF_DISC_TEXELS, MIN_DISC_TAPS, samples_before_edges
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.compiled import compiled
@@ -27,15 +27,15 @@ from skugga.terrain.lights import LightPosition
 if TYPE_CHECKING:
     from moderngl import Framebuffer, Program
 
-LOOK_COLS, LOOK_ROWS = 2048, 384
+LOOKUP_COLS, LOOKUP_ROWS = 2048, 384
 """Columns and rows of the textures in which points of a perspective view are looked up: 50 MB."""
 
 MAX_GATHERED_SHARE = 0.5
 """Threshold of the valid share of a map's pixels below which only valid pixels are gathered and looked up."""
 
-TINY = np.float32(1e-9)
+CREASE_EPSILON = np.float32(1e-9)
 
-MAP_UNIT = 5
+DEPTH_MAP_UNIT = 5
 """Texture unit of the depth map."""
 
 MIN_DEPTH_UNIT = 6
@@ -57,11 +57,11 @@ def look_up(
 ) -> None:
     """Fill the visibility (rows, cols) of a map's points. ``light_frame`` is the position of the light whose map it is."""
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
-    with _bound_min_depths(gl, depth_map, target, settings):
+    with _bind_min_depths(gl, depth_map, target, settings):
         if isinstance(view, MapView) and buffer.columns is not None:
-            on_tops = np.where(buffer.kind == RELIEF, np.float32(-1.0), buffer.crease)
-            facing = np.concatenate([buffer.normal_frame, on_tops[..., None]], axis=-1)
-            arrays = [buffer.position_frame_m, facing, column_top_corners(buffer).reshape(len(facing), -1, 3)]
+            top_crease = np.where(buffer.kind == RELIEF, np.float32(-1.0), buffer.crease)
+            normal_and_crease = np.concatenate([buffer.normal_frame, top_crease[..., None]], axis=-1)
+            arrays = [buffer.position_frame_m, normal_and_crease, column_top_corners(buffer).reshape(len(normal_and_crease), -1, 3)]
             program = _program(gl, depth_map, settings, settings.filter, {"on_nodes": False, "has_corners": True})
             set_uniforms(program, {"corner_frame_m": 2})
             visibility[:] = _run_lookup(gl, program, arrays, target, depth_map, record)
@@ -70,8 +70,10 @@ def look_up(
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.valid.shape
             # a lifted point lies on none of the triangles around its node; a negative crease marks it
-            crease = facets.crease if buffer.lifted is None else np.where(buffer.lifted, -facets.crease - TINY, facets.crease)
-            facing = np.concatenate([facets.normal_frame, crease[..., None]], axis=-1)
+            crease = (
+                facets.crease if buffer.lifted is None else np.where(buffer.lifted, -facets.crease - CREASE_EPSILON, facets.crease)
+            )
+            normal_and_crease = np.concatenate([facets.normal_frame, crease[..., None]], axis=-1)
             chosen = np.flatnonzero(buffer.valid)
             triangle_flags = {
                 "on_nodes": True,
@@ -82,48 +84,58 @@ def look_up(
             first = (view.col0 - window.col0, view.row0 - window.row0)
             nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step)}
             set_uniforms(program, {**nodes, "corner_frame_m": 3, "place": 3 if corners is None else 4})
-            arrays = [buffer.position_frame_m, facing, *(() if corners is None else (corners.reshape(rows, cols * 3, 3),))]
+            arrays = [
+                buffer.position_frame_m,
+                normal_and_crease,
+                *(() if corners is None else (corners.reshape(rows, cols * 3, 3),)),
+            ]
             visibility[:] = 1.0
             if triangle_flags["placed"]:
-                place = np.stack(np.nonzero(buffer.valid)[::-1], axis=-1).astype(np.float32)
-                gathered = [_in_rows(array.reshape(rows * cols, -1)[chosen]) for array in arrays] + [_in_rows(place)]
+                pixel_xy = np.stack(np.nonzero(buffer.valid)[::-1], axis=-1).astype(np.float32)
+                gathered = [_reshape_to_rows(array.reshape(rows * cols, -1)[chosen]) for array in arrays] + [
+                    _reshape_to_rows(pixel_xy)
+                ]
                 arrays = [gathered[0], gathered[1], *(array.reshape(len(array), -1, 3) for array in gathered[2:-1]), gathered[-1]]
-            arrays.insert(2, _nodes(window.casting.sheet))
+            arrays.insert(2, _nodes_with_cuts(window.casting.sheet))
             lit = _run_lookup(gl, program, arrays, target, depth_map, record)
             visibility.ravel()[chosen] = lit.ravel()[: chosen.size] if triangle_flags["placed"] else lit.ravel()[chosen]
             visibility[facets.blocked] = 0.0  # a map may miss occluders nearer than a texel
             return
         assert corners is not None and depth_map.pixels is not None
-        pixel_count = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
+        pixel_count = visibility.size if buffer.first_sample_row is None else buffer.first_sample_row * visibility.shape[1]
         split = int(np.searchsorted(depth_map.pixels, pixel_count))
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged anyway
         parts = (depth_map.pixels[:split], settings.filter), (depth_map.pixels[split:], sample_filter)
-        flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)]
+        flat_arrays = [
+            a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)
+        ]
         if settings.filter != "sun" and not depth_map.uniforms["lamp"] and depth_map.is_uniform:
             depths = gl.read(target, -1, "u2" if depth_map.depth_bits == 16 else "f4", size=depth_map.size, reuse_memory=True)
             record.bytes = max(record.bytes, depth_map.nbytes + depths.nbytes)
-            points = LitPoints(flat[0], flat[1], flat[2][:, 0], flat[3])
+            points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], flat_arrays[3])
             for part, filter in parts:
-                look_points_up(sun_map(depth_map, depths), _comparison(settings, int(filter)), points, part, visibility.reshape(-1))
+                look_up_points(sun_map(depth_map, depths), _comparison(settings, int(filter)), points, part, visibility.reshape(-1))
                 record.add_loop(POINT_LOOKUP, int(filter))
             return
         for part, filter in parts:
-            for start in range(0, len(part), LOOK_COLS * LOOK_ROWS):
-                chosen = part[start : start + LOOK_COLS * LOOK_ROWS]
+            for start in range(0, len(part), LOOKUP_COLS * LOOKUP_ROWS):
+                chosen = part[start : start + LOOKUP_COLS * LOOKUP_ROWS]
                 program = _program(gl, depth_map, settings, filter, {"on_nodes": False, "has_corners": True})
                 set_uniforms(program, {"corner_frame_m": 2})
-                rows = -(-len(chosen) // LOOK_COLS)
-                gathered = [np.zeros((rows * LOOK_COLS, width), np.float32) for width in (3, 4, 9)]
-                _gather(chosen, *flat, *gathered)
+                rows = -(-len(chosen) // LOOKUP_COLS)
+                gathered = [np.zeros((rows * LOOKUP_COLS, width), np.float32) for width in (3, 4, 9)]
+                _gather(chosen, *flat_arrays, *gathered)
                 arrays = [array.reshape(rows, -1, width) for array, width in zip(gathered, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _run_lookup(gl, program, arrays, target, depth_map, record).ravel()[: len(chosen)]
 
 
 def _comparison(settings: MapSettings, taps: int) -> DepthComparison:
-    by_triangles = settings.bias == "receiver_plane"
+    uses_triangles = settings.bias == "receiver_plane"
     # Points without a known triangle get fewer taps: a large offset would miss casters that touch the surface.
-    beside = min(taps, 2) if by_triangles else taps
-    return DepthComparison(by_triangles, settings.bias != "polygon_offset", np.float32(settings.bias_scale), taps, beside)
+    taps_without_triangle = min(taps, 2) if uses_triangles else taps
+    return DepthComparison(
+        uses_triangles, settings.bias != "polygon_offset", np.float32(settings.bias_scale), taps, taps_without_triangle
+    )
 
 
 def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int | str, triangle_flags: dict[str, bool]) -> Program:
@@ -133,23 +145,23 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
     """
     from moderngl import Uniform
 
-    disc, taps = filter == "sun", MIN_DISC_TAPS if filter == "sun" else int(filter)
-    by = _comparison(settings, taps)
+    is_disc, taps = filter == "sun", MIN_DISC_TAPS if filter == "sun" else int(filter)
+    comparison = _comparison(settings, taps)
     constants = triangle_flags | {
-        "lamp": depth_map.uniforms["lamp"], "faces": len(depth_map.faces), "by_triangles": by.by_triangles,
-        "by_offset": by.by_offset,
-        "taps": taps, "lit_by_taps": not disc, "taps_beside": by.taps_beside,
+        "lamp": depth_map.uniforms["lamp"], "faces": len(depth_map.faces), "uses_triangles": comparison.uses_triangles,
+        "uses_offset": comparison.uses_offset,
+        "taps": taps, "lit_by_taps": not is_disc, "taps_without_triangle": comparison.taps_without_triangle,
     }  # fmt: skip
-    fragment = shader(depth_map.shaders[1], "shadows/maps/sun_disc.frag" if disc else "shadows/maps/shadow_map.frag")
+    fragment = shader(depth_map.shaders[1], "shadows/maps/sun_disc.frag" if is_disc else "shadows/maps/shadow_map.frag")
     program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
         **depth_map.uniforms, "map_size": depth_map.size, "bias_scale": settings.bias_scale,
-        "position_frame_m": 0, "normal_frame": 1, "depth_map": MAP_UNIT,
+        "position_frame_m": 0, "normal_frame": 1, "depth_map": DEPTH_MAP_UNIT,
     })  # fmt: skip
     if "face_from_lamp" in program:
         program["face_from_lamp"] = [tuple(face.T.ravel()) for face in depth_map.faces]
-    if disc:
-        widest_m = tuple(WIDEST_TEXELS * side for side in depth_map.uniforms["texel_m"])
+    if is_disc:
+        widest_m = tuple(MAX_HALF_DISC_TEXELS * side for side in depth_map.uniforms["texel_m"])
         set_uniforms(program, {
             "least_depth": MIN_DEPTH_UNIT, "block_texels": BLOCK_TEXELS, "disc_tangent": DISC_TANGENT, "widest_m": widest_m,
         })  # fmt: skip
@@ -160,33 +172,33 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
     return program
 
 
-def _use_depths(target: Framebuffer) -> None:
+def _bind_depths(target: Framebuffer) -> None:
     """Bind a depth map to its texture unit."""
     from moderngl import Texture
 
     depths = target.depth_attachment
     assert isinstance(depths, Texture)
-    depths.use(MAP_UNIT)
+    depths.use(DEPTH_MAP_UNIT)
 
 
 @contextmanager
-def _bound_min_depths(gl: Device, depth_map: DepthMap, target: Framebuffer, settings: MapSettings) -> Iterator[None]:
+def _bind_min_depths(gl: Device, depth_map: DepthMap, target: Framebuffer, settings: MapSettings) -> Iterator[None]:
     """Bind the minimum depth of each block of a map's texels to its texture unit, where the sun's disc needs it."""
     if settings.filter != "sun":
         yield
         return
     program = gl.program(shader("shadows/pixels.vert"), shader("shadows/maps/least_depth.frag"))
-    set_uniforms(program, {"depth_map": MAP_UNIT, "block_texels": BLOCK_TEXELS})
-    _use_depths(target)
+    set_uniforms(program, {"depth_map": DEPTH_MAP_UNIT, "block_texels": BLOCK_TEXELS})
+    _bind_depths(target)
     width, height = depth_map.size
     blocks = gl.float_target(width // BLOCK_TEXELS, height // BLOCK_TEXELS)
     gl.draw_pixels(program, blocks)
-    least = gl.texture(gl.read(blocks))
-    least.use(MIN_DEPTH_UNIT)
+    min_depth_texture = gl.texture(gl.read(blocks))
+    min_depth_texture.use(MIN_DEPTH_UNIT)
     try:
         yield
     finally:
-        least.release()
+        min_depth_texture.release()
 
 
 def _run_lookup(
@@ -197,44 +209,44 @@ def _run_lookup(
     textures = [gl.texture(array) for array in arrays]
     for unit, texture in enumerate(textures):
         texture.use(unit)
-    _use_depths(target)
-    visible = gl.float_target(cols, rows)
-    gl.draw_pixels(program, visible)
-    lit = gl.read(visible)
-    held = sum(texture.width * texture.height * texture.components * 4 for texture in textures)
-    record.bytes = max(record.bytes, depth_map.nbytes + held + lit.nbytes)
+    _bind_depths(target)
+    lookup_target = gl.float_target(cols, rows)
+    gl.draw_pixels(program, lookup_target)
+    lit = gl.read(lookup_target)
+    texture_bytes = sum(texture.width * texture.height * texture.components * 4 for texture in textures)
+    record.bytes = max(record.bytes, depth_map.nbytes + texture_bytes + lit.nbytes)
     for texture in textures:
         texture.release()
     return lit
 
 
-def _in_rows(values: np.ndarray) -> np.ndarray:
-    """Return values (n, k) row by row as (rows, ``LOOK_COLS``, k), the last row padded with NaN."""
-    rows = max(-(-len(values) // LOOK_COLS), 1)
-    out = np.full((rows * LOOK_COLS, values.shape[1]), np.nan, np.float32)
+def _reshape_to_rows(values: np.ndarray) -> np.ndarray:
+    """Return values (n, k) row by row as (rows, ``LOOKUP_COLS``, k), the last row padded with NaN."""
+    rows = max(-(-len(values) // LOOKUP_COLS), 1)
+    out = np.full((rows * LOOKUP_COLS, values.shape[1]), np.nan, np.float32)
     out[: len(values)] = values
-    return out.reshape(rows, LOOK_COLS, -1)
+    return out.reshape(rows, LOOKUP_COLS, -1)
 
 
-def _nodes(sheet: Sheet) -> np.ndarray:
+def _nodes_with_cuts(sheet: Sheet) -> np.ndarray:
     """Return a sheet's nodes (rows, cols, 4) float32 with the cut of the quad south-east of each.
 
     The cut is 1 where it runs to the south-east.
     """
     out = np.zeros((*sheet.position_frame_m.shape[:2], 4), np.float32)
     out[..., :3] = sheet.position_frame_m
-    out[:-1, :-1, 3] = sheet.falls
+    out[:-1, :-1, 3] = sheet.is_cut_nw_se
     return out
 
 
 @compiled
-def _gather(chosen, position, normal, crease, corners, points, facings, triangles):
+def _gather(chosen, position, normal, crease, corners, points, normals_and_creases, triangles):
     """Gather some of a buffer's points (n, k) as float32: positions, normals with creases, and triangles."""
     for n in range(len(chosen)):
         i = chosen[n]
         for k in range(3):
             points[n, k] = position[i, k]
-            facings[n, k] = normal[i, k]
-        facings[n, 3] = crease[i, 0]
+            normals_and_creases[n, k] = normal[i, k]
+        normals_and_creases[n, 3] = crease[i, 0]
         for k in range(9):
             triangles[n, k] = corners[i, k]

@@ -24,11 +24,11 @@ from skugga.shadows.maps.post_perspective import (
     horizon_distance,
     is_clear_of_horizon,
     post_perspectives,
-    projected,
+    project_points,
     texel_in_picture,
     uniform_matrix,
 )
-from skugga.shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_perspective_map
+from skugga.shadows.maps.resolve import TUNED_SIZES, calibration_overrides, resolve_perspective_map
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, depth_steps
@@ -47,13 +47,13 @@ from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
 
-SAMPLE = 1024
+SAMPLE_SIZE = 1024
 """Number of receivers from which a map's matrix is chosen. The map is fitted to all receivers."""
 
-ROUNDS = 8
+MAX_FIT_ROUNDS = 8
 """Upper bound of the rounds in which the outermost receivers join the sample, before the map is widened to hold them."""
 
-TOLERANCE = 1.125
+MAX_OVERSHOOT = 1.125
 """Upper bound of the map coordinates of receivers outside of the sample, as a multiple of the map's inner half width."""
 
 CLIP_ERROR = 2.0 * POSITION_ERROR
@@ -68,7 +68,7 @@ Above it the view gets several maps, since some edges are then off by over two p
 MAX_RANGES = 4
 """Upper bound of the number of maps: that of the cascades of a shadow map."""
 
-FRONT_SHARE = 0.01
+FRONT_DEPTH_SHARE = 0.01
 """Share of the map's depth range in front of the nearest receiver."""
 
 
@@ -92,9 +92,11 @@ def fill(
     with log.run(depth_pass) as record:  # fitting a map is part of making it
         receivers = buffer.valid & ~attached(buffer, scene, light)
         shaded = receivers.any() and has_casters(scene, buffer, kinds)
-        fitted = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
-        record.note = next(filter(None, [record.note, *(each.note for each in fitted)]), "")  # the first note of any part of a view
-    maps = [each.drawn for each in fitted]
+        fitted_maps = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
+        record.note = next(
+            filter(None, [record.note, *(fitted_map.note for fitted_map in fitted_maps)]), ""
+        )  # the first note of any part of a view
+    maps = [fitted_map.depth_map for fitted_map in fitted_maps]
     return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
 
 
@@ -104,7 +106,7 @@ class FittedMap:
 
     Attributes
     ----------
-    drawn
+    depth_map
         The map to draw.
     texel_px
         Size of its texels in pixels of the picture, root mean square.
@@ -112,7 +114,7 @@ class FittedMap:
         The reason for a uniform map; empty otherwise.
     """
 
-    drawn: DepthMap
+    depth_map: DepthMap
     texel_px: float
     note: str
 
@@ -134,18 +136,18 @@ def perspective_maps(
     assert isinstance(buffer.view, PerspectiveView)
     best = [perspective_map(buffer, receivers, scene, light, settings, trees)]
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
-    ahead_m = (buffer.position_frame_m[receivers] - eye) @ camera_from_frame[2]
-    octaves = np.log2(ahead_m / ahead_m.min())
+    depth_m = (buffer.position_frame_m[receivers] - eye) @ camera_from_frame[2]
+    octaves = np.log2(depth_m / depth_m.min())
     for count in range(2, MAX_RANGES + 1):
-        coarsest_px = max(each.texel_px for each in best)
+        coarsest_px = max(part.texel_px for part in best)
         if coarsest_px <= MAX_TEXEL_PX or octaves.max() < count:
             break
-        number = np.full(receivers.shape, -1)
-        number[receivers] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
-        ranges = [range_mask for range_mask in (number == each for each in range(count)) if range_mask.any()]
-        parted = [perspective_map(buffer, range_mask, scene, light, settings, trees) for range_mask in ranges]
-        if max(each.texel_px for each in parted) < coarsest_px:
-            best = parted
+        range_number = np.full(receivers.shape, -1)
+        range_number[receivers] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
+        ranges = [range_mask for range_mask in (range_number == part for part in range(count)) if range_mask.any()]
+        split_maps = [perspective_map(buffer, range_mask, scene, light, settings, trees) for range_mask in ranges]
+        if max(part.texel_px for part in split_maps) < coarsest_px:
+            best = split_maps
     return best
 
 
@@ -159,7 +161,7 @@ def perspective_map(
 ) -> FittedMap:
     """Return the map of a light for some receivers (rows, cols) of a perspective view, at least one."""
     chosen = np.flatnonzero(receivers)
-    sampled = chosen[:: max(len(chosen) // SAMPLE, 1)]
+    sampled = chosen[:: max(len(chosen) // SAMPLE_SIZE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
     sample, triangles = position[sampled], corners.reshape(-1, 3, 3)[sampled]
@@ -168,23 +170,23 @@ def perspective_map(
     uniform = uniform_matrix(source, sample)[3]
     nearest = NEAREST_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
     rim = sample[:0]
-    for _ in range(ROUNDS):
+    for _ in range(MAX_FIT_ROUNDS):
         best, *fallbacks = post_perspectives(camera, source, sample, inner, rim)
         low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
-        if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= TOLERANCE * inner:
+        if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_OVERSHOOT * inner:
             break
         rim = np.concatenate([rim, position[outermost]])
     while not is_clear_of_horizon(np.array([low[3], high[3]])):
         best, *fallbacks = fallbacks
         low, high, _ = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
     error_m = CLIP_ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
-    narrow = np.maximum(_least_sides(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
-    low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0
+    widening = np.maximum(_min_ranges(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
+    low[:2], high[:2] = low[:2] - widening / 2.0, high[:2] + widening / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
-    flat = half_texels * fit_to_bounds(best.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
+    texel_matrix = half_texels * fit_to_bounds(best.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
     taps = 1 if settings.filter == "sun" else settings.filter
-    low[2] = min(low[2], float(_clear_depths(flat, sample, triangles, error_m, taps / 2.0).min()))
-    clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, FRONT_SHARE)
+    low[2] = min(low[2], float(_start_depths(texel_matrix, sample, triangles, error_m, taps / 2.0).min()))
+    clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, FRONT_DEPTH_SHARE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
     uniforms = {
@@ -197,28 +199,28 @@ def perspective_map(
     reach = None
     if trees is not None and light == SUN:
         assert scene.light is not None
-        turned = scene.light.from_frame(buffer.frame)
-        first, last = light_bounds(buffer.position_frame_m, receivers, *turned)
-        reach = *turned, first, last
+        light_from_frame = scene.light.from_frame(buffer.frame)
+        first, last = light_bounds(buffer.position_frame_m, receivers, *light_from_frame)
+        reach = *light_from_frame, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     assert isinstance(buffer.view, PerspectiveView)
     texel_px = texel_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
-    drawn = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders)
-    return FittedMap(drawn, texel_px, best.note)
+    depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders)
+    return FittedMap(depth_map, texel_px, best.note)
 
 
-def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
+def _min_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
     """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error (n,) of the positions (n, 3).
 
     They apply to a single receiver, or to a few at one place, where finer texels would resolve rounding only.
     """
     w = horizon_distance(matrix, points)[:, None]
-    projected_xy = projected(matrix, points)[:, :2]
+    projected_xy = project_points(matrix, points)[:, :2]
     per_m = np.linalg.norm(matrix[None, :2, :3] - projected_xy[..., None] * matrix[3, :3], axis=-1) / w
     return 4.0 * map_size * (error_m[:, None] * per_m).max(axis=0)
 
 
-def _clear_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, reach: float) -> np.ndarray:
+def _start_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, reach: float) -> np.ndarray:
     """Return the depths at which the map has to begin for points (n, 3) on triangles (n, 3, 3): z (n,) of a matrix to texels and z.
 
     The map clamps casters in front of its first depth to that depth. Such a caster shades a point under two conditions: the point
@@ -226,23 +228,23 @@ def _clear_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, e
     bound takes twice the amount that the shader subtracts, but not its share of the whole range.
     """
     w = horizon_distance(matrix, points)[:, None]
-    in_map = projected(matrix, points)
+    in_map = project_points(matrix, points)
     per_m = np.linalg.norm(matrix[None, :3, :3] - in_map[..., None] * matrix[3, :3], axis=-1) / w
     sides = corners - points[:, None]
-    beyond = sides @ matrix[3, :3]
-    x, y, z = np.moveaxis(sides @ matrix[:3, :3].T - in_map[:, None] * beyond[..., None], -1, 0)
-    ahead = w + beyond
-    share, right, up = np.cross(x, y), np.cross(y, ahead), np.cross(ahead, x)
-    area = (share * ahead).sum(axis=1)
+    w_offsets = sides @ matrix[3, :3]
+    x, y, z = np.moveaxis(sides @ matrix[:3, :3].T - in_map[:, None] * w_offsets[..., None], -1, 0)
+    corner_w = w + w_offsets
+    share, right, up = np.cross(x, y), np.cross(y, corner_w), np.cross(corner_w, x)
+    area = (share * corner_w).sum(axis=1)
     area = np.where(area == 0.0, np.inf, area)
     slope = np.abs(np.stack([(z * right).sum(axis=1), (z * up).sum(axis=1)], axis=1) / area[:, None])
     corner_depths = np.where(
-        (ahead > 0.0).all(axis=1, keepdims=True), z / np.where(ahead > 0.0, ahead, 1.0), [[-np.inf, np.inf, 0.0]]
+        (corner_w > 0.0).all(axis=1, keepdims=True), z / np.where(corner_w > 0.0, corner_w, 1.0), [[-np.inf, np.inf, 0.0]]
     )
     grid = 1.0 / 128.0 + error_m[:, None] * per_m[:, :2]
     slack = np.minimum((slope * grid).sum(axis=1), np.ptp(corner_depths, axis=1)) + error_m * per_m[:, 2]
-    nearer = 1.0 + 3.0 * w[:, 0] * (np.abs(right.sum(axis=1)) + np.abs(up.sum(axis=1))) / np.abs(area)
-    return in_map[:, 2] - 2.0 * slack * nearer**2 - np.minimum(reach * slope.sum(axis=1), -corner_depths.min(axis=1))
+    depth_ratio = 1.0 + 3.0 * w[:, 0] * (np.abs(right.sum(axis=1)) + np.abs(up.sum(axis=1))) / np.abs(area)
+    return in_map[:, 2] - 2.0 * slack * depth_ratio**2 - np.minimum(reach * slope.sum(axis=1), -corner_depths.min(axis=1))
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:
@@ -262,10 +264,10 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
 
 
 @compiled
-def _bounds(matrix, plain, nearest, position, chosen):
+def _bounds(matrix, plane, nearest, position, chosen):
     """Return the bounds of the chosen ones among points (m, 3) in a map, and the outermost of them.
 
-    The bounds are minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane ``plain``
+    The bounds are minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane ``plane``
     (4,). The outermost points (5,) are indices: both ends in x and in y, and the nearest to the map's horizon. Points nearer than
     ``nearest`` to the plane do not count in z.
     """
@@ -275,12 +277,12 @@ def _bounds(matrix, plain, nearest, position, chosen):
         p = position[i]
         w = matrix[3, 0] * p[0] + matrix[3, 1] * p[1] + matrix[3, 2] * p[2] + matrix[3, 3]
         share = 1.0 / w
-        ahead = plain[0] * p[0] + plain[1] * p[1] + plain[2] * p[2] + plain[3]
+        plane_distance = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] + plane[3]
         for k in range(3):
             v[k] = (matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]) * share
-        v[3] = w / ahead
+        v[3] = w / plane_distance
         for k in range(4):
-            if k == 2 and ahead < nearest:
+            if k == 2 and plane_distance < nearest:
                 continue
             if v[k] < low[k]:
                 low[k] = v[k]
@@ -301,17 +303,23 @@ def _texel_m(
     if not receivers.any():
         return 0.0
     trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.valid.shape)
-    for each in perspective_maps(buffer, receivers, scene, light, settings, trees):
-        assert each.drawn.pixels is not None
-        places, map_rows = np.unravel_index(each.drawn.pixels, texel_m.shape), np.reshape(each.drawn.uniforms["map_rows"], (4, 4))
-        texel_m[places] = texel_on_level_ground_m(map_rows, buffer.position_frame_m[places])
+    for fitted_map in perspective_maps(buffer, receivers, scene, light, settings, trees):
+        assert fitted_map.depth_map.pixels is not None
+        pixel_indices, map_rows = (
+            np.unravel_index(fitted_map.depth_map.pixels, texel_m.shape),
+            np.reshape(fitted_map.depth_map.uniforms["map_rows"], (4, 4)),
+        )
+        texel_m[pixel_indices] = texel_on_level_ground_m(map_rows, buffer.position_frame_m[pixel_indices])
     return texel_m
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
+def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
     """Yield the sizes and taps to calibrate, to the extent of ``grid``."""
-    asked = calibrated_maps(descriptor, light, grid)
-    for overrides in [*asked.sizes, *(each for each in asked.filters if each["filter"] != "sun")]:
+    map_overrides = calibration_overrides(descriptor, light, grid)
+    for overrides in [
+        *map_overrides.sizes,
+        *(filter_override for filter_override in map_overrides.filters if filter_override["filter"] != "sun"),
+    ]:
         yield resolve_perspective_map(SettingsRequest(descriptor, light, Shadows(**{"filter": 3, "cascades": 1} | overrides)))[0]
 
 
@@ -321,19 +329,19 @@ ALGORITHM = Algorithm(
     plural="perspective shadow maps",
     fill=fill,
     passes=PASSES,
-    refuses={
+    refusals={
         "map": "a map view has no perspective",
         "omni": "an omni light does not fit one post-perspective map",
     },
     layers=("shadow-map",),
     settings=(PerspectiveMapSettings,),
     resolve=resolve_perspective_map,
-    keeps=("skugga.terrain.gl.depth_targets",),
+    cache_names=("skugga.terrain.gl.depth_targets",),
     search=Search(
-        tuned={"map_size": TUNED_SIZES},
-        compared=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
+        search_space={"map_size": TUNED_SIZES},
+        compared_overrides=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
     ),
-    cost=Cost(perspective_map_work, calibrated=_calibrated),
+    cost=Cost(perspective_map_work, calibration_settings=_calibration_settings),
     accuracy=Accuracy(texel_px=perspective_map_texel_px, texel_m=_texel_m),
     mark=Mark("diamond", "sky"),
 )

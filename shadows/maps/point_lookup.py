@@ -24,7 +24,7 @@ class SunMap(NamedTuple):
     ----------
     depths
         uint16 or float32 (rows, cols), in steps; rows run upwards in light space.
-    steps
+    step_count
         Number of steps in the whole depth.
     light_from_frame
         (3, 3): rotation from the frame to the map.
@@ -41,7 +41,7 @@ class SunMap(NamedTuple):
     """
 
     depths: np.ndarray
-    steps: np.float32
+    step_count: np.float32
     light_from_frame: np.ndarray
     light_offset_m: np.ndarray
     window_m: np.float32
@@ -55,26 +55,26 @@ class DepthComparison(NamedTuple):
 
     Attributes
     ----------
-    by_triangles
+    uses_triangles
         Whether depths are compared on known triangles.
-    by_offset
+    uses_offset
         Whether points without one are moved along their normals.
     bias_scale
         Factor of the derived offset.
     taps
         Taps along a side.
-    taps_beside
+    taps_without_triangle
         Taps along a side where no triangle is known.
     """
 
-    by_triangles: bool
-    by_offset: bool
+    uses_triangles: bool
+    uses_offset: bool
     bias_scale: np.float32
     taps: int
-    taps_beside: int
+    taps_without_triangle: int
 
 
-class LitPoints(NamedTuple):
+class LookupPoints(NamedTuple):
     """Points that are looked up.
 
     Attributes
@@ -107,37 +107,39 @@ def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
     )  # fmt: skip
 
 
-def look_points_up(sun: SunMap, comparison: DepthComparison, points: LitPoints, chosen: np.ndarray, visibility: np.ndarray) -> None:
+def look_up_points(
+    sun: SunMap, comparison: DepthComparison, points: LookupPoints, chosen: np.ndarray, visibility: np.ndarray
+) -> None:
     """Write the share of lit texels around the ``chosen`` points (indices) to ``visibility`` (n,) float32."""
     run_in_chunks(len(chosen), _look_up, sun, comparison, points, chosen, visibility)
 
 
 @compiled
 def _look_up(first, last, sun, comparison, points, chosen, visibility):
-    by_triangles, _, _, taps, beside = comparison
+    uses_triangles, _, _, taps, taps_without_triangle = comparison
     for m in range(first, last):
         i = chosen[m]
-        p = _moved(sun, _turned(sun, points.position, i, 0))
-        is_empty = by_triangles and _is_empty(sun, p, taps)
-        if by_triangles and not is_empty:
-            lit, counted = _on_own_triangle(sun, comparison, p, points.corners, i)
-            if counted > np.float32(0.0):
-                visibility[i] = lit / counted
+        p = _translate_to_light(sun, _rotate_to_light(sun, points.position, i, 0))
+        is_empty = uses_triangles and _is_empty(sun, p, taps)
+        if uses_triangles and not is_empty:
+            lit, total_weight = _weights_on_triangle(sun, comparison, p, points.corners, i)
+            if total_weight > np.float32(0.0):
+                visibility[i] = lit / total_weight
                 continue
-        clear = _clear_of(sun, comparison, p, _turned(sun, points.normal, i, 0), abs(points.crease[i]))
+        moved_point = _move_off_surface(sun, comparison, p, _rotate_to_light(sun, points.normal, i, 0), abs(points.crease[i]))
         if is_empty:
-            if _is_empty(sun, clear, beside):
+            if _is_empty(sun, moved_point, taps_without_triangle):
                 visibility[i] = np.float32(1.0)
                 continue
-            lit, counted = _on_own_triangle(sun, comparison, p, points.corners, i)
-            if counted > np.float32(0.0):
-                visibility[i] = lit / counted
+            lit, total_weight = _weights_on_triangle(sun, comparison, p, points.corners, i)
+            if total_weight > np.float32(0.0):
+                visibility[i] = lit / total_weight
                 continue
-        visibility[i] = _without_triangle(sun, comparison, clear)
+        visibility[i] = _lit_share_without_triangle(sun, comparison, moved_point)
 
 
 @internal
-def _turned(sun, vectors, i, first):
+def _rotate_to_light(sun, vectors, i, first):
     """Return three numbers of a row, from ``first`` on, along the light's axes.
 
     They are a tuple, since allocating an array would cost more than all other work.
@@ -152,24 +154,24 @@ def _turned(sun, vectors, i, first):
 
 
 @internal
-def _moved(sun, turned):
+def _translate_to_light(sun, rotated):
     offset = sun.light_offset_m
-    return turned[0] + offset[0], turned[1] + offset[1], turned[2] + offset[2]
+    return rotated[0] + offset[0], rotated[1] + offset[1], rotated[2] + offset[2]
 
 
 @internal
-def _clear_of(sun, comparison, p, n, crease):
+def _move_off_surface(sun, comparison, p, n, crease):
     """Return a point moved clear of every surface that passes through it."""
-    if not comparison.by_offset:
+    if not comparison.uses_offset:
         return p
     side = np.float32(-1.0) if n[2] > np.float32(0.0) else np.float32(1.0)  # foliage is lit from either side
     half, one = np.float32(0.5), np.float32(1.0)
-    taps = half * np.float32(comparison.taps_beside) + np.float32(1.0 / 128.0)
+    taps = half * np.float32(comparison.taps_without_triangle) + np.float32(1.0 / 128.0)
     x, y = taps * sun.texel_m[0], taps * sun.texel_m[1]
     offset = x * abs(n[0]) + y * abs(n[1]) + np.sqrt(x * x + y * y) * crease
     offset /= max(one - half * crease * crease, np.float32(0.25))
-    away = side * (comparison.bias_scale * offset + sun.error_m)
-    return p[0] + n[0] * away, p[1] + n[1] * away, p[2] + n[2] * away - sun.error_m
+    distance = side * (comparison.bias_scale * offset + sun.error_m)
+    return p[0] + n[0] * distance, p[1] + n[1] * distance, p[2] + n[2] * distance - sun.error_m
 
 
 @internal
@@ -188,7 +190,7 @@ def _is_empty(sun, p, count):
     rows, cols = sun.depths.shape
     for r in range(max(low, 0), min(low + count, rows)):
         for c in range(max(left, 0), min(left + count, cols)):
-            if np.float32(sun.depths[r, c]) < sun.steps:
+            if np.float32(sun.depths[r, c]) < sun.step_count:
                 return False
     return True
 
@@ -198,70 +200,70 @@ def _is_lit(sun, rounding, row, col, z):
     rows, cols = sun.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return True
-    return min(z / sun.window_m - rounding, np.float32(1.0)) <= np.float32(sun.depths[row, col]) / sun.steps
+    return min(z / sun.window_m - rounding, np.float32(1.0)) <= np.float32(sun.depths[row, col]) / sun.step_count
 
 
 @internal
-def _weight(count, n, beyond):
+def _tap_weight(count, n, fraction):
     """Return the overlap, along one axis, of a tap with the square of count - 1 texels around the point."""
     if n == 0:
-        return np.float32(1.0) - beyond
-    return beyond if n == count - 1 else np.float32(1.0)
+        return np.float32(1.0) - fraction
+    return fraction if n == count - 1 else np.float32(1.0)
 
 
 @internal
-def _on_own_triangle(sun, comparison, p, corners, i):
+def _weights_on_triangle(sun, comparison, p, corners, i):
     """Return the lit and the total weight of the taps whose texel centres lie in a point's own triangle."""
-    lit, counted = np.float32(0.0), np.float32(0.0)
+    lit, total_weight = np.float32(0.0), np.float32(0.0)
     if corners[i, 0] == corners[i, 3] and corners[i, 1] == corners[i, 4] and corners[i, 2] == corners[i, 5]:
-        return lit, counted
+        return lit, total_weight
     zero, one = np.float32(0.0), np.float32(1.0)
-    ax, ay, az = _moved(sun, _turned(sun, corners, i, 0))
-    ex, ey, ez = _moved(sun, _turned(sun, corners, i, 3))
-    gx, gy, gz = _moved(sun, _turned(sun, corners, i, 6))
+    ax, ay, az = _translate_to_light(sun, _rotate_to_light(sun, corners, i, 0))
+    ex, ey, ez = _translate_to_light(sun, _rotate_to_light(sun, corners, i, 3))
+    gx, gy, gz = _translate_to_light(sun, _rotate_to_light(sun, corners, i, 6))
     ex, ey, ez, gx, gy, gz = ex - ax, ey - ay, ez - az, gx - ax, gy - ay, gz - az
     texel = sun.texel_m
     area = ex * gy - ey * gx
     slope_x, slope_y = (ez * gy - gz * ey) / area, (gz * ex - ez * gx) / area
     grid = np.float32(1.0 / 128.0)
     slack = abs(slope_x) * (texel[0] * grid + sun.error_m) + abs(slope_y) * (texel[1] * grid + sun.error_m)
-    around = np.sqrt(ex * ex + ey * ey + ez * ez) + np.sqrt(gx * gx + gy * gy + gz * gz)
-    slack = min(slack, around) + sun.error_m
+    max_slack = np.sqrt(ex * ex + ey * ey + ez * ez) + np.sqrt(gx * gx + gy * gy + gz * gz)
+    slack = min(slack, max_slack) + sun.error_m
     gx, gy, ex, ey = gx / area, gy / area, ex / area, ey / area
     scale, taps = comparison.bias_scale, comparison.taps
-    rounding = np.float32(0.5) * sun.depth_step if comparison.by_offset else zero
-    left, low, beyond_x, beyond_y = _first_tap(sun, p, taps)
+    rounding = np.float32(0.5) * sun.depth_step if comparison.uses_offset else zero
+    left, low, fraction_x, fraction_y = _first_tap(sun, p, taps)
     for row in range(taps):
-        aside_y = (np.float32(low + row) + np.float32(0.5)) * texel[1] - ay
+        offset_y = (np.float32(low + row) + np.float32(0.5)) * texel[1] - ay
         for col in range(taps):
-            aside_x = (np.float32(left + col) + np.float32(0.5)) * texel[0] - ax
-            u, v = aside_x * gy - aside_y * gx, ex * aside_y - ey * aside_x
+            offset_x = (np.float32(left + col) + np.float32(0.5)) * texel[0] - ax
+            u, v = offset_x * gy - offset_y * gx, ex * offset_y - ey * offset_x
             if not (u >= zero and v >= zero and u + v <= one):
                 continue
-            triangle_z = az + (slope_x * aside_x + slope_y * aside_y)
+            triangle_z = az + (slope_x * offset_x + slope_y * offset_y)
             z = p[2] * (one - scale) + triangle_z * scale - slack
             weight = one
             if taps > 1:
-                weight = max(_weight(taps, col, beyond_x) * _weight(taps, row, beyond_y), np.float32(1e-6))
+                weight = max(_tap_weight(taps, col, fraction_x) * _tap_weight(taps, row, fraction_y), np.float32(1e-6))
             if _is_lit(sun, rounding, low + row, left + col, z):
                 lit += weight
-            counted += weight
-    return lit, counted
+            total_weight += weight
+    return lit, total_weight
 
 
 @internal
-def _without_triangle(sun, comparison, clear):
+def _lit_share_without_triangle(sun, comparison, moved_point):
     """Return the lit share of the taps around a point that was moved clear, wherever their texels lie."""
-    count, zero, one = comparison.taps_beside, np.float32(0.0), np.float32(1.0)
-    rounding = np.float32(0.5) * sun.depth_step if comparison.by_offset else zero
-    left, low, beyond_x, beyond_y = _first_tap(sun, clear, count)
-    lit, counted = zero, zero
+    count, zero, one = comparison.taps_without_triangle, np.float32(0.0), np.float32(1.0)
+    rounding = np.float32(0.5) * sun.depth_step if comparison.uses_offset else zero
+    left, low, fraction_x, fraction_y = _first_tap(sun, moved_point, count)
+    lit, total_weight = zero, zero
     for row in range(count):
         for col in range(count):
             weight = one
             if count > 1:
-                weight = max(_weight(count, col, beyond_x) * _weight(count, row, beyond_y), np.float32(1e-6))
-            if _is_lit(sun, rounding, low + row, left + col, clear[2]):
+                weight = max(_tap_weight(count, col, fraction_x) * _tap_weight(count, row, fraction_y), np.float32(1e-6))
+            if _is_lit(sun, rounding, low + row, left + col, moved_point[2]):
                 lit += weight
-            counted += weight
-    return lit / counted
+            total_weight += weight
+    return lit / total_weight

@@ -17,7 +17,7 @@ from skugga.terrain.compiled import compiled
 PostPerspectiveLightKind = Literal["point", "sink", "parallel"]
 """Kind of a light after the camera's projection: in front of the camera, behind it, or neither."""
 
-CONE_DEG = 3.0
+UNIFORM_MAP_CONE_DEG = 3.0
 """Angle between a light and the view's axis, in either direction, up to which the light gets a uniform map."""
 
 HORIZON_MARGIN = 1e-3
@@ -26,7 +26,7 @@ HORIZON_MARGIN = 1e-3
 It leaves float32 enough precision.
 """
 
-DOUBLINGS = 6
+SLIDE_BACK_DOUBLINGS = 6
 """Number of doublings of the far plane's distance for the longest slide-back, and fewest halvings for the shortest."""
 
 MIN_EXTENT = 1e-3
@@ -40,7 +40,7 @@ MAP_ROTATIONS = np.radians(np.arange(0.0, 90.0, 5.0))
 
 NO_POINTS = np.zeros((0, 3))
 
-OUTLINE = 64
+OUTLINE_DIRECTIONS = 64
 """Number of directions whose farthest receivers form the outline, for the choice of the map's rotation."""
 
 
@@ -63,7 +63,7 @@ class Camera:
     def axis(self) -> np.ndarray:
         return self.camera_from_frame[2]
 
-    def seen(self, points_m: np.ndarray) -> np.ndarray:
+    def camera_points(self, points_m: np.ndarray) -> np.ndarray:
         """Return points (..., 3) in camera coordinates: right, down and forward of the eye."""
         return (points_m - self.eye_m) @ self.camera_from_frame.T
 
@@ -76,12 +76,12 @@ class Light:
     ----------
     homogeneous
         (4,): the light as a homogeneous point.
-    ahead_m
+    lit_point_m
         (3,): a point that the light certainly shines at: ahead of a spot, anywhere under the sun.
     """
 
     homogeneous: np.ndarray
-    ahead_m: np.ndarray
+    lit_point_m: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,20 +142,20 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
     It maps a light (4,) of any kind to (0, 0, -1, 0), and the point ``middle`` (3,) to (0, 0, 0, 1).
     """
-    away = light[:3] - light[3] * middle
-    square = away @ away
-    right, up = across(away / np.sqrt(square)).T
+    to_light = light[:3] - light[3] * middle
+    squared_length = to_light @ to_light
+    right, up = perpendicular_axes(to_light / np.sqrt(squared_length)).T
     return np.array([
         [*right, -right @ middle],
         [*up, -up @ middle],
-        [*(-away / square), away @ middle / square],
-        [*(-light[3] * away / square), away @ light[:3] / square],
+        [*(-to_light / squared_length), to_light @ middle / squared_length],
+        [*(-light[3] * to_light / squared_length), to_light @ light[:3] / squared_length],
     ])  # fmt: skip
 
 
 def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
     """Return the light's perspective (4, 4) in plain space: uniform texels across the sun's rays, or across a lamp's axis."""
-    return light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else _centre(points))
+    return light_matrix(light.homogeneous, light.lit_point_m if light.homogeneous[3] else _centre(points))
 
 
 def post_perspectives(
@@ -168,34 +168,40 @@ def post_perspectives(
     takes the next one. ``inner`` is the part of the map's half width that receivers may fill.
     """
     uniform = uniform_matrix(light, points)
-    outline = np.concatenate([points[_outline(projected(uniform, points)[:, :2])], rim])
-    held = np.concatenate([points, rim])
-    seen, ahead = camera.seen(points), horizon_distance(uniform, held)
-    aside, pixels = _in_picture(camera, light, points)
+    outline = np.concatenate([points[_outline(project_points(uniform, points)[:, :2])], rim])
+    required_points = np.concatenate([points, rim])
+    camera_points, uniform_distance = camera.camera_points(points), horizon_distance(uniform, required_points)
+    ray_axes, picture_derivatives = _in_picture(camera, light, points)
 
-    def made(matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_m: float, note: str = "") -> PostPerspective:
-        matrix = _filled(matrix, outline, inner)
-        return PostPerspective(matrix, kind, slide_m, _texel(matrix, points, aside, pixels), note)
+    def make_candidate(
+        matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_m: float, note: str = ""
+    ) -> PostPerspective:
+        matrix = _fit_rotation(matrix, outline, inner)
+        return PostPerspective(matrix, kind, slide_m, _texel(matrix, points, ray_axes, picture_derivatives), note)
 
-    off_deg = _off_axis_deg(camera, light, _centre(points))
-    if off_deg <= CONE_DEG:
-        why = f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}"
-        return [made(uniform, None, np.inf, f"a uniform map: {why}")]
-    near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
+    off_axis_deg = _off_axis_deg(camera, light, _centre(points))
+    if off_axis_deg <= UNIFORM_MAP_CONE_DEG:
+        reason = f"the light stands {off_axis_deg:.1f} degrees off the view's axis, within {UNIFORM_MAP_CONE_DEG:g}"
+        return [make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")]
+    near, far = float(camera_points[:, 2].min()), float(camera_points[:, 2].max())
     far = max(far, near * (1.0 + MIN_EXTENT))  # a wall that faces the camera
-    widest, candidates = np.abs(seen[:, :2]).max(axis=1), []
-    halvings = max(DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1)  # a slide-back below half the nearest distance has no effect
-    for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, DOUBLINGS + 1))):
-        view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), MIN_EXTENT), near, far, slide_m)
-        seen_light = view @ light.homogeneous
-        matrix = light_matrix(seen_light, _centre(projected(view, points))) @ view
-        if is_clear_of_horizon(horizon_distance(matrix, held) / ahead):
-            candidates.append(made(matrix, kind_of(seen_light), float(slide_m)))
-    why = "every slide-back has larger texels" if candidates else "no slide-back keeps all that is seen off the map's horizon"
-    last = made(uniform, None, np.inf, f"a uniform map: {why}")
+    widest, candidates = np.abs(camera_points[:, :2]).max(axis=1), []
+    halvings = max(
+        SLIDE_BACK_DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1
+    )  # a slide-back below half the nearest distance has no effect
+    for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, SLIDE_BACK_DOUBLINGS + 1))):
+        view = camera_matrix(camera, max(float((widest / (camera_points[:, 2] + slide_m)).max()), MIN_EXTENT), near, far, slide_m)
+        clip_light = view @ light.homogeneous
+        matrix = light_matrix(clip_light, _centre(project_points(view, points))) @ view
+        if is_clear_of_horizon(horizon_distance(matrix, required_points) / uniform_distance):
+            candidates.append(make_candidate(matrix, kind_of(clip_light), float(slide_m)))
+    reason = "every slide-back has larger texels" if candidates else "no slide-back keeps all that is seen off the map's horizon"
+    uniform_map = make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")
     return [
-        *sorted((candidate for candidate in candidates if candidate.texel < last.texel), key=lambda candidate: candidate.texel),
-        last,
+        *sorted(
+            (candidate for candidate in candidates if candidate.texel < uniform_map.texel), key=lambda candidate: candidate.texel
+        ),
+        uniform_map,
     ]
 
 
@@ -211,8 +217,8 @@ def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.nd
     """
     directions = light.homogeneous[:3] - light.homogeneous[3] * points
     directions = np.broadcast_to(directions / np.linalg.norm(directions, axis=-1, keepdims=True), points.shape)
-    aside = across(directions)
-    return aside, _pixels(camera, camera.seen(points), aside)
+    ray_axes = perpendicular_axes(directions)
+    return ray_axes, _picture_derivatives(camera, camera.camera_points(points), ray_axes)
 
 
 def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, front_share: float = 0.0) -> np.ndarray:
@@ -228,7 +234,7 @@ def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: 
     return out
 
 
-def projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+def project_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return points (n, 3) transformed by a matrix (4, 4) and divided by their w."""
     homogeneous = points @ matrix[:, :3].T + matrix[:, 3]
     return homogeneous[:, :3] / homogeneous[:, 3:]
@@ -239,9 +245,9 @@ def horizon_distance(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ matrix[3, :3] + matrix[3, 3]
 
 
-def is_clear_of_horizon(away: np.ndarray) -> bool:
+def is_clear_of_horizon(distances: np.ndarray) -> bool:
     """Return whether all distances from a horizon (n,), as shares of those in the uniform map, are well above 0."""
-    return bool(np.isfinite(away).all() and away.min() >= HORIZON_MARGIN * away.max() > 0.0)
+    return bool(np.isfinite(distances).all() and distances.min() >= HORIZON_MARGIN * distances.max() > 0.0)
 
 
 def _centre(points: np.ndarray) -> np.ndarray:
@@ -252,23 +258,23 @@ def _centre(points: np.ndarray) -> np.ndarray:
 def _off_axis_deg(camera: Camera, light: Light, from_m: np.ndarray) -> float:
     """Return the angle between the view's axis, in either direction, and the direction from a point (3,) to a light."""
     to_light = light.homogeneous[:3] - light.homogeneous[3] * from_m
-    aside = np.linalg.norm(np.cross(camera.axis, to_light))
-    return float(np.degrees(np.arctan2(aside, abs(camera.axis @ to_light))))
+    sine = np.linalg.norm(np.cross(camera.axis, to_light))
+    return float(np.degrees(np.arctan2(sine, abs(camera.axis @ to_light))))
 
 
 def _outline(image: np.ndarray) -> np.ndarray:
     """Return the points (n, 2) that are farthest in some direction. A homography preserves this outline."""
-    angle = np.arange(OUTLINE) * 2.0 * np.pi / OUTLINE
+    angle = np.arange(OUTLINE_DIRECTIONS) * 2.0 * np.pi / OUTLINE_DIRECTIONS
     return np.unique(np.argmax((image - image.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
 
 
-def _filled(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray:
+def _fit_rotation(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray:
     """Return a matrix with the map rotated about its axis and scaled so that an outline (n, 3) fills its inner part best."""
     axes = np.stack([np.cos(MAP_ROTATIONS), np.sin(MAP_ROTATIONS), -np.sin(MAP_ROTATIONS), np.cos(MAP_ROTATIONS)], axis=1).reshape(
         -1, 2, 2
     )
-    turned = axes @ projected(matrix, outline)[:, :2].T
-    low, high = turned.min(axis=2), turned.max(axis=2)
+    rotated = axes @ project_points(matrix, outline)[:, :2].T
+    low, high = rotated.min(axis=2), rotated.max(axis=2)
     best = int(np.argmin((high - low).prod(axis=1)))
     out = matrix.copy()
     out[:2] = axes[best] @ matrix[:2]
@@ -276,7 +282,7 @@ def _filled(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray
     return out
 
 
-def across(normals: np.ndarray) -> np.ndarray:
+def perpendicular_axes(normals: np.ndarray) -> np.ndarray:
     """Return two unit vectors (..., 3, 2) perpendicular to each other and to unit vectors (..., 3).
 
     After Duff et al. 2017, "Building an orthonormal basis, revisited".
@@ -288,33 +294,33 @@ def across(normals: np.ndarray) -> np.ndarray:
     return np.stack([first, np.stack([x * y * a, side + y * y * a, -y], axis=-1)], axis=-1)
 
 
-def _pixels(camera: Camera, seen: np.ndarray, aside: np.ndarray) -> np.ndarray:
+def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np.ndarray) -> np.ndarray:
     """Return the derivatives of the picture's coordinates (tangents) along two directions (n, 3, 2).
 
     The points (n, 3) are in camera coordinates.
     """
-    ahead = seen[:, 2, None, None]
-    return (camera.camera_from_frame[:2] - seen[:, :2, None] / ahead * camera.axis) / ahead @ aside
+    depth = camera_points[:, 2, None, None]
+    return (camera.camera_from_frame[:2] - camera_points[:, :2, None] / depth * camera.axis) / depth @ ray_axes
 
 
 @compiled
-def _texel(matrix, points, aside, pixels):
+def _texel(matrix, points, ray_axes, picture_derivatives):
     """Return the root mean square size in the picture, in tangents, of half a map's width along two directions."""
     total = 0.0
     for n in range(len(points)):
         p = points[n]
-        through = np.empty(4)
+        clip_point = np.empty(4)
         for k in range(4):
-            through[k] = matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]
+            clip_point[k] = matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]
         a = np.zeros((2, 2))
         for k in range(2):
             for m in range(3):
-                step = (matrix[k, m] - through[k] / through[3] * matrix[3, m]) / through[3]
-                a[k, 0] += step * aside[n, m, 0]
-                a[k, 1] += step * aside[n, m, 1]
+                step = (matrix[k, m] - clip_point[k] / clip_point[3] * matrix[3, m]) / clip_point[3]
+                a[k, 0] += step * ray_axes[n, m, 0]
+                a[k, 1] += step * ray_axes[n, m, 1]
         square = 0.0
         for k in range(2):
-            square += (pixels[n, k, 0] * a[1, 1] - pixels[n, k, 1] * a[1, 0]) ** 2
-            square += (pixels[n, k, 1] * a[0, 0] - pixels[n, k, 0] * a[0, 1]) ** 2
+            square += (picture_derivatives[n, k, 0] * a[1, 1] - picture_derivatives[n, k, 1] * a[1, 0]) ** 2
+            square += (picture_derivatives[n, k, 1] * a[0, 0] - picture_derivatives[n, k, 0] * a[0, 1]) ** 2
         total += square / max((a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) ** 2, 1e-300)
     return np.sqrt(total / len(points))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.maps.sun_disc import WIDEST_TEXELS
+from skugga.shadows.maps.sun_disc import MAX_HALF_DISC_TEXELS
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap
 from skugga.terrain.compiled import CORES, compiled, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -28,8 +28,8 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> n
     assert depth_map.trees is not None and depth_map.reach is not None
     rotation, translation, low, high = depth_map.reach
     trees = depth_map.trees
-    which = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
-    if depth_map.pixels is not None and depth_map.is_uniform and len(which):
+    tree_numbers = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
+    if depth_map.pixels is not None and depth_map.is_uniform and len(tree_numbers):
         texel_m = np.array(depth_map.uniforms["texel_m"])
         cells = np.maximum((high - low)[:2] / RECEIVER_CELLS, texel_m)
         farthest = np.full((CORES, RECEIVER_CELLS + 1, RECEIVER_CELLS + 1), -np.inf, np.float32)
@@ -39,14 +39,14 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> n
             translation, cells,
             farthest,
         )  # fmt: skip
-        beside_m = (MAP_BORDER_TEXELS + (WIDEST_TEXELS if soft else 0)) * texel_m
-        is_relevant = np.empty(len(which), np.bool_)
+        margin_m = (MAP_BORDER_TEXELS + (MAX_HALF_DISC_TEXELS if soft else 0)) * texel_m
+        is_relevant = np.empty(len(tree_numbers), np.bool_)
         run_in_chunks(
-            len(which), _shading, trees.base_frame_m, trees.shape, which, rotation, translation, cells, farthest.max(axis=0),
-            beside_m, is_relevant,
+            len(tree_numbers), _select_relevant, trees.base_frame_m, trees.shape, tree_numbers, rotation, translation, cells, farthest.max(axis=0),
+            margin_m, is_relevant,
         )  # fmt: skip
-        which = which[is_relevant]
-    return trees.front_to_back(which, rotation[2])
+        tree_numbers = tree_numbers[is_relevant]
+    return trees.front_to_back(tree_numbers, rotation[2])
 
 
 @compiled
@@ -54,34 +54,34 @@ def _farthest_receivers(first, last, parts, position, chosen, rotation, translat
     """Store in each cell the largest depth from the sun of the receivers, for each share of the receivers."""
     rows, cols = farthest.shape[1:]
     for share in range(first, last):
-        mask = farthest[share]
+        share_cells = farthest[share]
         for n in range(parts[share], parts[share + 1]):
             p = position[chosen[n]]
             right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]
             up = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + translation[1]
-            away = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
+            depth = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
             r, c = min(max(int(up / cells[1]), 0), rows - 1), min(max(int(right / cells[0]), 0), cols - 1)
-            mask[r, c] = max(mask[r, c], np.float32(away))
+            share_cells[r, c] = max(share_cells[r, c], np.float32(depth))
 
 
 @compiled
-def _shading(first, last, base, shape, which, rotation, translation, cells, farthest, beside_m, out):
+def _select_relevant(first, last, base, shape, tree_numbers, rotation, translation, cells, farthest, margin_m, out):
     rows, cols = farthest.shape
     middle = np.empty(3)
     for m in range(first, last):
-        n = which[m]
+        n = tree_numbers[m]
         radius = tree_radius(shape[n])
         for k in range(3):
             middle[k] = (
                 rotation[k, 0] * base[n, 0] + rotation[k, 1] * base[n, 1] + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2])
                 + translation[k]
             )  # fmt: skip
-        left = max(int(np.floor((middle[0] - radius - beside_m[0]) / cells[0])), 0)
-        right = min(int(np.floor((middle[0] + radius + beside_m[0]) / cells[0])), cols - 1)
-        low = max(int(np.floor((middle[1] - radius - beside_m[1]) / cells[1])), 0)
-        high = min(int(np.floor((middle[1] + radius + beside_m[1]) / cells[1])), rows - 1)
+        left = max(int(np.floor((middle[0] - radius - margin_m[0]) / cells[0])), 0)
+        right = min(int(np.floor((middle[0] + radius + margin_m[0]) / cells[0])), cols - 1)
+        low = max(int(np.floor((middle[1] - radius - margin_m[1]) / cells[1])), 0)
+        high = min(int(np.floor((middle[1] + radius + margin_m[1]) / cells[1])), rows - 1)
         # Points may have been moved a few texels along the rays before their look-up.
-        nearest = middle[2] - radius - beside_m[0] - beside_m[1]
+        nearest = middle[2] - radius - margin_m[0] - margin_m[1]
         is_relevant = False
         for r in range(low, high + 1):
             for c in range(left, right + 1):

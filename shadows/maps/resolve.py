@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.taps import sun_taps
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
@@ -19,19 +19,19 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Band, LampFacts
 from skugga.terrain.level.level import SUN, Shadows
 
-TEXEL_PX = 0.4
+MAX_TEXEL_PX = 0.4
 """Upper bound of a texel's footprint on level ground, in pixels, for an automatic map size (512 to 4096 texels)."""
 
-CASCADE_PX = 2.0
+MAX_CASCADE_TEXEL_PX = 2.0
 """Upper bound of a texel's footprint in a perspective view, in pixels, where its cascade is nearest to the eye.
 
 Of the numbers of cascades (up to 4) and automatic sizes that keep to it, the combination with the fewest texels is chosen.
 """
 
-FOLIAGE_PX = 3.0
+MAX_FOLIAGE_TEXEL_PX = 3.0
 """The same bound where trees cast. Their many layers of alpha-tested texels make the cost of a map proportional to its texels."""
 
-DEPTH_PX = 0.25
+MAX_DEPTH_SHIFT_PX = 0.25
 """Upper bound of a shadow's shift on level ground by one depth step, in pixels, for an automatic depth of 16 bits."""
 
 LARGEST_MAP, SMALLEST_MAP = 4096, 512
@@ -61,7 +61,7 @@ EXTENT_STEP = 2.0**0.25
 
 
 @dataclass(frozen=True)
-class CalibratedMaps:
+class CalibrationOverrides:
     """The overrides that a calibration tries for a light's maps.
 
     Attributes
@@ -76,11 +76,13 @@ class CalibratedMaps:
     filters: list[dict[str, Any]]
 
 
-def calibrated_maps(descriptor: Descriptor, light: str, grid: str) -> CalibratedMaps:
+def calibration_overrides(descriptor: Descriptor, light: str, grid: str) -> CalibrationOverrides:
     """Return the overrides to calibrate, to the extent of ``grid`` (``skugga.shadows.algorithm.Cost``)."""
     sizes = {"few": (1024, 2048)}.get(grid, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
     taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if grid == "full" else ()
-    return CalibratedMaps([{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": each} for each in taps])
+    return CalibrationOverrides(
+        [{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": filter_value} for filter_value in taps]
+    )
 
 
 def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
@@ -89,44 +91,46 @@ def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
     return settings, [*request.hard_edges_reasons, *reasons]
 
 
-def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[Reasoned]]:
+def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[NamedReason]]:
     """Do as ``resolve_shadow_map`` for maps outside of post-perspective space, without the reason for hard edges."""
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
-    taps, why = _taps(request)
-    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, why, request.light_points)
+    taps, taps_reasons = _taps(request)
+    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, taps_reasons, request.light_points)
 
 
-def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
+def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[NamedReason]]:
     """Return the settings of the sun's map or cascades, and the reasons for automatic values."""
     assert descriptor.receivers_light_m is not None and descriptor.sun_altitude_deg is not None
     altitude = np.radians(max(descriptor.sun_altitude_deg, 0.5))
-    reasons: list[Reasoned] = []
+    reasons: list[NamedReason] = []
     runs = _cascades(descriptor, shadows, altitude, reasons)
-    footprints_px = [float(_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in runs]
+    footprints_px = [float(_ground_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in runs]
     size, bits, taps = shadows.map_size, shadows.depth_bits, shadows.filter
     if size == "auto":
-        target_px = _target_px(descriptor) if descriptor.bands else TEXEL_PX
+        target_px = _target_px(descriptor) if descriptor.bands else MAX_TEXEL_PX
         size = _automatic_size(max(footprints_px) / target_px, LARGEST_MAP)
         covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
-        more = f", above the target of {target_px}: this is the largest automatic size" if covers_px > target_px else ""
-        reasons.append(Reasoned(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{more}"))
+        remark = f", above the target of {target_px}: this is the largest automatic size" if covers_px > target_px else ""
+        reasons.append(
+            NamedReason(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{remark}")
+        )
     texels = [extent[:2] / (size - 2 * MAP_BORDER_TEXELS) for _, extent, _ in runs]
     ranges_m = [run[1][2] * 1.1 + 3 * MAP_BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
     shifts_px = [range_m / (2**16 - 1) * np.cos(altitude) / run[2] for range_m, run in zip(ranges_m, runs, strict=True)]
     if bits == "auto" and taps == "sun":
         bits = 24
-        why = "the penumbra's width follows the distance to the caster, so depths must be fine everywhere"
-        reasons.append(Reasoned(name="depth_bits 24", reason=why))
+        reason = "the penumbra's width follows the distance to the caster, so depths must be fine everywhere"
+        reasons.append(NamedReason(name="depth_bits 24", reason=reason))
     elif bits == "auto":
         worst = int(np.argmax(shifts_px))
-        bits = 16 if shifts_px[worst] <= DEPTH_PX else 24
+        bits = 16 if shifts_px[worst] <= MAX_DEPTH_SHIFT_PX else 24
         verdict = "within the" if bits == 16 else "more than the"
-        reasons.append(Reasoned(
+        reasons.append(NamedReason(
             name=f"depth_bits {bits}",
             reason=f"a 16-bit step of {ranges_m[worst] / (2**16 - 1):.3g} m shifts a shadow by {shifts_px[worst]:.2g} pixels, "
-            f"{verdict} {DEPTH_PX} allowed",
+            f"{verdict} {MAX_DEPTH_SHIFT_PX} allowed",
         ))  # fmt: skip
     steps = 2**16 - 1 if bits == 16 else 2**24 - 1
     cascades = tuple(
@@ -134,23 +138,23 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
         for (far_m, _, _), texel, range_m in zip(runs, texels, ranges_m, strict=True)
     )
     if taps == "auto":
-        taps, why = sun_taps(descriptor, cascades)
-        reasons.append(Reasoned(name=f"filter {taps}", reason=why))
+        taps, reason = sun_taps(descriptor, cascades)
+        reasons.append(NamedReason(name=f"filter {taps}", reason=reason))
     fixed_settings = _bias_and_culling(shadows) | {"fit": "stable" if shadows.fit == "auto" else shadows.fit}
     if shadows.fit == "auto":
-        why = "texels stay fixed to the ground when the view moves"
-        why += ", and neighbouring blocks match" if descriptor.view_kind == "map" else ""
-        reasons.append(Reasoned(name="fit stable", reason=why))
+        reason = "texels stay fixed to the ground when the view moves"
+        reason += ", and neighbouring blocks match" if descriptor.view_kind == "map" else ""
+        reasons.append(NamedReason(name="fit stable", reason=reason))
     if shadows.bias == "auto":
-        why = "depths are compared on the receiver's own triangle, so nothing has to be shifted at any slope"
-        reasons.append(Reasoned(name="bias receiver_plane", reason=why))
+        reason = "depths are compared on the receiver's own triangle, so nothing has to be shifted at any slope"
+        reasons.append(NamedReason(name="bias receiver_plane", reason=reason))
     if shadows.culling == "auto" and "meshes" in descriptor.casters:
-        why = "depths are not shifted, so front-face culling gains nothing"
-        reasons.append(Reasoned(name="culling none", reason=why))
+        reason = "depths are not shifted, so front-face culling gains nothing"
+        reasons.append(NamedReason(name="culling none", reason=reason))
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
 
-def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
+def _taps(request: SettingsRequest) -> tuple[MapFilter, list[NamedReason]]:
     """Return the taps of a lamp's map, or of a perspective one, and the reasons.
 
     Raises ``UnsupportedError`` for the penumbra of a point light.
@@ -158,42 +162,49 @@ def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
     light, descriptor, taps = request.light, request.descriptor, request.effective_shadows.filter
     prefix = "" if light == SUN else f"{light}: "
     if request.is_area:
-        what = "the sun's disc" if light == SUN else "the lamp's ball"
+        light_shape = "the sun's disc" if light == SUN else "the lamp's ball"
         return "sun", [
-            Reasoned(name=f"{prefix}filter sun", reason=f"the mean of maps from {request.light_points} points of {what}")
+            NamedReason(name=f"{prefix}filter sun", reason=f"the mean of maps from {request.light_points} points of {light_shape}")
         ]
     if taps == "sun" and descriptor.highest_sun_deg is None:
         reason = f"the lamp '{light}' has no radius, so it is a point without a penumbra: it takes 1, 2, 3 or 5 taps a side"
         raise UnsupportedError("filter", "sun", reason)
     if taps == "sun":
-        return 3, [Reasoned(name=f"{prefix}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
+        return 3, [NamedReason(name=f"{prefix}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
     lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
     if taps == "auto" and lamp is not None and lamp.radius_m > 0.0:
         return 3, [
-            Reasoned(name=f"{prefix}filter 3", reason=f"{light}'s penumbrae are narrower than a pixel: a point casts the same")
+            NamedReason(name=f"{prefix}filter 3", reason=f"{light}'s penumbrae are narrower than a pixel: a point casts the same")
         ]
     if taps == "auto":
-        why = "by the wrong share of the cast shadow: 3 x 3 taps smooth the texel stairs along shadow edges"
-        return 3, [Reasoned(name=f"{prefix}filter 3", reason=why)]
+        filter_reason = "by the wrong share of the cast shadow: 3 x 3 taps smooth the texel stairs along shadow edges"
+        return 3, [NamedReason(name=f"{prefix}filter 3", reason=filter_reason)]
     return taps, []
 
 
 def lamp_map_settings(
-    descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: MapFilter, why_taps: list[Reasoned], points: int = MAX_POINTS
-) -> tuple[LampMapSettings, list[Reasoned]]:
-    """Return the settings of a lamp's map. A texel at the lamp's reference distance keeps to ``TEXEL_PX``."""
-    across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
+    descriptor: Descriptor,
+    lamp: LampFacts,
+    shadows: Shadows,
+    taps: MapFilter,
+    taps_reasons: list[NamedReason],
+    points: int = MAX_POINTS,
+) -> tuple[LampMapSettings, list[NamedReason]]:
+    """Return the settings of a lamp's map. A texel at the lamp's reference distance keeps to ``MAX_TEXEL_PX``."""
+    width_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
     if size == "auto":
-        size = _automatic_size(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP)
-        texel_px = across_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
-        why = f"a texel covers {texel_px:.2g} pixels at the target"
-        reasons.append(Reasoned(name=f"{lamp.name}: map_size {size}", reason=why))
+        size = _automatic_size(
+            width_m / descriptor.pixel_m / MAX_TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP
+        )
+        texel_px = width_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
+        reason = f"a texel covers {texel_px:.2g} pixels at the target"
+        reasons.append(NamedReason(name=f"{lamp.name}: map_size {size}", reason=reason))
     bits = 32 if shadows.depth_bits == "auto" else shadows.depth_bits
     if shadows.depth_bits == "auto":
-        why = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
-        reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
-    reasons += why_taps
+        reason = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
+        reasons.append(NamedReason(name=f"{lamp.name}: depth_bits 32", reason=reason))
+    reasons += taps_reasons
     return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=points, **_bias_and_culling(shadows)), reasons
 
 
@@ -204,23 +215,25 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
     reasons = [
         *request.hard_edges_reasons,
         *(
-            Reasoned(name=f"{prefix}{key} {getattr(shadows, key)}", reason=f"no effect: {why}")
-            for key, (only, why) in FIXED_SETTINGS.items()
-            if getattr(shadows, key) not in ("auto", only)
+            NamedReason(name=f"{prefix}{key} {getattr(shadows, key)}", reason=f"no effect: {reason}")
+            for key, (only_value, reason) in FIXED_SETTINGS.items()
+            if getattr(shadows, key) not in ("auto", only_value)
         ),
     ]
     size, bits = shadows.map_size, shadows.depth_bits
-    taps, why_taps = _taps(request)
+    taps, taps_reasons = _taps(request)
     if size == "auto":
         size = PERSPECTIVE_TEXELS
-        reasons.append(Reasoned(name=f"{prefix}map_size {size}", reason="texels are small near the eye: few are enough"))
+        reasons.append(NamedReason(name=f"{prefix}map_size {size}", reason="texels are small near the eye: few are enough"))
     if bits == "auto":
         bits = 24 if light == SUN else 32
-        why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
-        reasons.append(Reasoned(name=f"{prefix}depth_bits {bits}", reason=f"{why}: 16 bits are too coarse far away"))
+        reason = (
+            "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
+        )
+        reasons.append(NamedReason(name=f"{prefix}depth_bits {bits}", reason=f"{reason}: 16 bits are too coarse far away"))
     return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=request.light_points), [
         *reasons,
-        *why_taps,
+        *taps_reasons,
     ]
 
 
@@ -232,7 +245,7 @@ def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:
 
 
 def _cascades(
-    descriptor: Descriptor, shadows: Shadows, altitude: float, reasons: list[Reasoned]
+    descriptor: Descriptor, shadows: Shadows, altitude: float, reasons: list[NamedReason]
 ) -> list[tuple[float | None, np.ndarray, float]]:
     """Return for each cascade its far distance, its receivers' extent in light space (3,), and a pixel's side; all in metres.
 
@@ -260,14 +273,16 @@ def _cascades(
         )
     _, _, inner, worst, first, last = min(options, key=lambda option: option[:2])
     if shadows.cascades == "auto":
-        why = f"a texel covers at most {worst / inner:.2g} pixels (target: {target_px:g}), with as few texels in total as possible"
-        reasons.append(Reasoned(name=f"cascades {len(first)}", reason=why))
+        reason = (
+            f"a texel covers at most {worst / inner:.2g} pixels (target: {target_px:g}), with as few texels in total as possible"
+        )
+        reasons.append(NamedReason(name=f"cascades {len(first)}", reason=reason))
     far_m = [*(bands[j].far_m for j in last[:-1]), None]
     return [(far, extent_m[i, j], bands[i].near_m * pixel) for far, i, j in zip(far_m, first, last, strict=True)]
 
 
 def _target_px(descriptor: Descriptor) -> float:
-    return FOLIAGE_PX if "forest" in descriptor.casters else CASCADE_PX
+    return MAX_FOLIAGE_TEXEL_PX if "forest" in descriptor.casters else MAX_CASCADE_TEXEL_PX
 
 
 def _automatic_size(texels: float, max_size: int) -> int:
@@ -305,6 +320,6 @@ def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.hstack([0 * ends, cuts]), np.hstack([cuts, ends]) - 1
 
 
-def _footprint(extent_m: np.ndarray, altitude: float) -> np.ndarray:
+def _ground_footprint(extent_m: np.ndarray, altitude: float) -> np.ndarray:
     """Return the extent's sides right and up (2,) on level ground."""
     return extent_m[:2] / np.array([1.0, np.sin(altitude)])

@@ -15,7 +15,7 @@ import numpy as np
 from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from skugga.shadows.area_light import mean_over_light
 from skugga.shadows.maps.filling import visibility_by_maps
-from skugga.shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
+from skugga.shadows.maps.resolve import TUNED_SIZES, calibration_overrides, resolve_shadow_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import nearest_caster_m
 from skugga.shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
@@ -56,12 +56,12 @@ def fill(
         elif isinstance(settings, ShadowMapSettings):
             nearest_m = nearest_caster_m(scene, buffer, kinds, casters, trees) if settings.filter == "sun" else np.inf
             maps = sun_maps(buffer, scene, settings, trees, nearest_m)
-        elif (lit := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
-            maps = [lit]
+        elif (lamp_depth_map := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
+            maps = [lamp_depth_map]
     return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
 
 
-def _tunes(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
+def _is_tunable(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
     """Return whether a number of cascades makes sense for a light of a view.
 
     That is under the sun, in a perspective view with at least as many bands of distance.
@@ -69,10 +69,14 @@ def _tunes(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
     return key != "cascades" or (light == SUN and value <= len(descriptor.bands))
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
+def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
     """Yield the sizes, cascades and taps to calibrate, to the extent of ``grid``."""
-    asked = calibrated_maps(descriptor, light, grid)
-    for overrides in [*asked.sizes, *(CALIBRATED_CASCADES if descriptor.bands and light == SUN else ()), *asked.filters]:
+    map_overrides = calibration_overrides(descriptor, light, grid)
+    for overrides in [
+        *map_overrides.sizes,
+        *(CALIBRATED_CASCADES if descriptor.bands and light == SUN else ()),
+        *map_overrides.filters,
+    ]:
         yield resolve_shadow_map(SettingsRequest(descriptor, light, Shadows(**{"filter": 3, "cascades": 1} | overrides)))[0]
 
 
@@ -80,12 +84,12 @@ CALIBRATED_CASCADES: tuple[dict[str, Any], ...] = (
     {"map_size": 1024, "cascades": 2}, {"map_size": 1024, "cascades": 4}, {"map_size": 2048, "cascades": 4},
 )  # fmt: skip
 
-MIDDLE = {"map_size": 1024, "filter": 1}
-VARIANTS: tuple[dict[str, Any], ...] = tuple(MIDDLE | change for change in (
+BASELINE_MAP = {"map_size": 1024, "filter": 1}
+VARIANTS: tuple[dict[str, Any], ...] = tuple(BASELINE_MAP | change for change in (
     {"cascades": 1}, {"cascades": 2}, {"cascades": 4}, {"filter": "sun"}, {"filter": 5}, {"depth_bits": 16}, {"depth_bits": 24},
     {"depth_bits": 32}, {"bias": "normal_offset"}, {"bias": "polygon_offset"}, {"fit": "tight"}, {"culling": "front"},
 ))  # fmt: skip
-"""Settings that the report varies one at a time, from the map ``MIDDLE``."""
+"""Settings that the report varies one at a time, from the map ``BASELINE_MAP``."""
 
 ALGORITHM = Algorithm(
     name="shadow_map",
@@ -96,14 +100,14 @@ ALGORITHM = Algorithm(
     layers=("shadow-map",),
     settings=(ShadowMapSettings, LampMapSettings),
     resolve=resolve_shadow_map,
-    keeps=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.samples_before_edges"),
+    cache_names=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.samples_before_edges"),
     search=Search(
-        tuned={"map_size": TUNED_SIZES, "cascades": (1, 2, 4)},
-        is_tunable=_tunes,
-        compared=tuple({"map_size": size, "filter": taps} for size, taps in product((2048, 1024, 4096, 512), (1, 3))),
+        search_space={"map_size": TUNED_SIZES, "cascades": (1, 2, 4)},
+        is_tunable=_is_tunable,
+        compared_overrides=tuple({"map_size": size, "filter": taps} for size, taps in product((2048, 1024, 4096, 512), (1, 3))),
         variants=VARIANTS,
     ),
-    cost=Cost(shadow_map_work, calibrated=_calibrated),
+    cost=Cost(shadow_map_work, calibration_settings=_calibration_settings),
     accuracy=Accuracy(texel_px=shadow_map_texel_px, texel_m=shadow_map_texel_m),
     mark=Mark("circle", "blue"),
 )

@@ -25,7 +25,7 @@ EDGE_STEPS = 128
 BLOCK_TEXELS = 16
 """Side in texels of the blocks whose minimum depth is stored."""
 
-WIDEST_TEXELS = 64
+MAX_HALF_DISC_TEXELS = 64
 """Upper bound of half the disc's width across the map. Penumbrae of farther casters do not get wider."""
 
 MIN_DISC_TAPS = 3
@@ -40,15 +40,15 @@ def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
     The first array is along right, the second along up. The samples are Vogel's spiral (1979), of equal areas.
     """
     number = np.arange(DISC_SAMPLES)
-    angle, away = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / DISC_SAMPLES)
+    angle, radius = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / DISC_SAMPLES)
     edge = np.linspace(-1.0, 1.0, EDGE_STEPS + 1)[:, None]
-    before = [np.packbits(away * across(angle) < edge, axis=1, bitorder="little").view("<u4") for across in (np.cos, np.sin)]
-    return before[0], before[1]
+    bits = [np.packbits(radius * component(angle) < edge, axis=1, bitorder="little").view("<u4") for component in (np.cos, np.sin)]
+    return bits[0], bits[1]
 
 
 def border_texels(depth_m: float, texel_m: np.ndarray) -> np.ndarray:
     """Return the border in texels (right, up) that the disc needs for casters up to ``depth_m`` in front of a point."""
-    return np.minimum(np.ceil(depth_m * DISC_TANGENT / texel_m).astype(np.int64) + 1, WIDEST_TEXELS)
+    return np.minimum(np.ceil(depth_m * DISC_TANGENT / texel_m).astype(np.int64) + 1, MAX_HALF_DISC_TEXELS)
 
 
 def nearest_caster_m(

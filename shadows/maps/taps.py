@@ -45,14 +45,16 @@ def fine_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | N
 
     It is ``None`` where the distances from casters are unknown.
     """
-    facts, shadow, fine = descriptor.lights.get(SUN), 0.0, 0.0
+    facts, cast_sum, fine_sum = descriptor.lights.get(SUN), 0.0, 0.0
     for kind, casting in facts.casts.items() if facts is not None else ():
         if casting.thrown_m is None:
             continue
         for band in casting.bands:
             cast = band.share * band.cast
-            cascade = next((each for each in cascades if each.far_m is None or band.near_m < each.far_m), cascades[-1])
-            shadow += cast
+            cascade = next(
+                (candidate for candidate in cascades if candidate.far_m is None or band.near_m < candidate.far_m), cascades[-1]
+            )
+            cast_sum += cast
             if kind != "forest" and np.sqrt(np.prod(cascade.texel_m)) <= MAX_FINE_SHARE * DISC_WIDTH * casting.thrown_m:
-                fine += cast
-    return fine / shadow if shadow > 0.0 else None
+                fine_sum += cast
+    return fine_sum / cast_sum if cast_sum > 0.0 else None

@@ -34,8 +34,8 @@ def perspective_map_texel_px(
     descriptor: Descriptor, light: str, settings: PerspectiveMapSettings, band: CastBand, perspective: float
 ) -> float:
     """Return the same for a perspective map. ``perspective`` is the number of its texels per pixel's side."""
-    seen_px = perspective * sqrt(descriptor.rows * descriptor.cols)
-    return min(seen_px, _uniform_px(descriptor, light, band)) / settings.map_size
+    map_px = perspective * sqrt(descriptor.rows * descriptor.cols)
+    return min(map_px, _uniform_px(descriptor, light, band)) / settings.map_size
 
 
 def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
@@ -61,10 +61,10 @@ def shadow_map_texel_m(
     """
     if isinstance(settings, LampMapSettings):
         lamp = scene.lamps[light]
-        way = lamp.in_frame(buffer.frame).position_frame_m - buffer.position_frame_m
-        length_m = np.linalg.norm(way, axis=-1)
+        to_lamp = lamp.in_frame(buffer.frame).position_frame_m - buffer.position_frame_m
+        length_m = np.linalg.norm(to_lamp, axis=-1)
         tangent = 1.0 if lamp.kind == "omni" else np.tan(np.radians(lamp.cutoff_deg))
-        return 2.0 * tangent * length_m / settings.map_size * length_m / np.maximum(np.abs(way[..., 2]), 0.01 * length_m)
+        return 2.0 * tangent * length_m / settings.map_size * length_m / np.maximum(np.abs(to_lamp[..., 2]), 0.01 * length_m)
     if scene.sun is None:
         return 0.0
     sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
@@ -89,6 +89,9 @@ def texel_on_level_ground_m(map_from_frame: np.ndarray, position_frame_m: np.nda
     """
     x, y, _, w = np.moveaxis(position_frame_m @ map_from_frame[:, :3].T + map_from_frame[:, 3], -1, 0)
     (ux, uy), (vx, vy), _, (wx, wy) = map_from_frame[:, :2]
-    a, b, c, d = ((k - at / w * along) / w for k, at, along in ((ux, x, wx), (uy, x, wy), (vx, y, wx), (vy, y, wy)))
-    least = np.abs(np.hypot(a + d, b - c) - np.hypot(a - d, b + c)) / 2.0
-    return 1.0 / np.maximum(least, 1e-30)
+    a, b, c, d = (
+        (slope - coordinate / w * w_slope) / w
+        for slope, coordinate, w_slope in ((ux, x, wx), (uy, x, wy), (vx, y, wx), (vy, y, wy))
+    )
+    min_singular_value = np.abs(np.hypot(a + d, b - c) - np.hypot(a - d, b + c)) / 2.0
+    return 1.0 / np.maximum(min_singular_value, 1e-30)

@@ -31,7 +31,7 @@ POSITION_ERROR = 4.0 * float(np.finfo(np.float32).eps)
 NEAREST_SHARE = 1e-4
 """Lower bound of the distance of a lamp's nearest receiver, as a share of the farthest one's."""
 
-CUBE = np.array([
+CUBE_FACES = np.array([
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
     [[-1, 0, 0], [0, 1, 0], [0, 0, -1]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
 ], np.float64)  # fmt: skip
@@ -78,8 +78,8 @@ class DepthMap:
     @property
     def texture_size(self) -> tuple[int, int]:
         """Texels (across, down) of all faces together; six lie in two rows of three."""
-        across, down = (3, 2) if len(self.faces) == 6 else (1, 1)
-        return self.size[0] * across, self.size[1] * down
+        face_cols, face_rows = (3, 2) if len(self.faces) == 6 else (1, 1)
+        return self.size[0] * face_cols, self.size[1] * face_rows
 
     @property
     def is_uniform(self) -> bool:
@@ -115,9 +115,9 @@ def sun_maps(
     maps, near_m = [], -1.0
     for cascade in settings.cascades:
         far_m = np.inf if cascade.far_m is None else cascade.far_m
-        here = receivers & (distance_m > near_m) & (distance_m <= far_m)
-        if here.any():
-            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, nearest_m))
+        cascade_receivers = receivers & (distance_m > near_m) & (distance_m <= far_m)
+        if cascade_receivers.any():
+            maps.append(_sun_map(buffer, cascade_receivers, scene, cascade, settings, trees, nearest_m))
         near_m = far_m
     return maps
 
@@ -138,8 +138,8 @@ def _sun_map(
     error_m = POSITION_ERROR * (_extent_m(buffer, receivers) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
     if not stable:  # never coarser, nor finer than the float32 error of positions
-        own_m = (high - low)[:2] / max(settings.map_size - 2 * MAP_BORDER_TEXELS - 1, 1)
-        texel = np.minimum(texel, np.maximum(own_m, 4.0 * error_m))
+        fitted_texel_m = (high - low)[:2] / max(settings.map_size - 2 * MAP_BORDER_TEXELS - 1, 1)
+        texel = np.minimum(texel, np.maximum(fitted_texel_m, 4.0 * error_m))
     border = np.full(2, MAP_BORDER_TEXELS)
     if settings.filter == "sun":
         low[2] = min(low[2], nearest_m)
@@ -150,11 +150,15 @@ def _sun_map(
             texel[axis] *= 2.0
             first, size = _window(low, high, texel, border, stable)
     if settings.bias == "receiver_plane" and buffer.corners_frame_m is not None:
-        aside_m = texel * (3 if settings.filter == "sun" else settings.filter) / 2.0
-        low[2] -= _nearer_m(buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, receivers, rotation, aside_m)
+        tap_reach_m = texel * (3 if settings.filter == "sun" else settings.filter) / 2.0
+        low[2] -= _depth_margin_m(
+            buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, receivers, rotation, tap_reach_m
+        )
     steps = depth_steps(settings.depth_bits)
-    before_m = 4.0 * (error_m + cascade.depth_step_m) + MAP_BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
-    near, step_m = (_stable_depths if stable else _tight_depths)(low[2] - before_m, high[2], cascade.depth_step_m, steps)
+    front_margin_m = 4.0 * (error_m + cascade.depth_step_m) + MAP_BORDER_TEXELS * float(
+        texel.max()
+    )  # keeps receivers clear of depth 0
+    near, step_m = (_stable_depths if stable else _tight_depths)(low[2] - front_margin_m, high[2], cascade.depth_step_m, steps)
     offset_m, window_m = translation - np.array([*(first * texel), near]), np.array([*(size * texel), steps * step_m])
     uniforms = {
         "lamp": False,
@@ -175,11 +179,11 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
     """Return the map of a lamp; ``None`` where it shines on nothing."""
     position, _, rotation = lamp.in_frame(buffer.frame)
     size = settings.map_size
-    faces = tuple(CUBE) if lamp.kind == "omni" else (np.eye(3),)
+    faces = tuple(CUBE_FACES) if lamp.kind == "omni" else (np.eye(3),)
     half = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
     tangent = half * size / (size - 2 * MAP_BORDER_TEXELS)
-    face_from_frame = np.stack([turned @ rotation for turned in faces])
-    nearest_m, farthest_m = _depths_seen(buffer.position_frame_m, buffer.valid, position, face_from_frame, tangent)
+    face_from_frame = np.stack([face @ rotation for face in faces])
+    nearest_m, farthest_m = _depth_range(buffer.position_frame_m, buffer.valid, position, face_from_frame, tangent)
     if not farthest_m > 0.0:
         return None
     near, far = max(0.98 * nearest_m, NEAREST_SHARE * farthest_m), 1.02 * farthest_m
@@ -197,15 +201,15 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
 
 
 @compiled
-def _depths_seen(points, here, position, faces, tangent):
-    """Return the smallest and largest depth, metres, of the points (rows, cols, 3) that are ``here``, in a lamp's faces (n, 3, 3).
+def _depth_range(points, mask, position, faces, tangent):
+    """Return the smallest and largest depth, metres, of the points (rows, cols, 3) that are ``mask``, in a lamp's faces (n, 3, 3).
 
     Each face reaches as far as ``tangent`` from its axis. The result is infinity and 0 where no face contains a point.
     """
     nearest, farthest = np.inf, 0.0
-    for i in range(here.shape[0]):
-        for j in range(here.shape[1]):
-            if not here[i, j]:
+    for i in range(mask.shape[0]):
+        for j in range(mask.shape[1]):
+            if not mask[i, j]:
                 continue
             x, y, z = points[i, j, 0] - position[0], points[i, j, 1] - position[1], points[i, j, 2] - position[2]
             for k in range(faces.shape[0]):
@@ -233,61 +237,61 @@ def _distances(first, last, points, eye, out):
             out[i, j] = np.sqrt((p[0] - eye[0]) ** 2 + (p[1] - eye[1]) ** 2 + (p[2] - eye[2]) ** 2)
 
 
-def _nearer_m(
-    normal: np.ndarray, corners: np.ndarray, position: np.ndarray, here: np.ndarray, rotation: np.ndarray, aside_m: np.ndarray
+def _depth_margin_m(
+    normal: np.ndarray, corners: np.ndarray, position: np.ndarray, mask: np.ndarray, rotation: np.ndarray, tap_reach_m: np.ndarray
 ) -> float:
     """Return how much nearer to the sun than a point the map may hold the point's triangle, in metres.
 
-    The result is the maximum over the points (rows, cols) that are ``here``. The map samples the triangle at texel centres up to
-    ``aside_m`` (2,) right and up of the point. It clamps depths in front of its first depth, and a triangle that starts there could
-    not be distinguished from its casters.
+    The result is the maximum over the points (rows, cols) that are ``mask``. The map samples the triangle at texel centres up to
+    ``tap_reach_m`` (2,) right and up of the point. It clamps depths in front of its first depth, and a triangle that starts there
+    could not be distinguished from its casters.
     """
-    most_m = np.empty(len(here))
-    run_in_chunks(len(here), _nearer_in_rows, normal, corners, position, here, rotation, aside_m, most_m)
-    return float(most_m.max(initial=0.0))
+    row_margins_m = np.empty(len(mask))
+    run_in_chunks(len(mask), _write_depth_margins, normal, corners, position, mask, rotation, tap_reach_m, row_margins_m)
+    return float(row_margins_m.max(initial=0.0))
 
 
 @compiled
-def _nearer_in_rows(first, last, normal, corners, position, here, rotation, aside_m, out):
+def _write_depth_margins(first, last, normal, corners, position, mask, rotation, tap_reach_m, out):
     for i in range(first, last):
-        most = 0.0
-        for j in range(here.shape[1]):
-            if not here[i, j]:
+        margin_m = 0.0
+        for j in range(mask.shape[1]):
+            if not mask[i, j]:
                 continue
             n, c, p = normal[i, j], corners[i, j], position[i, j]
-            slant, corner = 0.0, 0.0
+            slope_rise, corner_rise = 0.0, 0.0
             for k in range(2):
-                slant += aside_m[k] * abs(rotation[k, 0] * n[0] + rotation[k, 1] * n[1] + rotation[k, 2] * n[2])
+                slope_rise += tap_reach_m[k] * abs(rotation[k, 0] * n[0] + rotation[k, 1] * n[1] + rotation[k, 2] * n[2])
             facing = abs(rotation[2, 0] * n[0] + rotation[2, 1] * n[1] + rotation[2, 2] * n[2])
-            if slant <= most * facing:
+            if slope_rise <= margin_m * facing:
                 continue
             for k in range(0, 9, 3):
                 x, y, z = p[0] - c[k], p[1] - c[k + 1], p[2] - c[k + 2]
-                corner = max(corner, rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z)
-            most = max(most, min(slant / facing if facing > 0.0 else corner, corner))
-        out[i] = most
+                corner_rise = max(corner_rise, rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z)
+            margin_m = max(margin_m, min(slope_rise / facing if facing > 0.0 else corner_rise, corner_rise))
+        out[i] = margin_m
 
 
-def _extent_m(buffer: GeometryBuffer, here: np.ndarray) -> float:
-    """Return the largest coordinate of the points that are ``here`` and of their triangles, whose corners may lie out of sight."""
-    extent_m = float(np.abs(light_bounds(buffer.position_frame_m, here, np.eye(3), np.zeros(3))).max())
+def _extent_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
+    """Return the largest coordinate of the points that are ``mask`` and of their triangles, whose corners may lie out of sight."""
+    extent_m = float(np.abs(light_bounds(buffer.position_frame_m, mask, np.eye(3), np.zeros(3))).max())
     if buffer.corners_frame_m is None:
         return extent_m
-    farthest = np.empty(len(here), np.float32)
-    run_in_chunks(len(here), _farthest_corners, buffer.corners_frame_m, here, farthest)
+    farthest = np.empty(len(mask), np.float32)
+    run_in_chunks(len(mask), _farthest_corners, buffer.corners_frame_m, mask, farthest)
     return max(extent_m, float(farthest.max(initial=0.0)))
 
 
 @compiled
-def _farthest_corners(first, last, corners, here, out):
-    """Write the largest coordinate, in each row, of the corners (rows, cols, 9) that are ``here``."""
+def _farthest_corners(first, last, corners, mask, out):
+    """Write the largest coordinate, in each row, of the corners (rows, cols, 9) that are ``mask``."""
     for i in range(first, last):
-        most = np.float32(0.0)
-        for j in range(here.shape[1]):
-            if here[i, j]:
+        largest = np.float32(0.0)
+        for j in range(mask.shape[1]):
+            if mask[i, j]:
                 for k in range(9):
-                    most = max(most, abs(corners[i, j, k]))
-        out[i] = most
+                    largest = max(largest, abs(corners[i, j, k]))
+        out[i] = largest
 
 
 def depth_steps(depth_bits: int) -> int:

@@ -26,7 +26,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
         return scaled_by_points(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     faces = 6 if task.light_kind == "omni" else 1
     windows = [(float(settings.map_size**2), task.level_light_m2)] * faces
-    return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.seen)}
+    return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.visible_pixels)}
 
 
 def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Work:

@@ -54,6 +54,6 @@ def direction_range(directions, low, high):
     if high - low >= 360.0:
         return 0, count
     begin = directions.first[int(low * (AZIMUTH_BINS / 360.0))]
-    turn = int(high // 360.0)
-    last = min(int((high - 360.0 * turn) * (AZIMUTH_BINS / 360.0)) + 1, AZIMUTH_BINS)
-    return begin, directions.first[last] + count * turn
+    revolutions = int(high // 360.0)
+    last = min(int((high - 360.0 * revolutions) * (AZIMUTH_BINS / 360.0)) + 1, AZIMUTH_BINS)
+    return begin, directions.first[last] + count * revolutions

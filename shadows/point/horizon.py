@@ -14,7 +14,7 @@ from skugga.shadows.point.directions import Directions, sort_directions
 from skugga.shadows.point.horizon_walk import ReliefHorizon, is_ground_occluded, relief_horizon
 from skugga.shadows.point.leaf_sight import VisibleTrees, highest_leaves, nearest_leaves, visible_trees
 from skugga.shadows.point.place import PointPlace
-from skugga.shadows.point.solid_sight import Sighting, highest_solids, nearest_solids, nothing_sighted
+from skugga.shadows.point.solid_sight import Sighting, empty_sighting, highest_solids, nearest_solids
 from skugga.shadows.point.terms import CasterType
 from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
 from skugga.terrain.geo.world import geodetic
@@ -118,7 +118,7 @@ def load_surroundings(scene: Scene, place: PointPlace) -> Surroundings:
     if solids is not None and placement is not None:
         points, triangles = place.in_enu(solids.caster_vertices_earth_m), solids.caster_triangles
         counts = [len(placed.body.triangles) for placed in placement.casting]
-        is_building = np.repeat(np.array(placement.casting_buildings, bool), counts)
+        is_building = np.repeat(np.array(placement.casting_is_building, bool), counts)
     return Surroundings(scene, place, points, triangles, is_building, _trees_around(scene, place))
 
 
@@ -163,19 +163,19 @@ def sun_occluders(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_
     azimuth, altitude = (np.atleast_1d(np.asarray(v, np.float64)) for v in (azimuth_deg, altitude_deg))
     ground = relief_horizon(surroundings.scene, surroundings.place, azimuth)
     highest = _highest_objects(surroundings, sort_directions(azimuth))
-    in_the_way = _nearest_occluders(surroundings, azimuth, _tangent(altitude))
-    found: list[SunCaster | None] = []
+    nearest = _nearest_occluders(surroundings, azimuth, _tangent(altitude))
+    occluders: list[SunCaster | None] = []
     for n, tangent in enumerate(_tangent(altitude)):
         candidates: list[tuple[float, SunCaster]] = []
         if altitude[n] > 0.0 and tangent <= ground.tangent[n]:
             candidates.append((float(ground.tangent[n]), _ground_caster(surroundings.place, ground, n)))
-        for top, near in zip(highest, in_the_way, strict=True):
+        for top, near in zip(highest, nearest, strict=True):
             if altitude[n] > 0.0 and near.number[n] >= 0:
-                which = top if top.number[n] >= 0 else near
-                kind: CasterType = "forest" if top is highest[1] else _solid_kind(surroundings, int(which.number[n]))
-                candidates.append((float(which.tangent[n]), _object_caster(surroundings.place, kind, azimuth[n], which, n)))
-        found.append(max(candidates, key=lambda each: each[0])[1] if candidates else None)
-    return found
+                sighted = top if top.number[n] >= 0 else near
+                kind: CasterType = "forest" if top is highest[1] else _solid_kind(surroundings, int(sighted.number[n]))
+                candidates.append((float(sighted.tangent[n]), _object_caster(surroundings.place, kind, azimuth[n], sighted, n)))
+        occluders.append(max(candidates, key=lambda candidate: candidate[0])[1] if candidates else None)
+    return occluders
 
 
 def _trees_around(scene: Scene, place: PointPlace) -> VisibleTrees | None:
@@ -192,7 +192,7 @@ def _trees_around(scene: Scene, place: PointPlace) -> VisibleTrees | None:
 def _highest_objects(surroundings: Surroundings, directions: Directions) -> tuple[Sighting, Sighting]:
     """Return the highest solids and leaves towards directions, in the caller's order."""
     count = len(directions.azimuth)
-    solids, leaves = nothing_sighted(count), nothing_sighted(count)
+    solids, leaves = empty_sighting(count), empty_sighting(count)
     highest_solids(surroundings.point_enu_m, surroundings.triangles, directions, solids)
     if surroundings.trees is not None:
         highest_leaves(surroundings.trees, directions, leaves)
@@ -204,19 +204,19 @@ def _nearest_occluders(
 ) -> list[Sighting]:
     """Return the nearest object of each kind that rays meet, in the caller's order."""
     directions = sort_directions(azimuth_deg)
-    ordered, found = tangent[directions.input_index], []
+    ordered, sightings = tangent[directions.input_index], []
     for kind in kinds:
-        sighted = nothing_sighted(len(ordered))
+        sighted = empty_sighting(len(ordered))
         if kind == "meshes":
             nearest_solids(surroundings.point_enu_m, surroundings.triangles, directions, ordered, sighted)
         elif surroundings.trees is not None:
             nearest_leaves(surroundings.trees, directions, ordered, sighted)
-        found.append(_in_input_order(sighted, directions))
-    return found
+        sightings.append(_in_input_order(sighted, directions))
+    return sightings
 
 
 def _in_input_order(sighted: Sighting, directions: Directions) -> Sighting:
-    out = nothing_sighted(len(directions.input_index))
+    out = empty_sighting(len(directions.input_index))
     for target, ordered in zip(out, sighted, strict=True):
         target[directions.input_index] = ordered
     return out
@@ -235,14 +235,14 @@ def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaste
 
 
 def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sighted: Sighting, n: int) -> SunCaster:
-    azimuth, away = np.radians(azimuth_deg), float(sighted.distance[n])
-    enu = np.array([away * np.sin(azimuth), away * np.cos(azimuth), away * float(sighted.tangent[n])])
+    azimuth, distance = np.radians(azimuth_deg), float(sighted.distance[n])
+    enu = np.array([distance * np.sin(azimuth), distance * np.cos(azimuth), distance * float(sighted.tangent[n])])
     point = place.eye_earth_m + place.earth_from_enu @ enu
     lon = lat = None
     height = float(point[2])
     if place.lon_deg is not None:
         lon, lat, height = (float(v) for v in geodetic(point, place.ellipsoid))
-    return SunCaster(kind, away, float(azimuth_deg), float(_degrees(sighted.tangent[n])), height, lon, lat)
+    return SunCaster(kind, distance, float(azimuth_deg), float(_degrees(sighted.tangent[n])), height, lon, lat)
 
 
 def _tangent(altitude_deg: np.ndarray) -> np.ndarray:

@@ -23,10 +23,10 @@ from skugga.terrain.scene import Scene
 NO_GROUND = -1e30
 """Tangent of a horizon without any ground."""
 
-NUDGE = 1e-7
+ENTRY_STEP_NODES = 1e-7
 """Step in nodes by which a line enters the next quad."""
 
-MIN_NODES = 1e-4
+MIN_DISTANCE_NODES = 1e-4
 """Distance in nodes within which ground counts as the ground under the eye."""
 
 
@@ -50,7 +50,7 @@ class ReliefHorizon:
     height_m: np.ndarray
 
 
-class Pages(NamedTuple):
+class PageArrays(NamedTuple):
     """The ground at one level of detail, for compiled loops: see ``PagedLevel``.
 
     Attributes
@@ -81,7 +81,7 @@ class Pages(NamedTuple):
     blocks: bool
 
 
-class Lines(NamedTuple):
+class LineArrays(NamedTuple):
     """Lines of sight, for compiled loops: see ``SightLines``.
 
     Attributes
@@ -106,7 +106,7 @@ class Lines(NamedTuple):
     stops_at_first_occluder: bool
 
 
-class Walks(NamedTuple):
+class WalkStates(NamedTuple):
     """The state and the results of lines.
 
     Attributes
@@ -147,24 +147,24 @@ def is_ground_occluded(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray,
 
 def _walk_to_ground(
     scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, stops_at_first_occluder: bool
-) -> Walks:
+) -> WalkStates:
     """Return the walks to the highest, or to the first, ground above tangents (n,), which are overwritten."""
     ground = paged_relief(scene)
     lines = sight_lines(ground, place, azimuth_deg, farthest_m(scene, place))
     count = len(azimuth_deg)
-    nothing = np.full(count, np.nan)
-    walks = Walks(np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_), tangent, nothing, nothing.copy())
+    missing = np.full(count, np.nan)
+    walks = WalkStates(np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_), tangent, missing, missing.copy())
     for level, (near, far) in enumerate(detail_ends(_farthest_nodes(lines))):
         walks.piece[:], walks.share[:], walks.ended[:] = 0, 0.0, stops_at_first_occluder & np.isfinite(walks.distance)
         pages = ground.level(level)
         while not walks.ended.all():
             needed_pages = np.zeros(pages.bound_m.shape, np.bool_)
             _walk(
-                Pages(
+                PageArrays(
                     pages.bound_m, pages.first_row, pages.first_col, pages.number, pages.height_m, pages.high_m,
                     2.0**level, ground.blocks,
                 ),
-                Lines(lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first_occluder),
+                LineArrays(lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first_occluder),
                 walks, needed_pages,
             )  # fmt: skip
             ground.read(level, needed_pages)
@@ -179,19 +179,19 @@ def farthest_m(scene: Scene, place: PointPlace) -> float:
     bounds = scene.elevation.bounds
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(bounds[0], bounds[2], 5), np.linspace(bounds[1], bounds[3], 5)))
     corners, _ = scene.world.ground(scene.elevation.crs, x, y)
-    away = np.linalg.norm(corners - place.eye_earth_m, axis=-1)
-    margin = 1.1 * float(np.nanmax(away, initial=0.0)) + 4.0 * scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    corner_distance_m = np.linalg.norm(corners - place.eye_earth_m, axis=-1)
+    margin = 1.1 * float(np.nanmax(corner_distance_m, initial=0.0)) + 4.0 * scene.elevation.cell_size_m(scene.world.metres_per_unit)
     if scene.world.flat:
         return margin
     low, high = scene.height_range_m
     radius_m = scene.world.radius_m
-    seen_m = sum(longest_shadow_m(rise, 0.0, radius_m=radius_m) for rise in (place.eye_m - low, high - low))
-    return min(margin, 1.05 * seen_m + 1000.0)
+    visible_m = sum(longest_shadow_m(rise, 0.0, radius_m=radius_m) for rise in (place.eye_m - low, high - low))
+    return min(margin, 1.05 * visible_m + 1000.0)
 
 
 def _farthest_nodes(lines: SightLines) -> float:
-    away = np.maximum(np.abs(lines.row - lines.row[:, :1]), np.abs(lines.col - lines.col[:, :1]))
-    return float(away.max(initial=1.0))
+    distance_nodes = np.maximum(np.abs(lines.row - lines.row[:, :1]), np.abs(lines.col - lines.col[:, :1]))
+    return float(distance_nodes.max(initial=1.0))
 
 
 @compiled
@@ -215,11 +215,11 @@ def _follow(pages, lines, walks, needed_pages, n):
         r0, c0 = (lines.row[n, piece] + shift) / scale, (lines.col[n, piece] + shift) / scale
         dr, dc = (lines.row[n, piece + 1] - lines.row[n, piece]) / scale, (lines.col[n, piece + 1] - lines.col[n, piece]) / scale
         s0, ds = lines.distance[piece], lines.distance[piece + 1] - lines.distance[piece]
-        step = NUDGE / max(abs(dr), abs(dc), NUDGE)
+        step = ENTRY_STEP_NODES / max(abs(dr), abs(dc), ENTRY_STEP_NODES)
         while t < 1.0:
             r, c = r0 + (t + step) * dr, c0 + (t + step) * dc
-            away = max(abs(lines.row[n, piece] + t * dr * scale - row0), abs(lines.col[n, piece] + t * dc * scale - col0))
-            if away >= lines.far:
+            distance_nodes = max(abs(lines.row[n, piece] + t * dr * scale - row0), abs(lines.col[n, piece] + t * dc * scale - col0))
+            if distance_nodes >= lines.far:
                 walks.ended[n], walks.tangent[n] = True, best
                 return
             i, j = int(np.floor(r)), int(np.floor(c))
@@ -230,7 +230,7 @@ def _follow(pages, lines, walks, needed_pages, n):
             if not has_page or not _can_exceed(pages.bound[a, b], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
                 continue
-            if away < lines.near and scale * PATCH_QUADS < lines.near - away:
+            if distance_nodes < lines.near and scale * PATCH_QUADS < lines.near - distance_nodes:
                 t = t_out
                 continue
             number = pages.number[a, b]
@@ -249,7 +249,7 @@ def _follow(pages, lines, walks, needed_pages, n):
                 continue
             top, left = page_row * PATCH_QUADS + i, page_col * PATCH_QUADS + j
             t_out = _exit_share(r0, dr, c0, dc, top, left, 1.0, t + step)
-            if away >= lines.near:
+            if distance_nodes >= lines.near:
                 height = pages.height[number]
                 end = min(t_out, 1.0)
                 if pages.blocks:
@@ -260,14 +260,14 @@ def _follow(pages, lines, walks, needed_pages, n):
                     nw, ne = np.float64(height[i, j]), np.float64(height[i, j + 1])
                     sw, se = np.float64(height[i + 1, j]), np.float64(height[i + 1, j + 1])
                     rising = ne + sw
-                    falls = nw + se > rising or np.isnan(rising)
-                    across = (r0 - top) - (c0 - left) if falls else (r0 - top) + (c0 - left) - 1.0
-                    slope = dr - dc if falls else dr + dc
+                    is_cut_nw_se = nw + se > rising or np.isnan(rising)
+                    diagonal_offset = (r0 - top) - (c0 - left) if is_cut_nw_se else (r0 - top) + (c0 - left) - 1.0
+                    slope = dr - dc if is_cut_nw_se else dr + dc
                     if slope != 0.0:
-                        cut = -across / slope
+                        cut = -diagonal_offset / slope
                         if t < cut < end:
                             share = c0 + cut * dc - left
-                            h = nw + share * (se - nw) if falls else sw + share * (ne - sw)
+                            h = nw + share * (se - nw) if is_cut_nw_se else sw + share * (ne - sw)
                             best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + cut * ds, s0 + cut * ds, ds * step)
                     fr, fc = r0 + end * dr - top, c0 + end * dc - left
                     h = quad_height(nw, ne, sw, se, min(max(fr, 0.0), 1.0), min(max(fc, 0.0), 1.0))
@@ -283,16 +283,16 @@ def _follow(pages, lines, walks, needed_pages, n):
 @internal
 def _exit_share(r0, dr, c0, dc, top, left, side, after):
     """Return the share of a piece at which it leaves a square of the grid; always at least ``after``."""
-    out = np.inf
+    share = np.inf
     if dr > 0.0:
-        out = (top + side - r0) / dr
+        share = (top + side - r0) / dr
     elif dr < 0.0:
-        out = (top - r0) / dr
+        share = (top - r0) / dr
     if dc > 0.0:
-        out = min(out, (left + side - c0) / dc)
+        share = min(share, (left + side - c0) / dc)
     elif dc < 0.0:
-        out = min(out, (left - c0) / dc)
-    return max(out, after)
+        share = min(share, (left - c0) / dc)
+    return max(share, after)
 
 
 @internal
@@ -307,16 +307,16 @@ def _can_exceed(high, eye, best, kappa, near, far):
 
 
 @internal
-def _raise_horizon(walks, n, best, h, eye, kappa, s, at, least):
+def _raise_horizon(walks, n, best, h, eye, kappa, s, distance, nudge_m):
     """Return the maximum of a tangent and of the tangent of ground of a height at a distance; store the ground if it is higher."""
-    if not s > least * MIN_NODES / NUDGE:
+    if not s > nudge_m * MIN_DISTANCE_NODES / ENTRY_STEP_NODES:
         return best
     theta = kappa * s
     square = theta * theta
     drop = 0.5 * s * theta * (1.0 - square / 12.0 * (1.0 - square / 30.0))  # R (1 - cos)
-    along = s * (1.0 - square / 6.0 * (1.0 - square / 20.0)) * (1.0 + kappa * h)  # (R + h) sin
-    up = h * (1.0 - kappa * drop) - drop - eye
-    if up > best * along:
-        best = up / along
-        walks.distance[n], walks.height[n] = at, h
+    horizontal = s * (1.0 - square / 6.0 * (1.0 - square / 20.0)) * (1.0 + kappa * h)  # (R + h) sin
+    vertical = h * (1.0 - kappa * drop) - drop - eye
+    if vertical > best * horizontal:
+        best = vertical / horizontal
+        walks.distance[n], walks.height[n] = distance, h
     return best

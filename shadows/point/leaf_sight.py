@@ -2,7 +2,7 @@
 
 The vertical plane of a direction cuts a quad in a straight segment. A ray of the direction meets the segment in one point, where
 the alpha test decides between leaf and gap. The horizon is the highest leaf. The search runs along the segment from its upper end
-down, in steps of a quarter of a texel, or of ``STEP`` where that is larger.
+down, in steps of a quarter of a texel, or of ``TANGENT_STEP`` where that is larger.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.point.directions import Directions, direction_range
-from skugga.shadows.point.solid_sight import MIN_AWAY_M, Sighting, azimuth_of
+from skugga.shadows.point.solid_sight import MIN_DISTANCE_M, Sighting, azimuth_of
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_corner
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
-from skugga.terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, TEXTURE_PX, foliage
 
-STEP = 1e-4
+TANGENT_STEP = 1e-4
 """Step of the tangent (0.006 degrees) in the search for distant leaves."""
 
 
@@ -27,7 +27,7 @@ class VisibleTrees(NamedTuple):
 
     Attributes
     ----------
-    base, shape, turn, variant, curvature
+    base, shape, yaw_cos_sin, variant, curvature
         As in ``TreeInstances``.
     enu_from_frame
         (3, 3): rotation from the frame to east, north and up.
@@ -43,7 +43,7 @@ class VisibleTrees(NamedTuple):
 
     base: np.ndarray
     shape: np.ndarray
-    turn: np.ndarray
+    yaw_cos_sin: np.ndarray
     variant: np.ndarray
     curvature: float
     enu_from_frame: np.ndarray
@@ -59,152 +59,154 @@ def visible_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_fram
     enu_from_frame = np.ascontiguousarray(enu_from_frame)
     number, low, high, steepest = _trees_above_eye(instances.base_frame_m, instances.shape, enu_from_frame, eye_frame_m)
     return VisibleTrees(
-        instances.base_frame_m[number], instances.shape[number], instances.turn[number], instances.variant[number],
-        instances.curvature, enu_from_frame, eye_frame_m, low, high, steepest, foliage().levels[0][..., 3],
+        instances.base_frame_m[number], instances.shape[number], instances.yaw_cos_sin[number], instances.variant[number],
+        instances.curvature, enu_from_frame, eye_frame_m, low, high, steepest, foliage().mip_levels[0][..., 3],
     )  # fmt: skip
 
 
 @compiled
-def _trees_above_eye(base, shape, turn, origin):
+def _trees_above_eye(base, shape, enu_rotation, origin):
     """Return the indices of trees that rise above the eye's level, with bounds of their azimuths and tangents."""
     number = np.empty(len(base), np.int64)
     bounds = np.empty((3, len(base)))
     count = 0
     foot = np.empty(3)
     for m in range(len(base)):
-        _to_enu(turn, origin, base[m, 0], base[m, 1], base[m, 2], foot)
+        _to_enu(enu_rotation, origin, base[m, 0], base[m, 1], base[m, 2], foot)
         top = foot[2] + shape[m, 2]
         if top <= 0.0:
             continue
         half = max(shape[m, 0], 1.4143 * shape[m, 1]) + 0.01 * shape[m, 2]
-        away = np.hypot(foot[0], foot[1])
+        distance = np.hypot(foot[0], foot[1])
         low, high, steepest = 0.0, 360.0, np.inf
-        if away > half:
-            spread = np.degrees(np.arcsin(half / away))
+        if distance > half:
+            spread = np.degrees(np.arcsin(half / distance))
             low = (azimuth_of(foot) - spread) % 360.0
-            high, steepest = low + 2.0 * spread, top / (away - half)
+            high, steepest = low + 2.0 * spread, top / (distance - half)
         number[count], bounds[0, count], bounds[1, count], bounds[2, count] = m, low, high, steepest
         count += 1
     return number[:count], bounds[0, :count].copy(), bounds[1, :count].copy(), bounds[2, :count].copy()
 
 
-def highest_leaves(trees: VisibleTrees, directions: Directions, found: Sighting) -> None:
-    """Replace entries of ``found`` by leaves with larger tangents towards directions."""
-    _sight_trees(trees, directions, found.tangent, True, found)
+def highest_leaves(trees: VisibleTrees, directions: Directions, sighting: Sighting) -> None:
+    """Replace entries of ``sighting`` by leaves with larger tangents towards directions."""
+    _sight_trees(trees, directions, sighting.tangent, True, sighting)
 
 
-def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndarray, found: Sighting) -> None:
-    """Replace entries of ``found`` by nearer leaves that rays meet, with ``tangent`` (n,) above the eye's level."""
-    _sight_trees(trees, directions, tangent, False, found)
+def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndarray, sighting: Sighting) -> None:
+    """Replace entries of ``sighting`` by nearer leaves that rays meet, with ``tangent`` (n,) above the eye's level."""
+    _sight_trees(trees, directions, tangent, False, sighting)
 
 
 @compiled
-def _sight_trees(trees, directions, tangent, highest, found):
+def _sight_trees(trees, directions, tangent, highest, sighting):
     count = len(directions.azimuth)
     if count == 0:
         return
-    turn, origin = trees.enu_from_frame, trees.eye_frame
+    enu_rotation, origin = trees.enu_from_frame, trees.eye_frame
     corner, quad = np.empty((4, 3)), np.empty((3, 3, 3))
     for m in range(len(trees.base)):
         begin, end = direction_range(directions, trees.low[m], trees.high[m])
-        ready = False
+        has_quads = False
         for k in range(begin, end):
             n = k % count
             if trees.steepest[m] <= tangent[n]:  # in a search for the highest leaves, ``tangent`` is the largest so far
                 continue
-            if not ready:
+            if not has_quads:
                 for q in range(3):
                     for e in range(4):
-                        x, y, z = tree_corner(trees.base[m], trees.shape[m], trees.turn[m], trees.curvature, q, e)
-                        _to_enu(turn, origin, x, y, z, corner[e])
+                        x, y, z = tree_corner(trees.base[m], trees.shape[m], trees.yaw_cos_sin[m], trees.curvature, q, e)
+                        _to_enu(enu_rotation, origin, x, y, z, corner[e])
                     for d in range(3):
                         quad[q, 0, d] = corner[0, d]
                         quad[q, 1, d] = corner[1, d] - corner[0, d]
                         quad[q, 2, d] = corner[3, d] - corner[0, d]
-                ready = True
+                has_quads = True
             for q in range(3):
                 layer = 2 * trees.variant[m] + (1 if q == 2 else 0)
-                _sight_quad(quad[q], trees.alpha[layer], directions.sine[n], directions.cosine[n], tangent[n], highest, found, n, m)
+                _sight_quad(
+                    quad[q], trees.alpha[layer], directions.sine[n], directions.cosine[n], tangent[n], highest, sighting, n, m
+                )
 
 
 @internal
-def _to_enu(turn, origin, x, y, z, out):
+def _to_enu(enu_rotation, origin, x, y, z, out):
     """Write a frame point as metres east, north and up from the eye."""
     x, y, z = x - origin[0], y - origin[1], z - origin[2]
     for d in range(3):
-        out[d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z
+        out[d] = enu_rotation[d, 0] * x + enu_rotation[d, 1] * y + enu_rotation[d, 2] * z
 
 
 @internal
-def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
+def _sight_quad(quad, alpha, sine, cosine, tangent, highest, sighting, n, m):
     """Test one quad (its first corner, its side to the right and its side up) in one direction."""
     first, right, up = quad[0], quad[1], quad[2]
-    beside = first[0] * cosine - first[1] * sine
+    offset = first[0] * cosine - first[1] * sine
     by_right, by_up = right[0] * cosine - right[1] * sine, up[0] * cosine - up[1] * sine
-    met = 0
+    crossings = 0
     u0 = v0 = u1 = v1 = 0.0
     for side in range(4):  # the line beside + u by_right + v by_up = 0 in the unit square
         if side < 2:
             u, v = float(side), 0.0
             if by_up == 0.0:
                 continue
-            v = -(beside + u * by_right) / by_up
+            v = -(offset + u * by_right) / by_up
         else:
             u, v = 0.0, float(side - 2)
             if by_right == 0.0:
                 continue
-            u = -(beside + v * by_up) / by_right
+            u = -(offset + v * by_up) / by_right
         if not (-1e-9 <= u <= 1.0 + 1e-9 and -1e-9 <= v <= 1.0 + 1e-9):
             continue
-        if met == 0:
+        if crossings == 0:
             u0, v0 = u, v
-            met = 1
-        elif abs(u - u0) + abs(v - v0) > abs(u1 - u0) + abs(v1 - v0) or met == 1:
+            crossings = 1
+        elif abs(u - u0) + abs(v - v0) > abs(u1 - u0) + abs(v1 - v0) or crossings == 1:
             u1, v1 = u, v
-            met = 2
-    if met < 2:
+            crossings = 2
+    if crossings < 2:
         return
     base = first[0] * sine + first[1] * cosine
     by_u, by_v = right[0] * sine + right[1] * cosine, up[0] * sine + up[1] * cosine
     s0, s1 = base + u0 * by_u + v0 * by_v, base + u1 * by_u + v1 * by_v
     z0, z1 = first[2] + u0 * right[2] + v0 * up[2], first[2] + u1 * right[2] + v1 * up[2]
-    if s0 <= MIN_AWAY_M and s1 <= MIN_AWAY_M:
+    if s0 <= MIN_DISTANCE_M and s1 <= MIN_DISTANCE_M:
         return
     if highest:
-        _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m)
+        _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m)
         return
     over, under = z0 - tangent * s0, z1 - tangent * s1
     if (over > 0.0) == (under > 0.0):
         return
     share = over / (over - under)
     s = s0 + share * (s1 - s0)
-    if MIN_AWAY_M < s < found.distance[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
-        found.tangent[n], found.distance[n], found.number[n] = tangent, s, m
+    if MIN_DISTANCE_M < s < sighting.distance[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
+        sighting.tangent[n], sighting.distance[n], sighting.number[n] = tangent, s, m
 
 
 @internal
-def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
+def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m):
     """Search a segment of a quad for a leaf, from its upper end to its lower one or to the highest leaf so far."""
-    if s0 < MIN_AWAY_M or s1 < MIN_AWAY_M:  # clip at the vertical through the eye
-        share = (MIN_AWAY_M - s0) / (s1 - s0)
+    if s0 < MIN_DISTANCE_M or s1 < MIN_DISTANCE_M:  # clip at the vertical through the eye
+        share = (MIN_DISTANCE_M - s0) / (s1 - s0)
         u, v, z = u0 + share * (u1 - u0), v0 + share * (v1 - v0), z0 + share * (z1 - z0)
         if s0 < s1:
-            u0, v0, s0, z0 = u, v, MIN_AWAY_M, z
+            u0, v0, s0, z0 = u, v, MIN_DISTANCE_M, z
         else:
-            u1, v1, s1, z1 = u, v, MIN_AWAY_M, z
+            u1, v1, s1, z1 = u, v, MIN_DISTANCE_M, z
     if z0 * s1 < z1 * s0:
         u0, v0, s0, z0, u1, v1, s1, z1 = u1, v1, s1, z1, u0, v0, s0, z0
-    if z0 <= found.tangent[n] * s0:
+    if z0 <= sighting.tangent[n] * s0:
         return
     texels = 4.0 * max(abs(u1 - u0), abs(v1 - v0)) * TEXTURE_PX
-    steps = int(min(texels, abs(z0 / s0 - z1 / s1) / STEP)) + 1
+    steps = int(min(texels, abs(z0 / s0 - z1 / s1) / TANGENT_STEP)) + 1
     for k in range(steps + 1):
         share = k / steps
         s, z = s0 + share * (s1 - s0), z0 + share * (z1 - z0)
-        if z <= found.tangent[n] * s:
+        if z <= sighting.tangent[n] * s:
             return
         if _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
-            found.tangent[n], found.distance[n], found.number[n] = z / s, s, m
+            sighting.tangent[n], sighting.distance[n], sighting.number[n] = z / s, s, m
             return
 
 
@@ -214,6 +216,6 @@ def _is_leaf(alpha, u, v):
     height, width = alpha.shape
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)
-    y0, y1, down = cell_interval(y, height)
-    x0, x1, across = cell_interval(x, width)
-    return blend_corners(alpha[y0, x0], alpha[y0, x1], alpha[y1, x0], alpha[y1, x1], down, across) >= 255.0 * THRESHOLD
+    y0, y1, y_share = cell_interval(y, height)
+    x0, x1, x_share = cell_interval(x, width)
+    return blend_corners(alpha[y0, x0], alpha[y0, x1], alpha[y1, x0], alpha[y1, x1], y_share, x_share) >= 255.0 * ALPHA_THRESHOLD

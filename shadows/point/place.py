@@ -116,7 +116,7 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
 def _on_grid(scene: Scene, ground: PagedRelief, at: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
     """Return coordinates in the CRS of the ground's grid."""
     if scene.world.flat and crs is None:
-        return scene.place.xy(at)
+        return scene.geolocator.xy(at)
     if crs is not None:
         east, north = axes_of(crs).xy(*at)
         at = float(east), float(north)
@@ -141,7 +141,9 @@ def _allowed_places(scene: Scene, at: tuple[float, float], crs: CRS | None) -> s
         return "a place on the level's data"
     west, south, east, north = scene.bounds_lon_lat
     bounds = f"longitudes {west:.4f} to {east:.4f}, latitudes {south:.4f} to {north:.4f}"
-    is_within = crs is None and south <= at[1] <= north and any(west <= at[0] + turn <= east for turn in (-360.0, 0.0, 360.0))
+    is_within = (
+        crs is None and south <= at[1] <= north and any(west <= at[0] + shift_deg <= east for shift_deg in (-360.0, 0.0, 360.0))
+    )
     if is_within:
         return f"a cell with a height: within the level's bounds ({bounds}) its raster has none there"
     return f"a place on the level's data: {bounds}"

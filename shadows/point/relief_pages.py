@@ -66,7 +66,7 @@ class PagedLevel:
         """Store the heights of a page."""
         if self.pages == len(self.height_m):
             room = max(2 * self.pages, 16)
-            self.height_m, self.high_m = _with_room(self.height_m, room), _with_room(self.high_m, room)
+            self.height_m, self.high_m = _grown_copy(self.height_m, room), _grown_copy(self.high_m, room)
         self.height_m[self.pages] = height_m
         self.high_m[self.pages] = _tile_max(height_m)
         self.number[row, col] = self.pages
@@ -141,8 +141,8 @@ class PagedRelief:
         """
         near_row, near_col = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
         if self.blocks:
-            height, shown = Columns(self.world, self.elevation, 0).heights(near_row, near_col, 1, 1)
-            return float(height[0, 0]), bool(shown[0, 0])
+            height, is_visible = Columns(self.world, self.elevation, 0).heights(near_row, near_col, 1, 1)
+            return float(height[0, 0]), bool(is_visible[0, 0])
         row0, col0 = int(np.floor(row)), int(np.floor(col))
         fr, fc = row - row0, col - col0
         window = Surface(self.world, self.elevation, self.grid).height_window(row0, col0, 2, 2)
@@ -195,20 +195,20 @@ def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
     spans = [(np.floor((v - half) / side).astype(np.int64), np.floor((v + half) / side).astype(np.int64)) for v in (row, col)]
     (top, bottom), (left, right) = spans
     first_row, first_col = int(top.min()), int(left.min())
-    turn = _columns_of_a_turn(ground) / side
+    revolution = _columns_per_revolution(ground) / side
     bound = np.full((int(bottom.max()) - first_row + 1, int(right.max()) - first_col + 1), -np.inf, np.float32)
     for down in range(int((bottom - top).max()) + 1):
-        for aside in range(int((right - left).max()) + 1):
-            np.maximum.at(bound, (np.minimum(top + down, bottom) - first_row, np.minimum(left + aside, right) - first_col), high)
-    if not turn:
+        for offset in range(int((right - left).max()) + 1):
+            np.maximum.at(bound, (np.minimum(top + down, bottom) - first_row, np.minimum(left + offset, right) - first_col), high)
+    if not revolution:
         return bound, first_row, first_col
-    reach = int(np.ceil(turn)) + 1  # all round the earth: one turn more to either side, bounded by the overall maximum
+    reach = int(np.ceil(revolution)) + 1  # all round the earth: one turn more to either side, bounded by the overall maximum
     wide = np.full((bound.shape[0], bound.shape[1] + 2 * reach), high.max(), np.float32)
     wide[:, reach:-reach] = np.where(np.isfinite(bound), bound, high.max())
     return wide, first_row, first_col - reach
 
 
-def _columns_of_a_turn(ground: PagedRelief) -> float:
+def _columns_per_revolution(ground: PagedRelief) -> float:
     """Return the nodes in 360 degrees of a ground that spans the whole earth; 0 for all others."""
     west, _, east, _ = ground.elevation.bounds
     if not ground.grid.crs.is_geographic or east - west < 360.0 - 1.5 * ground.grid.step:
@@ -216,7 +216,7 @@ def _columns_of_a_turn(ground: PagedRelief) -> float:
     return 360.0 / ground.grid.step
 
 
-def _with_room(array: np.ndarray, room: int) -> np.ndarray:
+def _grown_copy(array: np.ndarray, room: int) -> np.ndarray:
     """Return a copy of an array with room for more pages."""
     grown = np.empty((room, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array

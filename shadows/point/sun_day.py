@@ -94,7 +94,7 @@ def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
     Raises ``InputError`` in a flat world, for years outside of the sun's ephemeris, and for a day that the clock's calendar skips.
     """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
-    when, to_sun = sun_samples(surroundings.scene.world, begin, end, STEP_S)
+    times_s, to_sun = sun_samples(surroundings.scene.world, begin, end, STEP_S)
     azimuth, altitude = angles_at(surroundings.place, to_sun)
     lit = sees_sun(surroundings, azimuth, altitude)
 
@@ -102,23 +102,24 @@ def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
         return datetime.fromtimestamp(round(second), UTC).astimezone(clock)
 
     up = altitude > 0.0
-    rises, sets = (_crossings(when, altitude, rising) for rising in (True, False))
+    rises, sets = (_crossings(times_s, altitude, rising) for rising in (True, False))
     changes = np.flatnonzero(lit[1:] != lit[:-1])
-    at = _change_times_s(surroundings, when, azimuth, altitude, lit, changes)
+    at = _change_times_s(surroundings, times_s, azimuth, altitude, lit, changes)
     bounds = np.concatenate([[begin] if lit[0] else [], at, [end] if lit[-1] else []])
-    hidden = _occluders_at(surroundings, when, azimuth, altitude, lit, changes)
-    hidden = [*([None] if lit[0] else []), *hidden, *([None] if lit[-1] else [])]
+    occluders = _occluders_at(surroundings, times_s, azimuth, altitude, lit, changes)
+    occluders = [*([None] if lit[0] else []), *occluders, *([None] if lit[-1] else [])]
     sunlit = tuple(
-        SunlitInterval(moment_of(bounds[n]), moment_of(bounds[n + 1]), hidden[n], hidden[n + 1]) for n in range(0, len(bounds), 2)
+        SunlitInterval(moment_of(bounds[n]), moment_of(bounds[n + 1]), occluders[n], occluders[n + 1])
+        for n in range(0, len(bounds), 2)
     )
-    daylight = _daylight_s(when, altitude, up, rises, sets)
+    daylight = _daylight_s(times_s, altitude, up, rises, sets)
     direct = float(sum(bounds[1::2] - bounds[::2]))
     highest = int(np.argmax(altitude))
     return SunDay(
         day=day,
         sunrise=moment_of(rises[0]) if len(rises) else None,
         sunset=moment_of(sets[-1]) if len(sets) else None,
-        noon=moment_of(_culmination_s(when, altitude, highest)),
+        noon=moment_of(_culmination_s(times_s, altitude, highest)),
         noon_altitude_deg=float(altitude[highest]),
         first_sun=sunlit[0].begin if sunlit else None,
         last_sun=sunlit[-1].end if sunlit else None,
@@ -143,33 +144,33 @@ def _remark(up: np.ndarray, shines: bool, rises: int, sets: int) -> str | None:
     return None
 
 
-def _crossings(when: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> np.ndarray:
+def _crossings(times_s: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> np.ndarray:
     """Return the times at which the altitude crosses 0 upwards or downwards, linear between two samples."""
     up = altitude_deg > 0.0
     n = np.flatnonzero(up[1:] & ~up[:-1] if rising else ~up[1:] & up[:-1])
     share = altitude_deg[n] / (altitude_deg[n] - altitude_deg[n + 1])
-    return when[n] + share * (when[n + 1] - when[n])
+    return times_s[n] + share * (times_s[n + 1] - times_s[n])
 
 
-def _daylight_s(when: np.ndarray, altitude_deg: np.ndarray, up: np.ndarray, rises: np.ndarray, sets: np.ndarray) -> float:
+def _daylight_s(times_s: np.ndarray, altitude_deg: np.ndarray, up: np.ndarray, rises: np.ndarray, sets: np.ndarray) -> float:
     """Return the seconds during which the sun is up."""
-    begins = np.concatenate([[when[0]] if up[0] else [], rises])
-    ends = np.concatenate([sets, [when[-1]] if up[-1] else []])
+    begins = np.concatenate([[times_s[0]] if up[0] else [], rises])
+    ends = np.concatenate([sets, [times_s[-1]] if up[-1] else []])
     return float(np.sum(ends - begins))
 
 
-def _culmination_s(when: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
+def _culmination_s(times_s: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
     """Return the time of the highest altitude: the vertex of the parabola through three samples."""
-    if not 0 < n < len(when) - 1:
-        return float(when[n])
+    if not 0 < n < len(times_s) - 1:
+        return float(times_s[n])
     before, at, after = altitude_deg[n - 1 : n + 2]
     bend = before - 2.0 * at + after
-    return float(when[n] + (0.5 * (before - after) / bend if bend else 0.0) * STEP_S)
+    return float(times_s[n] + (0.5 * (before - after) / bend if bend else 0.0) * STEP_S)
 
 
 def _change_times_s(
     surroundings: Surroundings,
-    when: np.ndarray,
+    times_s: np.ndarray,
     azimuth_deg: np.ndarray,
     altitude_deg: np.ndarray,
     lit: np.ndarray,
@@ -186,15 +187,15 @@ def _change_times_s(
     turned = (azimuth_deg[changes + 1] - azimuth_deg[changes] + 180.0) % 360.0 - 180.0
     azimuth = azimuth_deg[changes, None] + share * turned[:, None]
     altitude = altitude_deg[changes, None] + share * (altitude_deg[changes + 1] - altitude_deg[changes])[:, None]
-    fine = sees_sun(surroundings, azimuth.ravel(), altitude.ravel()).reshape(azimuth.shape)
-    fine = np.concatenate([fine, lit[changes + 1, None]], axis=1)
-    first = np.argmax(fine != lit[changes, None], axis=1)  # the first of several changes
-    return when[changes] + (first + 0.5) / count * (when[changes + 1] - when[changes])
+    is_sunlit = sees_sun(surroundings, azimuth.ravel(), altitude.ravel()).reshape(azimuth.shape)
+    is_sunlit = np.concatenate([is_sunlit, lit[changes + 1, None]], axis=1)
+    first = np.argmax(is_sunlit != lit[changes, None], axis=1)  # the first of several changes
+    return times_s[changes] + (first + 0.5) / count * (times_s[changes + 1] - times_s[changes])
 
 
 def _occluders_at(
     surroundings: Surroundings,
-    when: np.ndarray,
+    times_s: np.ndarray,
     azimuth_deg: np.ndarray,
     altitude_deg: np.ndarray,
     lit: np.ndarray,

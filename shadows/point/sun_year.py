@@ -46,14 +46,14 @@ def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
     days = tuple(day for day in dates if has_day(day, clock))
     midnight = np.array([day_bounds(day, clock)[0].astimezone(UTC).timestamp() for day in days])
     end = day_bounds(days[-1], clock)[1].astimezone(UTC).timestamp()
-    when = np.arange(midnight[0] + YEAR_STEP_S / 2, end, YEAR_STEP_S)
-    azimuth, altitude = angles_at(surroundings.place, sun_directions(surroundings.scene.world, when))
+    times_s = np.arange(midnight[0] + YEAR_STEP_S / 2, end, YEAR_STEP_S)
+    azimuth, altitude = angles_at(surroundings.place, sun_directions(surroundings.scene.world, times_s))
     up = altitude > 0.0
     lit = up & (altitude > _interpolated_relief_deg(surroundings, azimuth))
     above = np.flatnonzero(lit)
     lit[above] = clears_objects(surroundings, azimuth[above], altitude[above])
-    which = np.searchsorted(midnight, when, side="right") - 1
-    hours = [np.bincount(which, weights=each * (YEAR_STEP_S / 3600.0), minlength=len(days)) for each in (up, lit)]
+    which = np.searchsorted(midnight, times_s, side="right") - 1
+    hours = [np.bincount(which, weights=is_sun * (YEAR_STEP_S / 3600.0), minlength=len(days)) for is_sun in (up, lit)]
     return SunYear(days, *hours)
 
 

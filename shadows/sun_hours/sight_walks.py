@@ -28,7 +28,7 @@ from skugga.terrain.scene import Scene
 PASSED_TILE, PASSED_BLOCK = 8, 64
 """Quads along a side of the tiles, and of the blocks of tiles, that a walk skips at once."""
 
-EARTH_BEND = 0.5 / EARTH_RADIUS_M
+EARTH_DROP_PER_M2 = 0.5 / EARTH_RADIUS_M
 """Height that a level line of sight gains above the ground, per square metre of its length."""
 
 SEARCH_TANGENT, SEARCH_FACTOR = 0.02, 1.0
@@ -91,9 +91,9 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     """Return the ground of a block and of patches beside it."""
     view, block = nodes.view, nodes.surface
     windows: dict[int, list[NodeHeights]] = {0: [block]}
-    for detail in sorted({patch.level for patch in patches}):
+    for detail in sorted({patch.lod for patch in patches}):
         surface = scene.surface(view.grid.coarser(detail))
-        detail_patches = [patch for patch in patches if patch.level == detail]
+        detail_patches = [patch for patch in patches if patch.lod == detail]
         windows.setdefault(detail, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(detail_patches))
     spans = {detail: _span(windows_of_detail) for detail, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
@@ -128,7 +128,7 @@ def _copy_heights(window: NodeHeights, out: np.ndarray) -> None:
     out[:rows, :cols] = window.height_m
 
 
-def sun_track(day: WindowSun, nodes: BareNodes, world: World, turn: GridOrientation, ends: tuple[float, float]) -> SunTrack:
+def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridOrientation, ends: tuple[float, float]) -> SunTrack:
     """Return the sun over a block's turned cells between two moments, minutes after the window's start."""
     view = nodes.view
     row, col = (values.ravel() for values in lattice_of(view))
@@ -141,14 +141,16 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, turn: GridOrientat
         rise = up @ sun
         flat = sun - rise[:, None] * up
         length = np.linalg.norm(flat, axis=1)
-        a, b, c = (np.sum(one * other, axis=1) for one, other in ((down, down), (down, right), (right, right)))
+        a, b, c = (
+            np.sum(first_axis * second_axis, axis=1) for first_axis, second_axis in ((down, down), (down, right), (right, right))
+        )
         on_down, on_right = (np.sum(flat * axis, axis=1) / length for axis in (down, right))
         square = a * c - b * b
         towards[:, n] = (on_down * c - on_right * b) / square, (on_right * a - on_down * b) / square, rise / length
-    i, j = turn.to_turned(row, col, view.rows, view.cols)
-    shape = (view.cols, view.rows) if turn.swapped else (view.rows, view.cols)
+    i, j = orientation.to_turned(row, col, view.rows, view.cols)
+    shape = (view.cols, view.rows) if orientation.swapped else (view.rows, view.cols)
     turned = np.array([0, 1, 0]), np.array([0, 0, 1])
-    first, after_row, after_col = np.stack(turn.from_turned(*turned, view.rows, view.cols), axis=1)
+    first, after_row, after_col = np.stack(orientation.from_turned(*turned, view.rows, view.cols), axis=1)
     cell = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
     last = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
     return SunTrack(float(ends[0]), float(ends[1]), towards @ quadratic_fit(i, j, shape).T, cell, last)
@@ -171,107 +173,108 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
     s0, s1, s2 = quadratic(a[2, 0], y, x), quadratic(a[2, 1], y, x), quadratic(a[2, 2], y, x)
     rate = ((4.0 * u - 3.0) * s0 + (4.0 - 8.0 * u) * s1 + (4.0 * u - 1.0) * s2) / span
     sun = w0 * s0 + w1 * s1 + w2 * s2
-    least = sun - SEARCH_FACTOR * abs(s2 - s0) - SEARCH_TANGENT
-    return sun - horizon_tangent(ground, row, col, eye_height_m, down, right, least), rate
+    min_tangent = sun - SEARCH_FACTOR * abs(s2 - s0) - SEARCH_TANGENT
+    return sun - horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent), rate
 
 
 @compiled
-def horizon_tangent(ground, row, col, eye_height_m, down, right, least):
-    """Return the maximum of ``least`` and of the tangent of the horizon angle, seen from ``eye_height_m`` metres above a node.
+def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
+    """Return the maximum of ``min_tangent`` and of the tangent of the horizon angle, seen from ``eye_height_m`` metres above a
+    node.
 
     The direction leads on by ``down`` rows and ``right`` columns per metre.
     """
     height, top, origin, highest = ground
-    best = least
+    best = min_tangent
     swapped = abs(right) > abs(down)
-    along, aside = (right, down) if swapped else (down, right)
-    forward, beside = (1 if along > 0.0 else -1), (1 if aside > 0.0 else -1)
-    slope = abs(aside / along)
+    main_step, cross_step = (right, down) if swapped else (down, right)
+    main_sign, cross_sign = (1 if main_step > 0.0 else -1), (1 if cross_step > 0.0 else -1)
+    slope = abs(cross_step / main_step)
     per_rising, per_falling, per_side = 1.0 / (1.0 + slope), 1.0 / max(1.0 - slope, 1e-9), 1.0 / max(slope, 1e-9)
-    own = np.float64(height[int(origin[0, 0] + (row - origin[0, 2]) * origin[0, 5] + col - origin[0, 3])]) + eye_height_m
+    eye_m = np.float64(height[int(origin[0, 0] + (row - origin[0, 2]) * origin[0, 5] + col - origin[0, 3])]) + eye_height_m
     for n in range(len(origin)):
         begin, tile_begin, row0, col0 = origin[n, 0], origin[n, 1], origin[n, 2], origin[n, 3]
         rows, cols, side = origin[n, 4], origin[n, 5], origin[n, 6]
         block_begin, tiles, blocks = origin[n, 7], -(-(cols - 1) // PASSED_TILE), -(-(cols - 1) // PASSED_BLOCK)
         # Positions are counted along the line and across it, mirrored where the line runs towards smaller indices.
         p, q = (
-            forward * ((col / side - col0) if swapped else (row / side - row0)),
-            beside * ((row / side - row0) if swapped else (col / side - col0)),
+            main_sign * ((col / side - col0) if swapped else (row / side - row0)),
+            cross_sign * ((row / side - row0) if swapped else (col / side - col0)),
         )
         count_p, count_q = (cols, rows) if swapped else (rows, cols)
         step_p, step_q = (1, cols) if swapped else (cols, 1)
-        unit = side / abs(along)
+        unit = side / abs(main_step)
         k = int(np.ceil(p))
         x = q + slope * (k - p)
         while True:
             far = (k - p) * unit
-            here, ahead = forward * k, forward * (k + 1)
-            if (ahead < 0 and forward < 0) or (ahead >= count_p and forward > 0):
+            index, next_index = main_sign * k, main_sign * (k + 1)
+            if (next_index < 0 and main_sign < 0) or (next_index >= count_p and main_sign > 0):
                 break
             c = int(np.floor(x))
-            low, high = min(beside * c, beside * (c + 1)), max(beside * c, beside * (c + 1))
-            if (low < 0 and beside < 0) or (high >= count_q and beside > 0):
+            low, high = min(cross_sign * c, cross_sign * (c + 1)), max(cross_sign * c, cross_sign * (c + 1))
+            if (low < 0 and cross_sign < 0) or (high >= count_q and cross_sign > 0):
                 break
-            outside = here < 0 or here >= count_p or ahead < 0 or ahead >= count_p or low < 0 or high >= count_q
-            if best > 0.0 and own + best * far + EARTH_BEND * far * far > highest[n]:
+            outside = index < 0 or index >= count_p or next_index < 0 or next_index >= count_p or low < 0 or high >= count_q
+            if best > 0.0 and eye_m + best * far + EARTH_DROP_PER_M2 * far * far > highest[n]:
                 break
             if outside:
                 k, x = k + 1, x + slope
                 continue
-            passed, left = False, 1
+            is_skipped, steps_left = False, 1
             for large in range(2):  # blocks, then tiles
                 width, first, wide = (PASSED_BLOCK, block_begin, blocks) if large == 0 else (PASSED_TILE, tile_begin, tiles)
-                a, b = min(here, ahead) // width, low // width
-                left = min((a + 1) * width, count_p - 1) - here if forward > 0 else here - a * width
-                side_end = min((b + 1) * width, count_q - 1) if beside > 0 else -b * width
-                if slope * left > side_end - x:
-                    left = int((side_end - x) * per_side)
-                high_here = np.float64(top[first + (b * wide + a if swapped else a * wide + b)])
-                lowest = best * far if best > 0.0 else best * (far + left * unit)
-                if left >= 1 and not high_here > own + lowest + EARTH_BEND * far * far:
-                    k, x, passed = k + left, x + slope * left, True
+                a, b = min(index, next_index) // width, low // width
+                steps_left = min((a + 1) * width, count_p - 1) - index if main_sign > 0 else index - a * width
+                side_end = min((b + 1) * width, count_q - 1) if cross_sign > 0 else -b * width
+                if slope * steps_left > side_end - x:
+                    steps_left = int((side_end - x) * per_side)
+                tile_max = np.float64(top[first + (b * wide + a if swapped else a * wide + b)])
+                lowest = best * far if best > 0.0 else best * (far + steps_left * unit)
+                if steps_left >= 1 and not tile_max > eye_m + lowest + EARTH_DROP_PER_M2 * far * far:
+                    k, x, is_skipped = k + steps_left, x + slope * steps_left, True
                     break
-            if passed:
+            if is_skipped:
                 continue
-            for _ in range(max(left, 1)):
+            for _ in range(max(steps_left, 1)):
                 c = int(np.floor(x))
                 f = x - c
-                at = begin + forward * k * step_p + beside * c * step_q
-                to_p, to_q = forward * step_p, beside * step_q
+                node = begin + main_sign * k * step_p + cross_sign * c * step_q
+                to_p, to_q = main_sign * step_p, cross_sign * step_q
                 far = (k - p) * unit
-                nw, ne = np.float64(height[at]), np.float64(height[at + to_q])
-                sw, se = np.float64(height[at + to_p]), np.float64(height[at + to_p + to_q])
+                nw, ne = np.float64(height[node]), np.float64(height[node + to_q])
+                sw, se = np.float64(height[node + to_p]), np.float64(height[node + to_p + to_q])
                 if far > 0.0:
-                    best = _max_tangent(best, nw + f * (ne - nw) if f > 0.0 else nw, own, far)
+                    best = _max_tangent(best, nw + f * (ne - nw) if f > 0.0 else nw, eye_m, far)
                     if f + slope <= 1.0 and slope < 1.0:
                         share = f * per_falling
-                        best = _max_tangent(best, nw + share * (se - nw), own, far + share * unit)
+                        best = _max_tangent(best, nw + share * (se - nw), eye_m, far + share * unit)
                 share = (1.0 - f) * per_rising
-                best = _max_tangent(best, ne + share * (sw - ne), own, far + share * unit)
+                best = _max_tangent(best, ne + share * (sw - ne), eye_m, far + share * unit)
                 if f + slope > 1.0:
                     share = (1.0 - f) * per_side
-                    best = _max_tangent(best, ne + share * (se - ne), own, far + share * unit)
-                    beyond = beside * (c + 2)
-                    if 0 <= beyond < count_q:
+                    best = _max_tangent(best, ne + share * (se - ne), eye_m, far + share * unit)
+                    next_q = cross_sign * (c + 2)
+                    if 0 <= next_q < count_q:
                         share = (2.0 - f) * per_rising
-                        over = np.float64(height[at + 2 * to_q])
-                        best = _max_tangent(best, over + share * (se - over), own, far + share * unit)
+                        next_height = np.float64(height[node + 2 * to_q])
+                        best = _max_tangent(best, next_height + share * (se - next_height), eye_m, far + share * unit)
                 k, x = k + 1, x + slope
         # The line ends on the last row or column of a grid.
-        if (k > p) and 0 <= forward * k < count_p:
+        if (k > p) and 0 <= main_sign * k < count_p:
             c = int(np.floor(x))
-            low, high = min(beside * c, beside * (c + 1)), max(beside * c, beside * (c + 1))
+            low, high = min(cross_sign * c, cross_sign * (c + 1)), max(cross_sign * c, cross_sign * (c + 1))
             if low >= 0 and high < count_q:
-                at = begin + forward * k * step_p + beside * c * step_q
-                nw, ne = np.float64(height[at]), np.float64(height[at + beside * step_q])
-                best = _max_tangent(best, nw + (x - c) * (ne - nw), own, (k - p) * unit)
+                node = begin + main_sign * k * step_p + cross_sign * c * step_q
+                nw, ne = np.float64(height[node]), np.float64(height[node + cross_sign * step_q])
+                best = _max_tangent(best, nw + (x - c) * (ne - nw), eye_m, (k - p) * unit)
     return best
 
 
 @internal
-def _max_tangent(best, height, own, far):
+def _max_tangent(best, height, eye_m, far):
     """Return the maximum of a tangent and of the tangent up to ground of a height at the distance ``far``."""
-    rise = height - own - EARTH_BEND * far * far
+    rise = height - eye_m - EARTH_DROP_PER_M2 * far * far
     return rise / far if rise > best * far else best
 
 

@@ -29,10 +29,10 @@ from skugga.terrain.compiled import compiled, internal, map_on_cores
 UNSHADED = np.float32(1e6)
 """Clearance without an occluder: its true value is unknown."""
 
-DARK_SHARE = 0.75
+SHADOW_SIDE_WEIGHT = 0.75
 """Weight of the time extrapolated from clearances in shadow, if those in the sun give another time."""
 
-BELOW_FLOOR = 0.002
+FLOOR_MARGIN_SINE = 0.002
 """Sine below the floor, about a tenth of a degree, at which clearances are meaningless.
 
 Across a wide block such a sun has long risen elsewhere, and level ground hides it. A cell that is sunlit at the other moment is
@@ -49,7 +49,7 @@ BAND_ROWS = 128
 """Rows that a thread processes at a time."""
 
 
-class Spells(NamedTuple):
+class SunSpells(NamedTuple):
     """The sun of cells so far, float32 (n, m).
 
     Attributes
@@ -77,7 +77,7 @@ class Spells(NamedTuple):
     days: np.ndarray
 
 
-class Sight(NamedTuple):
+class OcclusionTrack(NamedTuple):
     """The occlusion of cells between two moments.
 
     Attributes
@@ -104,17 +104,17 @@ class ClockReading(NamedTuple):
         Its time at the window's start, minutes from midnight.
     change
         Minutes after that start at which the clock is put forward.
-    by
+    advance_min
         Minutes by which it is put forward; 0: not at all.
     """
 
     start: float
     change: float
-    by: float
+    advance_min: float
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class ClearanceSample:
     """Clearances at a moment.
 
     Attributes
@@ -132,16 +132,16 @@ class Moment:
     above: np.ndarray
 
 
-def no_spells(shape: tuple[int, int]) -> Spells:
+def empty_spells(shape: tuple[int, int]) -> SunSpells:
     """Return the spells of cells before the first moment."""
     zeros = [np.zeros(shape, np.float32) for _ in range(4)]
-    never = [np.full(shape, value, np.float32) for value in (-1.0, np.nan, np.nan)]
-    return Spells(never[0], zeros[0], never[1], never[2], zeros[1], zeros[2], zeros[3])
+    initial = [np.full(shape, value, np.float32) for value in (-1.0, np.nan, np.nan)]
+    return SunSpells(initial[0], zeros[0], initial[1], initial[2], zeros[1], zeros[2], zeros[3])
 
 
-def turned_spells(spells: Spells, before: GridOrientation, after: GridOrientation) -> Spells:
+def turned_spells(spells: SunSpells, before: GridOrientation, after: GridOrientation) -> SunSpells:
     """Return spells in the order of another turned grid."""
-    return Spells(*(turned_copy(values, before, after) for values in spells))
+    return SunSpells(*(turned_copy(values, before, after) for values in spells))
 
 
 def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
@@ -153,18 +153,18 @@ def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientat
 
 
 def add_between(
-    spells: Spells,
-    moments: tuple[Moment, Moment, Moment, Moment],
+    spells: SunSpells,
+    moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample],
     clock: ClockReading,
     fit: np.ndarray,
     begins: bool,
-    sight: Sight | None,
+    occlusion: OcclusionTrack | None,
     cores: int,
 ) -> None:
     """Add the sun between the second and the third of four moments.
 
     The first may equal the second, and the fourth the third, at the ends of a span. ``begins`` marks the first step of a span.
-    ``fit`` is a ``quadratic_fit``. ``sight``, if given, refines the crossings.
+    ``fit`` is a ``quadratic_fit``. ``occlusion``, if given, refines the crossings.
     """
     before, start_moment, end_moment, after = moments
     times = np.array([moment.minutes for moment in moments])
@@ -172,30 +172,30 @@ def add_between(
     floors = np.stack([fit @ start_moment.above, fit @ end_moment.above])
 
     def band(rows: slice) -> None:
-        part = Spells(*(values[rows] for values in spells))
+        part = SunSpells(*(values[rows] for values in spells))
         four = (before.clearance[rows], start_moment.clearance[rows], end_moment.clearance[rows], after.clearance[rows])
-        _add(part, *four, times, floors, begins, floored, rows.start, len(spells.day), clock, sight)
+        _add_sun(part, *four, times, floors, begins, floored, rows.start, len(spells.day), clock, occlusion)
 
     _in_bands(band, len(spells.day), cores)
 
 
-def end_spells(spells: Spells, minutes: float, clock: ClockReading) -> None:
+def end_spells(spells: SunSpells, minutes: float, clock: ClockReading) -> None:
     """End all current spells at a moment."""
-    _end(spells, minutes, clock)
+    _end_all_spells(spells, minutes, clock)
 
 
-def end_day(spells: Spells, threshold_min: float) -> None:
+def end_day(spells: SunSpells, threshold_min: float) -> None:
     """Add a date's minutes to the total, and begin the next date."""
     np.add(spells.total, spells.day, out=spells.total)
     np.add(spells.days, spells.day >= np.float32(threshold_min), out=spells.days, casting="unsafe")
     spells.day[:] = 0.0
 
 
-def clearances(level: np.ndarray, shade: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int) -> np.ndarray:
+def clearances(ray_height: np.ndarray, shade: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int) -> np.ndarray:
     """Write to ``out`` (n, m), and return, the clearances of eyes ``eye_height_m`` above the cells' levels."""
 
     def band(rows: slice) -> None:
-        _compute_clearances(level[rows], shade[rows], np.float32(eye_height_m), out[rows])
+        _compute_clearances(ray_height[rows], shade[rows], np.float32(eye_height_m), out[rows])
 
     _in_bands(band, len(out), cores)
     return out
@@ -206,17 +206,17 @@ def _in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
 
 
 @compiled
-def _compute_clearances(level, shade, eye_height_m, out):
+def _compute_clearances(ray_height, shade, eye_height_m, out):
     rows, cols = out.shape
     for i in range(rows):
-        own, above, row = level[i], shade[i], out[i]
+        ray_height_row, shade_row, out_row = ray_height[i], shade[i], out[i]
         for j in range(cols):
-            free = own[j] - above[j] + eye_height_m
-            row[j] = UNSHADED if free > UNSHADED else free
+            clearance = ray_height_row[j] - shade_row[j] + eye_height_m
+            out_row[j] = UNSHADED if clearance > UNSHADED else clearance
 
 
 @compiled
-def _add(spells, before, start, stop, after, times, floors, begins, floored, first_row, count, clock, sight):
+def _add_sun(spells, before, start, stop, after, times, floors, begins, floored, first_row, count, clock, occlusion):
     t0, t1 = times[1], times[2]
     rows, cols = start.shape
     for i in range(rows):
@@ -230,8 +230,8 @@ def _add(spells, before, start, stop, after, times, floors, begins, floored, fir
             begin, end = t0, t1
             if lit0 != lit1:
                 crossing = _estimate_crossing(before[i, j], e0, e1, after[i, j], times)
-                if sight is not None:
-                    crossing = _refine_crossing(sight, first_row + i, j, lit0, crossing, t0, t1)
+                if occlusion is not None:
+                    crossing = _refine_crossing(occlusion, first_row + i, j, lit0, crossing, t0, t1)
                 if lit0:
                     end = crossing
                 else:
@@ -244,9 +244,9 @@ def _add(spells, before, start, stop, after, times, floors, begins, floored, fir
                 if s0 <= 0.0 and s1 <= 0.0:
                     end = t0 - 1.0
                 elif s0 <= 0.0:
-                    begin = max(t0 if lit1 and s0 < -BELOW_FLOOR else begin, t0 + (t1 - t0) * s0 / (s0 - s1))
+                    begin = max(t0 if lit1 and s0 < -FLOOR_MARGIN_SINE else begin, t0 + (t1 - t0) * s0 / (s0 - s1))
                 elif s1 <= 0.0:
-                    end = min(t1 if lit0 and s1 < -BELOW_FLOOR else end, t0 + (t1 - t0) * s0 / (s0 - s1))
+                    end = min(t1 if lit0 and s1 < -FLOOR_MARGIN_SINE else end, t0 + (t1 - t0) * s0 / (s0 - s1))
             since = np.float64(spells.since[i, j])
             if since >= 0.0 and (end < begin or begin > t0):
                 _end_spell(spells, i, j, since, t0, clock)
@@ -272,7 +272,7 @@ def _estimate_crossing(before, e0, e1, after, times):
     dark, lit = (by_after, by_before) if e0 >= 0.0 else (by_before, by_after)
     known_dark, known_lit = t0 <= dark <= t1, t0 <= lit <= t1
     if known_dark:
-        return DARK_SHARE * dark + (1.0 - DARK_SHARE) * lit if known_lit else dark
+        return SHADOW_SIDE_WEIGHT * dark + (1.0 - SHADOW_SIDE_WEIGHT) * lit if known_lit else dark
     if known_lit:
         return lit
     middle = 0.5 * (t0 + t1)
@@ -282,29 +282,29 @@ def _estimate_crossing(before, e0, e1, after, times):
 
 
 @internal
-def _refine_crossing(sight, i, j, lit0, crossing, t0, t1):
+def _refine_crossing(occlusion, i, j, lit0, crossing, t0, t1):
     """Refine the estimate of when the sun passes a cell's horizon; ``lit0``: the cell is sunlit at the earlier moment."""
     low, high = t0, t1
-    t, before, free_before = crossing, np.nan, np.nan
+    t, before, clearance_before = crossing, np.nan, np.nan
     for _ in range(MAX_WALKS):
-        free, rate = clearance_tangent(sight.ground, sight.track, i, j, sight.eye_height_m, t)
-        if (free >= 0.0) == lit0:
+        clearance, rate = clearance_tangent(occlusion.ground, occlusion.track, i, j, occlusion.eye_height_m, t)
+        if (clearance >= 0.0) == lit0:
             low = t
         else:
             high = t
-        following = t - free / rate if np.isnan(before) else t - free * (t - before) / (free - free_before)
+        following = t - clearance / rate if np.isnan(before) else t - clearance * (t - before) / (clearance - clearance_before)
         if not low < following < high:
             following = 0.5 * (low + high)
-        before, free_before = t, free
-        t, moved = following, abs(following - t)
-        if moved < CROSSING_TOLERANCE_MIN:
+        before, clearance_before = t, clearance
+        t, correction_min = following, abs(following - t)
+        if correction_min < CROSSING_TOLERANCE_MIN:
             break
     return t
 
 
 @internal
-def _read(clock, t):
-    return t + clock.start + (clock.by if clock.by != 0.0 and t >= clock.change else 0.0)
+def _clock_time(clock, t):
+    return t + clock.start + (clock.advance_min if clock.advance_min != 0.0 and t >= clock.change else 0.0)
 
 
 @internal
@@ -315,7 +315,7 @@ def _end_spell(spells, i, j, since, until, clock):
         return
     spells.day[i, j] += length
     spells.longest[i, j] = max(spells.longest[i, j], length)
-    begun, ended = _read(clock, since), _read(clock, until)
+    begun, ended = _clock_time(clock, since), _clock_time(clock, until)
     if not spells.first[i, j] <= begun:
         spells.first[i, j] = begun
     if not spells.last[i, j] >= ended:
@@ -323,7 +323,7 @@ def _end_spell(spells, i, j, since, until, clock):
 
 
 @compiled
-def _end(spells, until, clock):
+def _end_all_spells(spells, until, clock):
     rows, cols = spells.since.shape
     for i in range(rows):
         for j in range(cols):

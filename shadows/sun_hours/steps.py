@@ -49,7 +49,7 @@ def sampling_step_min(scene: Scene, nodes: BareNodes, day: WindowSun, least_alti
 
 def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
     """Return whether sampled cells of a block see the sun, in each minute that it is up: bool (cells, minutes)."""
-    rows, cols = np.nonzero(nodes.shown)
+    rows, cols = np.nonzero(nodes.shows_ground)
     sample = np.random.default_rng(0).choice(len(rows), min(SAMPLED_CELLS, len(rows)), replace=False)
     cells = np.stack([rows[sample], cols[sample]], axis=1)
     ground = walked_ground(scene, nodes, ())
@@ -68,16 +68,16 @@ def missed_minutes(lit: np.ndarray, step: int) -> np.ndarray:
 
     ``lit`` (n, minutes) is the truth. Between two samples that differ, the first crossing is found; between equal ones, none is.
     """
-    wrong = np.zeros(len(lit))
+    error_min = np.zeros(len(lit))
     for begin in range(0, lit.shape[1] - 1, step):
         end = min(begin + step, lit.shape[1] - 1)
         inside = lit[:, begin:end]
         before, after = lit[:, begin], lit[:, end]
         first_change = np.where((inside != before[:, None]).any(axis=1), (inside != before[:, None]).argmax(axis=1), end - begin)
         same_until = np.where(before == after, end - begin, first_change)
-        taken = np.where(before, same_until, end - begin - same_until)
-        wrong += taken - inside.sum(axis=1)
-    return np.abs(wrong)
+        counted_min = np.where(before, same_until, end - begin - same_until)
+        error_min += counted_min - inside.sum(axis=1)
+    return np.abs(error_min)
 
 
 @compiled
@@ -85,6 +85,6 @@ def _sunlit_by_minute(ground: WalkedGround, track: SunTrack, cells: np.ndarray, 
     lit = np.empty((len(cells), len(times)), np.bool_)
     for n in range(len(cells)):
         for k in range(len(times)):
-            free, _ = clearance_tangent(ground, track, cells[n, 0], cells[n, 1], height_m, times[k])
-            lit[n, k] = free >= 0.0
+            clearance, _ = clearance_tangent(ground, track, cells[n, 0], cells[n, 1], height_m, times[k])
+            lit[n, k] = clearance >= 0.0
     return lit

@@ -3,8 +3,8 @@
 The sun is sampled in even time steps, and at its rise and set. Without a given step, each block's ground determines it
 (``skugga.shadows.sun_hours.steps``). For bare ground the line sweep (``skugga.shadows.sweep``) gives the clearance by which each
 cell sees the sun. The times at which clearances change their signs are derived from it (``skugga.shadows.sun_hours.spells``). With
-steps longer than ``WALKED_MIN``, walks over the ground refine them. Where objects stand on the ground, a plan's algorithms give the
-visible share of the sun: a cell has sun if at least half of it is visible.
+steps longer than ``MIN_WALK_STEP_MIN``, walks over the ground refine them. Where objects stand on the ground, a plan's algorithms
+give the visible share of the sun: a cell has sun if at least half of it is visible.
 
 Cells keep the order of the sweep's turned grid from step to step, which changes only three or four times a day.
 """
@@ -22,15 +22,15 @@ from skugga.shadows.render import Frame, render_frame
 from skugga.shadows.sun_hours.quadratics import quadratic_fit
 from skugga.shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
 from skugga.shadows.sun_hours.spells import (
+    ClearanceSample,
     ClockReading,
-    Moment,
-    Sight,
-    Spells,
+    OcclusionTrack,
+    SunSpells,
     add_between,
     clearances,
+    empty_spells,
     end_day,
     end_spells,
-    no_spells,
     turned_copy,
     turned_spells,
 )
@@ -49,10 +49,10 @@ from skugga.terrain.geo.world import transformer
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-LINES = 8
+LINES_PER_COLUMN = 8
 """Lines per column of nodes (``skugga.shadows.sweep.lines``); with four, the errors of hours on surfaces of trees double."""
 
-CASTERS_MIN = 15.0
+CASTER_SEARCH_MIN = 15.0
 """Minutes of sun between two searches for casting ground beside a block.
 
 Ground that hides the sun in between hides it at one of the two ends, too, unless it is about fifteen times as far away as the block
@@ -62,13 +62,13 @@ is wide.
 DRAWN_STEP_MIN = 2.0
 """Default minutes between two pictures, where objects stand on the ground."""
 
-WALKED_MIN = 3.0
+MIN_WALK_STEP_MIN = 3.0
 """Minutes between two moments beyond which walks refine a crossing; clearances suffice for shorter steps."""
 
-ON_RIM = 1e-6
+RIM_TOLERANCE_PX = 1e-6
 """Tolerance in pixels for a raster's edge on the edge of a pixel."""
 
-RIM_PLACES = 33
+RIM_SAMPLES = 33
 """Rows and columns of positions that determine the extent of a raster on another grid."""
 
 
@@ -163,17 +163,17 @@ def sun_hours(
     else:
         block = _RenderedBlock(scene, view, plan_of)
     valid = block.valid()
-    seen = _BlockSpells(view, IDENTITY, no_spells((view.rows, view.cols)))
+    block_spells = _BlockSpells(view, IDENTITY, empty_spells((view.rows, view.cols)))
     if valid.any():
         step_min = rules.step_min or block.step_min(days[len(days) // 2])
         for day in days:
             clock = ClockReading(day.window.clock_min, day.window.change_min, day.window.change_by_min)
             for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, step_min):
-                seen = _add_span(seen, block, day, span, clock)
-            end_day(seen.spells, rules.threshold_h * 60.0)
+                block_spells = _add_span(block_spells, block, day, span, clock)
+            end_day(block_spells.spells, rules.threshold_h * 60.0)
             if on_day is not None:
                 on_day()
-    spells = turned_spells(seen.spells, seen.turn, IDENTITY)
+    spells = turned_spells(block_spells.spells, block_spells.orientation, IDENTITY)
 
     def shown(values: np.ndarray) -> np.ndarray:
         return np.where(valid, values, np.float32(np.nan))
@@ -189,36 +189,40 @@ class _BlockSpells:
     """The sun of a block's cells so far, in the order of a turned grid."""
 
     view: MapView
-    turn: GridOrientation
-    spells: Spells
+    orientation: GridOrientation
+    spells: SunSpells
 
-    def turned(self, turn: GridOrientation) -> _BlockSpells:
-        return self if turn == self.turn else _BlockSpells(self.view, turn, turned_spells(self.spells, self.turn, turn))
+    def turned(self, orientation: GridOrientation) -> _BlockSpells:
+        return (
+            self
+            if orientation == self.orientation
+            else _BlockSpells(self.view, orientation, turned_spells(self.spells, self.orientation, orientation))
+        )
 
     @property
     def fit(self) -> np.ndarray:
         """The ``quadratic_fit`` of the block's lattice."""
         row, col = lattice_of(self.view)
-        i, j = self.turn.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
+        i, j = self.orientation.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
         return quadratic_fit(i, j, self.spells.day.shape)
 
 
 def _add_span(
-    seen: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
+    block_spells: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
 ) -> _BlockSpells:
     """Add a span of a day."""
-    moments: list[Moment] = []
+    moments: list[ClearanceSample] = []
     begins = True
 
-    def add(four: tuple[Moment, Moment, Moment, Moment]) -> None:
-        sight = block.sight(day, (four[1].minutes, four[2].minutes), seen.turn)
-        add_between(seen.spells, four, clock, seen.fit, begins, sight, CORES)
+    def add(four: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
+        occlusion = block.occlusion(day, (four[1].minutes, four[2].minutes), block_spells.orientation)
+        add_between(block_spells.spells, four, clock, block_spells.fit, begins, occlusion, CORES)
 
-    for number, (turn, clearance) in enumerate(block.clearances(day, span)):
-        if turn != seen.turn:
-            moments = [replace(m, clearance=turned_copy(m.clearance, seen.turn, turn)) for m in moments]
-            seen = seen.turned(turn)
-        moments.append(Moment(float(span.samples_min[number]), clearance, span.above[number].ravel()))
+    for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
+        if orientation != block_spells.orientation:
+            moments = [replace(m, clearance=turned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
+            block_spells = block_spells.turned(orientation)
+        moments.append(ClearanceSample(float(span.samples_min[number]), clearance, span.above[number].ravel()))
         if number >= 2:
             start_moment, end_moment, after = moments[-3:]
             add((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
@@ -226,8 +230,8 @@ def _add_span(
         del moments[:-3]
     start_moment, end_moment = moments[-2:]
     add((moments[-3] if len(moments) >= 3 else start_moment, start_moment, end_moment, end_moment))
-    end_spells(seen.spells, float(span.samples_min[-1]), clock)
-    return seen
+    end_spells(block_spells.spells, float(span.samples_min[-1]), clock)
+    return block_spells
 
 
 class _TerrainBlock:
@@ -241,7 +245,7 @@ class _TerrainBlock:
 
     def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show ground."""
-        return self._nodes.shown
+        return self._nodes.shows_ground
 
     def step_min(self, day: WindowSun) -> float:
         """Return the minutes between two samples, from a representative day."""
@@ -249,25 +253,33 @@ class _TerrainBlock:
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield the orientation and the clearances (n, m) at each moment of a span. The fifth ones reuse the array of the first."""
-        used: list[np.ndarray] = []
+        arrays: list[np.ndarray] = []
         for minutes, patches in self._casters(day, span):
             self._recent_patches.append(patches)
-            found = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, LINES)
-            spare = used.pop(0) if len(used) == 4 else None
-            if spare is None or spare.shape != found.level_m.shape:
-                spare = np.empty(found.level_m.shape, np.float32)
-            used.append(clearances(found.level_m, found.shade_m, self._height_m * found.level_per_metre, spare, CORES))
-            yield found.turn, used[-1]
+            node_clearance = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, LINES_PER_COLUMN)
+            spare = arrays.pop(0) if len(arrays) == 4 else None
+            if spare is None or spare.shape != node_clearance.ray_height_m.shape:
+                spare = np.empty(node_clearance.ray_height_m.shape, np.float32)
+            arrays.append(
+                clearances(
+                    node_clearance.ray_height_m,
+                    node_clearance.shade_m,
+                    self._height_m * node_clearance.ray_height_per_metre,
+                    spare,
+                    CORES,
+                )
+            )
+            yield node_clearance.orientation, arrays[-1]
 
-    def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> Sight | None:
+    def occlusion(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> OcclusionTrack | None:
         """Return the occlusion of cells between two moments, if they are far enough apart for walks."""
-        if ends[1] - ends[0] <= WALKED_MIN:
+        if ends[1] - ends[0] <= MIN_WALK_STEP_MIN:
             return None
-        patches = tuple(dict.fromkeys(patch for looked in self._recent_patches for patch in looked))
+        patches = tuple(dict.fromkeys(patch for recent in self._recent_patches for patch in recent))
         if self._ground is None or self._ground[0] != patches:
             self._ground = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
-        return Sight(self._ground[1], sun_track(day, self._nodes, self._scene.world, turn, ends), self._height_m)
+        return OcclusionTrack(self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, ends), self._height_m)
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
@@ -281,9 +293,9 @@ class _TerrainBlock:
         for number in range(len(span.samples_min)):
             minutes = span.sample_min(number)
             if not self._has_all_ground and minutes >= end:
-                begin = np.floor(minutes / CASTERS_MIN) * CASTERS_MIN
+                begin = np.floor(minutes / CASTER_SEARCH_MIN) * CASTER_SEARCH_MIN
                 before = after if begin == end else self._patches(day, float(np.clip(begin, first, last)))
-                end = begin + CASTERS_MIN
+                end = begin + CASTER_SEARCH_MIN
                 after = self._patches(day, float(np.clip(end, first, last)))
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
@@ -311,7 +323,7 @@ class _RenderedBlock:
             frame = self._render(day.sun(span.sample_min(number), self._scene.world))
             yield IDENTITY, frame.visibilities[SUN] - np.float32(0.5)
 
-    def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> None:
+    def occlusion(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> None:
         """Return ``None``: pictures give no occlusion between two moments."""
 
     def _render(self, sun: Sun) -> Frame:
@@ -331,7 +343,10 @@ def _under_clear_sky(scene: Scene) -> Scene:
 def _holds_all_ground(scene: Scene, view: MapView) -> bool:
     """Return whether a block holds all ground of its level."""
     (top, bottom), (left, right) = ground_extent(scene, view)
-    rows, cols = (-0.5 - ON_RIM, view.rows - 0.5 + ON_RIM), (-0.5 - ON_RIM, view.cols - 0.5 + ON_RIM)
+    rows, cols = (
+        (-0.5 - RIM_TOLERANCE_PX, view.rows - 0.5 + RIM_TOLERANCE_PX),
+        (-0.5 - RIM_TOLERANCE_PX, view.cols - 0.5 + RIM_TOLERANCE_PX),
+    )
     return bool(top >= rows[0] and bottom <= rows[1] and left >= cols[0] and right <= cols[1])
 
 
@@ -341,7 +356,7 @@ def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tup
     The limits are infinite where PROJ cannot transform them.
     """
     elevation, grid = scene.elevation, view.grid
-    rows, cols = (np.linspace(-0.5, count - 0.5, RIM_PLACES) for count in (elevation.rows, elevation.cols))
+    rows, cols = (np.linspace(-0.5, count - 0.5, RIM_SAMPLES) for count in (elevation.rows, elevation.cols))
     x, y = elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
     if grid.crs != elevation.crs:
         x, y = transformer(elevation.crs, grid.crs).transform(x, y)
@@ -350,7 +365,7 @@ def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tup
         return (-np.inf, np.inf), (-np.inf, np.inf)
     if grid.crs.is_geographic:  # shift by whole turns to the turn of the view
         period = 360.0 / (grid.step * view.col_step)
-        if np.ptp(col) > period * (1.0 - 1.0 / RIM_PLACES):
+        if np.ptp(col) > period * (1.0 - 1.0 / RIM_SAMPLES):
             return (float(row.min()), float(row.max())), (-np.inf, np.inf)
         col = col + period * np.rint(((view.cols - 1) / 2 - (col.min() + col.max()) / 2) / period)
     return (float(row.min()), float(row.max())), (float(col.min()), float(col.max()))

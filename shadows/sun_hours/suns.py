@@ -19,7 +19,7 @@ from skugga.terrain.geo.sun import Sun, direction_enu
 from skugga.terrain.geo.sun_path import PRESSURE_PA, TEMPERATURE_C, sun_path
 from skugga.terrain.geo.world import World
 
-BLOCK_PLACES = 5
+BLOCK_SAMPLES = 5
 """Rows and columns of positions that represent a block."""
 
 MIN_REFRACTED_DEG = -0.8333
@@ -62,8 +62,8 @@ class WindowSun:
 
     def direction(self, minutes: np.ndarray) -> np.ndarray:
         """Return unit vectors (k, 3) towards the sun, at minutes (k,) after the window's start."""
-        found = np.stack([np.interp(minutes, self.times_min, axis) for axis in self.towards_earth.T], axis=1)
-        return found / np.linalg.norm(found, axis=1, keepdims=True)
+        towards = np.stack([np.interp(minutes, self.times_min, axis) for axis in self.towards_earth.T], axis=1)
+        return towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
     def sun(self, minutes: float, world: World) -> Sun:
         """Return the sun at so many minutes after the window's start."""
@@ -107,12 +107,12 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
         times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)
         start = np.datetime64(window.start.astimezone(UTC).replace(tzinfo=None), "us")
         path = sun_path(start + np.rint(times * 60e6).astype("timedelta64[us]"), world.anchor_lon_deg, world.anchor_lat_deg)
-        towards, bare = (
+        towards, unrefracted = (
             np.stack([direction_enu(*angles) for angles in zip(path.azimuth_deg, altitude, strict=True)])
             @ world.earth_from_anchor.T
             for altitude in (path.altitude_deg, path.altitude_deg - path.lift_deg)
         )
-        days.append(WindowSun(window, times, towards, bare, path.azimuth_deg, path.altitude_deg, path.lift_deg))
+        days.append(WindowSun(window, times, towards, unrefracted, path.azimuth_deg, path.altitude_deg, path.lift_deg))
     return days
 
 
@@ -123,14 +123,14 @@ def refracted_sine(sine: np.ndarray) -> np.ndarray:
     """
     altitude = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
     air = PRESSURE_PA / 101000.0 * 283.0 / (273.0 + TEMPERATURE_C)
-    over = np.maximum(altitude, MIN_REFRACTED_DEG)
-    lift = air * 1.02 / (60.0 * np.tan(np.radians(over + 10.3 / (over + 5.11))))
+    clamped_deg = np.maximum(altitude, MIN_REFRACTED_DEG)
+    lift = air * 1.02 / (60.0 * np.tan(np.radians(clamped_deg + 10.3 / (clamped_deg + 5.11))))
     return np.asarray(np.sin(np.radians(altitude + np.where(altitude >= MIN_REFRACTED_DEG, lift, 0.0))))
 
 
 def lattice_of(view: MapView) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns (BLOCK_PLACES, BLOCK_PLACES) of the positions that represent a block, in pixels from its first."""
-    row, col = (np.linspace(0.0, count - 1.0, BLOCK_PLACES) for count in (view.rows, view.cols))
+    row, col = (np.linspace(0.0, count - 1.0, BLOCK_SAMPLES) for count in (view.rows, view.cols))
     rows, cols = np.meshgrid(row, col, indexing="ij")
     return rows, cols
 
@@ -151,8 +151,8 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
             if moment - knots[-1] >= MIN_SPACING_MIN and last - moment >= MIN_SPACING_MIN:
                 knots.append(float(moment))
         moments = np.array([*knots, last])
-        above = np.stack([np.interp(moments, day.times_min, place) for place in heights.T], axis=1)
-        above = above.reshape(-1, BLOCK_PLACES, BLOCK_PLACES)
+        above = np.stack([np.interp(moments, day.times_min, heights_at_point) for heights_at_point in heights.T], axis=1)
+        above = above.reshape(-1, BLOCK_SAMPLES, BLOCK_SAMPLES)
         spells.append(SunSpan(moments, above))
     return spells
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import BENT_CELLS, LATTICE, bent_rays_error, beyond_crs_error
+from skugga.shadows.sweep.grid import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.points import cubic
 from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters
@@ -35,10 +35,10 @@ from skugga.terrain.scene import Scene
 BAND_CELLS = 16
 """Rows that a ray skips at once, and the side of the blocks of cells whose highest column is stored."""
 
-ON_CORNER = 1e-6
+CORNER_TOLERANCE_CELLS = 1e-6
 """Tolerance in cells: a ray this near to a corner meets all columns at the corner."""
 
-TOUCHING_M = 1e-6
+HEIGHT_TOLERANCE_M = 1e-6
 """Tolerance in metres by which a column must be higher than a ray to stop it: the float64 rounding of tops of equal height."""
 
 NO_COLUMN = np.float32(-1e30)
@@ -63,9 +63,9 @@ class TurnedColumns(NamedTuple):
         (n + 1, 4): the column of ground at height ``reference_height_m``.
     column_per_metre
         (n + 1, 4): its shift in columns per metre of height.
-    level_at_zero
+    ray_height_at_zero
         (n + 1, 4), metres: the level of height 0.
-    level_per_metre
+    ray_height_per_metre
         (n + 1, 4): the change of the level per metre of height.
     reference_height_m
         Metres: the reference height of ``column_of_t``.
@@ -78,8 +78,8 @@ class TurnedColumns(NamedTuple):
     max_ahead: np.ndarray
     column_of_t: np.ndarray
     column_per_metre: np.ndarray
-    level_at_zero: np.ndarray
-    level_per_metre: np.ndarray
+    ray_height_at_zero: np.ndarray
+    ray_height_per_metre: np.ndarray
     reference_height_m: float
     side: float
 
@@ -99,9 +99,9 @@ class ColumnGround:
     columns
         The turned columns.
     towards_at_zero
-        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.level_at_zero`` is for levels.
+        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.ray_height_at_zero`` is for levels.
     towards_per_metre
-        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.level_per_metre`` is for levels.
+        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.ray_height_per_metre`` is for levels.
     """
 
     detail: int
@@ -116,8 +116,8 @@ class ColumnGround:
         """Return the columns under a sun that is higher by an angle in radians."""
         cosine, sine = np.cos(angle), np.sin(angle)
         return self.columns._replace(
-            level_at_zero=cosine * self.columns.level_at_zero - sine * self.towards_at_zero,
-            level_per_metre=cosine * self.columns.level_per_metre - sine * self.towards_per_metre,
+            ray_height_at_zero=cosine * self.columns.ray_height_at_zero - sine * self.towards_at_zero,
+            ray_height_per_metre=cosine * self.columns.ray_height_per_metre - sine * self.towards_per_metre,
         )
 
 
@@ -141,7 +141,7 @@ class ColumnSweep:
         (n,): coordinates across the lines, in cells.
     height_m
         (n,): heights.
-    level_m
+    ray_height_m
         (n,): levels; NaN for columns, whose tops give it.
     towards_m
         (n,): metres towards the sun.
@@ -153,7 +153,7 @@ class ColumnSweep:
     row: np.ndarray
     t: np.ndarray
     height_m: np.ndarray
-    level_m: np.ndarray
+    ray_height_m: np.ndarray
     towards_m: np.ndarray
 
     @property
@@ -168,31 +168,31 @@ class ColumnSweep:
         ``measured`` is it the rise of the highest one.
         """
         grounds = [ground.tilted(angle) for ground in self.grounds]
-        own = np.cos(angle) * self.level_m - np.sin(angle) * self.towards_m
-        on_columns = np.flatnonzero(np.isnan(own))
-        own[on_columns] = _own_levels(grounds[0], self.row[on_columns], self.t[on_columns], self.height_m[on_columns])
-        out = np.zeros(len(self.row))
+        ray_heights = np.cos(angle) * self.ray_height_m - np.sin(angle) * self.towards_m
+        on_columns = np.flatnonzero(np.isnan(ray_heights))
+        ray_heights[on_columns] = _ray_heights(grounds[0], self.row[on_columns], self.t[on_columns], self.height_m[on_columns])
+        above = np.zeros(len(self.row))
 
-        def some(first: int) -> None:
+        def sweep_chunk(first: int) -> None:
             part = slice(first, first + POINTS_AT_A_TIME)
             for ground, turned in zip(self.grounds, grounds, strict=True):
                 row = self._turned_rows_on(ground, self.row[part])
-                _follow(turned, row, self.t[part] / turned.side, own[part], measured, out[part])
+                _follow_rays(turned, row, self.t[part] / turned.side, ray_heights[part], measured, above[part])
 
-        map_on_cores(some, range(0, len(out), POINTS_AT_A_TIME), cores)
-        return np.append(out, 0.0)[self.number]
+        map_on_cores(sweep_chunk, range(0, len(above), POINTS_AT_A_TIME), cores)
+        return np.append(above, 0.0)[self.number]
 
     def _turned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
         """Convert turned rows of the finest ground to those of another one."""
-        finest, turn = self.grounds[0], self.rays.turn
+        finest, orientation = self.grounds[0], self.rays.orientation
         if ground is finest:
             return row
         ends = np.array([0.0, 1.0])
-        own_row, own_col = turn.from_turned(ends, ends, *finest.shape)
+        end_row, end_col = orientation.from_turned(ends, ends, *finest.shape)
         side = 2.0**ground.detail
-        coarse_row, coarse_col = ((own_row + finest.row0 + 0.5) / side - 0.5, (own_col + finest.col0 + 0.5) / side - 0.5)
-        on, _ = turn.to_turned(coarse_row - ground.row0, coarse_col - ground.col0, *ground.shape)
-        return on[0] + row * (on[1] - on[0])
+        coarse_row, coarse_col = ((end_row + finest.row0 + 0.5) / side - 0.5, (end_col + finest.col0 + 0.5) / side - 0.5)
+        turned_ends, _ = orientation.to_turned(coarse_row - ground.row0, coarse_col - ground.col0, *ground.shape)
+        return turned_ends[0] + row * (turned_ends[1] - turned_ends[0])
 
 
 def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> ColumnSweep:
@@ -208,18 +208,18 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
     windows: dict[int, list[tuple[int, int, np.ndarray]]] = {0: [(window.row0, window.col0, window.height_m)]}
     for patch in casters.casting:
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
-        height_m, _ = window.columns.coarser(patch.level).heights(row0, col0, PATCH_QUADS, PATCH_QUADS)
-        windows.setdefault(patch.level, []).append((row0, col0, height_m))
+        height_m, _ = window.columns.coarser(patch.lod).heights(row0, col0, PATCH_QUADS, PATCH_QUADS)
+        windows.setdefault(patch.lod, []).append((row0, col0, height_m))
     grounds = [_ground(rays, window.columns, detail, windows[detail]) for detail in sorted(windows)]
     number, pixel = _numbered(buffer, placed, window.height_m.size)
-    t, level_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
+    t, ray_height_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
     on_columns = buffer.kind.ravel()[pixel] == RELIEF
-    level_m[on_columns] = np.nan
+    ray_height_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
-    turned_row, _ = rays.turn.to_turned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
+    turned_row, _ = rays.orientation.to_turned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
     height_m = buffer.height_m.ravel()[pixel].astype(np.float64)
-    return ColumnSweep(rays, grounds, number, turned_row, t, height_m, level_m, towards_m)
+    return ColumnSweep(rays, grounds, number, turned_row, t, height_m, ray_height_m, towards_m)
 
 
 def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tuple[np.ndarray, np.ndarray]:
@@ -231,15 +231,15 @@ def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tupl
     key = np.full(valid.size, -1, np.int64)
     cell = placed.row.astype(np.int64) * placed.window.height_m.shape[1] + placed.col
     key[ground] = cell.ravel()[ground]
-    others = np.flatnonzero(valid & ~ground)
-    key[others] = cells + np.arange(len(others))
-    shown = np.full(cells + len(others) + 1, -1, np.int64)  # the last one stands for pixels that show nothing
-    shown[key] = np.arange(key.size)
-    shown[-1] = -1
-    used = np.flatnonzero(shown >= 0)
-    number = np.full(len(shown), -1, np.int64)
-    number[used] = np.arange(len(used))
-    return number[key].reshape(buffer.valid.shape), shown[used]
+    other_pixels = np.flatnonzero(valid & ~ground)
+    key[other_pixels] = cells + np.arange(len(other_pixels))
+    pixel_of_key = np.full(cells + len(other_pixels) + 1, -1, np.int64)  # the last one stands for pixels that show nothing
+    pixel_of_key[key] = np.arange(key.size)
+    pixel_of_key[-1] = -1
+    used_keys = np.flatnonzero(pixel_of_key >= 0)
+    number = np.full(len(pixel_of_key), -1, np.int64)
+    number[used_keys] = np.arange(len(used_keys))
+    return number[key].reshape(buffer.valid.shape), pixel_of_key[used_keys]
 
 
 def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[int, int, np.ndarray]]) -> ColumnGround:
@@ -249,30 +249,30 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
     cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
     heights = np.full((rows, cols), NO_COLUMN, np.float32)
     for row, col, height_m in windows:
-        here = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
-        heights[here] = np.where(np.isfinite(height_m), height_m, NO_COLUMN)
-    turned = np.ascontiguousarray(rays.turn.turned(heights))
+        window = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
+        heights[window] = np.where(np.isfinite(height_m), height_m, NO_COLUMN)
+    turned = np.ascontiguousarray(rays.orientation.turned(heights))
     grid, side = columns.coarser(detail).grid, 2.0**detail
 
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        row, col = rays.turn.from_turned(i, j, rows, cols)
+        row, col = rays.orientation.from_turned(i, j, rows, cols)
         point, up = rays.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
         light, upwards = rays.light.from_earth(point), up @ rays.light.light_from_earth.T
         t, t_rise = (light[..., 0] - rays.right_m) / (rays.cell_m * side), upwards[..., 0] / (rays.cell_m * side)
         return np.stack([
-            t + rays.height_m * t_rise, t_rise, light[..., 1] - rays.level_m, upwards[..., 1], -light[..., 2], -upwards[..., 2],
+            t + rays.height_m * t_rise, t_rise, light[..., 1] - rays.up_m, upwards[..., 1], -light[..., 2], -upwards[..., 2],
         ])  # fmt: skip
 
-    column_of_t, column_per_metre, level_at_zero, level_per_metre, towards_at_zero, towards_per_metre = _border_cubics(
+    column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre, towards_at_zero, towards_per_metre = _border_cubics(
         along_rays, turned.shape[0], turned.shape[1], grid.crs.name
     )
     padded = np.pad(turned, [(0, -size % BAND_CELLS) for size in turned.shape], constant_values=NO_COLUMN)
     block_max = padded.reshape(padded.shape[0] // BAND_CELLS, BAND_CELLS, -1, BAND_CELLS).max(axis=(1, 3))
     max_ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(turned.max(axis=1))]).astype(np.float32)
-    found = TurnedColumns(
-        turned, block_max, max_ahead, column_of_t, column_per_metre, level_at_zero, level_per_metre, rays.height_m, side
+    turned_columns = TurnedColumns(
+        turned, block_max, max_ahead, column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre, rays.height_m, side
     )
-    return ColumnGround(detail, row0, col0, (rows, cols), found, towards_at_zero, towards_per_metre)
+    return ColumnGround(detail, row0, col0, (rows, cols), turned_columns, towards_at_zero, towards_per_metre)
 
 
 def _border_cubics(
@@ -286,110 +286,117 @@ def _border_cubics(
     """
     from scipy.interpolate import make_interp_spline
 
-    i = np.unique(np.linspace(0, rows, min(rows + 1, LATTICE)).round())
-    j = np.linspace(-0.5, cols - 0.5, min(cols + 1, LATTICE))
-    t, t_rise, *others = along_rays(*np.meshgrid(i - 0.5, j, indexing="ij"))
+    i = np.unique(np.linspace(0, rows, min(rows + 1, LATTICE_SIZE)).round())
+    j = np.linspace(-0.5, cols - 0.5, min(cols + 1, LATTICE_SIZE))
+    t, t_rise, *other_values = along_rays(*np.meshgrid(i - 0.5, j, indexing="ij"))
     if not np.isfinite(t).all():
         raise beyond_crs_error(crs_name)
     if not (np.diff(t, axis=1) > 0.0).all():
         raise bent_rays_error(crs_name)
     degree, row_degree = min(3, len(j) - 1), min(3, len(i) - 1)
-    cubics = np.zeros((2 + len(others), len(i), 4))
+    cubics = np.zeros((2 + len(other_values), len(i), 4))
     for n in range(len(i)):
         column_of_t = np.polynomial.Polynomial.fit(t[n], j, degree)
-        per_line = [j, -t_rise[n] * column_of_t.deriv()(t[n]), *(values[n] for values in others)]
-        for found, values in zip(cubics, per_line, strict=True):
-            found[n, : degree + 1] = _coefficients(t[n], values, degree)
-    whole = [make_interp_spline(i, found, k=row_degree)(np.arange(rows + 1)) for found in cubics]
-    checked = np.unique(np.linspace(0, rows, 4 * LATTICE).round()).astype(int)
-    columns = np.linspace(-0.5, cols - 0.5, 4 * LATTICE)
+        per_line = [j, -t_rise[n] * column_of_t.deriv()(t[n]), *(values[n] for values in other_values)]
+        for coefficients, values in zip(cubics, per_line, strict=True):
+            coefficients[n, : degree + 1] = _coefficients(t[n], values, degree)
+    row_cubics = [make_interp_spline(i, coefficients, k=row_degree)(np.arange(rows + 1)) for coefficients in cubics]
+    checked = np.unique(np.linspace(0, rows, 4 * LATTICE_SIZE).round()).astype(int)
+    columns = np.linspace(-0.5, cols - 0.5, 4 * LATTICE_SIZE)
     exact, *_ = along_rays(*np.meshgrid(checked - 0.5, columns, indexing="ij"))
-    fitted = np.stack([np.polynomial.polynomial.polyval(values, whole[0][n]) for n, values in zip(checked, exact, strict=True)])
-    if not np.abs(fitted - columns).max() <= BENT_CELLS:
+    fitted = np.stack(
+        [np.polynomial.polynomial.polyval(values, row_cubics[0][n]) for n, values in zip(checked, exact, strict=True)]
+    )
+    if not np.abs(fitted - columns).max() <= MAX_BEND_CELLS:
         raise bent_rays_error(crs_name)
-    return iter(whole)
+    return iter(row_cubics)
 
 
 def _coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
     """Return the coefficients (degree + 1,) of a polynomial in t fitted to values."""
-    found = np.polynomial.Polynomial.fit(t, values, degree).convert().coef
-    return np.pad(found, (0, degree + 1 - len(found)))
+    coefficients = np.polynomial.Polynomial.fit(t, values, degree).convert().coef
+    return np.pad(coefficients, (0, degree + 1 - len(coefficients)))
 
 
 @compiled
-def _own_levels(columns, row, t, height):
+def _ray_heights(columns, row, t, height):
     """Return the levels (n,) of points on columns of the given heights, at turned rows."""
     out = np.empty(row.size)
-    borders = len(columns.level_at_zero)
+    borders = len(columns.ray_height_at_zero)
     for n in range(row.size):
         b = min(max(int(np.floor(row[n] + 0.5)), 0), borders - 2)
         share = row[n] + 0.5 - b
-        low = cubic(columns.level_at_zero[b], t[n]) + height[n] * cubic(columns.level_per_metre[b], t[n])
-        high = cubic(columns.level_at_zero[b + 1], t[n]) + height[n] * cubic(columns.level_per_metre[b + 1], t[n])
+        low = cubic(columns.ray_height_at_zero[b], t[n]) + height[n] * cubic(columns.ray_height_per_metre[b], t[n])
+        high = cubic(columns.ray_height_at_zero[b + 1], t[n]) + height[n] * cubic(columns.ray_height_per_metre[b + 1], t[n])
         out[n] = low + share * (high - low)
     return out
 
 
 @compiled
-def _follow(columns, row, t, level, measured, above):
+def _follow_rays(columns, row, t, ray_heights, measured, above):
     """Raise ``above`` (n,) to the metres by which columns rise above the rays from points.
 
     Points with a value over 0 are skipped unless ``measured``.
     """
     for n in range(row.size):
         if measured or above[n] <= 0.0:
-            above[n] = _highest_above(columns, row[n], t[n], level[n], measured, above[n])
+            above[n] = _highest_above(columns, row[n], t[n], ray_heights[n], measured, above[n])
 
 
 @internal
-def _on_border(columns, b, t, level):
+def _border_crossing(columns, b, t, ray_height):
     """Return a ray's column and height where it crosses the border before row ``b``."""
-    height = (level - cubic(columns.level_at_zero[b], t)) / cubic(columns.level_per_metre[b], t)
+    height = (ray_height - cubic(columns.ray_height_at_zero[b], t)) / cubic(columns.ray_height_per_metre[b], t)
     return cubic(columns.column_of_t[b], t) + (height - columns.reference_height_m) * cubic(columns.column_per_metre[b], t), height
 
 
 @internal
-def _highest_above(columns, row, t, level, measured, above):
+def _highest_above(columns, row, t, ray_height, measured, above):
     """Return the maximum of ``above`` and of the metres by which columns rise above a ray from a turned row on.
 
     Unless ``measured``, the first column that rises above the ray by more than ``above`` ends the search.
     """
     heights = columns.height
     n, m = heights.shape
-    i = min(int(np.ceil(row - 0.5 - ON_CORNER)), n - 1)
+    i = min(int(np.ceil(row - 0.5 - CORNER_TOLERANCE_CELLS)), n - 1)
     if i < 0:
         return above
-    x1, h1 = _on_border(columns, i + 1, t, level)
+    x1, h1 = _border_crossing(columns, i + 1, t, ray_height)
     share = i + 0.5 - row
     if share > 0.0:  # starts within the row
-        x0, h0 = _on_border(columns, i, t, level)
+        x0, h0 = _border_crossing(columns, i, t, ray_height)
         x1, h1 = x1 + share * (x0 - x1), h1 + share * (h0 - h1)
     while i >= 0:
-        least = h1 + above + TOUCHING_M  # the height that a column must exceed
-        if columns.max_ahead[i + 1] <= least:
+        min_height = h1 + above + HEIGHT_TOLERANCE_M  # the height that a column must exceed
+        if columns.max_ahead[i + 1] <= min_height:
             return above
         if (i + 1) % BAND_CELLS == 0:
             far = i + 1 - BAND_CELLS
-            x0, h0 = _on_border(columns, far, t, level)
+            x0, h0 = _border_crossing(columns, far, t, ray_height)
             first, last = int(np.floor(min(x0, x1) - 0.5)) // BAND_CELLS, int(np.floor(max(x0, x1) + 1.5)) // BAND_CELLS
             if last < 0:
                 return above
-            clear = True
+            is_clear = True
             for block in range(max(first, 0), min(last, columns.block_max.shape[1] - 1) + 1):
-                clear = clear and columns.block_max[i // BAND_CELLS, block] <= least
-            if clear:
+                is_clear = is_clear and columns.block_max[i // BAND_CELLS, block] <= min_height
+            if is_clear:
                 i, x1, h1 = far - 1, x0, h0
                 continue
-        x0, h0 = _on_border(columns, i, t, level)
-        first, last = int(np.floor(min(x0, x1) + 0.5 - ON_CORNER)), int(np.floor(max(x0, x1) + 0.5 + ON_CORNER))
+        x0, h0 = _border_crossing(columns, i, t, ray_height)
+        first, last = (
+            int(np.floor(min(x0, x1) + 0.5 - CORNER_TOLERANCE_CELLS)),
+            int(np.floor(max(x0, x1) + 0.5 + CORNER_TOLERANCE_CELLS)),
+        )
         for c in range(max(first, 0), min(last, m - 1) + 1):
             height = np.float64(heights[i, c])
-            if height <= h1 + above + TOUCHING_M:
+            if height <= h1 + above + HEIGHT_TOLERANCE_M:
                 continue
             enters = min(max(x1, c - 0.5), c + 0.5)  # where the ray enters the cell
-            here = h1 + (x1 - enters) / (x1 - x0) * (h0 - h1) if abs(x1 - enters) > ON_CORNER and x1 != x0 else h1
-            if height > here + above + TOUCHING_M:
-                above = height - here
+            entry_height = (
+                h1 + (x1 - enters) / (x1 - x0) * (h0 - h1) if abs(x1 - enters) > CORNER_TOLERANCE_CELLS and x1 != x0 else h1
+            )
+            if height > entry_height + above + HEIGHT_TOLERANCE_M:
+                above = height - entry_height
                 if not measured:
                     return above
         i, x1, h1 = i - 1, x0, h0

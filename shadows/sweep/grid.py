@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
-from skugga.shadows.sweep.points import StripPoints, in_strip, intervals_of, no_points, put_answers
+from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT, Strip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.points import StripPoints, intervals_of, no_points, scatter_results, select_strip_points
 from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
 from skugga.terrain.errors import UnsupportedError
 
@@ -21,10 +21,10 @@ STRIP_CELLS = 1024
 TURN_BAND_ROWS = 64
 """Rows of a grid that a thread turns at a time."""
 
-LATTICE = 17
+LATTICE_SIZE = 17
 """Maximum number of rows, and of columns, at which the positions of lines are computed exactly."""
 
-BENT_CELLS = 0.1
+MAX_BEND_CELLS = 0.1
 """Tolerance in cells for the distance of the lines from their fitted cubics."""
 
 RAYS_BEND_REASON = "the view is so wide that the sun's rays bend across it; shadow_map can draw it"
@@ -44,7 +44,7 @@ def beyond_crs_error(crs_name: str) -> UnsupportedError:
 CellSize = float | tuple[float, float]
 """Sides of a cell down and right, metres; one number for both."""
 
-NO_LEVELS = np.zeros((0, 0), np.float32)
+NO_RAY_HEIGHTS = np.zeros((0, 0), np.float32)
 NO_MASK = np.zeros((0, 0), np.bool_)
 
 HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
@@ -59,9 +59,9 @@ class GridOrientation:
     rows_reversed: bool
     cols_reversed: bool
 
-    def turned_cuts(self, falls: np.ndarray) -> np.ndarray:
+    def turned_cuts(self, is_cut_nw_se: np.ndarray) -> np.ndarray:
         """Return which quads of the turned grid are cut from (i, j) to (i + 1, j + 1), from the same mask of the grid."""
-        return self.turned(falls) != (self.rows_reversed != self.cols_reversed)
+        return self.turned(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
 
     def to_turned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the turned grid's rows and columns at those of a grid (rows, cols); fractions and indices outside are allowed."""
@@ -71,9 +71,9 @@ class GridOrientation:
     def to_turned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Do as ``to_turned``, but write to the input arrays: fresh memory for many points costs more than the arithmetic."""
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
-        for turned, at, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
+        for turned, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
             if turned:
-                np.subtract(last, at, out=at)
+                np.subtract(last, index, out=index)
         return i, j
 
     def from_turned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -106,8 +106,8 @@ class GridOrientation:
 def orientation_towards(rows: float, cols: float) -> GridOrientation:
     """Return the orientation for a sun in a direction (rows, columns) of a grid."""
     swapped = abs(cols) > abs(rows)
-    along, across = (cols, rows) if swapped else (rows, cols)
-    return GridOrientation(swapped, along > 0, across > 0)
+    main, cross = (cols, rows) if swapped else (rows, cols)
+    return GridOrientation(swapped, main > 0, cross > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class SweepPoints:
         float64 (n,): positions on the turned grid; columns do not count the border.
     t
         float64 (n,): coordinates across the lines, in cells.
-    own
+    ray_height
         float64 (n,), metres: levels; NaN: on the ground at their position.
     rounding
         Metres by which a level must exceed a point's to shade it.
@@ -129,7 +129,7 @@ class SweepPoints:
     row: np.ndarray
     col: np.ndarray
     t: np.ndarray
-    own: np.ndarray
+    ray_height: np.ndarray
     rounding: float
 
 
@@ -150,12 +150,12 @@ class LineState:
 
     def resampled(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
         """Return the state, interpolated between these lines, for the lines of a grid whose cells are ``factor`` times as small."""
-        flat_levels = self.line_max.T.ravel()
+        flat_max = self.line_max.T.ravel()
         position = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.line_max.shape[0]
-        left = np.clip(np.floor(position).astype(np.int64), 0, flat_levels.size - 2)
+        left = np.clip(np.floor(position).astype(np.int64), 0, flat_max.size - 2)
         share = np.clip(position - left, 0.0, 1.0)
-        met = ((1.0 - share) * flat_levels[left] + share * flat_levels[left + 1]).astype(np.float32)
-        return LineState(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
+        line_max = ((1.0 - share) * flat_max[left] + share * flat_max[left + 1]).astype(np.float32)
+        return LineState(first_cell, np.ascontiguousarray(line_max.reshape(cells, lines).T))
 
 
 def position_cubics(
@@ -168,8 +168,8 @@ def position_cubics(
     """
     from scipy.interpolate import make_interp_spline
 
-    i = np.unique(np.linspace(0, rows - 1, min(rows, LATTICE)).round())
-    j = np.linspace(0, cols - 1, min(cols, LATTICE))
+    i = np.unique(np.linspace(0, rows - 1, min(rows, LATTICE_SIZE)).round())
+    j = np.linspace(0, cols - 1, min(cols, LATTICE_SIZE))
     t = t_of(*np.meshgrid(i, j, indexing="ij"))
     j = j + 1.0  # behind the left border
     if not np.isfinite(t).all():
@@ -180,12 +180,12 @@ def position_cubics(
     column_of_t, t_of_column = (
         make_interp_spline(i, fitted_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
     )
-    checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE).round()).astype(int)
-    columns = np.linspace(0, cols - 1, 4 * LATTICE)
+    checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE_SIZE).round()).astype(int)
+    columns = np.linspace(0, cols - 1, 4 * LATTICE_SIZE)
     exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
     c0, c1, c2, c3 = column_of_t[checked_rows].T[..., None]
     fitted = c0 + exact * (c1 + exact * (c2 + exact * c3))
-    if not np.abs(fitted - columns - 1.0).max() <= BENT_CELLS:  # also raises for NaN
+    if not np.abs(fitted - columns - 1.0).max() <= MAX_BEND_CELLS:  # also raises for NaN
         raise bent_rays_error(crs_name)
     return column_of_t, t_of_column
 
@@ -235,7 +235,7 @@ def close_border(with_border: np.ndarray, filled_rows: slice = EVERY_ROW) -> np.
 
 
 def sweep_nodes(
-    sheet: TurnedGrid,
+    turned_grid: TurnedGrid,
     lines: int,
     t_range: tuple[float, float],
     entry: LineState | None = None,
@@ -243,7 +243,7 @@ def sweep_nodes(
     rows: tuple[int, int] = (0, 0),
     cols: tuple[int, int] | None = None,
     points: SweepPoints | None = None,
-    shade: np.ndarray = NO_LEVELS,
+    shade: np.ndarray = NO_RAY_HEIGHTS,
     cores: int = 1,
     begin: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -251,7 +251,7 @@ def sweep_nodes(
 
     Parameters
     ----------
-    sheet
+    turned_grid
         The turned grid (n, m + 2), borders included.
     lines
         Lines per column.
@@ -283,7 +283,7 @@ def sweep_nodes(
     points_above_m
         float32 (k,): metres by which the highest level on their way exceeds their own.
     """
-    n, columns = sheet.level.shape
+    n, columns = turned_grid.ray_height.shape
     first, last = rows
     lit = np.empty((n, columns) if last > first else (0, 0), np.bool_)
     first_col, last_col = (0, columns - 2) if cols is None else cols
@@ -299,20 +299,20 @@ def sweep_nodes(
         stop = min(start + STRIP_CELLS, high)
         cells = stop - start + 3
         line_max = (
-            np.full((lines, cells), NO_GROUND_LEVEL, np.float32)
+            np.full((lines, cells), NO_GROUND_RAY_HEIGHT, np.float32)
             if entry is None
             else entry.resampled(start - 1, cells, lines, factor).line_max
         )
-        number, begins, row, col, t, own = in_strip(
-            points.row, points.col, points.t, points.own, interval, n, float(start), float(stop)
+        number, begins, row, col, t, ray_height = select_strip_points(
+            points.row, points.col, points.t, points.ray_height, interval, n, float(start), float(stop)
         )
-        strip_answers = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
-        strip_points = StripPoints(begins, row, col, t, own, points.rounding, *strip_answers)
+        strip_results = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
+        strip_points = StripPoints(begins, row, col, t, ray_height, points.rounding, *strip_results)
         strip_state = Strip(lines, start - 1, line_max, no_peaks(lines, cells))
         before = min(max(first - 1, 0) if last > first else min(begin, int(interval.min(initial=n))), end)
-        sweep_rows(sheet, strip_state, min(begin, before), before, NO_LEVELS, NO_MASK, strip_points)
-        sweep_rows(sheet, strip_state, before, end, shade, lit, strip_points)
-        put_answers(number, *strip_answers, points_lit, points_above_m)
+        sweep_rows(turned_grid, strip_state, min(begin, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
+        sweep_rows(turned_grid, strip_state, before, end, shade, lit, strip_points)
+        scatter_results(number, *strip_results, points_lit, points_above_m)
 
     map_on_cores(strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m
@@ -321,21 +321,26 @@ def sweep_nodes(
 def no_peaks(lines: int, cells: int) -> np.ndarray:
     """Return the peaks (2, lines, cells) of lines that have met no node."""
     peaks = np.zeros((2, lines, cells), np.float32)
-    peaks[0] = NO_GROUND_LEVEL
+    peaks[0] = NO_GROUND_RAY_HEIGHT
     return peaks
 
 
 def state_after(
-    sheet: TurnedGrid, lines: int, t_range: tuple[float, float], entry: LineState | None = None, factor: float = 2.0, begin: int = 0
+    turned_grid: TurnedGrid,
+    lines: int,
+    t_range: tuple[float, float],
+    entry: LineState | None = None,
+    factor: float = 2.0,
+    begin: int = 0,
 ) -> LineState:
     """Return the levels that lines in a range of t have met after all rows of a grid; no ground lies before row ``begin``."""
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
-    state = LineState(low, np.full((lines, high - low), NO_GROUND_LEVEL, np.float32))
+    state = LineState(low, np.full((lines, high - low), NO_GROUND_RAY_HEIGHT, np.float32))
     if entry is not None:
         state = entry.resampled(low, high - low, lines, factor)
-    rows = len(sheet.level)
+    rows = len(turned_grid.ray_height)
     strip = Strip(lines, low, state.line_max, no_peaks(lines, high - low))
-    sweep_rows(sheet, strip, min(begin, rows - 1), rows - 1, NO_LEVELS, NO_MASK, no_points(rows))
+    sweep_rows(turned_grid, strip, min(begin, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, no_points(rows))
     return state
 
 
@@ -368,13 +373,15 @@ def sunlit(
         bool (rows, cols).
     """
     height_m = np.pad(height_m, 1, mode="edge")
-    turn, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
-    level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores)
-    n, m = level.shape
-    sheet = TurnedGrid(level, column_of_t, t_of_column, HIGHER_DIAGONALS)
-    lit, _, _ = sweep_nodes(sheet, lines, (t_of_column[:, 0].min(), m), rows=(0, n), cores=cores)
-    return turn.restored(lit)[1:-1, 1:-1]
+    ray_height = turned_linear_values(
+        height_m, orientation, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores
+    )
+    n, m = ray_height.shape
+    turned_grid = TurnedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS)
+    lit, _, _ = sweep_nodes(turned_grid, lines, (t_of_column[:, 0].min(), m), rows=(0, n), cores=cores)
+    return orientation.restored(lit)[1:-1, 1:-1]
 
 
 def flat_grid(
@@ -386,38 +393,38 @@ def flat_grid(
     """
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
-    turn = orientation_towards(*towards)
-    along, across = towards[::-1] if turn.swapped else towards
-    n = shape[1] if turn.swapped else shape[0]
-    shift, ones, zeros = np.arange(n) * abs(across / along) + 1.0, np.ones(n), np.zeros(n)
+    orientation = orientation_towards(*towards)
+    main, cross = towards[::-1] if orientation.swapped else towards
+    n = shape[1] if orientation.swapped else shape[0]
+    shift, ones, zeros = np.arange(n) * abs(cross / main) + 1.0, np.ones(n), np.zeros(n)
     column_of_t, t_of_column = (np.stack([shift * sign, ones, zeros, zeros], axis=1) for sign in (1.0, -1.0))
-    return turn, row_m, col_m, column_of_t, t_of_column
+    return orientation, row_m, col_m, column_of_t, t_of_column
 
 
-def turned_levels(
-    height: np.ndarray, turn: GridOrientation, per_height: float, per_row: float, per_col: float, cores: int = 1
+def turned_linear_values(
+    height: np.ndarray, orientation: GridOrientation, per_height: float, per_row: float, per_col: float, cores: int = 1
 ) -> np.ndarray:
     """Return float32 values (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
     rows, cols = height.shape
-    with_border, inside = bordered(*((cols, rows) if turn.swapped else (rows, cols)))
-    target = turn.restored(inside)  # the same memory, in the grid's own order
+    with_border, inside = bordered(*((cols, rows) if orientation.swapped else (rows, cols)))
+    target = orientation.restored(inside)  # the same memory, in the grid's own order
 
     def band(first: int) -> None:
         rows_of_band = slice(first, first + TURN_BAND_ROWS)
-        _levels(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
+        _write_linear_values(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
 
     map_on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
     return close_border(with_border)
 
 
 @compiled
-def _levels(height, per_height, start, per_row, per_col, out):
+def _write_linear_values(height, per_height, start, per_row, per_col, out):
     rows, cols = height.shape
     for c0 in range(0, cols, 64):  # in blocks, for the cache: ``out`` may run down where this runs right
         for r in range(rows):
-            at = start + r * per_row
+            row_offset = start + r * per_row
             for c in range(c0, min(c0 + 64, cols)):
-                out[r, c] = height[r, c] * per_height + (at + np.int32(c) * per_col)
+                out[r, c] = height[r, c] * per_height + (row_offset + np.int32(c) * per_col)
 
 
 @compiled

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
+from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_linear_values
 from skugga.shadows.sweep.points import cubic, ground_at, is_cut
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
@@ -35,20 +35,20 @@ class Section(NamedTuple):
 
     Attributes
     ----------
-    level
+    ray_height
         float32 (n, m), metres: the nodes' levels; NaN without ground.
     towards
         float32 (n, m), metres: the nodes' distances towards the sun.
     column_of_t
         float64 (n, 4): for each row, the cubic that gives the column at t.
-    falls
+    is_cut_nw_se
         How the quads are cut, as in ``skugga.shadows.sweep.lines.TurnedGrid``.
     """
 
-    level: np.ndarray
+    ray_height: np.ndarray
     towards: np.ndarray
     column_of_t: np.ndarray
-    falls: np.ndarray
+    is_cut_nw_se: np.ndarray
 
 
 class HorizonQuery(NamedTuple):
@@ -98,19 +98,19 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     np.ndarray
         float64 (rows, cols), degrees: -90 where no ground lies in that direction, NaN without ground.
     """
-    turn, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
-    level = turned_levels(height_m, turn, 1.0, 0.0, 0.0, cores)
-    towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
-    section = Section(level, towards, column_of_t, HIGHER_DIAGONALS)
-    n, m = level.shape
+    ray_height = turned_linear_values(height_m, orientation, 1.0, 0.0, 0.0, cores)
+    towards = turned_linear_values(height_m, orientation, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
+    section = Section(ray_height, towards, column_of_t, HIGHER_DIAGONALS)
+    n, m = ray_height.shape
     out = np.full((n, m), NO_HORIZON_SLOPE)
     low, high = float(t_of_column[:, 0].min()) + 1.0, float(t_of_column[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
         i, j, t = _nodes_between(column_of_t, t_of_column, start, start + max(STRIP_NODES // n, 1), m)
-        out[i, j] = horizon_tangents(section, lines, i.astype(float), t, level[i, j], towards[i, j], cores)
-    out[~np.isfinite(level)] = np.nan
-    return turn.restored(np.degrees(np.arctan(out[:, 1:-1])))
+        out[i, j] = horizon_tangents(section, lines, i.astype(float), t, ray_height[i, j], towards[i, j], cores)
+    out[~np.isfinite(ray_height)] = np.nan
+    return orientation.restored(np.degrees(np.arctan(out[:, 1:-1])))
 
 
 def horizon_tangents(
@@ -118,28 +118,29 @@ def horizon_tangents(
     lines: int,
     row: np.ndarray,
     t: np.ndarray,
-    own_level: np.ndarray,
-    own_towards: np.ndarray,
+    point_ray_height: np.ndarray,
+    point_towards: np.ndarray,
     cores: int = 1,
 ) -> np.ndarray:
     """Return the tangents (k,) of the horizon's angle above the reference direction, seen from points.
 
-    ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points' positions. Where a level is NaN, the ground at
-    the position replaces both it and the distance towards the sun. The tangent is ``NO_HORIZON_SLOPE`` where no ground lies ahead.
+    ``row``, ``t``, ``point_ray_height`` and ``point_towards`` (k,) float64 are the points' positions. Where a level is NaN, the
+    ground at the position replaces both it and the distance towards the sun. The tangent is ``NO_HORIZON_SLOPE`` where no ground
+    lies ahead.
     """
-    level, towards, column_of_t, falls = section
-    if not len(row) or len(level) < 2:
+    ray_height, towards, column_of_t, is_cut_nw_se = section
+    if not len(row) or len(ray_height) < 2:
         return np.full(len(row), NO_HORIZON_SLOPE)  # no row precedes a single row
-    row_before = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
+    row_before = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(ray_height) - 2)
     line = np.floor(t * lines).astype(np.int64)
     first, count = int(line.min()), int(np.ptp(line)) + 1
-    _, by_row = _counting_sort(row_before, len(level))
+    _, by_row = _counting_sort(row_before, len(ray_height))
     begins, order = _counting_sort(line[by_row] - first, count)
     order = by_row[order]
-    own_positions = np.stack([own_level, own_towards], axis=1)
+    position = np.stack([point_ray_height, point_towards], axis=1)
     near, line_tangents = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
-    _near_tangents(level, towards, column_of_t, falls, row_before, row, t, own_positions, near)
-    query = HorizonQuery(begins, order, row_before, own_positions, line_tangents)
+    _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, row, t, position, near)
+    query = HorizonQuery(begins, order, row_before, position, line_tangents)
 
     def strip(start: int) -> None:
         _walk_lines(section, lines, first, start, min(start + STRIP_LINES, count), query)
@@ -168,7 +169,7 @@ def _counting_sort(key, count):
 
 
 @compiled
-def _nodes_between(column_of_t, at, low, high, cols):
+def _nodes_between(column_of_t, t_of_column, low, high, cols):
     """Return turned rows, columns and t of the nodes with t in [low, high), without the first row: no row precedes it."""
     rows = len(column_of_t)
     ends = np.empty((rows, 2), np.int64)
@@ -177,9 +178,9 @@ def _nodes_between(column_of_t, at, low, high, cols):
         for side in range(2):
             t = high if side else low
             column = min(max(int(np.ceil(cubic(column_of_t[i], t))), 1), cols - 1)
-            while column > 1 and cubic(at[i], column - 1) >= t:
+            while column > 1 and cubic(t_of_column[i], column - 1) >= t:
                 column -= 1
-            while column < cols - 1 and cubic(at[i], column) < t:
+            while column < cols - 1 and cubic(t_of_column[i], column) < t:
                 column += 1
             ends[i, side] = column
         total += ends[i, 1] - ends[i, 0]
@@ -187,7 +188,7 @@ def _nodes_between(column_of_t, at, low, high, cols):
     n = 0
     for i in range(rows):
         for j in range(ends[i, 0], ends[i, 1]):
-            row[n], col[n], t_of[n] = i, j, cubic(at[i], j)
+            row[n], col[n], t_of[n] = i, j, cubic(t_of_column[i], j)
             n += 1
     return row, col, t_of
 
@@ -195,9 +196,9 @@ def _nodes_between(column_of_t, at, low, high, cols):
 @compiled
 def _walk_lines(section, lines, first, start, stop, query):
     """Walk the lines from the sun on; evaluate the points to the right of each line and, up to the next line, to its left."""
-    level, towards, column_of_t, falls = section
+    ray_height, towards, column_of_t, is_cut_nw_se = section
     begins, order, row_before, position, line_tangents = query
-    rows, cols = level.shape
+    rows, cols = ray_height.shape
     hull = np.empty((4 * rows, 2))  # at most four kinks a row
     for number in range(start, stop + 1):
         t = (first + number) / lines
@@ -214,31 +215,31 @@ def _walk_lines(section, lines, first, start, stop, query):
                 left_of += 1
             if right_of == right_end and left_of == left_end:
                 break
-            further = cubic(column_of_t[i + 1], t)
-            s, c = further - x, int(np.floor(x))
+            next_x = cubic(column_of_t[i + 1], t)
+            s, c = next_x - x, int(np.floor(x))
             f = x - c
-            x = further
+            x = next_x
             if c < 0 or c + 1 >= cols:
                 continue
-            size = _push_hull(hull, size, level, towards, i, c, i, c + 1, f)
+            size = _push_hull(hull, size, ray_height, towards, i, c, i, c + 1, f)
             rising = (1.0 - f) / (1.0 + s)
             falling = f / (1.0 - s) if f + s <= 1.0 and s < 1.0 else np.inf
-            if falling < rising and is_cut(falls, i, c, True):  # in the order of crossing
-                size = _push_hull(hull, size, level, towards, i, c, i + 1, c + 1, falling)
-            if is_cut(falls, i, c, False):
-                size = _push_hull(hull, size, level, towards, i, c + 1, i + 1, c, rising)
-            if rising <= falling <= 1.0 and is_cut(falls, i, c, True):
-                size = _push_hull(hull, size, level, towards, i, c, i + 1, c + 1, falling)
+            if falling < rising and is_cut(is_cut_nw_se, i, c, True):  # in the order of crossing
+                size = _push_hull(hull, size, ray_height, towards, i, c, i + 1, c + 1, falling)
+            if is_cut(is_cut_nw_se, i, c, False):
+                size = _push_hull(hull, size, ray_height, towards, i, c + 1, i + 1, c, rising)
+            if rising <= falling <= 1.0 and is_cut(is_cut_nw_se, i, c, True):
+                size = _push_hull(hull, size, ray_height, towards, i, c, i + 1, c + 1, falling)
             if f + s > 1.0:
-                size = _push_hull(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
-                if c + 2 < cols and is_cut(falls, i, c + 1, False):
-                    size = _push_hull(hull, size, level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+                size = _push_hull(hull, size, ray_height, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+                if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False):
+                    size = _push_hull(hull, size, ray_height, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
 
 
 @internal
-def _push_hull(hull, size, level, towards, i, j, k, l, share):
+def _push_hull(hull, size, ray_height, towards, i, j, k, l, share):
     """Push the position at a share of the way between two nodes onto the hull, and return the hull's size."""
-    u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
+    u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
     if not np.isfinite(u):
         return size
     d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
@@ -256,14 +257,14 @@ def _push_hull(hull, size, level, towards, i, j, k, l, share):
 
 
 @internal
-def _tangent(hull, size, own):
+def _tangent(hull, size, point):
     """Return the largest slope from a point up to a hull: from the top of the stack it rises up to the point of contact."""
     best = NO_HORIZON_SLOPE
     for n in range(size - 1, -1, -1):
-        ahead = hull[n, 1] - own[1]
-        if ahead <= 0.0:
+        distance = hull[n, 1] - point[1]
+        if distance <= 0.0:
             continue
-        slope = (hull[n, 0] - own[0]) / ahead
+        slope = (hull[n, 0] - point[0]) / distance
         if slope < best:
             break
         best = slope
@@ -271,42 +272,42 @@ def _tangent(hull, size, own):
 
 
 @compiled
-def _near_tangents(level, towards, column_of_t, falls, row_before, row, t, own, near):
+def _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, row, t, position, near_tangents):
     """Write the slopes up to the ground between points and the row before them.
 
     Points without a level get the position of the ground below them.
     """
-    cols = level.shape[1]
+    cols = ray_height.shape[1]
     for n in range(len(row)):
         i = row_before[n]
         x = cubic(column_of_t[i], t[n])
         s = cubic(column_of_t[i + 1], t[n]) - x
         c = int(np.floor(x))
         f, end = x - c, row[n] - i
-        if np.isnan(own[n, 0]):
-            own[n, 0] = ground_at(level[i], level[i + 1], c, f + s * end, end, falls, i)
-            own[n, 1] = ground_at(towards[i], towards[i + 1], c, f + s * end, end, falls, i)
+        if np.isnan(position[n, 0]):
+            position[n, 0] = ground_at(ray_height[i], ray_height[i + 1], c, f + s * end, end, is_cut_nw_se, i)
+            position[n, 1] = ground_at(towards[i], towards[i + 1], c, f + s * end, end, is_cut_nw_se, i)
         if c < 0 or c + 1 >= cols:
             continue
         end -= 1e-6  # ground within a millionth of a cell is the point itself
-        best = _max_slope(NO_HORIZON_SLOPE, own[n], level, towards, i, c, i, c + 1, f)
-        if is_cut(falls, i, c, False) and (1.0 - f) / (1.0 + s) < end:
-            best = _max_slope(best, own[n], level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
+        best = _max_slope(NO_HORIZON_SLOPE, position[n], ray_height, towards, i, c, i, c + 1, f)
+        if is_cut(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
+            best = _max_slope(best, position[n], ray_height, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
         if f + s <= 1.0:
-            if is_cut(falls, i, c, True) and f < end * (1.0 - s):
-                best = _max_slope(best, own[n], level, towards, i, c, i + 1, c + 1, f / (1.0 - s))
+            if is_cut(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
+                best = _max_slope(best, position[n], ray_height, towards, i, c, i + 1, c + 1, f / (1.0 - s))
         elif (1.0 - f) / s < end:
-            best = _max_slope(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
-            if c + 2 < cols and is_cut(falls, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
-                best = _max_slope(best, own[n], level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
-        near[n] = best
+            best = _max_slope(best, position[n], ray_height, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+            if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
+                best = _max_slope(best, position[n], ray_height, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+        near_tangents[n] = best
 
 
 @internal
-def _max_slope(best, own, level, towards, i, j, k, l, share):
-    u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
+def _max_slope(best, point, ray_height, towards, i, j, k, l, share):
+    u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
     d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
-    if not d > own[1]:
+    if not d > point[1]:
         return best
-    slope = (u - own[0]) / (d - own[1])
+    slope = (u - point[0]) / (d - point[1])
     return slope if slope > best else best

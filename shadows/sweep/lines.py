@@ -33,15 +33,15 @@ import numpy as np
 from skugga.shadows.sweep.points import cubic, cubic_of, evaluate_points, snap_to_column
 from skugga.terrain.compiled import compiled, internal
 
-NO_GROUND_LEVEL = np.float32(-1e30)
+NO_GROUND_RAY_HEIGHT = np.float32(-1e30)
 """Level of a line that has met nothing: finite, not -infinity, so that it can be interpolated."""
 
 NO_CUTS = np.zeros(0, np.bool_)
 
-RUN = 512
+MAX_RUN_LINES = 512
 """Maximum number of lines in a run."""
 
-ON_NODE = 0.0, 0.0
+ON_NODE_SHARES = 0.0, 0.0
 """Shares of the way to the next node, at both ends of a run of lines that passes over nodes."""
 
 LINEARITY_TOLERANCE = 0.01
@@ -53,21 +53,21 @@ class TurnedGrid(NamedTuple):
 
     Attributes
     ----------
-    level
+    ray_height
         float32 (n, m), metres: the levels of the nodes; NaN without ground.
     column_of_t
         float64 (n, 4): for each row, the cubic that gives the column at t.
     t_of_column
         float64 (n, 4): for each row, the cubic that gives t at a column.
-    falls
+    is_cut_nw_se
         bool (n - 1, m - 1): True if a quad is cut from (i, j) to (i + 1, j + 1), False if from (i, j + 1) to (i + 1, j). Empty
         where each quad is cut along its higher diagonal.
     """
 
-    level: np.ndarray
+    ray_height: np.ndarray
     column_of_t: np.ndarray
     t_of_column: np.ndarray
-    falls: np.ndarray
+    is_cut_nw_se: np.ndarray
 
 
 class Strip(NamedTuple):
@@ -95,27 +95,27 @@ class Strip(NamedTuple):
 
 
 @compiled
-def sweep_rows(sheet, strip, first, last, shade, lit, points):
+def sweep_rows(turned_grid, strip, first, last, shade, lit, points):
     """Advance a strip of lines from before row ``first`` of a grid to before row ``last``; evaluate nodes and points on the way.
 
     For the nodes of rows (first, last], write the arrays that are not empty: ``shade`` (n, m) float32, the level above which a node
     sees the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
     """
-    level, column_of_t, t_of_column, falls = sheet
+    ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, peaks = strip
     begins = points.begins
     nodes = shade.size > 0 or lit.size > 0
     for i in range(first, last):
-        cuts = falls[i] if falls.size else NO_CUTS
+        cuts = is_cut_nw_se[i] if is_cut_nw_se.size else NO_CUTS
         if nodes:
-            _evaluate_nodes(level, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i)
-            _update_peaks(level, column_of_t, t_of_column, lines, first_cell, peaks, i)
+            _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i)
+            _update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i)
         if begins[i] < begins[i + 1]:
-            evaluate_points(sheet, strip, i, points)
+            evaluate_points(turned_grid, strip, i, points)
         for k in range(lines):
             _advance(
-                level[i],
-                level[i + 1],
+                ray_height[i],
+                ray_height[i + 1],
                 cubic_of(column_of_t, i),
                 cubic_of(column_of_t, i + 1),
                 lines,
@@ -132,46 +132,55 @@ def _run_along(p, low, high, times):
     most.
     """
     bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
-    return RUN if bend * RUN * RUN <= 8.0 * LINEARITY_TOLERANCE else max(int(np.sqrt(8.0 * LINEARITY_TOLERANCE / bend)), 2)
+    return (
+        MAX_RUN_LINES
+        if bend * MAX_RUN_LINES * MAX_RUN_LINES <= 8.0 * LINEARITY_TOLERANCE
+        else max(int(np.sqrt(8.0 * LINEARITY_TOLERANCE / bend)), 2)
+    )
 
 
 @internal
-def _class_of(here, further, t, j):
+def _crossing_class(cubic_above, cubic_below, t, j):
     """Return a line's class: 2 (c - j), plus 1 if it crosses column c + 1 before the next row; c is the column left of it."""
-    x = snap_to_column(cubic(here, t))
+    x = snap_to_column(cubic(cubic_above, t))
     c = int(np.floor(x))
-    return 2 * (c - j) + (1 if snap_to_column(cubic(further, t)) > c + 1 else 0)
+    return 2 * (c - j) + (1 if snap_to_column(cubic(cubic_below, t)) > c + 1 else 0)
 
 
 @internal
-def _advance(above, below, here, further, lines, cuts, first_cell, line_max, k):
-    """Advance the lines of number ``k`` from before a row to before the next one; their cubics are ``here`` and ``further``."""
+def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, line_max, k):
+    """Advance the lines of number ``k`` from before a row to before the next one; their cubics are ``cubic_above`` and
+    ``cubic_below``.
+    """
     cells, cols = line_max.size, above.size
     share = k / lines
-    run = _run_along(here, first_cell, first_cell + cells, np.int64(1))
+    run = _run_along(cubic_above, first_cell, first_cell + cells, np.int64(1))
     start = 0
     while start < cells:
         end = min(start + run, cells)
-        kind = _class_of(here, further, first_cell + start + share, first_cell + start)
-        if _class_of(here, further, first_cell + end - 1 + share, first_cell + end - 1) != kind:
+        crossing_class = _crossing_class(cubic_above, cubic_below, first_cell + start + share, first_cell + start)
+        if _crossing_class(cubic_above, cubic_below, first_cell + end - 1 + share, first_cell + end - 1) != crossing_class:
             low, high = start, end - 1  # kind holds at low, not at high
             while high - low > 1:
                 middle = (low + high) // 2
-                if _class_of(here, further, first_cell + middle + share, first_cell + middle) == kind:
+                if _crossing_class(cubic_above, cubic_below, first_cell + middle + share, first_cell + middle) == crossing_class:
                     low = middle
                 else:
                     high = middle
             end = high
-        crosses = kind % 2 == 1
-        shift = (kind - kind % 2) // 2 + first_cell  # column left of the line, less its index in ``line_max``
+        crosses = crossing_class % 2 == 1
+        shift = (crossing_class - crossing_class % 2) // 2 + first_cell  # column left of the line, less its index in ``line_max``
         begin = max(start, -shift)
         last = min(end, cols - (2 if crosses else 1) - shift)
         if begin < last:
             t0, t1 = first_cell + begin + share, first_cell + last - 1 + share
-            f0, f1 = snap_to_column(cubic(here, t0)) - (begin + shift), snap_to_column(cubic(here, t1)) - (last - 1 + shift)
+            f0, f1 = (
+                snap_to_column(cubic(cubic_above, t0)) - (begin + shift),
+                snap_to_column(cubic(cubic_above, t1)) - (last - 1 + shift),
+            )
             s0, s1 = (
-                snap_to_column(cubic(further, t0)) - (begin + shift) - f0,
-                snap_to_column(cubic(further, t1)) - (last - 1 + shift) - f1,
+                snap_to_column(cubic(cubic_below, t0)) - (begin + shift) - f0,
+                snap_to_column(cubic(cubic_below, t1)) - (last - 1 + shift) - f1,
             )
             _raise_run(above, below, cuts, begin + shift, line_max, begin, last - begin, f0, f1, s0, s1, crosses)
         start = end
@@ -185,7 +194,7 @@ def _raise_run(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1
     to ``f1``; their shifts until the next row go from ``s0`` to ``s1``.
     """
     if f0 == 0.0 and f1 == 0.0:  # on nodes: a missing right neighbour has no effect
-        _raise_to_segments(above, column, column, above, column, line_max, cell, count, ON_NODE, ON_NODE)
+        _raise_to_segments(above, column, column, above, column, line_max, cell, count, ON_NODE_SHARES, ON_NODE_SHARES)
     row, rising = (f0, f1), (min((1.0 - f0) / (1.0 + s0), 1.0), min((1.0 - f1) / (1.0 + s1), 1.0))
     if crosses:
         side, far = ((1.0 - f0) / s0, (1.0 - f1) / s1), ((2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1))
@@ -204,7 +213,7 @@ def _raise_run(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1
 
 
 @internal
-def _steps(ends, count):
+def _even_steps(ends, count):
     """Return the first of ``count`` even steps between two ends, and the step size, as float32."""
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
 
@@ -217,19 +226,19 @@ def _steps(ends, count):
 @internal
 def _cross_one_quad(above, below, column, line_max, cell, count, row, rising, falling):
     """Raise a run of lines to the levels that they meet in one quad each: on its first row and on both of its diagonals."""
-    p, dp = _steps(row, count)
-    q, dq = _steps(rising, count)
-    r, dr = _steps(falling, count)
+    p, dp = _even_steps(row, count)
+    q, dq = _even_steps(rising, count)
+    r, dr = _even_steps(falling, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        here, right, line = np.uintp(column + n), np.uintp(column + 1 + n), np.uintp(cell + n)
-        one = above[here] + (p + dp * x) * (above[right] - above[here])
-        two = above[right] + (q + dq * x) * (below[here] - above[right])
-        three = above[here] + (r + dr * x) * (below[right] - above[here])
+        left, right, line = np.uintp(column + n), np.uintp(column + 1 + n), np.uintp(cell + n)
+        on_row = above[left] + (p + dp * x) * (above[right] - above[left])
+        on_rising = above[right] + (q + dq * x) * (below[left] - above[right])
+        on_falling = above[left] + (r + dr * x) * (below[right] - above[left])
         highest = line_max[line]
-        highest = one if one > highest else highest
-        highest = two if two > highest else highest
-        line_max[line] = three if three > highest else highest
+        highest = on_row if on_row > highest else highest
+        highest = on_rising if on_rising > highest else highest
+        line_max[line] = on_falling if on_falling > highest else highest
 
 
 @internal
@@ -238,62 +247,62 @@ def _cross_two_quads(above, below, column, line_max, cell, count, row, rising, s
 
     They are compared on the first row, on the rising diagonals of both quads, and on the side between the quads.
     """
-    p, dp = _steps(row, count)
-    q, dq = _steps(rising, count)
-    r, dr = _steps(side, count)
-    s, ds = _steps(far, count)
+    p, dp = _even_steps(row, count)
+    q, dq = _even_steps(rising, count)
+    r, dr = _even_steps(side, count)
+    s, ds = _even_steps(far, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        here, right, beyond = np.uintp(column + n), np.uintp(column + 1 + n), np.uintp(column + 2 + n)
+        left, right, far_right = np.uintp(column + n), np.uintp(column + 1 + n), np.uintp(column + 2 + n)
         line = np.uintp(cell + n)
-        one = above[here] + (p + dp * x) * (above[right] - above[here])
-        two = above[right] + (q + dq * x) * (below[here] - above[right])
-        three = above[right] + (r + dr * x) * (below[right] - above[right])
-        four = above[beyond] + (s + ds * x) * (below[right] - above[beyond])
+        on_row = above[left] + (p + dp * x) * (above[right] - above[left])
+        on_rising = above[right] + (q + dq * x) * (below[left] - above[right])
+        on_side = above[right] + (r + dr * x) * (below[right] - above[right])
+        on_far_rising = above[far_right] + (s + ds * x) * (below[right] - above[far_right])
         highest = line_max[line]
-        highest = one if one > highest else highest
-        highest = two if two > highest else highest
-        highest = three if three > highest else highest
-        line_max[line] = four if four > highest else highest
+        highest = on_row if on_row > highest else highest
+        highest = on_rising if on_rising > highest else highest
+        highest = on_side if on_side > highest else highest
+        line_max[line] = on_far_rising if on_far_rising > highest else highest
 
 
 @internal
 def _cross_one_cut_quad(above, below, cuts, line_max, row, rising, falling):
     """Do as ``_cross_one_quad``, but only on the diagonals along which the quads are cut."""
     count = line_max.size
-    p, dp = _steps(row, count)
-    q, dq = _steps(rising, count)
-    r, dr = _steps(falling, count)
+    p, dp = _even_steps(row, count)
+    q, dq = _even_steps(rising, count)
+    r, dr = _even_steps(falling, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        one = above[n] + (p + dp * x) * (above[n + 1] - above[n])
-        falls = above[n] + (r + dr * x) * (below[n + 1] - above[n])
-        rises = above[n + 1] + (q + dq * x) * (below[n] - above[n + 1])
-        other = falls if cuts[n] else rises
+        on_row = above[n] + (p + dp * x) * (above[n + 1] - above[n])
+        falling_height = above[n] + (r + dr * x) * (below[n + 1] - above[n])
+        rising_height = above[n + 1] + (q + dq * x) * (below[n] - above[n + 1])
+        on_diagonal = falling_height if cuts[n] else rising_height
         highest = line_max[n]
-        highest = one if one > highest else highest
-        line_max[n] = other if other > highest else highest
+        highest = on_row if on_row > highest else highest
+        line_max[n] = on_diagonal if on_diagonal > highest else highest
 
 
 @internal
 def _cross_two_cut_quads(above, below, cuts, line_max, row, rising, side, far):
     """Do as ``_cross_two_quads``, but only on the diagonals along which the quads are cut."""
     count = line_max.size
-    p, dp = _steps(row, count)
-    q, dq = _steps(rising, count)
-    r, dr = _steps(side, count)
-    s, ds = _steps(far, count)
+    p, dp = _even_steps(row, count)
+    q, dq = _even_steps(rising, count)
+    r, dr = _even_steps(side, count)
+    s, ds = _even_steps(far, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        one = above[n] + (p + dp * x) * (above[n + 1] - above[n])
-        two = NO_GROUND_LEVEL if cuts[n] else above[n + 1] + (q + dq * x) * (below[n] - above[n + 1])
-        three = above[n + 1] + (r + dr * x) * (below[n + 1] - above[n + 1])
-        four = NO_GROUND_LEVEL if cuts[n + 1] else above[n + 2] + (s + ds * x) * (below[n + 1] - above[n + 2])
+        on_row = above[n] + (p + dp * x) * (above[n + 1] - above[n])
+        on_rising = NO_GROUND_RAY_HEIGHT if cuts[n] else above[n + 1] + (q + dq * x) * (below[n] - above[n + 1])
+        on_side = above[n + 1] + (r + dr * x) * (below[n + 1] - above[n + 1])
+        on_far_rising = NO_GROUND_RAY_HEIGHT if cuts[n + 1] else above[n + 2] + (s + ds * x) * (below[n + 1] - above[n + 2])
         highest = line_max[n]
-        highest = one if one > highest else highest
-        highest = two if two > highest else highest
-        highest = three if three > highest else highest
-        line_max[n] = four if four > highest else highest
+        highest = on_row if on_row > highest else highest
+        highest = on_rising if on_rising > highest else highest
+        highest = on_side if on_side > highest else highest
+        line_max[n] = on_far_rising if on_far_rising > highest else highest
 
 
 @internal
@@ -303,67 +312,80 @@ def _raise_to_segments(row, a, b, other_row, c, line_max, cell, count, p, q):
     Both segments start in column ``a`` of a row. The first ends in column ``b`` of the same row and is sampled at shares ``p``. The
     second ends in column ``c`` of another row and is sampled at shares ``q``.
     """
-    p0, dp = _steps(p, count)
-    q0, dq = _steps(q, count)
+    p0, dp = _even_steps(p, count)
+    q0, dq = _even_steps(q, count)
     for n in range(count):
         x = np.float32(np.int32(n))
         line = np.uintp(cell + n)
-        here = row[np.uintp(a + n)]
-        one = here + (p0 + dp * x) * (row[np.uintp(b + n)] - here)
-        other = here + (q0 + dq * x) * (other_row[np.uintp(c + n)] - here)
+        start_height = row[np.uintp(a + n)]
+        on_first = start_height + (p0 + dp * x) * (row[np.uintp(b + n)] - start_height)
+        on_second = start_height + (q0 + dq * x) * (other_row[np.uintp(c + n)] - start_height)
         highest = line_max[line]
-        highest = one if one > highest else highest
-        line_max[line] = other if other > highest else highest
+        highest = on_first if on_first > highest else highest
+        line_max[line] = on_second if on_second > highest else highest
 
 
 @internal
-def _evaluate_nodes(level, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i):
+def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i):
     """Evaluate the nodes of row ``i + 1``.
 
     Shade from row ``i`` on is exact. Shade from before that row is interpolated between the lines.
     """
-    cols, cells = level.shape[1], line_max.shape[1]
-    here, before, further = cubic_of(t_of_column, i + 1), cubic_of(column_of_t, i), cubic_of(column_of_t, i + 1)
-    first = _first_from(further, here, first_cell + 1, cols)
-    last = _first_from(further, here, first_cell + cells - 2, cols)
-    run = _run_along(here, first, last, lines)
-    above, below, shade_levels = level[i], level[i + 1], np.empty(RUN, np.float32)
+    cols, cells = ray_height.shape[1], line_max.shape[1]
+    t_of_column_below, column_of_t_above, column_of_t_below = (
+        cubic_of(t_of_column, i + 1),
+        cubic_of(column_of_t, i),
+        cubic_of(column_of_t, i + 1),
+    )
+    first = _first_column_at(column_of_t_below, t_of_column_below, first_cell + 1, cols)
+    last = _first_column_at(column_of_t_below, t_of_column_below, first_cell + cells - 2, cols)
+    run = _run_along(t_of_column_below, first, last, lines)
+    above, below, shade_heights = ray_height[i], ray_height[i + 1], np.empty(MAX_RUN_LINES, np.float32)
     while first < last:
-        end, number = _run_of_nodes(here, first, min(first + run, last), lines)
+        end, number = _run_of_nodes(t_of_column_below, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
         right, right_cell = (k + 1, cell) if k + 1 < lines else (0, cell + 1)
-        e0, e1 = _line_of(here, first, lines) - number, _line_of(here, end - 1, lines) - number - lines * (count - 1)
-        _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, (e0, e1), count, shade_levels)
+        e0, e1 = (
+            _line_position(t_of_column_below, first, lines) - number,
+            _line_position(t_of_column_below, end - 1, lines) - number - lines * (count - 1),
+        )
+        _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, (e0, e1), count, shade_heights)
         _raise_to_near_ground(
             above,
             below,
             cuts,
             first,
-            (_column_shift(before, here, first), _column_shift(before, here, end - 1)),
+            (
+                _column_shift(column_of_t_above, t_of_column_below, first),
+                _column_shift(column_of_t_above, t_of_column_below, end - 1),
+            ),
             count,
-            shade_levels,
+            shade_heights,
         )
         if shade.size:
-            _put_shade(shade_levels, shade, i + 1, first, count)
+            _put_shade(shade_heights, shade, i + 1, first, count)
         if lit.size:
-            _write_lit(shade_levels, below, lit, i + 1, first, count)
+            _write_lit(shade_heights, below, lit, i + 1, first, count)
         first = end
 
 
 @internal
-def _update_peaks(level, column_of_t, t_of_column, lines, first_cell, peaks, i):
+def _update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i):
     """Raise the peaks between the lines to the nodes of row ``i``."""
-    cols, cells = level.shape[1], peaks.shape[2]
-    here, further, row = cubic_of(t_of_column, i), cubic_of(column_of_t, i), level[i]
-    first = _first_from(further, here, first_cell + 1, cols)
-    last = _first_from(further, here, first_cell + cells - 2, cols)
-    run = _run_along(here, first, last, lines)
+    cols, cells = ray_height.shape[1], peaks.shape[2]
+    row_t_of_column, row_column_of_t, row = cubic_of(t_of_column, i), cubic_of(column_of_t, i), ray_height[i]
+    first = _first_column_at(row_column_of_t, row_t_of_column, first_cell + 1, cols)
+    last = _first_column_at(row_column_of_t, row_t_of_column, first_cell + cells - 2, cols)
+    run = _run_along(row_t_of_column, first, last, lines)
     while first < last:
-        end, number = _run_of_nodes(here, first, min(first + run, last), lines)
+        end, number = _run_of_nodes(row_t_of_column, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
-        e0, e1 = _line_of(here, first, lines) - number, _line_of(here, end - 1, lines) - number - lines * (count - 1)
+        e0, e1 = (
+            _line_position(row_t_of_column, first, lines) - number,
+            _line_position(row_t_of_column, end - 1, lines) - number - lines * (count - 1),
+        )
         _raise_peaks(row, first, (e0, e1), peaks, k, cell, count)
         first = end
 
@@ -375,29 +397,29 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
     k = np.uintp(k)
     for n in range(count):
-        c, level = np.uintp(cell + n), row[np.uintp(first + n)]
-        higher = level > peaks[0, k, c]
+        c, node_height = np.uintp(cell + n), row[np.uintp(first + n)]
+        higher = node_height > peaks[0, k, c]
         peaks[1, k, c] = e + de * np.float32(np.int32(n)) if higher else peaks[1, k, c]
-        peaks[0, k, c] = level if higher else peaks[0, k, c]
+        peaks[0, k, c] = node_height if higher else peaks[0, k, c]
 
 
 @internal
-def _put_shade(shade_levels, shade, i, first, count):
+def _put_shade(shade_heights, shade, i, first, count):
     i = np.uintp(i)
     for n in range(count):
-        shade[i, np.uintp(first + n)] = shade_levels[n]
+        shade[i, np.uintp(first + n)] = shade_heights[n]
 
 
 @internal
-def _write_lit(shade_levels, row, lit, i, first, count):
+def _write_lit(shade_heights, row, lit, i, first, count):
     i = np.uintp(i)
     for n in range(count):
         column = np.uintp(first + n)
-        lit[i, column] = not shade_levels[n] > row[column]
+        lit[i, column] = not shade_heights[n] > row[column]
 
 
 @internal
-def _line_of(t_of_column, column, lines):
+def _line_position(t_of_column, column, lines):
     """Return the position of a row's node among the lines; a whole number if it lies on a line."""
     return snap_to_column(cubic(t_of_column, np.float64(column)) * lines)
 
@@ -411,13 +433,13 @@ def _column_shift(column_of_t, t_of_column, column):
 @internal
 def _run_of_nodes(t_of_column, first, last, lines):
     """Return the end of the run of nodes from ``first`` on whose left lines have one number, and the first node's left line."""
-    number = int(np.floor(_line_of(t_of_column, first, lines)))
-    if int(np.floor(_line_of(t_of_column, last - 1, lines))) - lines * (last - 1 - first) == number:
+    number = int(np.floor(_line_position(t_of_column, first, lines)))
+    if int(np.floor(_line_position(t_of_column, last - 1, lines))) - lines * (last - 1 - first) == number:
         return last, number
     low, high = first, last - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if int(np.floor(_line_of(t_of_column, middle, lines))) - lines * (middle - first) == number:
+        if int(np.floor(_line_position(t_of_column, middle, lines))) - lines * (middle - first) == number:
             low = middle
         else:
             high = middle
@@ -425,7 +447,7 @@ def _run_of_nodes(t_of_column, first, last, lines):
 
 
 @internal
-def _first_from(column_of_t, t_of_column, t, cols):
+def _first_column_at(column_of_t, t_of_column, t, cols):
     """Return the first column of a row, without borders, whose t is at least ``t``.
 
     The comparison uses ``t_of_column`` alone, so that adjacent strips divide all nodes between them.
@@ -450,36 +472,38 @@ def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, betw
     k, right = np.uintp(k), np.uintp(right)
     for n in range(count):
         c = np.uintp(cell + n)
-        left_held, right_held = line_max[k, c], line_max[right, np.uintp(right_cell + n)]
+        left_max, right_max = line_max[k, c], line_max[right, np.uintp(right_cell + n)]
         w = e + de * np.float32(np.int32(n))
-        met = (np.float32(1.0) - w) * left_held + w * right_held  # exact at w = 1 even where one line has met nothing
+        interpolated = (np.float32(1.0) - w) * left_max + w * right_max  # exact at w = 1 even where one line has met nothing
         a, top = peaks[1, k, c], peaks[0, k, c]
         rising = w < a
         b = w / max(a, np.float32(1e-6)) if rising else (w - a) / max(np.float32(1.0) - a, np.float32(1e-6))
         b = min(max(b, np.float32(0.0)), np.float32(1.0))  # positions are accurate to ``LINEARITY_TOLERANCE`` only
-        over = (np.float32(1.0) - b) * (left_held if rising else top) + b * (top if rising else right_held)
-        peaked = top > (np.float32(1.0) - a) * left_held + a * right_held
-        out[n] = over if peaked and over > met else met
+        over_peak = (np.float32(1.0) - b) * (left_max if rising else top) + b * (top if rising else right_max)
+        has_peak = top > (np.float32(1.0) - a) * left_max + a * right_max
+        out[n] = over_peak if has_peak and over_peak > interpolated else interpolated
 
 
 @internal
-def _raise_to_near_ground(above, here, cuts, first, aside, count, out):
+def _raise_to_near_ground(above, below, cuts, first, column_shifts, count, out):
     """Raise the shadow levels over a run of nodes from column ``first`` on to the levels that their rays meet from the row before.
 
-    ``aside`` holds how many columns to the left the rays of the first and the last node cross the row before.
+    ``column_shifts`` holds how many columns to the left the rays of the first and the last node cross the row before.
     """
     start = np.int64(0)  # not a literal, for which ``_raise_to_segments`` would be compiled again
-    if max(aside[0], aside[1]) == 0.0:  # straight down: a missing left neighbour has no effect
-        _raise_to_segments(above, first, first, above, first, out, start, count, ON_NODE, ON_NODE)
+    if max(column_shifts[0], column_shifts[1]) == 0.0:  # straight down: a missing left neighbour has no effect
+        _raise_to_segments(above, first, first, above, first, out, start, count, ON_NODE_SHARES, ON_NODE_SHARES)
         return
-    if min(aside[0], aside[1]) == 1.0:  # along the quads' falling diagonals: a missing right neighbour has no effect
-        _raise_to_segments(above, first - 1, first - 1, above, first - 1, out, start, count, ON_NODE, ON_NODE)
+    if (
+        min(column_shifts[0], column_shifts[1]) == 1.0
+    ):  # along the quads' falling diagonals: a missing right neighbour has no effect
+        _raise_to_segments(above, first - 1, first - 1, above, first - 1, out, start, count, ON_NODE_SHARES, ON_NODE_SHARES)
     # Add the rising diagonal of the quad to the left: the falling one ends in the node itself.
-    rising = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
+    rising = column_shifts[0] / (1.0 + column_shifts[0]), column_shifts[1] / (1.0 + column_shifts[1])
     if cuts.size:
         left_of = np.empty(count, np.float32)
         for n in range(count):
-            left_of[n] = np.float32(np.nan) if cuts[first - 1 + n] else here[first - 1 + n]
-        _raise_to_segments(above, first, first - 1, left_of, start, out, start, count, aside, rising)
+            left_of[n] = np.float32(np.nan) if cuts[first - 1 + n] else below[first - 1 + n]
+        _raise_to_segments(above, first, first - 1, left_of, start, out, start, count, column_shifts, rising)
     else:
-        _raise_to_segments(above, first, first - 1, here, first - 1, out, start, count, aside, rising)
+        _raise_to_segments(above, first, first - 1, below, first - 1, out, start, count, column_shifts, rising)

@@ -28,7 +28,7 @@ class StripPoints(NamedTuple):
         int64 (rows + 1,): the first point of each row interval (i, i + 1].
     row, col, t
         float64 (n,): positions; columns count the left border.
-    own
+    ray_height
         float64 (n,), metres: the points' levels; NaN: on the ground at their position.
     rounding
         Metres by which a level must exceed a point's to shade it.
@@ -42,7 +42,7 @@ class StripPoints(NamedTuple):
     row: np.ndarray
     col: np.ndarray
     t: np.ndarray
-    own: np.ndarray
+    ray_height: np.ndarray
     rounding: float
     lit: np.ndarray
     above_m: np.ndarray
@@ -62,11 +62,11 @@ def intervals_of(first, last, row, rows, out):
 
 
 @compiled
-def in_strip(row, col, t, own, interval, rows, start, stop):
+def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
     """Return the points whose t lies in [start, stop), in the order of their row intervals.
 
-    The result holds their numbers among the points (n,), and the fields of ``StripPoints`` from ``begins`` up to ``own``. The
-    returned columns count the left border, the given ones do not.
+    The result holds their numbers among the points (n,), and the fields of ``StripPoints`` from ``begins`` up to ``ray_height``.
+    The returned columns count the left border, the given ones do not.
     """
     begins = np.empty(rows + 1, np.int64)
     begins[:] = 0
@@ -77,64 +77,68 @@ def in_strip(row, col, t, own, interval, rows, start, stop):
         begins[i + 1] += begins[i]
     filled, count = begins[:-1].copy(), begins[rows]
     number = np.empty(count, np.int64)
-    strip_row, strip_col, strip_t, strip_own = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    strip_row, strip_col, strip_t, strip_ray_height = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     for n in range(t.size):
         if start <= t[n] < stop:
             k = filled[interval[n]]
             filled[interval[n]] += 1
-            number[k], strip_row[k], strip_col[k], strip_t[k], strip_own[k] = n, row[n], col[n] + 1.0, t[n], own[n]
-    return number, begins, strip_row, strip_col, strip_t, strip_own
+            number[k], strip_row[k], strip_col[k], strip_t[k], strip_ray_height[k] = n, row[n], col[n] + 1.0, t[n], ray_height[n]
+    return number, begins, strip_row, strip_col, strip_t, strip_ray_height
 
 
 @compiled
-def put_answers(number, strip_lit, strip_above_m, lit, above_m):
+def scatter_results(number, strip_lit, strip_above_m, lit, above_m):
     """Write a strip's results to the numbers of its points."""
     for k in range(number.size):
         lit[number[k]], above_m[number[k]] = strip_lit[k], strip_above_m[k]
 
 
 @internal
-def evaluate_points(sheet, strip, i, points):
+def evaluate_points(turned_grid, strip, i, points):
     """Evaluate the points in rows (i, i + 1] of a ``TurnedGrid`` while the lines of a ``Strip`` stand before row ``i``."""
-    level, column_of_t, t_of_column, falls = sheet
+    ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, _ = strip
-    begins, row, col, t, own, rounding, lit, above_m = points
+    begins, row, col, t, points_ray_height, rounding, lit, above_m = points
     first, last = begins[i], begins[i + 1]
-    cols = level.shape[1]
-    above, below = level[i], level[i + 1]
-    here, further, columns = cubic_of(column_of_t, i), cubic_of(column_of_t, i + 1), cubic_of(t_of_column, i)
+    cols = ray_height.shape[1]
+    above, below = ray_height[i], ray_height[i + 1]
+    column_of_t_above, column_of_t_below, t_of_column_above = (
+        cubic_of(column_of_t, i),
+        cubic_of(column_of_t, i + 1),
+        cubic_of(t_of_column, i),
+    )
     for n in range(first, last):
-        end, before = row[n] - i, t[n]
-        x = snap_to_column(cubic(here, before))
-        s = snap_to_column(cubic(further, before)) - x
-        if np.isnan(own[n]):  # on the ground: use the column, to stay over its own triangle
+        end, ray_t = row[n] - i, t[n]
+        x = snap_to_column(cubic(column_of_t_above, ray_t))
+        s = snap_to_column(cubic(column_of_t_below, ray_t)) - x
+        if np.isnan(points_ray_height[n]):  # on the ground: use the column, to stay over its own triangle
             x = snap_to_column(col[n] - s * end)
-            before = cubic(columns, x)
+            ray_t = cubic(t_of_column_above, x)
         c = int(np.floor(x))
         f = x - c
-        line_position = snap_to_column(before * lines)
+        line_position = snap_to_column(ray_t * lines)
         number = int(np.floor(line_position))
         cell, k = number // lines - first_cell, number % lines
         left = line_max[k, cell]
         right = line_max[k + 1, cell] if k + 1 < lines else line_max[0, cell + 1]
         w = line_position - number
         highest = (1.0 - w) * left + w * right
-        own_level = own[n]
-        if np.isnan(own_level):
-            own_level = ground_at(above, below, c, f + s * end, end, falls, i)
+        point_ray_height = points_ray_height[n]
+        if np.isnan(point_ray_height):
+            point_ray_height = ground_at(above, below, c, f + s * end, end, is_cut_nw_se, i)
         if 0 <= c and c + 1 < cols:
             highest = _raise_level(highest, above[c], above[c + 1], f)
-            if is_cut(falls, i, c, False) and (1.0 - f) / (1.0 + s) < end:
+            if is_cut(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
                 highest = _raise_level(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
             if f + s <= 1.0:
-                if is_cut(falls, i, c, True) and f < end * (1.0 - s):
+                if is_cut(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
                     highest = _raise_level(highest, above[c], below[c + 1], f / (1.0 - s))
             elif (1.0 - f) / s < end:
                 highest = _raise_level(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
-                if c + 2 < cols and is_cut(falls, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
+                if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
                     highest = _raise_level(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
-        above_m[n] = highest - own_level
-        lit[n] = not highest > own_level + rounding
+        above_m[n] = highest - point_ray_height
+        lit[n] = not highest > point_ray_height + rounding
 
 
 @internal
@@ -166,13 +170,13 @@ def _raise_level(highest, a, b, share):
 
 
 @internal
-def is_cut(falls, i, c, falling):
+def is_cut(is_cut_nw_se, i, c, falling):
     """Return whether the ground may bend on a diagonal of quad (i, c): on either one where a ``TurnedGrid`` states no cuts."""
-    return falls.size == 0 or falls[i, c] == falling
+    return is_cut_nw_se.size == 0 or is_cut_nw_se[i, c] == falling
 
 
 @internal
-def ground_at(above, below, c, u, v, falls, i):
+def ground_at(above, below, c, u, v, is_cut_nw_se, i):
     """Return the ground's level ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN without ground."""
     c += int(np.floor(u))
     u -= np.floor(u)
@@ -181,6 +185,6 @@ def ground_at(above, below, c, u, v, falls, i):
     nw, ne, sw, se = np.float64(above[c]), np.float64(above[c + 1]), np.float64(below[c]), np.float64(below[c + 1])
     falling = nw + u * (ne - nw) + v * (se - ne) if u > v else nw + v * (sw - nw) + u * (se - sw)
     rising = nw + u * (ne - nw) + v * (sw - nw) if u + v < 1.0 else se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se)
-    if falls.size:
-        return falling if falls[i, c] else rising
+    if is_cut_nw_se.size:
+        return falling if is_cut_nw_se[i, c] else rising
     return falling if falling > rising or np.isnan(rising) else rising  # where a corner is missing, the cut beside it

@@ -9,7 +9,7 @@ import numpy as np
 
 from skugga.shadows.sweep.grid import (
     HIGHER_DIAGONALS,
-    NO_LEVELS,
+    NO_RAY_HEIGHTS,
     GridOrientation,
     Window,
     bordered,
@@ -29,16 +29,16 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.ground.surface import HeightWindow, NodeHeights
 from skugga.terrain.scene import Scene
 
-FITTED_POINTS = 256
+FIT_POINTS = 256
 """Number of points whose positions are computed exactly; those of all others are fitted to them."""
 
-FITTED_NODES = 0.01
+FIT_TOLERANCE_NODES = 0.01
 """Tolerance in nodes of fitted positions. The ground that a ray passes depends on its t, which is never fitted."""
 
-SAME_TERM = 1e-9
+RANK_TOLERANCE = 1e-9
 """Tolerance of the rank of the fit's terms, as a share of the largest pivot: with a smaller one the terms depend on one another."""
 
-LEAN = 0.05
+MAX_LEAN_COLUMNS = 0.05
 """Tolerance in columns per row: on the round earth, rays that shift right at one position may shift left by this at another."""
 
 
@@ -54,7 +54,7 @@ class SunRays:
         Light space, turned until its right axis is horizontal at the rays' reference position.
     grid
         The map grid at full detail.
-    turn
+    orientation
         Orientation of the turned grid.
     height_m
         Metres: the ground's mean height, for which the rays' positions on the grid are computed.
@@ -62,9 +62,9 @@ class SunRays:
         Metres: light space's right coordinate at t = 0.
     cell_m
         Metres of light space's right axis per unit of t; negative where columns of the turned grid run to the left.
-    level_m
+    up_m
         Metres: light space's up coordinate at level 0.
-    level_per_metre
+    ray_height_per_metre
         Change of the level per metre of height.
     columns_per_row
         Columns of the turned grid by which rays shift to the right per row, at the reference position.
@@ -73,12 +73,12 @@ class SunRays:
     scene: Scene
     light: LightSpace
     grid: Grid
-    turn: GridOrientation
+    orientation: GridOrientation
     height_m: float
     right_m: float
     cell_m: float
-    level_m: float
-    level_per_metre: float
+    up_m: float
+    ray_height_per_metre: float
     columns_per_row: float
 
     def ray_coordinates(
@@ -87,26 +87,26 @@ class SunRays:
         """Return t, levels and metres towards the sun (n,) of the points (..., 3) of a frame with flat indices ``which`` (n,)."""
         out = np.empty((3, len(which)))
         run_in_chunks(
-            len(which), _in_rays, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m, self.cell_m,
-            self.level_m, out,
+            len(which), _write_ray_coordinates, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m, self.cell_m,
+            self.up_m, out,
         )  # fmt: skip
         return out[0], out[1], out[2]
 
     def rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns (n,) on the grid of the points (..., 3) of a frame with flat indices ``which`` (n,).
 
-        They are accurate to ``FITTED_NODES``. For many points, cubics are fitted to the exact positions of a few: PROJ takes a
-        microsecond per point.
+        They are accurate to ``FIT_TOLERANCE_NODES``. For many points, cubics are fitted to the exact positions of a few: PROJ takes
+        a microsecond per point.
         """
         points = point_frame_m.reshape(-1, 3)
-        if len(which) <= 2 * FITTED_POINTS:
+        if len(which) <= 2 * FIT_POINTS:
             return self._exact_rows_and_columns(points[which], frame)
-        fit_points = points[which[np.linspace(0, len(which) - 1, FITTED_POINTS).astype(int)]]
+        fit_points = points[which[np.linspace(0, len(which) - 1, FIT_POINTS).astype(int)]]
         exact = np.stack(self._exact_rows_and_columns(fit_points, frame), axis=1)
         middle, scale = fit_points.mean(axis=0), max(float(np.abs(fit_points - fit_points.mean(axis=0)).max()), 1.0)
         factors = _fit_factors(_cubic_terms((fit_points - middle) / scale), exact)
-        approximate = _apply_fit(fit_points, np.arange(FITTED_POINTS), middle, scale, factors)
-        if not np.abs(np.stack(approximate, axis=1) - exact).max() <= FITTED_NODES:
+        approximate = _apply_fit(fit_points, np.arange(FIT_POINTS), middle, scale, factors)
+        if not np.abs(np.stack(approximate, axis=1) - exact).max() <= FIT_TOLERANCE_NODES:
             return self._exact_rows_and_columns(points[which], frame)
         return _apply_fit(points, which, middle, scale, factors)
 
@@ -116,36 +116,38 @@ class SunRays:
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Return values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
-        with_border, inside = bordered(*(values.shape[::-1] if self.turn.swapped else values.shape))
-        copy_into(values, self.turn.restored(inside))
+        with_border, inside = bordered(*(values.shape[::-1] if self.orientation.swapped else values.shape))
+        copy_into(values, self.orientation.restored(inside))
         return close_border(with_border)
 
     def turned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> Window:
         """Return the rows and columns of the turned grid that hold a window of a grid (rows, cols)."""
-        ends = self.turn.to_turned(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
+        ends = self.orientation.to_turned(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
         (top, bottom), (left, right) = ((int(axis.min()), int(axis.max()) + 1) for axis in ends)
         return (top, bottom), (left, right)
 
-    def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+    def window_cubics(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return ``position_cubics`` of a window of the grid at a level of detail, every 2**detail-th node."""
         grid = self.grid.coarser(detail)
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-            row, col = self.turn.from_turned(i, j, rows, cols)
+            row, col = self.orientation.from_turned(i, j, rows, cols)
             point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
             return (self.light.from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
 
-        return position_cubics(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)), self.grid.crs.name)
+        return position_cubics(t_of, *((cols, rows) if self.orientation.swapped else (rows, cols)), self.grid.crs.name)
 
-    def write_levels(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
+    def write_ray_heights(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
         """Write the levels of the nodes of windows into arrays (rows, cols) float32."""
         up = self.light.light_from_earth[1]
-        self.scene.surface(self.grid.coarser(detail)).along(up, self.light.origin_earth_m + self.level_m * up, windows, out)
+        self.scene.surface(self.grid.coarser(detail)).write_axis_coordinates(
+            up, self.light.origin_earth_m + self.up_m * up, windows, out
+        )
 
     def write_towards(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
         """Write the metres towards the sun of the nodes of windows into arrays (rows, cols) float32."""
         towards = -self.light.light_from_earth[2]
-        self.scene.surface(self.grid.coarser(detail)).along(towards, self.light.origin_earth_m, windows, out)
+        self.scene.surface(self.grid.coarser(detail)).write_axis_coordinates(towards, self.light.origin_earth_m, windows, out)
 
 
 def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
@@ -159,10 +161,10 @@ def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
     towards = np.array([per_col[0], -per_row[0]])  # in this direction light space's right coordinate is constant
     towards *= np.sign(light.towards_sun_m(towards[0] * per_row + towards[1] * per_col)) or 1.0
-    turn = orientation_towards(*towards)
-    across = (per_row if turn.swapped else per_col)[0]
+    orientation = orientation_towards(*towards)
+    column_right_m = (per_row if orientation.swapped else per_col)[0]
     return SunRays(
-        scene, light, grid, turn, height_m, float(space[0, 0]), float(-across if turn.cols_reversed else across),
+        scene, light, grid, orientation, height_m, float(space[0, 0]), float(-column_right_m if orientation.cols_reversed else column_right_m),
         float(space[0, 1]), float(light.light_from_earth[1] @ up[0]), float(np.abs(towards).min() / np.abs(towards).max()),
     )  # fmt: skip
 
@@ -173,15 +175,15 @@ def with_upright_axes(light: LightSpace, up: np.ndarray) -> LightSpace:
     The level's own light space has this property at its anchor only. Elsewhere higher ground would be shifted beside the rays that
     pass over its foot.
     """
-    right, forward, away = light.light_from_earth
-    columns_per_row, level_per_metre = right @ up, forward @ up
+    right, forward, away_from_sun = light.light_from_earth
+    columns_per_row, ray_height_per_metre = right @ up, forward @ up
     cosine, sine = (
-        (level_per_metre, -columns_per_row) / np.hypot(columns_per_row, level_per_metre)
-        if columns_per_row or level_per_metre
+        (ray_height_per_metre, -columns_per_row) / np.hypot(columns_per_row, ray_height_per_metre)
+        if columns_per_row or ray_height_per_metre
         else (1.0, 0.0)
     )
-    axes = np.array([cosine * right + sine * forward, cosine * forward - sine * right, away])
-    return LightSpace(axes, light.origin_earth_m, float(np.degrees(np.arcsin(np.clip(-away @ up, -1.0, 1.0)))))
+    axes = np.array([cosine * right + sine * forward, cosine * forward - sine * right, away_from_sun])
+    return LightSpace(axes, light.origin_earth_m, float(np.degrees(np.arcsin(np.clip(-away_from_sun @ up, -1.0, 1.0)))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +198,7 @@ class GroundWindow:
         First node of the window.
     shape
         Rows and columns of the window before turning.
-    sheet
+    turned_grid
         The turned grid.
     towards_m
         float32, turned and with borders: metres of the nodes towards the sun; empty unless the sun is a disc.
@@ -208,16 +210,16 @@ class GroundWindow:
     row0: int
     col0: int
     shape: tuple[int, int]
-    sheet: TurnedGrid
+    turned_grid: TurnedGrid
     towards_m: np.ndarray
     begin: int = 0
 
     def tilted(self, angle: float) -> TurnedGrid:
         """Return the turned grid for a sun that is higher by an angle in radians."""
         if angle == 0.0:
-            return self.sheet
-        level = np.float32(np.cos(angle)) * self.sheet.level - np.float32(np.sin(angle)) * self.towards_m
-        return self.sheet._replace(level=level)
+            return self.turned_grid
+        ray_height = np.float32(np.cos(angle)) * self.turned_grid.ray_height - np.float32(np.sin(angle)) * self.towards_m
+        return self.turned_grid._replace(ray_height=ray_height)
 
 
 def grounds_of_block(
@@ -227,11 +229,11 @@ def grounds_of_block(
 
     ``soft`` asks for ``towards_m``. ``culled`` patches cast no shadow on the block, and are not read.
     """
-    patches = [patch for patch in patches if not (patch.level and _lies_behind(rays, patch, block))]
+    patches = [patch for patch in patches if not (patch.lod and _lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []
-    for detail in sorted({0, *(patch.level for patch in patches)}, reverse=True):
+    for detail in sorted({0, *(patch.lod for patch in patches)}, reverse=True):
         surface = rays.scene.surface(rays.grid.coarser(detail))
-        detail_patches = [patch for patch in patches if patch.level == detail]
+        detail_patches = [patch for patch in patches if patch.lod == detail]
         casting = [patch for patch in detail_patches if patch not in culled and not _lies_behind(rays, patch, block)]
         windows = [surface.height_window(*window, rim=True) for window in patch_windows(casting)]
         if detail and not windows and not grounds:
@@ -250,14 +252,14 @@ def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
     rows: dict[int, list[int]] = {}
     for row, col in sorted((patch.row, patch.col) for patch in patches):
         rows.setdefault(row, []).append(col)
-    beyond = max(rows, default=0) + 1
-    for row, cols in [*rows.items(), (beyond, [])]:
+    end_row = max(rows, default=0) + 1
+    for row, cols in [*rows.items(), (end_row, [])]:
         breaks = np.flatnonzero(np.diff(cols) > 1) + 1
-        here = {(int(run[0]), int(run[-1])) for run in np.split(np.array(cols), breaks) if len(run)}
-        for run in [run for run, (_, last) in runs.items() if run not in here or last + 1 != row]:
+        row_runs = {(int(run[0]), int(run[-1])) for run in np.split(np.array(cols), breaks) if len(run)}
+        for run in [run for run, (_, last) in runs.items() if run not in row_runs or last + 1 != row]:
             first, last = runs.pop(run)
             windows.append((first, run[0], last - first + 1, run[1] - run[0] + 1))
-        for run in here:
+        for run in row_runs:
             runs[run] = [runs[run][0] if run in runs else row, row]
     return [
         (row * PATCH_QUADS, col * PATCH_QUADS, down * PATCH_QUADS + 1, right * PATCH_QUADS + 1)
@@ -271,16 +273,16 @@ def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
     On the turned grid lines run down and to the right. Where all of them run almost straight down, some may run to the left. For a
     coarse patch these are ignored: it must lie towards the sun to pass on its levels.
     """
-    side = PATCH_QUADS * 2**patch.level
+    side = PATCH_QUADS * 2**patch.lod
     rows, cols = block.shape
-    i, j = rays.turn.to_turned(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
-    block_i, block_j = rays.turn.to_turned(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
-    lean = patch.level == 0 and rays.columns_per_row < LEAN
+    i, j = rays.orientation.to_turned(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
+    block_i, block_j = rays.orientation.to_turned(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
+    lean = patch.lod == 0 and rays.columns_per_row < MAX_LEAN_COLUMNS
     return bool(i.min() >= block_i.max() or (j.min() >= block_j.max() and not lean))
 
 
 @cached("light", 1024 * MIB)
-def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bool) -> tuple[SunRays, GroundWindow]:
+def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, soft: bool) -> tuple[SunRays, GroundWindow]:
     """Return the rays over the ground of a perspective view, and that ground on its grid's nodes. The last result is cached.
 
     Where the drawn ground is decimated, dropped nodes lie on the drawn triangles, which cut across the curved earth. Quads are cut
@@ -291,14 +293,21 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bo
     rays = rays_at(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
     if nodes.errors is None:
         return rays, _ground(rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], soft)
-    row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
+    row, col = (
+        np.rint((ground_mesh.grid.y0 - ground_mesh.y) / ground_mesh.grid.step),
+        np.rint((ground_mesh.x - ground_mesh.grid.x0) / ground_mesh.grid.step),
+    )
     corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
-    _, level_m, towards_m = rays.ray_coordinates(drawn.position_frame_m, frame, np.arange(len(drawn.position_frame_m)))
-    levels = rays.turned(_on_triangles(corner, level_m, drawn.triangles, rows, cols))
-    towards = rays.turned(_on_triangles(corner, towards_m, drawn.triangles, rows, cols)) if soft else NO_LEVELS
-    falls = np.pad(rays.turn.turned_cuts(_falling_quads(corner, drawn.triangles, rows, cols)), ((0, 0), (1, 1)))
-    sheet = TurnedGrid(levels, *rays.places(0, nodes.row0, nodes.col0, rows, cols), falls)
-    return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), sheet, towards)
+    _, ray_height_m, towards_m = rays.ray_coordinates(
+        ground_mesh.position_frame_m, frame, np.arange(len(ground_mesh.position_frame_m))
+    )
+    ray_heights = rays.turned(_interpolate_on_triangles(corner, ray_height_m, ground_mesh.triangles, rows, cols))
+    towards = (
+        rays.turned(_interpolate_on_triangles(corner, towards_m, ground_mesh.triangles, rows, cols)) if soft else NO_RAY_HEIGHTS
+    )
+    is_cut_nw_se = np.pad(rays.orientation.turned_cuts(_falling_quads(corner, ground_mesh.triangles, rows, cols)), ((0, 0), (1, 1)))
+    turned_grid = TurnedGrid(ray_heights, *rays.window_cubics(0, nodes.row0, nodes.col0, rows, cols), is_cut_nw_se)
+    return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), turned_grid, towards)
 
 
 def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, patches: Iterable[Patch] = ()) -> GroundWindow:
@@ -317,19 +326,21 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
     filled_rows = (0, None) if soft or detail else (begin, max(end for (_, end), _ in spans))  # no other row is read
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
-        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), slice(*filled_rows), *spans[:1])
-        own = rays.turn.restored(inside)
+        with_border, inside = bordered(
+            *((cols, rows) if rays.orientation.swapped else (rows, cols)), slice(*filled_rows), *spans[:1]
+        )
+        grid_view = rays.orientation.restored(inside)
         if windows:
-            put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
+            put(detail, windows, [grid_view[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
         return close_border(with_border, slice(*filled_rows))
 
-    sheet = TurnedGrid(turned(rays.write_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
-    towards_m = turned(rays.write_towards) if soft else NO_LEVELS
-    return GroundWindow(detail, row0, col0, (rows, cols), sheet, towards_m, begin)
+    turned_grid = TurnedGrid(turned(rays.write_ray_heights), *rays.window_cubics(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
+    towards_m = turned(rays.write_towards) if soft else NO_RAY_HEIGHTS
+    return GroundWindow(detail, row0, col0, (rows, cols), turned_grid, towards_m, begin)
 
 
 @compiled
-def _on_triangles(corner, value, triangles, rows, cols):
+def _interpolate_on_triangles(corner, value, triangles, rows, cols):
     """Interpolate the values (n,) of triangles' corners at all nodes: float32 (rows, cols), NaN outside of the triangles.
 
     ``corner`` holds the row and column of each corner, which is a node.
@@ -353,14 +364,14 @@ def _on_triangles(corner, value, triangles, rows, cols):
 @compiled
 def _falling_quads(corner, triangles, rows, cols):
     """Return which quads (rows - 1, cols - 1) a triangle's side cuts from north-west to south-east. Uncut quads are planar."""
-    falls = np.zeros((rows - 1, cols - 1), np.bool_)
+    is_falling = np.zeros((rows - 1, cols - 1), np.bool_)
     for n in range(len(triangles)):
         for k in range(3):
             start, end = corner[triangles[n, k]], corner[triangles[n, (k + 1) % 3]]
             if end[0] - start[0] == end[1] - start[1]:
                 for step in range(abs(end[0] - start[0])):
-                    falls[min(start[0], end[0]) + step, min(start[1], end[1]) + step] = True
-    return falls
+                    is_falling[min(start[0], end[0]) + step, min(start[1], end[1]) + step] = True
+    return is_falling
 
 
 def _cubic_terms(p: np.ndarray) -> np.ndarray:
@@ -373,7 +384,7 @@ def _fit_factors(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """Return the least-squares factors (k, 2) that map terms (n, k) to values (n, 2)."""
     q, r = np.linalg.qr(terms)
     diagonal = np.abs(np.diagonal(r))
-    if diagonal.min() > SAME_TERM * diagonal.max():
+    if diagonal.min() > RANK_TOLERANCE * diagonal.max():
         return np.linalg.solve(r, q.T @ exact)
     return np.linalg.lstsq(terms, exact, rcond=None)[0]  # coplanar points: some terms depend on one another
 
@@ -401,11 +412,11 @@ def _sum_of_terms(first, last, points, which, middle, scale, factors, out):
 
 
 @compiled
-def _in_rays(first, last, points, which, rotation, translation, right_m, cell_m, level_m, out):
+def _write_ray_coordinates(first, last, points, which, rotation, translation, right0_m, cell_m, up0_m, out):
     """Write t, level and metres towards the sun of the points (m, 3) with indices ``which`` (n,)."""
     for n in range(first, last):
         p = points[which[n]]
         right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]
         up = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + translation[1]
-        away = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
-        out[0, n], out[1, n], out[2, n] = (right - right_m) / cell_m, up - level_m, -away
+        away_from_sun = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
+        out[0, n], out[1, n], out[2, n] = (right - right0_m) / cell_m, up - up0_m, -away_from_sun

@@ -33,9 +33,9 @@ import numpy as np
 from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.sweep.columns import column_sweep
-from skugga.shadows.sweep.grid import NO_LEVELS, RAYS_BEND_REASON, GridOrientation, SweepPoints, state_after, sweep_nodes
-from skugga.shadows.sweep.lines import NO_GROUND_LEVEL
-from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_at
+from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, RAYS_BEND_REASON, GridOrientation, SweepPoints, state_after, sweep_nodes
+from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT
+from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_view, grounds_of_block, rays_at
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
 from skugga.shadows.work import Work, Workload, is_decimated
 from skugga.terrain.casters.reach import Casters, Patch, Receivers
@@ -52,10 +52,10 @@ from skugga.terrain.scene import Scene
 
 PASSES = ("sweep",)
 
-LEVEL_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
+RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 """float32 rounding of a level, as a share of the largest level: ground that is higher by less shades no point."""
 
-STRIPS = 16
+SUN_DISC_STRIPS = 16
 """Horizontal strips of the sun's disc for its penumbra."""
 
 MIN_LINES = 2
@@ -106,7 +106,9 @@ def fill(
             return np.ones(buffer.valid.shape, np.float32)
         soft = settings.filter == "sun"
         if buffer.columns is not None:
-            return _fill_columns(buffer, scene, light, casters, strips_of_sun(STRIPS) if soft else np.zeros(1), log, record)
+            return _fill_columns(
+                buffer, scene, light, casters, strips_of_sun(SUN_DISC_STRIPS) if soft else np.zeros(1), log, record
+            )
         rays, grounds = _grounds(buffer, scene, casters, soft)
         targets = _targets_of_buffer(rays, grounds[-1], buffer)
         log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
@@ -114,25 +116,25 @@ def fill(
         if not soft:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
         visibility = np.zeros(buffer.valid.shape, np.float32)
-        for angle in strips_of_sun(STRIPS):
+        for angle in strips_of_sun(SUN_DISC_STRIPS):
             visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
-        return visibility / np.float32(STRIPS)
+        return visibility / np.float32(SUN_DISC_STRIPS)
 
 
 def _fill_columns(
     buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
 ) -> np.ndarray:
     """Do as ``fill``, for a map of columns, under suns that are higher by some angles in radians."""
-    over = column_sweep(buffer, scene, casters)
+    sweep = column_sweep(buffer, scene, casters)
     visibility = np.zeros(buffer.valid.shape, np.float32)
     for angle in angles:
-        visibility += over.above_m(angle, False, CORES) <= 0.0
+        visibility += sweep.above_m(angle, False, CORES) <= 0.0
 
     def shadow_height_m() -> np.ndarray:
-        return buffer.height_m + over.above_m(0.0, True, CORES).astype(np.float32)
+        return buffer.height_m + sweep.above_m(0.0, True, CORES).astype(np.float32)
 
     log.keep("shadow-height", light, shadow_height_m)
-    record.bytes = max(record.bytes, over.nbytes)
+    record.bytes = max(record.bytes, sweep.nbytes)
     return visibility / np.float32(len(angles))
 
 
@@ -157,34 +159,35 @@ def fill_nodes(
         grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
         targets = _targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
-        lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_LEVELS)
+        lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
-        return rays.turn.restored_copy(lit, targets.window)
+        return rays.orientation.restored_copy(lit, targets.window)
 
 
 @dataclass(frozen=True, eq=False)
 class NodeClearance:
     """The levels that decide whether nodes see the sun, in the order of the turned grid.
 
-    The sign of ``level_m - shade_m`` changes when the sun disappears or appears.
+    The sign of ``ray_height_m - shade_m`` changes when the sun disappears or appears.
 
     Attributes
     ----------
-    turn
+    orientation
         Orientation that leads from the nodes' order to the turned grid.
-    level_m
+    ray_height_m
         float32 (n, m), metres: the nodes' levels.
     shade_m
-        float32 (n, m), metres: the levels above which the sun is visible; about ``NO_GROUND_LEVEL`` where nothing lies on the way.
-    level_per_metre
+        float32 (n, m), metres: the levels above which the sun is visible; about ``NO_GROUND_RAY_HEIGHT`` where nothing lies on the
+        way.
+    ray_height_per_metre
         Change of a level per metre of height.
     """
 
-    turn: GridOrientation
-    level_m: np.ndarray
+    orientation: GridOrientation
+    ray_height_m: np.ndarray
     shade_m: np.ndarray
-    level_per_metre: float
+    ray_height_per_metre: float
 
 
 def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int) -> NodeClearance:
@@ -195,15 +198,15 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     targets = _targets_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
     window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # after the left border
-    shade = np.empty(ground.sheet.level.shape, np.float32)  # only the window is written: the rest takes no memory
-    shade[window] = NO_GROUND_LEVEL
+    shade = np.empty(ground.turned_grid.ray_height.shape, np.float32)  # only the window is written: the rest takes no memory
+    shade[window] = NO_GROUND_RAY_HEIGHT
     _sweep_grounds(grounds, targets, lines, 0.0, shade)
-    return NodeClearance(rays.turn, ground.sheet.level[window], shade[window], rays.level_per_metre)
+    return NodeClearance(rays.orientation, ground.turned_grid.ray_height[window], shade[window], rays.ray_height_per_metre)
 
 
 def _bytes(grounds: list[GroundWindow], targets: _Targets, soft: bool) -> int:
-    sheets = sum((1 + soft) * ground.sheet.level.nbytes + ground.towards_m.nbytes for ground in grounds)
-    return sheets + 33 * targets.row.size + grounds[-1].sheet.level.size
+    sheets = sum((1 + soft) * ground.turned_grid.ray_height.nbytes + ground.towards_m.nbytes for ground in grounds)
+    return sheets + 33 * targets.row.size + grounds[-1].turned_grid.ray_height.size
 
 
 def strips_of_sun(count: int) -> np.ndarray:
@@ -234,7 +237,7 @@ class _Targets:
         bool (rows, cols): pixels that show another point.
     row, col, t
         (n,): turned positions of these points.
-    level_m
+    ray_height_m
         (n,), metres: levels of these points; NaN for points of the ground.
     towards_m
         (n,), metres: distances of these points towards the sun.
@@ -249,7 +252,7 @@ class _Targets:
     row: np.ndarray
     col: np.ndarray
     t: np.ndarray
-    level_m: np.ndarray
+    ray_height_m: np.ndarray
     towards_m: np.ndarray
 
 
@@ -261,7 +264,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
         assert buffer.surface is not None
         return rays, grounds_of_block(rays, buffer.surface.casting, casters.patches, soft, casters.culled)
     assert buffer.ground is not None
-    rays, ground = ground_of_level(scene, buffer.ground, buffer.frame, soft)
+    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]
 
 
@@ -283,8 +286,10 @@ def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tupl
 
 def _targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Targets:
     none, shape = np.zeros(0), (nodes.view.rows, nodes.view.cols)
-    every, no = (np.broadcast_to(np.bool_(value), shape) for value in (True, False))
-    return _Targets(_t_range(rays, nodes), every, *_window_of(rays, ground, nodes.view), no, none, none, none, none, none)
+    all_nodes, no_pixels = (np.broadcast_to(np.bool_(value), shape) for value in (True, False))
+    return _Targets(
+        _t_range(rays, nodes), all_nodes, *_window_of(rays, ground, nodes.view), no_pixels, none, none, none, none, none
+    )
 
 
 def _targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Targets:
@@ -295,19 +300,21 @@ def _targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuff
     off_nodes = buffer.valid & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
     pixels = np.flatnonzero(off_nodes)
-    t, level_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
+    t, ray_height_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
     if isinstance(view, MapView):
         if nodes.any():
             rows, cols, window = _window_of(rays, ground, view)
-        place = np.divmod(pixels, view.cols)
-        row, col = view.row0 + place[0] * view.row_step, view.col0 + place[1] * view.col_step
+        pixel_row_col = np.divmod(pixels, view.cols)
+        row, col = view.row0 + pixel_row_col[0] * view.row_step, view.col0 + pixel_row_col[1] * view.col_step
     else:
         row, col = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixels)
     row -= ground.row0
     col -= ground.col0
-    turned_row, turned_col = rays.turn.to_turned_in_place(row, col, *ground.shape)
-    run_in_chunks(len(pixels), _set_nan, level_m, on_triangles.reshape(-1), pixels)
-    return _Targets(_t_range(rays, buffer), nodes, rows, cols, window, off_nodes, turned_row, turned_col, t, level_m, towards_m)
+    turned_row, turned_col = rays.orientation.to_turned_in_place(row, col, *ground.shape)
+    run_in_chunks(len(pixels), _set_nan, ray_height_m, on_triangles.reshape(-1), pixels)
+    return _Targets(
+        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, turned_row, turned_col, t, ray_height_m, towards_m
+    )
 
 
 @compiled
@@ -324,60 +331,69 @@ def _sweep_grounds(
     """Sweep all ground for a sun that is higher by an angle in radians: see ``sweep_nodes``."""
     *coarser, ground = grounds
     entry, detail = None, 0
-    for before in coarser:
-        own_range = targets.t_range[0] / 2**before.detail, targets.t_range[1] / 2**before.detail
-        entry = state_after(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail), before.begin)
-        detail = before.detail
-    sheet = ground.tilted(angle)
-    own_m = targets.level_m if angle == 0.0 else np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
-    points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * _max_abs_level_m(sheet.level, targets))
+    for coarse in coarser:
+        level_t_range = targets.t_range[0] / 2**coarse.detail, targets.t_range[1] / 2**coarse.detail
+        entry = state_after(coarse.tilted(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.begin)
+        detail = coarse.detail
+    turned_grid = ground.tilted(angle)
+    points_ray_height_m = (
+        targets.ray_height_m if angle == 0.0 else np.cos(angle) * targets.ray_height_m - np.sin(angle) * targets.towards_m
+    )
+    points = SweepPoints(
+        targets.row,
+        targets.col,
+        targets.t,
+        points_ray_height_m,
+        RAY_HEIGHT_ROUNDING * _max_abs_ray_height_m(turned_grid.ray_height, targets),
+    )
     return sweep_nodes(
-        sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES, ground.begin
+        turned_grid, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES, ground.begin
     )
 
 
-def _max_abs_level_m(level: np.ndarray, targets: _Targets) -> float:
+def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
     """Return the largest absolute level (n, m) around the points. Ground that stops a ray narrowly has a level of this size."""
     if not targets.row.size:
         return 0.0
     (i, end_i), (j, end_j) = (
-        (max(int(np.floor(at.min())) - 1, 0), max(int(np.ceil(at.max())) + 2, 1)) for at in (targets.row, targets.col + 1.0)
+        (max(int(np.floor(index.min())) - 1, 0), max(int(np.ceil(index.max())) + 2, 1))
+        for index in (targets.row, targets.col + 1.0)
     )
-    return float(np.fmax.reduce(np.abs(level[i:end_i, j:end_j]), axis=None, initial=0.0))
+    return float(np.fmax.reduce(np.abs(ray_height[i:end_i, j:end_j]), axis=None, initial=0.0))
 
 
 def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float) -> np.ndarray:
     """Return which of a buffer's points (rows, cols) see a sun that is higher by an angle in radians."""
-    lit, points_lit, _ = _sweep_grounds(grounds, targets, lines, angle, NO_LEVELS)
+    lit, points_lit, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.nodes.shape, np.bool_)
     if targets.nodes.any():
-        sunlit[:] = rays.turn.restored(lit)[targets.window]
+        sunlit[:] = rays.orientation.restored(lit)[targets.window]
     sunlit[targets.off_nodes] = points_lit
     return sunlit
 
 
 def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, height_m: np.ndarray) -> np.ndarray:
     """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
-    level = grounds[-1].sheet.level
-    shade = np.full(level.shape if targets.nodes.any() else (0, 0), NO_GROUND_LEVEL, np.float32)
+    ray_height = grounds[-1].turned_grid.ray_height
+    shade = np.full(ray_height.shape if targets.nodes.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
     _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shade)
     above_m = np.zeros(targets.nodes.shape, np.float32)
     if targets.nodes.any():
-        highest, own = (rays.turn.restored(each[:, 1:-1])[targets.window] for each in (shade, level))
-        above_m[:] = highest - own
+        shadow_height, node_height = (rays.orientation.restored(values[:, 1:-1])[targets.window] for values in (shade, ray_height))
+        above_m[:] = shadow_height - node_height
     above_m[targets.off_nodes] = points_above_m
     return height_m + np.fmax(above_m, 0.0) / np.float32(
-        rays.level_per_metre
+        rays.ray_height_per_metre
     )  # NaN: rounding may put a point outside of the ground
 
 
 def _work(task: Workload, settings: SweepSettings) -> Work:
     nodes = task.nodes + task.outside_triangles / 2.0 if task.in_map else _ground_nodes(task)
-    strips = STRIPS if settings.filter == "sun" else 1
+    strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
     rasterised = task.triangles("relief") * task.decimated
     counts = {
-        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels, "points": task.seen,
-        "answers": task.seen * strips, "decimated": rasterised, "outside": task.outside_triangles / 2.0,
+        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels, "points": task.visible_pixels,
+        "answers": task.visible_pixels * strips, "decimated": rasterised, "outside": task.outside_triangles / 2.0,
     }  # fmt: skip
     return {task.by_view("sweep"): counts}
 
@@ -388,18 +404,18 @@ def _ground_nodes(task: Workload) -> float:
     return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
+def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
     yield SweepSettings()
     yield SweepSettings(lines=4)
     if grid == "full":
         yield SweepSettings(filter="sun")
 
 
-ONE_AZIMUTH = "a lamp's rays diverge, but the lines of the sweep run along one azimuth"
+DIVERGING_RAYS_REASON = "a lamp's rays diverge, but the lines of the sweep run along one azimuth"
 
 REFUSES: dict[Requirement, str] = {
-    "spot": ONE_AZIMUTH,
-    "omni": ONE_AZIMUTH,
+    "spot": DIVERGING_RAYS_REASON,
+    "omni": DIVERGING_RAYS_REASON,
     "meshes": "meshes are not a heightfield: the sweep has one height per position",
     "forest": "trees are not a heightfield: light passes under crowns and between leaves",
     "bent rays": RAYS_BEND_REASON,
@@ -416,14 +432,14 @@ ALGORITHM = Algorithm(
     ignores_idle_casters=lambda settings: True,
     node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
     passes=PASSES,
-    refuses=REFUSES,
+    refusals=REFUSES,
     layers=("shadow-height",),
     needs_opengl=False,
     settings=(SweepSettings,),
     resolve=resolve_sweep,
-    keeps=("skugga.shadows.sweep.rays.ground_of_level",),
+    cache_names=("skugga.shadows.sweep.rays.ground_of_view",),
     search=Search(variants=({"filter": "sun"},)),
-    cost=Cost(_work, calibrated=_calibrated),
+    cost=Cost(_work, calibration_settings=_calibration_settings),
     accuracy=Accuracy(
         groups=(FULL_DETAIL, DECIMATED), group_of=lambda descriptor: DECIMATED if is_decimated(descriptor) else FULL_DETAIL
     ),

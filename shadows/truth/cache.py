@@ -30,7 +30,7 @@ TRUTH_CACHE_BYTES = 512 * 2**20
 _FIELDS = ("lit", "attached", "decidable", "valid")
 
 
-DEFINITION = 3
+DEFINITION_VERSION = 3
 """Version of the definition of truth (part of the cache key)."""
 
 
@@ -47,20 +47,22 @@ def cached_truth(
     folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.valid.shape
-    kept = load_arrays(path)
-    if kept is not None:
+    cached_arrays = load_arrays(path)
+    if cached_arrays is not None:
         with suppress(KeyError, ValueError):  # replace a file of another format
-            found = Truth(*(np.unpackbits(kept[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS))
+            loaded = Truth(
+                *(np.unpackbits(cached_arrays[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS)
+            )
             with suppress(OSError):  # the file may be read-only
                 path.touch()
-            return found
+            return loaded
     truth = make(buffer, scene, casters, samples, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         packed: dict[str, Any] = {name: np.packbits(getattr(truth, name)) for name in _FIELDS}
         with atomic_path(path) as part:
             np.savez_compressed(part, **packed)
-        _trim(folder)
+        _evict_oldest(folder)
     except OSError:
         pass
     return truth
@@ -75,26 +77,26 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
         to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg, lamp.radius_m])
     elif scene.sun is not None:
         to_light = scene.sun.in_frame(buffer.frame)
-    numbers = DEFINITION, _numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light
+    numbers = DEFINITION_VERSION, _view_numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light
     digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_KINDS)
-    parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.turn, trees.variant, foliage().levels[0]]
+    parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, foliage().mip_levels[0]]
     for vertices, triangles in caster_meshes(scene, buffer, ALL_KINDS):
         parts += [vertices, triangles]
     for sheet in caster_sheets(scene, buffer, casters, ALL_KINDS):
-        parts += [sheet.position_frame_m, sheet.falls]
+        parts += [sheet.position_frame_m, sheet.is_cut_nw_se]
     for array in (to_light, buffer.valid, buffer.position_frame_m, *parts):
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 
-def _numbers(view: MapView | PerspectiveView) -> tuple[float, ...]:
+def _view_numbers(view: MapView | PerspectiveView) -> tuple[float, ...]:
     if isinstance(view, PerspectiveView):
         return (view.focal_px, view.row0, view.col0, view.step, *view.eye_earth_m, *view.earth_from_camera.ravel())
     return view.row0, view.col0, view.row_step, view.col_step, view.grid.step, view.grid.stretch
 
 
-def _trim(folder: Path) -> None:
+def _evict_oldest(folder: Path) -> None:
     files = sorted(((path.stat().st_mtime, path.stat().st_size, path) for path in folder.glob("*.npz")), reverse=True)
     total = 0
     for _, size, path in files:

@@ -89,14 +89,14 @@ class MetricCoverage:
         Those of them that the metric would count if all cast shadow were missed. For an edge metric, those with a counterpart.
     wrong_px
         Decidable pixels outside of attached shadow with the wrong class.
-    either_px
+    union_px
         Decidable pixels outside of attached shadow that truth or the algorithm puts in cast shadow.
     """
 
     cast_px: int
     covered_px: int
     wrong_px: int
-    either_px: int
+    union_px: int
 
     @property
     def covered_share(self) -> float:
@@ -106,7 +106,7 @@ class MetricCoverage:
     @property
     def wrong_cast(self) -> float:
         """Wrong pixels as a share of the pixels that truth or the algorithm puts in cast shadow; 0 without any."""
-        return self.wrong_px / self.either_px if self.either_px else 0.0
+        return self.wrong_px / self.union_px if self.union_px else 0.0
 
 
 def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> MetricCoverage:
@@ -117,7 +117,7 @@ def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> Metri
     comparable, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.valid
     dark, cast = dark & truth.valid, comparable & true_dark
     counts = cast, cast & region, comparable & (dark != true_dark), comparable & (dark | true_dark)
-    return MetricCoverage(*(int(np.count_nonzero(each)) for each in counts))
+    return MetricCoverage(*(int(np.count_nonzero(mask)) for mask in counts))
 
 
 def edge_metric_coverage(dark: np.ndarray, truth: Truth) -> MetricCoverage:
@@ -125,12 +125,12 @@ def edge_metric_coverage(dark: np.ndarray, truth: Truth) -> MetricCoverage:
     from scipy.ndimage import label
 
     comparable, true_dark = truth.valid & ~truth.attached, ~truth.lit & truth.valid
-    whole_picture = metric_coverage(dark, truth, true_dark)
+    picture_coverage = metric_coverage(dark, truth, true_dark)
     edge = boundary(true_dark, truth.valid) & comparable
     parts, _ = label(true_dark, structure=_SQUARE)
     overlapping = np.unique(parts[true_dark & dark & truth.valid])
-    seen = edge & np.isin(parts, overlapping[overlapping > 0])
-    return MetricCoverage(int(edge.sum()), int(seen.sum()), whole_picture.wrong_px, whole_picture.either_px)
+    matched_edge = edge & np.isin(parts, overlapping[overlapping > 0])
+    return MetricCoverage(int(edge.sum()), int(matched_edge.sum()), picture_coverage.wrong_px, picture_coverage.union_px)
 
 
 def interior_region(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
@@ -167,24 +167,24 @@ def error_metrics(
     decidable = truth.decidable
     dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.valid
     true_dark = ~truth.lit & truth.valid
-    wrong = decidable & (dark != true_dark)
+    wrong_mask = decidable & (dark != true_dark)
     cast = decidable & (dark | true_dark) & ~truth.attached
     distances = edge_distances(dark, true_dark, truth.valid)
     region = interior_region(truth, texel_footprint_px)
-    inside = wrong & region
-    parts, count = label(inside, structure=_SQUARE)
+    interior_mask = wrong_mask & region
+    parts, count = label(interior_mask, structure=_SQUARE)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
     mean, p95 = (float(distances.mean()), float(np.quantile(distances, 0.95))) if distances.size else (0.0, 0.0)
     return ErrorMetrics(
-        wrong=_share(wrong, decidable),
-        wrong_cast=_share(wrong & ~truth.attached, cast),
-        false_shadow=_share(wrong & truth.lit, decidable & truth.lit),
-        missed_shadow=_share(wrong & true_dark, decidable & true_dark),
+        wrong=_share(wrong_mask, decidable),
+        wrong_cast=_share(wrong_mask & ~truth.attached, cast),
+        false_shadow=_share(wrong_mask & truth.lit, decidable & truth.lit),
+        missed_shadow=_share(wrong_mask & true_dark, decidable & true_dark),
         edge_mean=mean,
         edge_p95=p95,
         edge_mean_m=mean * pixel_m,
         edge_p95_m=p95 * pixel_m,
-        interior=_share(inside, decidable),
+        interior=_share(interior_mask, decidable),
         interior_parts=int((sizes >= MIN_PART_PX).sum()),
         interior_sees=metric_coverage(dark, truth, region).covered_share,
         boundary=truth.boundary,
@@ -201,14 +201,14 @@ def edge_distances(dark: np.ndarray, true_dark: np.ndarray, valid: np.ndarray) -
     from scipy.spatial import KDTree
 
     edges = []
-    for near, far in ((dark, true_dark), (true_dark, dark)):
-        parts, _ = label(near, structure=_SQUARE)
-        shared = np.unique(parts[far & near])
+    for first, second in ((dark, true_dark), (true_dark, dark)):
+        parts, _ = label(first, structure=_SQUARE)
+        shared = np.unique(parts[second & first])
         edges.append(boundary(np.isin(parts, shared[shared > 0]), valid))
     if not (edges[0].any() and edges[1].any()):
         return np.zeros(0)
-    near, far = (np.argwhere(edge) for edge in edges)
-    return np.concatenate([KDTree(b).query(a)[0] for a, b in ((near, far), (far, near))])
+    first, second = (np.argwhere(edge) for edge in edges)
+    return np.concatenate([KDTree(b).query(a)[0] for a, b in ((first, second), (second, first))])
 
 
 def boundary(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -218,9 +218,9 @@ def boundary(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return dark & binary_dilation(valid & ~dark, structure=_CROSS)
 
 
-def interior(wrong: np.ndarray, true_dark: np.ndarray, valid: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
+def interior(wrong_mask: np.ndarray, true_dark: np.ndarray, valid: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
     """Return the mask of wrong pixels farther than a distance from truth's boundary; all of them if truth has no boundary."""
-    return wrong & (distance_to_edges_px(true_dark, valid) > distance_px)
+    return wrong_mask & (distance_to_edges_px(true_dark, valid) > distance_px)
 
 
 def distance_to_edges_px(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -234,7 +234,7 @@ def distance_to_edges_px(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return the mask (of a shape) of pixels whose classes ``far_from_edges`` reads for pixels (n,) and distances (n,)."""
     out = np.zeros(shape, bool)
-    _mark_round(row, col, distance_px, out)
+    _mark_squares(row, col, distance_px, out)
     return out
 
 
@@ -247,7 +247,7 @@ def far_from_edges(dark: np.ndarray, valid: np.ndarray, row: np.ndarray, col: np
 
 
 @compiled
-def _mark_round(row, col, distance, out):
+def _mark_squares(row, col, distance, out):
     rows, cols = out.shape
     for n in range(len(row)):
         reach = int(min(distance[n], rows + cols)) + 1
@@ -277,12 +277,12 @@ def _far_from_edges(dark, valid, row, col, distance):
 def _is_edge(dark, valid, i, j):
     """Return whether a 4-neighbour of a pixel has the other class."""
     rows, cols = dark.shape
-    own = dark[i, j]
+    centre = dark[i, j]
     return (
-        (i > 0 and valid[i - 1, j] and dark[i - 1, j] != own)
-        or (i + 1 < rows and valid[i + 1, j] and dark[i + 1, j] != own)
-        or (j > 0 and valid[i, j - 1] and dark[i, j - 1] != own)
-        or (j + 1 < cols and valid[i, j + 1] and dark[i, j + 1] != own)
+        (i > 0 and valid[i - 1, j] and dark[i - 1, j] != centre)
+        or (i + 1 < rows and valid[i + 1, j] and dark[i + 1, j] != centre)
+        or (j > 0 and valid[i, j - 1] and dark[i, j - 1] != centre)
+        or (j + 1 < cols and valid[i, j + 1] and dark[i, j + 1] != centre)
     )
 
 

@@ -43,7 +43,7 @@ UNLIMITED_TRIANGLES = 2**31
 
 PASSES = ("rays",)
 
-SOFT_SAMPLES = 64
+AREA_LIGHT_SAMPLES = 64
 """Samples of an area light."""
 
 ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
@@ -186,13 +186,13 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
     right /= np.linalg.norm(right, axis=-1, keepdims=True)
     up = np.cross(right, towards)
     normals, cosine = facing_normals(buffer, source), np.cos(np.radians(lamp.cutoff_deg))
-    for across, aside in lamp.radius_m * disc_points(samples):
-        ray = to_lamp + across * right + aside * up
+    for right_m, up_m in lamp.radius_m * disc_points(samples):
+        ray = to_lamp + right_m * right + up_m * up
         length = np.linalg.norm(ray, axis=-1)
         towards = (normals.normal_frame * ray).sum(axis=-1)
         facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
-        inside = buffer.valid & facing & (-(ray @ axis) >= cosine * length)
-        visibility += _unblocked_mask(buffer, rays, inside, normals, ray, 1.0)
+        reached_mask = buffer.valid & facing & (-(ray @ axis) >= cosine * length)
+        visibility += _unblocked_mask(buffer, rays, reached_mask, normals, ray, 1.0)
     return visibility / np.float32(samples)
 
 
@@ -228,8 +228,8 @@ def coverage_truth(
         if dark_everywhere:
             out[i, j] = 1.0
             continue
-        fine = buffer.view.part(i * block_px, j * block_px, block_px, block_px).finer(side)
-        sample = geometry_buffer(scene, fine, buffer.frame)
+        fine_view = buffer.view.part(i * block_px, j * block_px, block_px, block_px).finer(side)
+        sample = geometry_buffer(scene, fine_view, buffer.frame)
         if sample.valid.any():
             out[i, j] = 1.0 - lit_mask(sample, scene, light, rays)[sample.valid].mean()
     return out
@@ -253,7 +253,7 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     )
     part = view.part(row, col, rows, cols)
     if isinstance(part, MapView):
-        buffers = geometry_buffer(scene, part, buffer.frame), geometry_buffer(scene, _full_detail(scene, part), buffer.frame)
+        buffers = geometry_buffer(scene, part, buffer.frame), geometry_buffer(scene, _full_detail_view(scene, part), buffer.frame)
     elif buffer.ground is None or buffer.ground.tolerance_px == 0.0:
         return 0.0
     else:
@@ -271,7 +271,7 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     return float((lit[0] != lit[1])[valid].mean()) if valid.any() else 0.0
 
 
-def _full_detail(scene: Scene, part: MapView) -> MapView:
+def _full_detail_view(scene: Scene, part: MapView) -> MapView:
     surface = scene.surface(part.grid)
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     finer = max(int(np.ceil(np.log2(2.0 * surface.step_m / min(cell_m, surface.step_m)))), 1)
@@ -282,11 +282,12 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
 
 @cached("light", 2048 * MIB)
 def ray_scene(
-    buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...], walked: bool = False
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...], traverse_sheets: bool = False
 ) -> RayScene:
     """Return the occluders of some kinds that can shade a buffer's points, cached because building them dominates the cost.
 
-    With ``walked`` rays walk the ground's cells instead of a BVH, which is faster for a few rays to the sun (``RayScene``).
+    With ``traverse_sheets`` rays walk the ground's cells instead of a BVH, which is faster for a few rays to the sun
+    (``RayScene``).
     """
     trees = caster_trees(buffer, kinds)
     if trees is not None and scene.light is not None and not scene.lamps:
@@ -295,7 +296,7 @@ def ray_scene(
         pixel_m = 2.0 * max_pixel_m(buffer)  # sub-samples lie beside the pixels' points
         trees = occluding_trees(trees, rotation, translation, low - pixel_m, high + pixel_m)
     alpha = [] if trees is None or not len(trees) else [trees_as_mesh(trees)]
-    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha, walked)
+    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha, traverse_sheets)
 
 
 def max_pixel_m(buffer: GeometryBuffer) -> float:
@@ -333,12 +334,12 @@ def _unblocked_mask(
     buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_factor: float
 ) -> np.ndarray:
     """Return the mask (rows, cols) of ``facing`` points from which nothing blocks the ray ``to_light`` (rows, cols, 3)."""
-    way = to_light[facing]
-    length = np.linalg.norm(way, axis=-1)
-    way /= length[:, None]
-    start = _offset_origins(buffer, facing, normals, way, offset_factor * rays.offset_m)
+    directions = to_light[facing]
+    length = np.linalg.norm(directions, axis=-1)
+    directions /= length[:, None]
+    start = _offset_origins(buffer, facing, normals, directions, offset_factor * rays.offset_m)
     out = np.zeros(buffer.valid.shape, bool)
-    out[facing] = ~rays.blocked(start, way, length)
+    out[facing] = ~rays.blocked(start, directions, length)
     return out
 
 
@@ -384,22 +385,22 @@ def jittered_views(view: MapView | PerspectiveView, samples: int, seed: int = 0)
     if side * side != samples:
         raise ValueError(f"samples: {samples} is not a square number. Use 1, 4, 9, 16 ...")
     rng = np.random.default_rng(seed)
-    places = [((i + rng.random()) / side - 0.5, (j + rng.random()) / side - 0.5) for i in range(side) for j in range(side)]
-    return [view.shifted(row, col) for row, col in places]
+    offsets = [((i + rng.random()) / side - 0.5, (j + rng.random()) / side - 0.5) for i in range(side) for j in range(side)]
+    return [view.shifted(row, col) for row, col in offsets]
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
     if request.is_area:
-        return TruthSettings(light_samples=SOFT_SAMPLES), []
+        return TruthSettings(light_samples=AREA_LIGHT_SAMPLES), []
     return TruthSettings(), request.ignored_filter_reasons("truth")
 
 
 def _work(task: Workload, settings: TruthSettings) -> Work:
     rays = task.facing * settings.light_samples
-    return {"truth": {"blocks": 1.0, "seen": task.seen, "rays": rays, "triangles": task.all_triangles}}
+    return {"truth": {"blocks": 1.0, "seen": task.visible_pixels, "rays": rays, "triangles": task.all_triangles}}
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
+def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
     if grid == "full":
         yield TruthSettings()
 
@@ -410,10 +411,10 @@ ALGORITHM = Algorithm(
     plural="truth",
     fill=fill,
     passes=PASSES,
-    served=False,
+    is_served=False,
     needs_opengl=False,
     settings=(TruthSettings,),
     resolve=_resolve,
-    keeps=("skugga.shadows.truth.truth.ray_scene",),
-    cost=Cost(_work, calibrated=_calibrated),
+    cache_names=("skugga.shadows.truth.truth.ray_scene",),
+    cost=Cost(_work, calibration_settings=_calibration_settings),
 )

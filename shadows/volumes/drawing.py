@@ -28,7 +28,7 @@ from skugga.shadows.volumes.volumes import Volumes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device, device
-from skugga.terrain.gl.stencil import MARK_BIT, Counting, Side
+from skugga.terrain.gl.stencil import MARK_BIT, CountMode, Side
 from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 COUNT_BITS = ~MARK_BIT & 0xFF
 """The bits of the stencil that count."""
 
-MAP_STEPS = 16.0
+MAP_OFFSET_STEPS = 16.0
 """Steps of a float32 depth by which faces are drawn farther away in a map.
 
 Seen from above, the faces of a sun on the horizon are level, and have no slope that a polygon offset could use. Corners, their clip
@@ -59,28 +59,30 @@ def count(
     light: np.ndarray,
     volumes: list[Volumes],
     settings: StencilSettings,
-    wanted: np.ndarray,
-    marked: bool,
+    receiver_mask: np.ndarray,
+    uses_mark_bit: bool,
     record: PassRecord,
 ) -> np.ndarray:
     """Return the number of volumes that contain each point of a buffer, uint8 (rows, cols), at most 127.
 
-    It is 0 where a point is not ``wanted``. If ``marked`` is true, a bit of the stencil rejects all other pixels of the view.
-    Pixels of the samples' view that are no samples are always rejected.
+    It is 0 where a point is not ``receiver_mask``. If ``uses_mark_bit`` is true, a bit of the stencil rejects all other pixels of
+    the view. Pixels of the samples' view that are no samples are always rejected.
     """
-    counts = np.zeros(wanted.shape, np.uint8)
+    counts = np.zeros(receiver_mask.shape, np.uint8)
     if not any(len(volume_set.faces) for volume_set in volumes):
         return counts
     near_m = near_plane_m(buffer)
     is_sun_aligned = _is_sun_aligned(buffer, scene, light)
-    for points in own_points(buffer, scene, wanted, near_m):
-        point_counts = _count_points(buffer, scene, points, light, volumes, settings, marked, record)
+    for points in own_points(buffer, scene, receiver_mask, near_m):
+        point_counts = _count_points(buffer, scene, points, light, volumes, settings, uses_mark_bit, record)
         if is_sun_aligned:
-            turned = _count_points(buffer, scene, _turned_about(points), light, volumes, settings, marked, record)
-            point_counts = np.maximum(point_counts, turned)
-        counts.ravel()[points.at] = point_counts
-    for points in sample_points(buffer, scene, wanted, near_m):
-        counts.ravel()[points.at] = _count_points(buffer, scene, points, light, volumes, settings, True, record)
+            rotated_counts = _count_points(
+                buffer, scene, _rotate_half_turn(points), light, volumes, settings, uses_mark_bit, record
+            )
+            point_counts = np.maximum(point_counts, rotated_counts)
+        counts.ravel()[points.buffer_indices] = point_counts
+    for points in sample_points(buffer, scene, receiver_mask, near_m):
+        counts.ravel()[points.buffer_indices] = _count_points(buffer, scene, points, light, volumes, settings, True, record)
     return counts
 
 
@@ -97,11 +99,11 @@ def _is_sun_aligned(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> 
     columns = buffer.columns
     steps = (view.row_step * view.grid.stretch, view.col_step) if columns is None else (columns.window.columns.grid.stretch, 1.0)
     down, right = -light[1] / steps[0], light[0] / steps[1]
-    along = np.abs([down, right, down - right, down + right])
-    return bool(along.min() <= ALIGNMENT_TOLERANCE * along.max())
+    alignments = np.abs([down, right, down - right, down + right])
+    return bool(alignments.min() <= ALIGNMENT_TOLERANCE * alignments.max())
 
 
-def _turned_about(points: VisiblePoints) -> VisiblePoints:
+def _rotate_half_turn(points: VisiblePoints) -> VisiblePoints:
     """Return the points in the view rotated by half a turn about its axis."""
     rows, cols = points.size
     clip = points.clip_from_frame * np.array([[-1.0], [-1.0], [1.0], [1.0]])
@@ -113,35 +115,35 @@ def faces_in_front(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes])
 
     The result is uint8 (rows, cols) of a view's own pixels.
     """
-    return _drawn_over(buffer, scene, volumes, "faces")
+    return _count_over_surface(buffer, scene, volumes, "faces")
 
 
 def visible_silhouettes(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
     """Return where silhouettes are visible, uint8 (rows, cols) of a view's own pixels, 255 or 0."""
-    return _drawn_over(buffer, scene, volumes, "seen")
+    return _count_over_surface(buffer, scene, volumes, "seen")
 
 
-def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: Counting) -> np.ndarray:
+def _count_over_surface(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: CountMode) -> np.ndarray:
     import moderngl
 
     gl, out = device(), np.zeros(buffer.valid.shape, np.uint8)
-    lines = counting == "seen"
+    draws_edges = counting == "seen"
     for points in pixel_points(buffer, scene, buffer.valid, near_plane_m(buffer)):
         full_rectangle = np.array([[0, 0, points.size[1], points.size[0]]])
         with receiver_stencil(gl, buffer, scene, points, full_rectangle, False) as (target, program):
-            if lines:
-                nearer = points.clip_from_frame * np.array([[1.0], [1.0], [SILHOUETTE_DEPTH_FACTOR], [1.0]])
-                program["clip_from_frame"] = tuple(nearer.T.ravel())
+            if draws_edges:
+                nearer_clip = points.clip_from_frame * np.array([[1.0], [1.0], [SILHOUETTE_DEPTH_FACTOR], [1.0]])
+                program["clip_from_frame"] = tuple(nearer_clip.T.ravel())
             for volume_set in volumes:
-                indices = volume_set.edges if lines else volume_set.faces
+                indices = volume_set.edges if draws_edges else volume_set.faces
                 if not len(indices):
                     continue
                 with (
                     gl.uploaded_mesh(program, volume_set.vertices, indices) as array,
                     gl.stencil.count_pass(target, counting),
                 ):
-                    gl.render(array, moderngl.LINES if lines else moderngl.TRIANGLES)
-            top, left = divmod(int(points.at[0]), buffer.view.cols)
+                    gl.render(array, moderngl.LINES if draws_edges else moderngl.TRIANGLES)
+            top, left = divmod(int(points.buffer_indices[0]), buffer.view.cols)
             top, left = top - int(points.row[0]), left - int(points.col[0])
             out[top : top + points.size[0], left : left + points.size[1]] = gl.stencil.read(target)
     return out
@@ -154,24 +156,24 @@ def _count_points(
     light: np.ndarray,
     volumes: list[Volumes],
     settings: StencilSettings,
-    marked: bool,
+    uses_mark_bit: bool,
     record: PassRecord,
 ) -> np.ndarray:
     """Return the counts (n,) uint8 of some points."""
     gl, size = device(), points.size
     from_above = points.near_frame_m is None
-    clamped, offset_steps = from_above and light[3] != 0.0, MAP_STEPS if from_above else 0.0
+    clamped, offset_steps = from_above and light[3] != 0.0, MAP_OFFSET_STEPS if from_above else 0.0
     max_faces = max((len(volume_set.faces) for volume_set in volumes), default=0)
     parts = rectangles(marked_tiles(points.row, points.col, size), size, max_faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
-    total = np.zeros(len(points.at), np.uint8)
+    total = np.zeros(len(points.buffer_indices), np.uint8)
     sides: tuple[Side, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
-    with receiver_stencil(gl, buffer, scene, points, parts, marked) as (target, program):
+    with receiver_stencil(gl, buffer, scene, points, parts, uses_mark_bit) as (target, program):
         for number, volume_set in enumerate(volumes):
             if number:
-                gl.stencil.clear(target, COUNT_BITS if marked else 0xFF)
+                gl.stencil.clear(target, COUNT_BITS if uses_mark_bit else 0xFF)
             clip = points.clip_of(volume_set.vertices.astype(np.float64))
-            added = np.full(len(parts), _layers_round_the_viewer(volume_set, points, light) if clamped else 0)
+            added = np.full(len(parts), _layers_around_viewer(volume_set, points, light) if clamped else 0)
             for counting, faces in _counting_methods(volume_set, points, light, settings):
                 visible_faces = cull_faces(clip, faces, counting == "z_fail", parts, depths, size, clamped)
                 added += visible_faces.added
@@ -179,19 +181,19 @@ def _count_points(
                     continue
                 with gl.uploaded_mesh(program, volume_set.vertices, faces[visible_faces.faces]) as array:
                     for side in sides:
-                        with gl.stencil.count_pass(target, counting, side, marked, clamped, offset_steps):
+                        with gl.stencil.count_pass(target, counting, side, uses_mark_bit, clamped, offset_steps):
                             _render(gl, target, array, parts, visible_faces.starts)
                         record.triangles += len(visible_faces.faces)
                 record.bytes = max(record.bytes, volume_set.vertices.nbytes + 12 * len(visible_faces.faces) + 9 * size[0] * size[1])
             counts = gl.stencil.read(target)
-            for (col, row, width, height), more in zip(parts.tolist(), added.tolist(), strict=True):
-                counts[row : row + height, col : col + width] += np.uint8(more & COUNT_BITS)
+            for (col, row, width, height), added_layers in zip(parts.tolist(), added.tolist(), strict=True):
+                counts[row : row + height, col : col + width] += np.uint8(added_layers & COUNT_BITS)
             total = np.maximum(total, counts[points.row, points.col] & COUNT_BITS)
     gl.check("counting shadow volumes")
     return total
 
 
-def _layers_round_the_viewer(volumes: Volumes, points: VisiblePoints, lamp: np.ndarray) -> int:
+def _layers_around_viewer(volumes: Volumes, points: VisiblePoints, lamp: np.ndarray) -> int:
     """Return the number of volumes under a lamp that contain the viewer of a map, infinitely far away.
 
     They are the casting triangles on the line from the lamp to the viewer. The intersection is that of T. Moller and B. Trumbore,
@@ -201,25 +203,25 @@ def _layers_round_the_viewer(volumes: Volumes, points: VisiblePoints, lamp: np.n
     towards = np.cross(clip[0, :3], clip[1, :3])
     towards *= np.sign(towards @ clip[2, :3])
     a, b, c = volumes.vertices[volumes.caps, :3].astype(np.float64).transpose(1, 0, 2)
-    side, other, to_lamp = b - a, c - a, lamp[:3] - a
-    across = np.cross(towards, other)
-    volume = (side * across).sum(axis=1)
+    side, other_side, to_lamp = b - a, c - a, lamp[:3] - a
+    p_vector = np.cross(towards, other_side)
+    determinant = (side * p_vector).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        u, turned = (to_lamp * across).sum(axis=1) / volume, np.cross(to_lamp, side)
-        v, away = (turned @ towards) / volume, (turned * other).sum(axis=1) / volume
-        return int(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (away > 0.0)).sum())
+        u, q_vector = (to_lamp * p_vector).sum(axis=1) / determinant, np.cross(to_lamp, side)
+        v, distance = (q_vector @ towards) / determinant, (q_vector * other_side).sum(axis=1) / determinant
+        return int(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0)).sum())
 
 
 def _counting_methods(
     volumes: Volumes, points: VisiblePoints, light: np.ndarray, settings: StencilSettings
-) -> list[tuple[Counting, np.ndarray]]:
+) -> list[tuple[CountMode, np.ndarray]]:
     """Return the counting methods, each with the faces (m, 3) that it counts."""
     if points.near_frame_m is None:
         return [("z_pass", volumes.faces)]
     if settings.counting == "z_fail":
         return [("z_fail", volumes.faces)]
-    by_fail = may_shade_near(volumes.low_m, volumes.high_m, points.near_frame_m, light)[volumes.part]
-    return [("z_pass", volumes.faces[~by_fail]), ("z_fail", volumes.faces[by_fail])]
+    uses_z_fail = may_shade_near(volumes.low_m, volumes.high_m, points.near_frame_m, light)[volumes.part]
+    return [("z_pass", volumes.faces[~uses_z_fail]), ("z_fail", volumes.faces[uses_z_fail])]
 
 
 def _render(gl: Device, target: Framebuffer, array: moderngl.VertexArray, parts: np.ndarray, starts: np.ndarray) -> None:

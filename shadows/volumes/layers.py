@@ -59,44 +59,52 @@ def max_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) ->
     light = homogeneous(light)
     if not len(silhouette.edges):
         return 0
-    drawn = np.asarray(points, np.float32).reshape(-1, 3)
-    used = np.zeros(len(drawn), bool)
-    used[silhouette.edges[:, 0]] = True  # each vertex of a closed boundary starts an edge
-    edges = (np.cumsum(used, dtype=np.int32) - np.int32(1))[silhouette.edges]
-    begin = drawn[used].astype(np.float64)
+    vertices = np.asarray(points, np.float32).reshape(-1, 3)
+    is_used = np.zeros(len(vertices), bool)
+    is_used[silhouette.edges[:, 0]] = True  # each vertex of a closed boundary starts an edge
+    edges = (np.cumsum(is_used, dtype=np.int32) - np.int32(1))[silhouette.edges]
+    begin = vertices[is_used].astype(np.float64)
     if light[3] == 0.0:
-        projected, lower = _seen_from_sun(begin, light[:3]), 0
+        projected, pole_count = _project_along_sun(begin, light[:3]), 0
     else:
-        axes = _axes_to(begin.mean(axis=0) - light[:3])
-        projected, lower = (begin - light[:3]) @ axes.T, _caps_at_lower_pole((drawn - light[:3]) @ axes[:2].T, silhouette.caps)
-    most = _most_seen(projected, edges, silhouette.times)
-    return len(silhouette.caps) if most is None else min(lower + most, len(silhouette.caps))
+        axes = _axes_towards(begin.mean(axis=0) - light[:3])
+        projected, pole_count = (
+            (begin - light[:3]) @ axes.T,
+            _caps_at_lower_pole((vertices - light[:3]) @ axes[:2].T, silhouette.caps),
+        )
+    max_winding = _max_winding(projected, edges, silhouette.multiplicity)
+    return len(silhouette.caps) if max_winding is None else min(pole_count + max_winding, len(silhouette.caps))
 
 
 def batches(
-    points: np.ndarray, triangles: np.ndarray, edges: Edges, turns: np.ndarray, light: np.ndarray, most: int = MAX_STENCIL_LAYERS
+    points: np.ndarray,
+    triangles: np.ndarray,
+    edges: Edges,
+    orientations: np.ndarray,
+    light: np.ndarray,
+    layer_limit: int = MAX_STENCIL_LAYERS,
 ) -> list[np.ndarray]:
-    """Return the casting triangles in groups that cover no point more than ``most`` times; one group if possible.
+    """Return the casting triangles in groups that cover no point more than ``layer_limit`` times; one group if possible.
 
     Each group is given as turns (m,) int8. Any set of triangles casts a shadow of its own, and a point is dark where any group's
     shadow covers it. A group that exceeds the bound is halved between connected parts, ordered by their distance from the light. A
-    single part is halved between near and far triangles. Raises ``InputError`` for ``most`` below 1.
+    single part is halved between near and far triangles. Raises ``InputError`` for ``layer_limit`` below 1.
     """
-    if most < 1:
-        raise InputError("most", most, "1 or more")
-    if max_layers(points, silhouette(triangles, edges, turns), light) <= most:
-        return [turns]
+    if layer_limit < 1:
+        raise InputError("layer_limit", layer_limit, "1 or more")
+    if max_layers(points, silhouette(triangles, edges, orientations), light) <= layer_limit:
+        return [orientations]
     part = connected_parts(edges)
-    groups, halves = [], [_from_the_light(points, triangles, part, turns, homogeneous(light))]
+    groups, halves = [], [_sort_by_light_distance(points, triangles, part, orientations, homogeneous(light))]
     while halves:
         candidate = halves.pop()
-        group = np.zeros_like(turns)
-        group[candidate] = turns[candidate]
-        if max_layers(points, silhouette(triangles, edges, group), light) <= most:
+        group = np.zeros_like(orientations)
+        group[candidate] = orientations[candidate]
+        if max_layers(points, silhouette(triangles, edges, group), light) <= layer_limit:
             groups.append(group)
         else:
-            middle = _middle(part[candidate])
-            halves += [candidate[middle:], candidate[:middle]]
+            split = _split_index(part[candidate])
+            halves += [candidate[split:], candidate[:split]]
     return groups
 
 
@@ -113,8 +121,8 @@ def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, lig
     to_light = light[:3] - light[3] * rectangle
     normal = np.cross(rectangle[1] - rectangle[0], rectangle[3] - rectangle[0])
     above = to_light @ normal
-    least = np.sin(np.radians(NEAR_PLANE_DEG)) * np.linalg.norm(normal) * np.linalg.norm(to_light, axis=1)
-    if not (np.abs(above) > least).all():
+    min_height = np.sin(np.radians(NEAR_PLANE_DEG)) * np.linalg.norm(normal) * np.linalg.norm(to_light, axis=1)
+    if not (np.abs(above) > min_height).all():
         return np.ones(len(low), bool)
     extent = max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0), np.abs(rectangle).max())
     rounding = 4.0 * float(np.finfo(np.float32).eps) * (extent + light[3] * float(np.abs(light[:3]).max()))
@@ -130,72 +138,72 @@ def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, lig
     return inside & (high >= lowest - rounding).all(axis=1) & (low <= highest + rounding).all(axis=1)
 
 
-def _seen_from_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
+def _project_along_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
     """Return points (n, 3) projected along the sun's rays to the plane one unit ahead, within half a unit of its middle."""
-    aside = np.cross(to_sun, [0.0, 0.0, 1.0]) if to_sun[:2].any() else np.array([1.0, 0.0, 0.0])
-    plane = np.stack([axis / np.linalg.norm(axis) for axis in (aside, np.cross(aside, to_sun))]) @ points.T
+    right = np.cross(to_sun, [0.0, 0.0, 1.0]) if to_sun[:2].any() else np.array([1.0, 0.0, 0.0])
+    plane = np.stack([axis / np.linalg.norm(axis) for axis in (right, np.cross(right, to_sun))]) @ points.T
     low, high = plane.min(axis=1), plane.max(axis=1)
     scale = max(float((high - low).max()), float(np.finfo(np.float64).tiny))
     return np.stack([np.ones(len(points)), *((plane - (low + high)[:, None] / 2.0) / scale)], axis=-1)
 
 
-def _axes_to(ahead: np.ndarray) -> np.ndarray:
+def _axes_towards(forward: np.ndarray) -> np.ndarray:
     """Return right-handed axes (3, 3): ahead, left and up. Up is oblique, so that rectangular buildings do not align with it."""
-    ahead = ahead / np.linalg.norm(ahead) if ahead.any() else POLE_AXIS
-    left = np.cross(np.roll(POLE_AXIS, int(np.argmax(np.abs(ahead)))), ahead)
+    forward = forward / np.linalg.norm(forward) if forward.any() else POLE_AXIS
+    left = np.cross(np.roll(POLE_AXIS, int(np.argmax(np.abs(forward)))), forward)
     left /= np.linalg.norm(left)
-    return np.stack([ahead, left, np.cross(ahead, left)])
+    return np.stack([forward, left, np.cross(forward, left)])
 
 
-def _most_seen(directions: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | None:
+def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.ndarray) -> int | None:
     """Return the maximum of N(phi_k, v) + P_k(v) - N(pole) for vertices (n, 3) as seen from a light: ahead, left and up.
 
     It is ``None`` where an edge meets the axis through the poles.
     """
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     phi = azimuth[edges]
-    turn = phi[:, 1] - phi[:, 0]
-    round_the_back = np.abs(turn) > np.pi
-    turn[round_the_back] -= np.copysign(2.0 * np.pi, turn[round_the_back])
-    clear = np.hypot(directions[:, 0], directions[:, 1]) > ANGLE_TOLERANCE * np.abs(directions[:, 2])
-    if not (clear.all() and np.abs(turn).max() < np.pi - ANGLE_TOLERANCE):
+    phi_change = phi[:, 1] - phi[:, 0]
+    wraps = np.abs(phi_change) > np.pi
+    phi_change[wraps] -= np.copysign(2.0 * np.pi, phi_change[wraps])
+    is_clear = np.hypot(directions[:, 0], directions[:, 1]) > ANGLE_TOLERANCE * np.abs(directions[:, 2])
+    if not (is_clear.all() and np.abs(phi_change).max() < np.pi - ANGLE_TOLERANCE):
         return None
-    first, span = (-np.pi, 2.0 * np.pi) if round_the_back.any() else (float(phi.min()), float(np.ptp(phi)))
+    first, span = (-np.pi, 2.0 * np.pi) if wraps.any() else (float(phi.min()), float(np.ptp(phi)))
     if not span:
         return 0
-    lines = LINES_PER_EDGE * len(times) * span / max(float(np.abs(turn).sum()), 1e-9)
+    lines = LINES_PER_EDGE * len(multiplicity) * span / max(float(np.abs(phi_change).sum()), 1e-9)
     lunes = int(np.clip(lines, np.ceil(MIN_LUNES * span / (2.0 * np.pi)), MAX_LUNES))
     lune = np.minimum((azimuth - first) / span * lunes, lunes - 1.0).astype(np.int32)[edges]
-    place, step = _steps(directions, edges, times, lune, turn > 0.0, first, span / lunes, lunes)
-    order = np.argsort(place)
-    place, count = place[order], np.cumsum(step[order])
-    done = np.append(place[1:] > place[:-1], True)  # steps at one position happen at once
+    position, step = _winding_steps(directions, edges, multiplicity, lune, phi_change > 0.0, first, span / lunes, lunes)
+    order = np.argsort(position)
+    position, count = position[order], np.cumsum(step[order])
+    is_last = np.append(position[1:] > position[:-1], True)  # steps at one position happen at once
     # From pole to pole the count changes by the same amount along every half-circle.
-    count -= count[-1] // lunes * place.astype(np.int64)
-    return int(count[done].max(initial=0))
+    count -= count[-1] // lunes * position.astype(np.int64)
+    return int(count[is_last].max(initial=0))
 
 
 @compiled
-def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):
+def _winding_steps(directions, edges, multiplicity, lune_of_end, leftwards, first, width, lunes):
     """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes.
 
     A position is the lune's number plus v as a share of 1.
     """
     line = first + width * np.arange(lunes + 1)
     line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * width), np.sin(line + 0.5 * width)
-    room = 0
-    for e in range(len(times)):
-        across = lune_of_end[e, 1] - lune_of_end[e, 0] if leftwards[e] else lune_of_end[e, 0] - lune_of_end[e, 1]
-        room += 2 + 3 * (across % lunes)
-    place, step, n = np.empty(room), np.empty(room, np.int64), 0
-    for e in range(len(times)):
-        a, b, m = seen[edges[e, 0]], seen[edges[e, 1]], times[e]
+    capacity = 0
+    for e in range(len(multiplicity)):
+        lunes_crossed = lune_of_end[e, 1] - lune_of_end[e, 0] if leftwards[e] else lune_of_end[e, 0] - lune_of_end[e, 1]
+        capacity += 2 + 3 * (lunes_crossed % lunes)
+    position, step, n = np.empty(capacity), np.empty(capacity, np.int64), 0
+    for e in range(len(multiplicity)):
+        a, b, m = directions[edges[e, 0]], directions[edges[e, 1]], multiplicity[e]
         lune, last = lune_of_end[e]
-        x, y, z, begun = a[0], a[1], a[2], False
+        x, y, z, has_begun = a[0], a[1], a[2], False
         while True:
-            start = _height(lune, x * cos[lune] + y * sin[lune], z)
-            if begun and leftwards[e]:
-                place[n], step[n], n = start, -m, n + 1
+            start = _lune_height(lune, x * cos[lune] + y * sin[lune], z)
+            if has_begun and leftwards[e]:
+                position[n], step[n], n = start, -m, n + 1
             if lune == last:
                 x, y, z = b[0], b[1], b[2]
             else:
@@ -204,50 +212,50 @@ def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):
                 after = b[1] * line_cos[k] - b[0] * line_sin[k]
                 share = min(max(before / (before - after), 0.0), 1.0) if before != after else 0.5
                 x, y, z = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
-            end = _height(lune, x * cos[lune] + y * sin[lune], z)
+            end = _lune_height(lune, x * cos[lune] + y * sin[lune], z)
             if end > start:
-                place[n], step[n], place[n + 1], step[n + 1], n = start, m, end, -m, n + 2
+                position[n], step[n], position[n + 1], step[n + 1], n = start, m, end, -m, n + 2
             if lune == last:
                 break
             if not leftwards[e]:
-                place[n], step[n], n = end, m, n + 1
-            lune, begun = (lune + (1 if leftwards[e] else -1)) % lunes, True
-    return place[:n], step[:n]
+                position[n], step[n], n = end, m, n + 1
+            lune, has_begun = (lune + (1 if leftwards[e] else -1)) % lunes, True
+    return position[:n], step[:n]
 
 
 @internal
-def _height(lune, ahead, up):
+def _lune_height(lune, forward, up):
     """Return a lune's number, plus a direction's height as a share between the poles."""
-    return lune + 0.5 + np.arctan2(up, max(ahead, 0.0)) / 3.2
+    return lune + 0.5 + np.arctan2(up, max(forward, 0.0)) / 3.2
 
 
 @compiled
-def _caps_at_lower_pole(seen, caps):
+def _caps_at_lower_pole(directions, caps):
     """Return the number of triangles (c, 3) facing a lamp that contain the lower pole, or may contain it by rounding."""
     count = 0
     for t in range(len(caps)):
         inside = True
         for k in range(3):
-            a, b = seen[caps[t, k]], seen[caps[t, (k + 1) % 3]]
+            a, b = directions[caps[t, k]], directions[caps[t, (k + 1) % 3]]
             forward, backward = a[0] * b[1], a[1] * b[0]
             inside &= forward - backward >= -1e-12 * (abs(forward) + abs(backward))
         count += inside
     return count
 
 
-def _from_the_light(
-    points: np.ndarray, triangles: np.ndarray, part: np.ndarray, turns: np.ndarray, light: np.ndarray
+def _sort_by_light_distance(
+    points: np.ndarray, triangles: np.ndarray, part: np.ndarray, orientations: np.ndarray, light: np.ndarray
 ) -> np.ndarray:
     """Return the casting triangles part by part, and within a part by distance from the light, the nearest first."""
-    casting = np.flatnonzero(turns)
+    casting = np.flatnonzero(orientations)
     middle = np.asarray(points, np.float64).reshape(-1, 3)[triangles[casting]].mean(axis=1)
-    away = np.linalg.norm(light[:3] - middle, axis=1) if light[3] else -(middle @ light[:3])
+    distance = np.linalg.norm(light[:3] - middle, axis=1) if light[3] else -(middle @ light[:3])
     part = part[casting]
-    part_away = np.bincount(part, away) / np.maximum(np.bincount(part), 1)
-    return casting[np.lexsort((away, part, part_away[part]))]
+    part_distance = np.bincount(part, distance) / np.maximum(np.bincount(part), 1)
+    return casting[np.lexsort((distance, part, part_distance[part]))]
 
 
-def _middle(part: np.ndarray) -> int:
+def _split_index(part: np.ndarray) -> int:
     """Return the index at which to halve triangles: between two parts (one number per triangle) if there are several."""
     starts = np.flatnonzero(np.diff(part)) + 1
     half = len(part) // 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from skugga.shadows.algorithm import AlgorithmSettings, AreaSettings, Reasoned, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm import AlgorithmSettings, AreaSettings, NamedReason, ResolvedSettings, SettingsRequest
 from skugga.terrain.level.level import Shadows
 
 
@@ -31,8 +31,8 @@ class VolumeSettings(StencilSettings, AreaSettings):
     @property
     def as_overrides(self) -> dict[str, Any]:
         """The settings as keys and values of a level's ``shadows``. Hard edges need no key."""
-        asked = super().as_overrides
-        return asked if self.filter == "sun" else {key: value for key, value in asked.items() if key != "filter"}
+        overrides = super().as_overrides
+        return overrides if self.filter == "sun" else {key: value for key, value in overrides.items() if key != "filter"}
 
 
 def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
@@ -41,7 +41,9 @@ def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
     if not request.is_area:
         return VolumeSettings(**settings), request.ignored_filter_reasons("shadow_volume")
     reason = f"the mean of the volumes of {request.light_points} points of the light"
-    return VolumeSettings(**settings, filter="sun", light_points=request.light_points), [Reasoned(name="filter sun", reason=reason)]
+    return VolumeSettings(**settings, filter="sun", light_points=request.light_points), [
+        NamedReason(name="filter sun", reason=reason)
+    ]
 
 
 def stencil_settings(shadows: Shadows) -> dict[str, Any]:

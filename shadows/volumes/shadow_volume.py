@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.algorithm import BENT_MAP_REASON, FEW_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
+from skugga.shadows.algorithm import BENT_MAP_REASON, COMPANION_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
 from skugga.shadows.area_light import mean_over_light
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
@@ -47,8 +47,8 @@ def fill(
     log.keep("silhouettes", light, visible_silhouettes, buffer, scene, volumes)
     log.keep("volumes", light, faces_in_front, buffer, scene, volumes)
     with log.run(stencil_pass) as record:
-        wanted = buffer.valid & ~attached(buffer, scene, light)
-        counts = count(buffer, scene, light_frame, volumes, settings, wanted, False, record)
+        receiver_mask = buffer.valid & ~attached(buffer, scene, light)
+        counts = count(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
     log.keep("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
 
@@ -62,8 +62,8 @@ Above it they were measured to take ten to twenty times as long as a sweep, with
 
 def has_too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
     """Return whether the ground has too many triangles for volumes of its edges."""
-    of_kind = (each for each in descriptor.stands if each.kind == kind == "relief")
-    return sum(each.triangles + each.outside_triangles for each in of_kind) > MAX_GROUND_TRIANGLES
+    relief_facts = (caster_facts for caster_facts in descriptor.stands if caster_facts.kind == kind == "relief")
+    return sum(caster_facts.triangles + caster_facts.outside_triangles for caster_facts in relief_facts) > MAX_GROUND_TRIANGLES
 
 
 VOLUME_REFUSALS: dict[Requirement, str] = {
@@ -72,7 +72,11 @@ VOLUME_REFUSALS: dict[Requirement, str] = {
 }
 """Requirements that no volume can serve, and the reasons."""
 
-KEEPS = ("skugga.shadows.volumes.volumes", "skugga.shadows.volumes.volumes._structure", "skugga.shadows.volumes.volumes._has_gaps")
+VOLUME_CACHES = (
+    "skugga.shadows.volumes.volumes",
+    "skugga.shadows.volumes.volumes._structure",
+    "skugga.shadows.volumes.volumes._has_gaps",
+)
 """Caches of volumes."""
 
 ALGORITHM = Algorithm(
@@ -81,13 +85,13 @@ ALGORITHM = Algorithm(
     plural="shadow volumes",
     fill=fill,
     passes=PASSES,
-    refuses=VOLUME_REFUSALS,
+    refusals=VOLUME_REFUSALS,
     layers=("stencil", "silhouettes", "volumes"),
     settings=(VolumeSettings,),
     resolve=resolve_volumes,
-    keeps=KEEPS,
+    cache_names=VOLUME_CACHES,
     search=Search(
-        companion_map_sizes=FEW_MAP_SIZES,
+        companion_map_sizes=COMPANION_MAP_SIZES,
         is_excluded=has_too_much_ground,
         variants=({"stencil": "two_pass"}, {"counting": "z_fail"}),
     ),

@@ -54,14 +54,14 @@ class Silhouette:
     ----------
     edges
         int32 (k, 2): vertex numbers of edges from first to second, with the casters on the left as seen from the light.
-    times
+    multiplicity
         int32 (k,), 1 or more: multiplicity of the side of each edge.
     caps
         int32 (c, 3): vertex numbers of the casting triangles, counter-clockwise as seen from the light.
     """
 
     edges: np.ndarray
-    times: np.ndarray
+    multiplicity: np.ndarray
     caps: np.ndarray
 
 
@@ -70,11 +70,11 @@ def homogeneous(light: np.ndarray) -> np.ndarray:
 
     Raises ``InputError`` for other values.
     """
-    checked = np.asarray(light, np.float64)
-    is_valid = checked.shape == (4,) and np.isfinite(checked).all() and checked[3] in (0.0, 1.0) and checked.any()
+    light_frame = np.asarray(light, np.float64)
+    is_valid = light_frame.shape == (4,) and np.isfinite(light_frame).all() and light_frame[3] in (0.0, 1.0) and light_frame.any()
     if not is_valid:
         raise InputError("light", light, "a direction that is not zero followed by 0, or a position followed by 1")
-    return checked
+    return light_frame
 
 
 def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -86,7 +86,7 @@ def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np
     return _facing(np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), homogeneous(light))
 
 
-def turns_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
+def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
     """Return how triangles cast, int8 (m,): +1 as they are, -1 flipped, 0 not at all.
 
     ``rule`` is one for all, or a number for each triangle: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles
@@ -100,12 +100,12 @@ def turns_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
     return np.where(facing, numbers & FACING_CODE, -(numbers >> 1))
 
 
-def silhouette(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhouette:
-    """Return the silhouette of triangles (m, 3) that cast as ``turns`` (m,) says. ``edges`` are their edges."""
-    times = signed_sums(edges, turns)
-    drawn = np.flatnonzero(times)
-    unbalanced = edges.along[:, 0] != 0
-    return Silhouette(*_directed(edges.ends[drawn], times[drawn]), _caps(triangles, turns * unbalanced))
+def silhouette(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) -> Silhouette:
+    """Return the silhouette of triangles (m, 3) that cast as ``orientations`` (m,) says. ``edges`` are their edges."""
+    multiplicity = signed_sums(edges, orientations)
+    edge_numbers = np.flatnonzero(multiplicity)
+    has_length = edges.side_signs[:, 0] != 0
+    return Silhouette(*_directed(edges.ends[edge_numbers], multiplicity[edge_numbers]), _caps(triangles, orientations * has_length))
 
 
 def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silhouette:
@@ -113,38 +113,38 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
 
     The result equals that from ``edges_of``, unless two nodes are at one position.
     """
-    position, falls = sheet.position_frame_m, sheet.falls
+    position, is_cut_nw_se = sheet.position_frame_m, sheet.is_cut_nw_se
     rows, cols = position.shape[:2]
-    triangles = sheet_triangles(falls)
+    triangles = sheet_triangles(is_cut_nw_se)
     is_valid = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
-    faces = facing(position, triangles, light)
+    is_facing = facing(position, triangles, light)
     if isinstance(sheet, ColumnMesh):  # triangles without area cast no shadow, so they count as facing the light
-        faces |= ~np.repeat(sheet.has_area.ravel(), 2)
-    turns = (turns_of(faces, rule) * is_valid).reshape(*falls.shape, 2)
-    north, south = turns[..., 0], turns[..., 1]
+        is_facing |= ~np.repeat(sheet.has_area.ravel(), 2)
+    orientations = (orientations_of(is_facing, rule) * is_valid).reshape(*is_cut_nw_se.shape, 2)
+    north, south = orientations[..., 0], orientations[..., 1]
     sums = np.zeros((4, rows, cols), np.int8)
     to_east, to_south, to_northeast, to_southeast = sums
     to_east[1:, :-1] += south
     to_east[:-1, :-1] -= north
-    to_south[:-1, :-1] += np.where(falls, south, north)
-    to_south[:-1, 1:] -= np.where(falls, north, south)
-    to_northeast[1:, :-1] = np.where(falls, 0, north - south)
-    to_southeast[:-1, :-1] = np.where(falls, north - south, 0)
-    drawn = np.flatnonzero(sums)
-    kind, node = np.divmod(drawn, rows * cols)
+    to_south[:-1, :-1] += np.where(is_cut_nw_se, south, north)
+    to_south[:-1, 1:] -= np.where(is_cut_nw_se, north, south)
+    to_northeast[1:, :-1] = np.where(is_cut_nw_se, 0, north - south)
+    to_southeast[:-1, :-1] = np.where(is_cut_nw_se, north - south, 0)
+    edge_numbers = np.flatnonzero(sums)
+    kind, node = np.divmod(edge_numbers, rows * cols)
     ends = np.stack([node, node + np.array([1, cols, 1 - cols, 1 + cols])[kind]], axis=-1).astype(np.int32)
-    return Silhouette(*_directed(ends, sums.ravel()[drawn].astype(np.int32)), _caps(triangles, turns.ravel()))
+    return Silhouette(*_directed(ends, sums.ravel()[edge_numbers].astype(np.int32)), _caps(triangles, orientations.ravel()))
 
 
-def _directed(ends: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _directed(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return edges in their direction of traversal, and their multiplicity."""
-    return np.where(times[:, None] > 0, ends, ends[:, ::-1]), np.abs(times)
+    return np.where(multiplicity[:, None] > 0, ends, ends[:, ::-1]), np.abs(multiplicity)
 
 
-def _caps(triangles: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    casting = np.flatnonzero(turns)
+def _caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+    casting = np.flatnonzero(orientations)
     caps = triangles[casting]
-    flipped = turns[casting] < 0
+    flipped = orientations[casting] < 0
     caps[flipped] = caps[flipped][:, [0, 2, 1]]
     return caps
 

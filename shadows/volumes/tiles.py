@@ -11,7 +11,7 @@ from skugga.terrain.compiled import compiled, internal
 CULLING_TILE_PX = 8
 """Side in pixels of the tiles that rectangles consist of."""
 
-RECTANGLE_FACES = 4e4
+RECTANGLE_COST = 4e4
 """Cost of another rectangle, in tiles times faces: with few faces, many tiles are drawn in no time."""
 
 MIN_RECTANGLE_COST = 8
@@ -29,7 +29,7 @@ DEPTH_MARGIN = 1e-4
 
 def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return which tiles of a picture of ``size`` (rows, cols) contain one of the pixels (n,), bool."""
-    return _marked(rows, cols, *(-(-side // CULLING_TILE_PX) for side in size))
+    return _mark_tiles(rows, cols, *(-(-side // CULLING_TILE_PX) for side in size))
 
 
 def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarray:
@@ -39,7 +39,7 @@ def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarr
     and its parts again, in two cases: the cut saves more tiles than a rectangle costs, or a side is longer than twice as many
     tiles. Within small rectangles depths vary little, and few faces matter.
     """
-    merged = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
+    merged = _rectangles(tiles, max(RECTANGLE_COST / max(faces, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
     merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
     return merged.astype(np.int32)
 
@@ -49,10 +49,10 @@ def depth_bounds(
 ) -> np.ndarray:
     """Return the minimum and maximum depth (k, 2) of the pixels (n,) in each rectangle; (inf, -inf) without any."""
     tiles = tuple(-(-side // CULLING_TILE_PX) for side in size)
-    of_tile = _tile_bounds(rows, cols, depth, *tiles)
+    tile_depths = _tile_bounds(rows, cols, depth, *tiles)
     out = np.empty((len(rectangles), 2))
     for number, (col, row, width, height) in enumerate(rectangles.tolist()):
-        part = of_tile[
+        part = tile_depths[
             row // CULLING_TILE_PX : -(-(row + height) // CULLING_TILE_PX),
             col // CULLING_TILE_PX : -(-(col + width) // CULLING_TILE_PX),
         ]
@@ -104,15 +104,15 @@ def cull_faces(
     px = np.array([size[1], size[0]]) / 2.0
     points = np.column_stack([(clip[:, :2] + clip[:, 3:]) * px, clip[:, 3], clip[:, 2]])
     near_plane = np.inf if clamped else 1.0
-    return CulledFaces(*_culled(points, faces, counts_behind, rectangles.astype(np.float64), depths, near_plane))
+    return CulledFaces(*_cull(points, faces, counts_behind, rectangles.astype(np.float64), depths, near_plane))
 
 
 @compiled
 def _rectangles(tiles, cost):
-    waiting = [(0, tiles.shape[0], 0, tiles.shape[1])]
-    found = []
-    while waiting:
-        top, bottom, left, right = waiting.pop()
+    pending = [(0, tiles.shape[0], 0, tiles.shape[1])]
+    result = []
+    while pending:
+        top, bottom, left, right = pending.pop()
         while top < bottom and not tiles[top, left:right].any():
             top += 1
         if top == bottom:
@@ -128,22 +128,22 @@ def _rectangles(tiles, cost):
         saved_cols, at_col = _best_cut(part.T)
         if max(saved_rows, saved_cols) <= cost and max(bottom - top, right - left) > 2.0 * cost:
             if bottom - top > right - left:
-                waiting.append(((top + bottom) // 2, bottom, left, right))
-                waiting.append((top, (top + bottom) // 2, left, right))
+                pending.append(((top + bottom) // 2, bottom, left, right))
+                pending.append((top, (top + bottom) // 2, left, right))
             else:
-                waiting.append((top, bottom, (left + right) // 2, right))
-                waiting.append((top, bottom, left, (left + right) // 2))
+                pending.append((top, bottom, (left + right) // 2, right))
+                pending.append((top, bottom, left, (left + right) // 2))
         elif max(saved_rows, saved_cols) <= cost:
-            found.append((left, top, right - left, bottom - top))
+            result.append((left, top, right - left, bottom - top))
         elif saved_rows >= saved_cols:
-            waiting.append((top + at_row, bottom, left, right))
-            waiting.append((top, top + at_row, left, right))
+            pending.append((top + at_row, bottom, left, right))
+            pending.append((top, top + at_row, left, right))
         else:
-            waiting.append((top, bottom, left + at_col, right))
-            waiting.append((top, bottom, left, left + at_col))
-    out = np.empty((len(found), 4), np.int64)
-    for n in range(len(found)):
-        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = found[n]
+            pending.append((top, bottom, left + at_col, right))
+            pending.append((top, bottom, left, left + at_col))
+    out = np.empty((len(result), 4), np.int64)
+    for n in range(len(result)):
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = result[n]
     return out
 
 
@@ -167,28 +167,28 @@ def _best_cut(part):
             low, high = min(low, first[row]), max(high, last[row])
             end = rows - row
         after[row] = max(high - low, 0) * end
-    best, at = 0, 0
+    best, cut_row = 0, 0
     low, high, end = cols, 0, 0
     for row in range(rows - 1):
         if last[row] > 0:
             low, high, end = min(low, first[row]), max(high, last[row]), row + 1
         saved = rows * cols - max(high - low, 0) * end - after[row + 1]
         if saved > best:
-            best, at = saved, row + 1
-    return best, at
+            best, cut_row = saved, row + 1
+    return best, cut_row
 
 
 @compiled
-def _marked(rows, cols, down, across):
-    out = np.zeros((down, across), np.bool_)
+def _mark_tiles(rows, cols, tile_rows, tile_cols):
+    out = np.zeros((tile_rows, tile_cols), np.bool_)
     for n in range(len(rows)):
         out[rows[n] // CULLING_TILE_PX, cols[n] // CULLING_TILE_PX] = True
     return out
 
 
 @compiled
-def _tile_bounds(rows, cols, depth, down, across):
-    out = np.empty((down, across, 2))
+def _tile_bounds(rows, cols, depth, tile_rows, tile_cols):
+    out = np.empty((tile_rows, tile_cols, 2))
     out[..., 0], out[..., 1] = np.inf, -np.inf
     for n in range(len(rows)):
         bounds = out[rows[n] // CULLING_TILE_PX, cols[n] // CULLING_TILE_PX]
@@ -197,12 +197,12 @@ def _tile_bounds(rows, cols, depth, down, across):
 
 
 @compiled
-def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
+def _cull(points, triangles, counts_behind, rectangles, depths, near_plane):
     m, k = len(triangles), len(rectangles)
     lines, sign = _lines(points, triangles)
     starts, added = np.zeros(k + 1, np.int64), np.zeros(k, np.int64)
     kept_faces = np.empty(4 * m, np.int32)
-    near, count = np.empty(m, np.int32), 0
+    candidates, count = np.empty(m, np.int32), 0
     for group in range(0, k, GROUP_SIZE):
         group_rectangles = rectangles[group : group + GROUP_SIZE]
         left, top = group_rectangles[:, 0].min(), group_rectangles[:, 1].min()
@@ -212,8 +212,8 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
         )
         candidate_count = 0
         for t in range(m):
-            if sign[t] != 0 and _place(lines[t], left, top, right, bottom) != OUTSIDE:
-                near[candidate_count] = t
+            if sign[t] != 0 and _classify_triangle(lines[t], left, top, right, bottom) != OUTSIDE:
+                candidates[candidate_count] = t
                 candidate_count += 1
         for number in range(group, min(group + GROUP_SIZE, k)):
             left, top = rectangles[number, 0], rectangles[number, 1]
@@ -221,20 +221,20 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
             # faces beyond one bound count, faces beyond the other do not; the margin is for float32
             farthest, nearest = depths[number, 0] * (1.0 - DEPTH_MARGIN), depths[number, 1] * (1.0 + DEPTH_MARGIN)
             if count + candidate_count > len(kept_faces):
-                more = np.empty(2 * len(kept_faces) + candidate_count, np.int32)
-                more[:count] = kept_faces[:count]
-                kept_faces = more
+                grown = np.empty(2 * len(kept_faces) + candidate_count, np.int32)
+                grown[:count] = kept_faces[:count]
+                kept_faces = grown
             for n in range(candidate_count):
-                t = near[n]
-                place = _place(lines[t], left, top, right, bottom)
-                if place == OUTSIDE:
+                t = candidates[n]
+                relation = _classify_triangle(lines[t], left, top, right, bottom)
+                if relation == OUTSIDE:
                     continue
                 low, high = _range(lines[t, 3], left, top, right, bottom)
-                behind, is_in_front = high < farthest, low > nearest
-                if is_in_front if counts_behind else behind or low > near_plane:
+                is_behind, is_in_front = high < farthest, low > nearest
+                if is_in_front if counts_behind else is_behind or low > near_plane:
                     continue
-                cut = high > near_plane * (1.0 - DEPTH_MARGIN)
-                if place == COVERS and (behind if counts_behind else is_in_front and not cut):
+                crosses_near_plane = high > near_plane * (1.0 - DEPTH_MARGIN)
+                if relation == COVERS and (is_behind if counts_behind else is_in_front and not crosses_near_plane):
                     added[number] += sign[t] if counts_behind else -sign[t]
                     continue
                 kept_faces[count] = t
@@ -244,17 +244,17 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
 
 
 @internal
-def _place(lines, left, top, right, bottom):
+def _classify_triangle(lines, left, top, right, bottom):
     """Return the position of a triangle, given the lines of its sides, relative to a rectangle."""
-    place = COVERS
+    relation = COVERS
     for n in range(3):
         low, high = _range(lines[n], left, top, right, bottom)
         slack = abs(lines[n, 0]) + abs(lines[n, 1])  # one pixel, for the rasteriser's grid
         if high < -slack:
             return OUTSIDE
         if low <= slack:
-            place = PARTIAL
-    return place
+            relation = PARTIAL
+    return relation
 
 
 @internal

@@ -50,11 +50,11 @@ class VisiblePoints:
         Rows and columns of the view.
     row, col
         int (n,): the points' pixels in the view.
-    at
+    buffer_indices
         int (n,): the points' flat indices in the buffer.
     depth
         float64 (n,): the points' depths.
-    drawn
+    is_drawn
         bool (n,): whether drawing the surface gives the depth, if it covers the pixel: on meshes, on ground that bends in a map,
         and on ground with gaps.
     ground
@@ -68,9 +68,9 @@ class VisiblePoints:
     size: tuple[int, int]
     row: np.ndarray
     col: np.ndarray
-    at: np.ndarray
+    buffer_indices: np.ndarray
     depth: np.ndarray
-    drawn: np.ndarray
+    is_drawn: np.ndarray
     ground: Sheet | None
     clip_from_frame: np.ndarray
     origin_frame_m: np.ndarray
@@ -87,7 +87,7 @@ def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: f
     Each column is drawn at the middle of its top, in a view whose pixels are the cells.
     """
     if buffer.columns is not None:
-        yield from _tops_seen(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
+        yield from _top_points(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
         mask = mask & (buffer.kind != RELIEF)
     yield from pixel_points(buffer, scene, mask, near_m)
 
@@ -101,7 +101,7 @@ def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m:
             yield _visible_points(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)
 
 
-def _tops_seen(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
+def _top_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
     assert buffer.columns is not None
     window, pixels = buffer.columns.window, np.flatnonzero(mask)
     row, col = buffer.columns.row.ravel()[pixels], buffer.columns.col.ravel()[pixels]
@@ -117,20 +117,20 @@ def sample_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m
     view = buffer.view
     if buffer.sample_pixels is None or not isinstance(view, PerspectiveView):
         return
-    below = np.nonzero(mask[view.rows :])
-    if len(below[0]):
-        row, col = (index[below] for index in buffer.sample_pixels)
-        indices = (below[0] + view.rows) * view.cols + below[1]
+    sample_indices = np.nonzero(mask[view.rows :])
+    if len(sample_indices[0]):
+        row, col = (index[sample_indices] for index in buffer.sample_pixels)
+        indices = (sample_indices[0] + view.rows) * view.cols + sample_indices[1]
         yield _visible_points(buffer, scene, finer_view(view), near_m, row, col, indices)
 
 
 @contextmanager
 def receiver_stencil(
-    gl: Device, buffer: GeometryBuffer, scene: Scene, points: VisiblePoints, parts: np.ndarray, marked: bool
+    gl: Device, buffer: GeometryBuffer, scene: Scene, points: VisiblePoints, parts: np.ndarray, marks_pixels: bool
 ) -> Iterator[tuple[Framebuffer, Program]]:
     """Provide a stencil with the depths of some points, and the program that draws volumes.
 
-    The depths are set in rectangles ``parts`` (k, 4) of the view. If ``marked`` is true, the points' pixels are marked.
+    The depths are set in rectangles ``parts`` (k, 4) of the view. If ``marks_pixels`` is true, the points' pixels are marked.
     """
     rows, cols = points.size
     target = gl.stencil.target(cols, rows)
@@ -138,8 +138,8 @@ def receiver_stencil(
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
-    drawn = points.drawn
-    if drawn.any():
+    is_drawn = points.is_drawn
+    if is_drawn.any():
         with gl.stencil.depth_pass(target):
             if buffer.solids_frame_m is not None and scene.objects.solids is not None:
                 gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.objects.solids.triangles)
@@ -147,22 +147,22 @@ def receiver_stencil(
                 gl.draw_sheet(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
-        drawn = drawn & _covered(target)[points.row, points.col]
-    texture = gl.texture(_picture(points.row, points.col, drawn, points.depth, parts, rows, cols))
+        is_drawn = is_drawn & _covered_mask(target)[points.row, points.col]
+    texture = gl.texture(_depth_image(points.row, points.col, is_drawn, points.depth, parts, rows, cols))
     texture.use(0)
-    for marking in (False, True) if marked else (False,):
-        fill = gl.program(shader("shadows/pixels.vert"), shader("shadows/volumes/seen_depth.frag"), {"marking": marking})
-        fill["seen"] = 0
-        with gl.stencil.mark_pass(target) if marking else gl.stencil.depth_pass(target, always=True):
+    for marking in (False, True) if marks_pixels else (False,):
+        depth_program = gl.program(shader("shadows/pixels.vert"), shader("shadows/volumes/seen_depth.frag"), {"marking": marking})
+        depth_program["seen"] = 0
+        with gl.stencil.mark_pass(target) if marking else gl.stencil.depth_pass(target, overwrite=True):
             for part in parts.tolist():
                 target.scissor = tuple(part)
-                gl.draw_quad(fill)
+                gl.draw_quad(depth_program)
             target.scissor = None  # type: ignore[assignment]  # the stubs know of no way to put it back
     texture.release()
     yield target, program
 
 
-def _covered(target: Framebuffer) -> np.ndarray:
+def _covered_mask(target: Framebuffer) -> np.ndarray:
     """Return where anything was drawn into the depths of a framebuffer, bool (rows, cols), not infinitely far away."""
     cols, rows = target.size
     return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols) > 0.0
@@ -204,20 +204,24 @@ def _visible_points(
     draws_ground = ground_has_gaps(buffer, scene) or bends
     ground = _ground_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
     depth = _depths(points, indices, clip[2:], origin)
-    drawn = buffer.kind.ravel()[indices] == MESHES
+    is_drawn = buffer.kind.ravel()[indices] == MESHES
     if draws_ground:
-        drawn |= buffer.kind.ravel()[indices] == RELIEF
+        is_drawn |= buffer.kind.ravel()[indices] == RELIEF
     if buffer.lifted is not None:
-        drawn &= ~buffer.lifted.ravel()[indices]
-    return VisiblePoints((view.rows, view.cols), row, col, indices, depth, drawn, ground, clip, origin, near)
+        is_drawn &= ~buffer.lifted.ravel()[indices]
+    return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, ground, clip, origin, near)
 
 
 @compiled
-def _depths(points, at, rows, origin):
+def _depths(points, buffer_indices, rows, origin):
     """Return the depths (n,) of some of points (m, 3), by the last two rows (2, 4) of clip coordinates."""
-    out = np.empty(len(at))
-    for n in range(len(at)):
-        x, y, z = points[at[n], 0] - origin[0], points[at[n], 1] - origin[1], points[at[n], 2] - origin[2]
+    out = np.empty(len(buffer_indices))
+    for n in range(len(buffer_indices)):
+        x, y, z = (
+            points[buffer_indices[n], 0] - origin[0],
+            points[buffer_indices[n], 1] - origin[1],
+            points[buffer_indices[n], 2] - origin[2],
+        )
         out[n] = (rows[0, 0] * x + rows[0, 1] * y + rows[0, 2] * z + rows[0, 3]) / (
             rows[1, 0] * x + rows[1, 1] * y + rows[1, 2] * z + rows[1, 3]
         )
@@ -225,7 +229,7 @@ def _depths(points, at, rows, origin):
 
 
 @compiled
-def _picture(row, col, drawn, depth, parts, rows, cols):
+def _depth_image(row, col, is_drawn, depth, parts, rows, cols):
     """Return the depths at their pixels, float32 (rows, cols).
 
     The value is -1 where drawing gives the depth. It is NaN at other pixels of the parts (k, 4), and undefined outside of them.
@@ -235,7 +239,7 @@ def _picture(row, col, drawn, depth, parts, rows, cols):
         left, top = parts[k, 0], parts[k, 1]
         out[top : top + parts[k, 3], left : left + parts[k, 2]] = np.nan
     for n in range(len(row)):
-        out[row[n], col[n]] = -1.0 if drawn[n] else depth[n]
+        out[row[n], col[n]] = -1.0 if is_drawn[n] else depth[n]
     return out
 
 
@@ -253,7 +257,7 @@ def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
         )
     )
     quads = slice(rows.start, rows.stop - 1), slice(cols.start, cols.stop - 1)
-    return Sheet(surface.position_frame_m[rows, cols], surface.sheet.falls[quads])
+    return Sheet(surface.position_frame_m[rows, cols], surface.sheet.is_cut_nw_se[quads])
 
 
 def near_plane_m(buffer: GeometryBuffer) -> float:

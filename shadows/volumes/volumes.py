@@ -31,9 +31,9 @@ from skugga.shadows.volumes.silhouettes import (
     TURNED_AWAY_CODE,
     Silhouette,
     facing,
+    orientations_of,
     sheet_silhouette,
     silhouette,
-    turns_of,
 )
 from skugga.terrain.cache import MIB, Cache, Missing, cached
 from skugga.terrain.casters.casting import Mesh, caster_sheets, caster_solids
@@ -147,8 +147,10 @@ def has_gaps(valid: np.ndarray) -> bool:
     if valid.all():
         return False
     return any(
-        bool((np.diff(np.pad(valid.T if turned else valid, ((0, 0), (1, 0))).astype(np.int8), axis=1) > 0).sum(axis=1).max() > 1)
-        for turned in (False, True)
+        bool(
+            (np.diff(np.pad(valid.T if transposed else valid, ((0, 0), (1, 0))).astype(np.int8), axis=1) > 0).sum(axis=1).max() > 1
+        )
+        for transposed in (False, True)
     )
 
 
@@ -182,8 +184,8 @@ def _structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | N
     part, corners = connected_parts(edges), vertices[triangles] - vertices.mean(axis=0)
     volume_m3 = np.bincount(part, np.linalg.det(corners) / 6.0)
     rule = np.where(closed_parts(edges) & (volume_m3[part] > 0.0), FACING_CODE, ALL_CODE).astype(np.int8)
-    first, has_edge = triangles[:, :1], edges.of_triangle >= 0
-    welded = np.where(has_edge[..., None], edges.ends[edges.of_triangle], first[:, None])
+    first, has_edge = triangles[:, :1], edges.triangle_edges >= 0
+    welded = np.where(has_edge[..., None], edges.ends[edges.triangle_edges], first[:, None])
     neighbours = np.concatenate([triangles[:, 1:], welded.reshape(-1, 6)], axis=1)
     pairs = np.broadcast_to(first, neighbours.shape).ravel(), neighbours.ravel()
     graph = coo_array((np.ones(neighbours.size, bool), pairs), (count, count))
@@ -205,12 +207,12 @@ def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray
         rule[contains_lamp] = np.where(
             _heights_m(vertices, triangles[contains_lamp], light) < CONTACT_TOLERANCE_M, np.int8(0), rule[contains_lamp]
         )
-    turns = turns_of(facing(vertices, triangles, light), rule)
-    if not turns.any():
+    orientations = orientations_of(facing(vertices, triangles, light), rule)
+    if not orientations.any():
         return []
     return [
         _volumes(vertices, silhouette(triangles, edges, batch), light, part, low, high)
-        for batch in batches(vertices, triangles, edges, turns, light, MAX_VOLUME_LAYERS)
+        for batch in batches(vertices, triangles, edges, orientations, light, MAX_VOLUME_LAYERS)
     ]
 
 
@@ -231,21 +233,21 @@ def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
     if not len(outline.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))
-    none = np.zeros(len(vertices), np.int32)
-    return [_volumes(vertices, outline, light, none, valid_position.min(axis=0)[None], valid_position.max(axis=0)[None])]
+    part_of_vertex = np.zeros(len(vertices), np.int32)
+    return [_volumes(vertices, outline, light, part_of_vertex, valid_position.min(axis=0)[None], valid_position.max(axis=0)[None])]
 
 
 def _volumes(
     vertices: np.ndarray, outline: Silhouette, light: np.ndarray, part_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Volumes:
     """Return the volumes over near caps and along a silhouette. The sides from (a, b) are b, a, and their images."""
-    used, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
+    used_vertices, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
     edges = number[: outline.edges.size].reshape(-1, 2)
     caps = number[outline.edges.size :].reshape(-1, 3)
-    points = vertices[used]
+    points = vertices[used_vertices]
     count = len(points)
     near = np.column_stack([points, np.ones(count)])
-    a, b = np.repeat(edges, outline.times, axis=0).T
+    a, b = np.repeat(edges, outline.multiplicity, axis=0).T
     if light[3] == 0.0:
         far = np.append(-light[:3], 0.0)[None]
         sides = np.column_stack([b, a, np.full(len(a), count)])
@@ -254,7 +256,7 @@ def _volumes(
         far = np.column_stack([points - light[:3], np.zeros(count)])
         sides = np.concatenate([np.column_stack([b, a, a + count]), np.column_stack([b, a + count, b + count])])
         faces = np.concatenate([sides, caps, caps[:, ::-1] + count])
-    part = part_of_vertex[used][faces[:, 0] % count] if count else np.zeros(0, np.int32)
+    part = part_of_vertex[used_vertices][faces[:, 0] % count] if count else np.zeros(0, np.int32)
     return Volumes(
         np.concatenate([near, far]).astype(np.float32),
         faces.astype(np.int32),

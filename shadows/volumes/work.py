@@ -6,7 +6,7 @@ import numpy as np
 
 from skugga.shadows.area_light import scaled_by_points
 from skugga.shadows.volumes.settings import StencilSettings, VolumeSettings
-from skugga.shadows.volumes.tiles import CULLING_TILE_PX, MIN_RECTANGLE_COST, RECTANGLE_FACES
+from skugga.shadows.volumes.tiles import CULLING_TILE_PX, MIN_RECTANGLE_COST, RECTANGLE_COST
 from skugga.shadows.work import Counts, Work, Workload
 from skugga.terrain.casters.clip_space import AFFINE_PART_PX
 from skugga.terrain.casters.reach import PATCH_QUADS
@@ -42,32 +42,32 @@ def _mesh_edges(task: Workload) -> int:
 
 def volume_faces(task: Workload) -> tuple[float, float, float]:
     """Return the sides and caps of the volumes of meshes, and the faces of those of the ground; twice as many under a lamp."""
-    ends = 1.0 if task.light == SUN else 2.0
+    end_count = 1.0 if task.light == SUN else 2.0
     closed = getattr(task.caster_facts("meshes"), "closed_share", 0.0)
     caps = task.triangles("meshes") * (1.0 - closed / 2.0)
     ground = (task.triangles("relief") + task.outside_triangles) * task.facing_away_share
-    return ends * _mesh_edges(task), ends * caps, ends * ground
+    return end_count * _mesh_edges(task), end_count * caps, end_count * ground
 
 
-def stencil_counts(task: Workload, settings: StencilSettings, marked: float | None = None) -> Counts:
-    """Return the counts of counting volumes over the whole picture, or over the share of its tiles that is ``marked``.
+def stencil_counts(task: Workload, settings: StencilSettings, marked_share: float | None = None) -> Counts:
+    """Return the counts of counting volumes over the whole picture, or over the share of its tiles that is ``marked_share``.
 
     Sides reach across the picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not
     drawn. More layers cover more rectangles, so time grows far slower than their number. The growth was measured.
     """
     edges, caps, ground = volume_faces(task)
     faces = edges + caps + ground
-    rectangle_tiles = (2.0 * max(RECTANGLE_FACES / max(faces, 1.0), MIN_RECTANGLE_COST)) ** 2
+    rectangle_tiles = (2.0 * max(RECTANGLE_COST / max(faces, 1.0), MIN_RECTANGLE_COST)) ** 2
     rectangles = max(task.pixels / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
-    drawn = edges * np.sqrt(rectangles) + caps + ground
+    faces_drawn = edges * np.sqrt(rectangles) + caps + ground
     layers = sides * task.facts.volume_layers if task.caster_facts("meshes") else 0.0
     counts = {"blocks": 1.0, "pixels": task.pixels}
-    if marked is None:
-        counts |= {"faces drawn": sides * drawn, "facing": task.facing, "layers": task.facing * np.sqrt(np.log1p(layers))}
+    if marked_share is None:
+        counts |= {"faces drawn": sides * faces_drawn, "facing": task.facing, "layers": task.facing * np.sqrt(np.log1p(layers))}
     else:
-        deep = np.log1p(MARKED_LAYERS * layers * marked)
-        counts |= {"faces beside marks": sides * drawn * marked**0.25, "layers beside marks": task.facing * deep}
+        layer_cost = np.log1p(MARKED_LAYERS * layers * marked_share)
+        counts |= {"faces beside marks": sides * faces_drawn * marked_share**0.25, "layers beside marks": task.facing * layer_cost}
     if task.in_map:
         parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
         relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.caster_facts("relief") else 0.0

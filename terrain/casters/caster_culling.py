@@ -1,8 +1,8 @@
 """Cull shadow casters of a map's block: find ground that provably casts no shadow of the sun on the block.
 
-Ground is divided into patches of ``PATCH_QUADS`` quads, both under the block and beside it, and each patch into ``PARTS`` x
-``PARTS`` parts. The bounds of a part are independent of the sun: its lowest and highest node, and its steepest facets. Two
-conditions prove that a part cannot shade a block:
+Ground is divided into patches of ``PATCH_QUADS`` quads, both under the block and beside it, and each patch into ``PARTS_PER_SIDE``
+x ``PARTS_PER_SIDE`` parts. The bounds of a part are independent of the sun: its lowest and highest node, and its steepest facets.
+Two conditions prove that a part cannot shade a block:
 
 * **The part is too low.** Rays to the sun are straight, and points in light space include the earth's curvature. As the sun sees
   them, a part's highest ground stays below the lowest ground of each of the block's parts that its shadow could reach. Then no ray
@@ -63,7 +63,7 @@ HALO_NODES = 1
 SAMPLE_POSITIONS = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
 """Positions in a patch at which the sides of its quads are computed, as shares of its rows and columns."""
 
-PARTS = 4
+PARTS_PER_SIDE = 4
 """Parts along the side of a patch."""
 
 MAX_RUN_PATCHES = 16
@@ -92,9 +92,9 @@ class PatchGround:
     rise_m: np.ndarray
     is_complete: np.ndarray
 
-    def restricted_to(self, which: np.ndarray) -> PatchGround:
-        """Return a copy that has ground only in the parts that ``which`` (n, m) selects."""
-        return replace(self, low_m=np.where(which, self.low_m, np.nan), high_m=np.where(which, self.high_m, np.nan))
+    def restricted_to(self, part_mask: np.ndarray) -> PatchGround:
+        """Return a copy that has ground only in the parts that ``part_mask`` (n, m) selects."""
+        return replace(self, low_m=np.where(part_mask, self.low_m, np.nan), high_m=np.where(part_mask, self.high_m, np.nan))
 
 
 def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...]) -> frozenset[Patch]:
@@ -104,88 +104,92 @@ def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...
     """
     if not patches or receivers.surface is None or scene.lamps:
         return frozenset()
-    grid, own = _grid_of(receivers), own_patches(receivers)
-    own_ground = patch_ground(scene.world, scene.elevation, grid, own).restricted_to(own_parts(receivers))
-    lit, lit_parts = (_light_space_bounds(scene, grid, own, own_ground, parts, "lowest") for parts in (1, PARTS))
+    grid, patches_of_block = _grid_of(receivers), block_patches(receivers)
+    block_ground = patch_ground(scene.world, scene.elevation, grid, patches_of_block).restricted_to(block_part_mask(receivers))
+    block_bounds, block_part_bounds = (
+        _light_space_bounds(scene, grid, patches_of_block, block_ground, parts, "lowest") for parts in (1, PARTS_PER_SIDE)
+    )
     beside_m = MARGIN_NODES * scene.surface(grid).step_m
     assert scene.light is not None
     max_altitude_sine = min(float(np.sin(np.radians(max(scene.light.altitude_deg, 0.0)))) + ALTITUDE_SINE_MARGIN, 1.0)
     slack = beside_m, beside_m * max_altitude_sine
     culled: set[Patch] = set()
-    for level in {patch.level for patch in patches}:
-        level_patches = [patch for patch in patches if patch.level == level]
-        coarser = grid.coarser(level)
+    for lod in {patch.lod for patch in patches}:
+        level_patches = [patch for patch in patches if patch.lod == lod]
+        coarser = grid.coarser(lod)
         ground = patch_ground(scene.world, scene.elevation, coarser, level_patches)
         casts = np.isfinite(ground.low_m)
-        if level == 0:
+        if lod == 0:
             casts &= ~(sun_facing_parts(scene, grid, level_patches, ground) & ground.is_complete)
         may_shade = casts.any(axis=1)
         may_shade[may_shade] = _may_occlude(
-            _light_space_bounds(scene, coarser, level_patches, ground, 1, "highest")[may_shade], lit, *slack
+            _light_space_bounds(scene, coarser, level_patches, ground, 1, "highest")[may_shade], block_bounds, *slack
         )
-        parts = _light_space_bounds(scene, coarser, level_patches, ground, PARTS, "highest").reshape(*casts.shape, -1)
+        parts = _light_space_bounds(scene, coarser, level_patches, ground, PARTS_PER_SIDE, "highest").reshape(*casts.shape, -1)
         casts &= may_shade[:, None]
-        casts[casts] = _may_occlude(parts[casts], lit_parts, *slack)
-        culled |= {patch for patch, each in zip(level_patches, casts.any(axis=1), strict=True) if not each}
+        casts[casts] = _may_occlude(parts[casts], block_part_bounds, *slack)
+        culled |= {patch for patch, may_cast in zip(level_patches, casts.any(axis=1), strict=True) if not may_cast}
     return frozenset(culled)
 
 
-def own_ground_is_clear(scene: Scene, receivers: Receivers) -> bool:
+def block_ground_casts_no_shadow(scene: Scene, receivers: Receivers) -> bool:
     """Return whether the ground of a map's block shades none of it: it faces the whole sun, and has no gaps."""
-    if not own_ground_faces_sun(scene, receivers):
+    if not block_ground_faces_sun(scene, receivers):
         return False
-    ground = patch_ground(scene.world, scene.elevation, _grid_of(receivers), own_patches(receivers))
-    return bool(ground.is_complete[own_parts(receivers)].all())
+    ground = patch_ground(scene.world, scene.elevation, _grid_of(receivers), block_patches(receivers))
+    return bool(ground.is_complete[block_part_mask(receivers)].all())
 
 
-def own_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
+def block_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
     """Return whether all facets of a block of smooth ground face the whole sun.
 
     The facets are those of all parts that the block lies on.
     """
     if receivers.surface is None:
         return False
-    grid, own = _grid_of(receivers), own_patches(receivers)
-    facing = sun_facing_parts(scene, grid, own, patch_ground(scene.world, scene.elevation, grid, own))
-    return bool(facing[own_parts(receivers)].all())
+    grid, patches_of_block = _grid_of(receivers), block_patches(receivers)
+    facing = sun_facing_parts(scene, grid, patches_of_block, patch_ground(scene.world, scene.elevation, grid, patches_of_block))
+    return bool(facing[block_part_mask(receivers)].all())
 
 
-def own_patches(receivers: Receivers) -> list[Patch]:
+def block_patches(receivers: Receivers) -> list[Patch]:
     """Return the patches that a map's block lies on."""
-    own = receivers.surface
-    assert own is not None
+    window = receivers.surface
+    assert window is not None
     rows, cols = (
         range(first // PATCH_QUADS, (first + max(count - 2, 0)) // PATCH_QUADS + 1)
-        for first, count in zip((own.row0, own.col0), own.shape, strict=True)
+        for first, count in zip((window.row0, window.col0), window.shape, strict=True)
     )
     return [Patch(0, row, col) for row in rows for col in cols]
 
 
-def own_parts(receivers: Receivers) -> np.ndarray:
+def block_part_mask(receivers: Receivers) -> np.ndarray:
     """Return which parts (n, m) of the block's own patches contain quads of the block."""
-    own, quads = receivers.surface, PATCH_QUADS // PARTS
-    assert own is not None
-    first = np.array([(patch.row, patch.col) for patch in own_patches(receivers)])[:, None, :] * PATCH_QUADS
-    at = np.stack(np.unravel_index(np.arange(PARTS * PARTS), (PARTS, PARTS)), axis=-1) * quads
-    begins, start = first + at, np.array([own.row0, own.col0])
-    return np.asarray(((begins < start + np.array(own.shape) - 1) & (begins + quads > start)).all(axis=-1))
+    window, quads = receivers.surface, PATCH_QUADS // PARTS_PER_SIDE
+    assert window is not None
+    first = np.array([(patch.row, patch.col) for patch in block_patches(receivers)])[:, None, :] * PATCH_QUADS
+    part_offset = (
+        np.stack(np.unravel_index(np.arange(PARTS_PER_SIDE * PARTS_PER_SIDE), (PARTS_PER_SIDE, PARTS_PER_SIDE)), axis=-1) * quads
+    )
+    part_start, block_start = first + part_offset, np.array([window.row0, window.col0])
+    return np.asarray(((part_start < block_start + np.array(window.shape) - 1) & (part_start + quads > block_start)).all(axis=-1))
 
 
 def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
     """Return the bounds of patches of one grid. They are read once and cached for every sun."""
     owner = grid_key(world, elevation, grid)
-    found = {(patch.row, patch.col): _known_patches.get(owner, patch.row, patch.col) for patch in patches}
+    patch_parts = {(patch.row, patch.col): _patch_cache.get(owner, patch.row, patch.col) for patch in patches}
     missing: dict[int, list[int]] = {}
-    for (row, col), parts in found.items():
+    for (row, col), parts in patch_parts.items():
         if isinstance(parts, Missing):
             missing.setdefault(row, []).append(col)
     surface = Surface(world, elevation, grid)
     for row, cols in missing.items():
         for run in _runs(sorted(cols)):
             for col, parts in zip(run, _read_patches(surface, row, run), strict=True):
-                found[row, col] = parts
-                _known_patches.put(owner, row, col, value=parts)
-    parts_of_patches = np.array([found[patch.row, patch.col] for patch in patches])
+                patch_parts[row, col] = parts
+                _patch_cache.put(owner, row, col, value=parts)
+    parts_of_patches = np.array([patch_parts[patch.row, patch.col] for patch in patches])
     return PatchGround(
         parts_of_patches[..., 0], parts_of_patches[..., 1], parts_of_patches[..., 3:], parts_of_patches[..., 2] > 0.0
     )
@@ -218,15 +222,15 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
     ends = [(row, col + 0.5), (row, col - 0.5), (row + 0.5, col), (row - 0.5, col)]
     points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
     right, down = points[0] - points[1], points[2] - points[3]
-    level, per_right, per_down = (
-        (np.cross(one, other) @ to_sun)[:, None] for one, other in ((down, right), (down, up), (up, right))
+    constant_term, per_right, per_down = (
+        (np.cross(first_side, second_side) @ to_sun)[:, None] for first_side, second_side in ((down, right), (down, up), (up, right))
     )  # fmt: skip
-    wide, tall = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
+    right_length, down_length = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
     rise_m = ground.rise_m[:, :, None]
     steep_right, steep_down = (rise_m[..., k : k + 2].max(axis=-1) + MAX_ROUNDING_M for k in (0, 2))
-    least = level - _support_bound(rise_m, -per_right, -per_down) - MAX_ROUNDING_M * (wide + tall)
-    normal = wide * tall + steep_right * tall + steep_down * wide
-    return np.asarray((least > MIN_FACING_SINE * normal).all(axis=2))
+    min_facing = constant_term - _support_bound(rise_m, -per_right, -per_down) - MAX_ROUNDING_M * (right_length + down_length)
+    max_normal_length = right_length * down_length + steep_right * down_length + steep_down * right_length
+    return np.asarray((min_facing > MIN_FACING_SINE * max_normal_length).all(axis=2))
 
 
 def _support_bound(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
@@ -234,16 +238,17 @@ def _support_bound(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarr
 
     It combines the supports in the two directions nearest to (``per_right``, ``per_down``).
     """
-    across, along = np.abs(per_right), np.abs(per_down)
-    axis = np.where(across >= along, np.where(per_right >= 0.0, 0, 1), np.where(per_down >= 0.0, 2, 3))
-    same = (per_right >= 0.0) == (per_down >= 0.0)
-    diagonal = np.where(same, np.where(per_right >= 0.0, 4, 5), np.where(per_right >= 0.0, 6, 7))
+    abs_right, abs_down = np.abs(per_right), np.abs(per_down)
+    axis = np.where(abs_right >= abs_down, np.where(per_right >= 0.0, 0, 1), np.where(per_down >= 0.0, 2, 3))
+    same_sign = (per_right >= 0.0) == (per_down >= 0.0)
+    diagonal = np.where(same_sign, np.where(per_right >= 0.0, 4, 5), np.where(per_right >= 0.0, 6, 7))
     shape = np.broadcast_shapes(rise_m.shape[:-1], per_right.shape)
-    reach = np.broadcast_to(rise_m, (*shape, len(RISE_DIRECTIONS)))
+    supports = np.broadcast_to(rise_m, (*shape, len(RISE_DIRECTIONS)))
     on_axis, on_diagonal = (
-        np.take_along_axis(reach, np.broadcast_to(which, shape)[..., None], axis=-1)[..., 0] for which in (axis, diagonal)
+        np.take_along_axis(supports, np.broadcast_to(direction, shape)[..., None], axis=-1)[..., 0]
+        for direction in (axis, diagonal)
     )
-    return np.asarray(np.abs(across - along) * on_axis + np.minimum(across, along) * on_diagonal)
+    return np.asarray(np.abs(abs_right - abs_down) * on_axis + np.minimum(abs_right, abs_down) * on_diagonal)
 
 
 def _light_space_bounds(
@@ -260,9 +265,9 @@ def _light_space_bounds(
     if parts == 1:
         low_m, high_m = np.fmin.reduce(low_m, axis=1, keepdims=True), np.fmax.reduce(high_m, axis=1, keepdims=True)
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64) * PATCH_QUADS
-    at = np.arange(parts + 1) * (PATCH_QUADS / parts)
-    row, col = np.broadcast_arrays(corner[:, :1, None] + at[:, None], corner[:, 1:, None] + at)
-    point, up = (_part_corners(each, parts) for each in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
+    offset = np.arange(parts + 1) * (PATCH_QUADS / parts)
+    row, col = np.broadcast_arrays(corner[:, :1, None] + offset[:, None], corner[:, 1:, None] + offset)
+    point, up = (_part_corners(values, parts) for values in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
     ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
     in_light = scene.light.from_earth(ends)
     in_light = np.concatenate([in_light, scene.light.towards_sun_m(in_light)[..., None]], axis=-1)
@@ -281,8 +286,9 @@ def _part_corners(corners: np.ndarray, parts: int) -> np.ndarray:
 
 
 @compiled
-def _may_occlude(bounds, lit, beside_m, above_m):
-    """Return which parts ``bounds`` (n, 8) may occlude some of the parts ``lit`` (m, 8), as seen from any point of the sun's disc.
+def _may_occlude(bounds, receiver_bounds, beside_m, above_m):
+    """Return which parts ``bounds`` (n, 8) may occlude some of the parts ``receiver_bounds`` (m, 8), as seen from any point of the
+    sun's disc.
 
     A part may occlude another if it lies towards the sun and is not wholly lower by more than ``above_m``. ``beside_m`` is a
     margin to the sides.
@@ -290,17 +296,17 @@ def _may_occlude(bounds, lit, beside_m, above_m):
     may_occlude = np.empty(len(bounds), np.bool_)
     for n in range(len(bounds)):
         may_occlude[n] = False
-        for m in range(len(lit)):
-            if np.isnan(lit[m, 0]):
+        for m in range(len(receiver_bounds)):
+            if np.isnan(receiver_bounds[m, 0]):
                 continue
-            distance_m = lit[m, 6] - bounds[n, 2]
+            distance_m = receiver_bounds[m, 6] - bounds[n, 2]
             if distance_m + beside_m < 0.0:
                 continue
             disc_m = 1.1 * SUN_RADIUS_SINE * max(distance_m, 0.0)
             slack_m = beside_m + disc_m
             if (
-                bounds[n, 4] + slack_m >= lit[m, 0] and bounds[n, 0] - slack_m <= lit[m, 4]
-                and bounds[n, 5] + above_m + disc_m >= lit[m, 1] and bounds[n, 7] + slack_m >= lit[m, 3]
+                bounds[n, 4] + slack_m >= receiver_bounds[m, 0] and bounds[n, 0] - slack_m <= receiver_bounds[m, 4]
+                and bounds[n, 5] + above_m + disc_m >= receiver_bounds[m, 1] and bounds[n, 7] + slack_m >= receiver_bounds[m, 3]
             ):  # fmt: skip
                 may_occlude[n] = True
                 break
@@ -312,7 +318,7 @@ def _grid_of(receivers: Receivers) -> Grid:
     return receivers.view.grid
 
 
-_known_patches: Cache[np.ndarray] = Cache(
+_patch_cache: Cache[np.ndarray] = Cache(
     "skugga.terrain.casters.caster_culling", "scene", 32 * MIB, lambda known: known.nbytes + 512
 )
 
@@ -327,10 +333,10 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
         len(cols) * PATCH_QUADS + 1 + 2 * halo,
         rim=True,
     )
-    out = np.empty((len(cols), PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
+    out = np.empty((len(cols), PARTS_PER_SIDE * PARTS_PER_SIDE, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)
     height_m = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
-    _fill_parts(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS, out)
+    _fill_parts(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS_PER_SIDE, out)
     return out
 
 
@@ -341,11 +347,11 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
     ``height_m`` holds the heights of their nodes with ``halo`` nodes on each side. If ``refined``, it holds those of the coarser
     grid that their grid refines, from (``row0``, ``col0``) on (``refined_row``).
     """
-    cols = len(out) * PARTS * quads + 1
-    reach, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
+    cols = len(out) * PARTS_PER_SIDE * quads + 1
+    rise_extremes, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
     missing = np.empty(cols + 2 * halo, np.int32)
     band = np.empty((quads + 1 + 2 * halo, cols + 2 * halo), np.float32)
-    for down in range(PARTS):
+    for down in range(PARTS_PER_SIDE):
         missing[:] = 0
         for i in range(len(band)):
             row = down * quads + i
@@ -359,10 +365,10 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
         bounds[0], bounds[1] = np.inf, -np.inf
         for i in range(quads + 1):
             widen(nodes[i, halo : halo + cols], bounds[0], bounds[1])
-        _gather_rises(nodes, halo, reach)
+        _gather_rises(nodes, halo, rise_extremes)
         for number in range(cols // quads):
             left = number * quads
-            part = out[number // PARTS, down * PARTS + number % PARTS]
+            part = out[number // PARTS_PER_SIDE, down * PARTS_PER_SIDE + number % PARTS_PER_SIDE]
             low, high = bounds[0, left], bounds[1, left]
             for j in range(left + 1, left + quads + 1):
                 low = bounds[0, j] if bounds[0, j] < low else low
@@ -372,18 +378,18 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
             for j in range(left, left + quads + 1 + 2 * halo):
                 is_complete = is_complete and missing[j] == 0
             part[2] = is_complete
-            _write_rise_support(reach[:, left : left + quads + 1], part[3:])
+            _write_rise_support(rise_extremes[:, left : left + quads + 1], part[3:])
 
 
-def rises(height_m: np.ndarray) -> np.ndarray:
+def rise_support(height_m: np.ndarray) -> np.ndarray:
     """Return the support of the rises (a, b) of the facets of a sheet (rows, cols) in ``RISE_DIRECTIONS`` (8,); 0 without facets.
 
     A rise is the pair of height differences from column to column and from row to row. The result holds for any cut of the quads:
     a facet has one side of its quad along a row and one along a column, and all four pairs of them count.
     """
-    reach, out = np.empty((len(RISE_DIRECTIONS), height_m.shape[1]), np.float32), np.empty(len(RISE_DIRECTIONS))
-    _gather_rises(np.ascontiguousarray(height_m, np.float32), 0, reach)
-    _write_rise_support(reach, out)
+    rise_extremes, out = np.empty((len(RISE_DIRECTIONS), height_m.shape[1]), np.float32), np.empty(len(RISE_DIRECTIONS))
+    _gather_rises(np.ascontiguousarray(height_m, np.float32), 0, rise_extremes)
+    _write_rise_support(rise_extremes, out)
     return out
 
 
@@ -391,48 +397,50 @@ def rises(height_m: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _gather_rises(height_m, halo, reach):
+def _gather_rises(height_m, halo, rise_extremes):
     """Write the maximum and minimum rises of a sheet's facets for each column, float32 (8, cols).
 
     The rows are rises along rows, rises along columns, their sums and their differences. ``halo`` columns on each side of the
     sheet are skipped. Sums are float32, as heights are: rounding keeps the order, so the largest rounded sum is the rounded
     largest sum.
     """
-    rows, cols = height_m.shape[0], reach.shape[1]
+    rows, cols = height_m.shape[0], rise_extremes.shape[1]
     right, next_right, down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32), np.empty(cols, np.float32)
-    most_right, least_right = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
-    most_down, least_down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
-    for k in range(0, len(reach), 2):
-        reach[k], reach[k + 1] = -np.inf, np.inf
+    max_right, min_right = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
+    max_down, min_down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
+    for k in range(0, len(rise_extremes), 2):
+        rise_extremes[k], rise_extremes[k + 1] = -np.inf, np.inf
     for i in range(rows):
-        here = height_m[i, halo : halo + cols]
-        _differences(here[1:], here[:-1], next_right)
-        widen(next_right, reach[1, : cols - 1], reach[0, : cols - 1])
+        row_m = height_m[i, halo : halo + cols]
+        _differences(row_m[1:], row_m[:-1], next_right)
+        widen(next_right, rise_extremes[1, : cols - 1], rise_extremes[0, : cols - 1])
         if i > 0:
-            _differences(here, height_m[i - 1, halo : halo + cols], down)
-            widen(down, reach[3], reach[2])
-            _fmax(right, next_right, most_right)
-            _fmin(right, next_right, least_right)
-            _fmax(down[:-1], down[1:], most_down)
-            _fmin(down[:-1], down[1:], least_down)
-            _widen_by_sums(most_right, most_down, least_right, least_down, reach[5, : cols - 1], reach[4, : cols - 1])
-            _widen_by_differences(most_right, most_down, least_right, least_down, reach[7, : cols - 1], reach[6, : cols - 1])
+            _differences(row_m, height_m[i - 1, halo : halo + cols], down)
+            widen(down, rise_extremes[3], rise_extremes[2])
+            _fmax(right, next_right, max_right)
+            _fmin(right, next_right, min_right)
+            _fmax(down[:-1], down[1:], max_down)
+            _fmin(down[:-1], down[1:], min_down)
+            _widen_by_sums(max_right, max_down, min_right, min_down, rise_extremes[5, : cols - 1], rise_extremes[4, : cols - 1])
+            _widen_by_differences(
+                max_right, max_down, min_right, min_down, rise_extremes[7, : cols - 1], rise_extremes[6, : cols - 1]
+            )
         right, next_right = next_right, right
 
 
 @compiled
-def _write_rise_support(reach, out):
+def _write_rise_support(rise_extremes, out):
     """Write the support in ``RISE_DIRECTIONS`` of the rises (8, cols) of a sheet's columns of nodes; 0 without facets.
 
     No facet lies beyond the last column. Only rises along columns count there.
     """
-    for k in range(0, len(reach), 2):
-        count = reach.shape[1] if k == 2 else reach.shape[1] - 1
-        most, least = np.float32(-np.inf), np.float32(np.inf)
+    for k in range(0, len(rise_extremes), 2):
+        count = rise_extremes.shape[1] if k == 2 else rise_extremes.shape[1] - 1
+        max_rise, min_rise = np.float32(-np.inf), np.float32(np.inf)
         for j in range(count):
-            most = reach[k, j] if reach[k, j] > most else most
-            least = reach[k + 1, j] if reach[k + 1, j] < least else least
-        out[k], out[k + 1] = most if np.isfinite(most) else 0.0, -least if np.isfinite(least) else 0.0
+            max_rise = rise_extremes[k, j] if rise_extremes[k, j] > max_rise else max_rise
+            min_rise = rise_extremes[k + 1, j] if rise_extremes[k + 1, j] < min_rise else min_rise
+        out[k], out[k + 1] = max_rise if np.isfinite(max_rise) else 0.0, -min_rise if np.isfinite(min_rise) else 0.0
 
 
 @internal
@@ -460,16 +468,16 @@ def _fmin(a, b, out):
 
 
 @internal
-def _widen_by_sums(most_a, most_b, least_a, least_b, least, most):
-    for j in range(least.size):
-        high, low = most_a[j] + most_b[j], least_a[j] + least_b[j]
-        most[j] = high if high > most[j] else most[j]
-        least[j] = low if low < least[j] else least[j]
+def _widen_by_sums(max_a, max_b, min_a, min_b, minimum, maximum):
+    for j in range(minimum.size):
+        high, low = max_a[j] + max_b[j], min_a[j] + min_b[j]
+        maximum[j] = high if high > maximum[j] else maximum[j]
+        minimum[j] = low if low < minimum[j] else minimum[j]
 
 
 @internal
-def _widen_by_differences(most_a, most_b, least_a, least_b, least, most):
-    for j in range(least.size):
-        high, low = most_a[j] - least_b[j], least_a[j] - most_b[j]
-        most[j] = high if high > most[j] else most[j]
-        least[j] = low if low < least[j] else least[j]
+def _widen_by_differences(max_a, max_b, min_a, min_b, minimum, maximum):
+    for j in range(minimum.size):
+        high, low = max_a[j] - min_b[j], min_a[j] - max_b[j]
+        maximum[j] = high if high > maximum[j] else maximum[j]
+        minimum[j] = low if low < minimum[j] else minimum[j]

@@ -29,17 +29,17 @@ def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds:
         return
     side = PATCH_QUADS + 1
     if buffer.columns is not None:
-        own = buffer.columns.window
-        yield own.sheet
+        column_window = buffer.columns.window
+        yield column_window.sheet
         for patch in casters.casting:
-            columns = own.columns.coarser(patch.level)
+            columns = column_window.columns.coarser(patch.lod)
             yield columns.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).sheet
     if buffer.surface is None:
         return
     assert isinstance(buffer.view, MapView)
     yield buffer.surface.casting.sheet
     for patch in casters.casting:
-        surface = scene.surface(buffer.view.grid.coarser(patch.level))
+        surface = scene.surface(buffer.view.grid.coarser(patch.lod))
         yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).casting.sheet
 
 

@@ -95,9 +95,9 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
         points, pixel = _samples(scene.world, frame, view, low, high + scene.objects.tallest_m, curved=True)
         if not (np.isfinite(points).all() and np.isfinite(pixel).all()):  # the part reaches beyond the area of the CRS
             return MAX_BEND_PX
-        across = np.column_stack([points, np.ones(len(points))])
-        affine, *_ = np.linalg.lstsq(across, pixel, rcond=None)
-        worst = max(worst, float(np.linalg.norm(across @ affine - pixel, axis=1).max()))
+        homogeneous = np.column_stack([points, np.ones(len(points))])
+        affine, *_ = np.linalg.lstsq(homogeneous, pixel, rcond=None)
+        worst = max(worst, float(np.linalg.norm(homogeneous @ affine - pixel, axis=1).max()))
     return worst
 
 

@@ -22,9 +22,9 @@ class FineCells:
 
     Attributes
     ----------
-    row, col, half
+    row, col, half_extent
         float64 (n,), rows, columns and half extents on a grid, in nodes.
-    light_m
+    light_space_m
         float64 (n, 3), the cells' centres at their highest ground, in light space, metres.
     width_m
         The width of a cell, metres.
@@ -32,8 +32,8 @@ class FineCells:
 
     row: np.ndarray
     col: np.ndarray
-    half: np.ndarray
-    light_m: np.ndarray
+    half_extent: np.ndarray
+    light_space_m: np.ndarray
     width_m: float
 
 
@@ -53,13 +53,13 @@ def fine_cells(
     overview, elevation = scene.elevation.overview, scene.elevation
     if overview.fine_high_m is None:
         return None
-    ratio = 2 ** (overview.level - overview.fine_level)
+    ratio = 2 ** (overview.lod - overview.fine_lod)
     parent_row, parent_col = np.nonzero(parents)
     down, right = (v.ravel() for v in np.mgrid[:ratio, :ratio])
     i, j = (parent_row[:, None] * ratio + down).ravel(), (parent_col[:, None] * ratio + right).ravel()
     high = overview.fine_high_m[i, j]
     valid = np.isfinite(high)
-    factor = 2**overview.fine_level
+    factor = 2**overview.fine_lod
     x, y = elevation.xy((i[valid] + 0.5) * factor - 0.5, (j[valid] + 0.5) * factor - 0.5)
     point, up = scene.world.ground(elevation.crs, x, y)
     if grid.crs != elevation.crs:
@@ -69,5 +69,5 @@ def fine_cells(
     if period is not None:
         col = col + period * np.rint((col_above - col) / period)
     cell_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
-    light_m = light.from_earth(point + up * high[valid, None])
-    return FineCells(row, col, (half_above - 1.0) / ratio + 1.0, light_m, cell_m)
+    light_space_m = light.from_earth(point + up * high[valid, None])
+    return FineCells(row, col, (half_above - 1.0) / ratio + 1.0, light_space_m, cell_m)

@@ -31,7 +31,7 @@ from skugga.terrain.errors import RenderError
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.ground.sheet import Sheet
 from skugga.terrain.interpolation import bilinear
-from skugga.terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
 OFFSET_ULPS = 16.0
 MAX_LAYERS = 256
@@ -80,7 +80,7 @@ class RayScene:
         Vertices (n, 3) and triangles (m, 3) of each opaque mesh.
     alpha
         Alpha-tested meshes.
-    walked
+    traverse_sheets
         Trace rays through the sheets themselves (``skugga.terrain.casters.sheet_rays``), for few rays in one direction. Otherwise
         Embree takes the sheets, too: it copies and sorts them first.
 
@@ -97,20 +97,20 @@ class RayScene:
         sheets: Iterable[Sheet] = (),
         meshes: Iterable[tuple[np.ndarray, np.ndarray]] = (),
         alpha: Iterable[AlphaMesh] = (),
-        walked: bool = False,
+        traverse_sheets: bool = False,
     ) -> None:
-        ground, solids = [sheet for sheet in sheets if sheet.falls.size], list(meshes)
+        ground, solids = [sheet for sheet in sheets if sheet.is_cut_nw_se.size], list(meshes)
         self._alpha_meshes = tuple(alpha)
         vertices = [sheet.position_frame_m for sheet in ground] + [part for part, _ in solids]
         vertices += [mesh.vertices_m for mesh in self._alpha_meshes]
         low, high = bounding_box(vertices)
         self._centre = (low + high) / 2
         self.offset_m = float(OFFSET_ULPS * 2.0**-24 * max(np.abs(high - low).max() / 2, 1.0))
-        self._sheet_rays = SheetRays(ground, self._centre) if walked and ground else None
-        parts = [] if walked else [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in ground]
+        self._sheet_rays = SheetRays(ground, self._centre) if traverse_sheets and ground else None
+        parts = [] if traverse_sheets else [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in ground]
         opaque = [(part, triangles) for part, triangles in parts + solids if len(triangles)]
         self._opaque = self._embree(opaque) if opaque else None
-        triangles = sum(len(each) for _, each in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
+        triangles = sum(len(faces) for _, faces in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
         self.nbytes = TRIANGLE_BYTES * triangles + bytes_of(self._alpha_meshes)
         self.nbytes += 0 if self._sheet_rays is None else self._sheet_rays.nbytes
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
@@ -135,46 +135,46 @@ class RayScene:
         directly and rays have several directions or a length.
         """
         if self._sheet_rays is not None and (np.ndim(direction) > 1 or length_m is not None):
-            problem = f"direction: with walked=True, give one direction (3,) and no length_m, not {np.shape(direction)}"
-            raise ValueError(f"{problem}. Or build the scene with walked=False.")
+            problem = f"direction: with traverse_sheets=True, give one direction (3,) and no length_m, not {np.shape(direction)}"
+            raise ValueError(f"{problem}. Or build the scene with traverse_sheets=False.")
         start = (start_m - self._centre).astype(np.float32)
-        along = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, np.float32), start.shape))
+        directions = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, np.float32), start.shape))
         stopped = np.zeros(len(start), bool)
         if not len(start):
             return stopped
         if self._sheet_rays is not None:
             stopped |= self._sheet_rays.blocked(start_m, direction)
         if self._opaque is not None:
-            within = {} if length_m is None else {"dists": length_m.astype(np.float32)}
-            stopped |= self._opaque.run(start, along, query="OCCLUDED", **within) != -1
+            length_limits = {} if length_m is None else {"dists": length_m.astype(np.float32)}
+            stopped |= self._opaque.run(start, directions, query="OCCLUDED", **length_limits) != -1
         for mesh, scene in zip(self._alpha_meshes, self._alpha, strict=True):
             active = np.flatnonzero(~stopped)
             length = np.full(len(active), np.inf) if length_m is None else length_m[active]
-            stopped[active] = self._blocked_by_alpha(mesh, scene, start[active], along[active], length)
+            stopped[active] = self._blocked_by_alpha(mesh, scene, start[active], directions[active], length)
         return stopped
 
     def _blocked_by_alpha(
-        self, mesh: AlphaMesh, scene: Any, start: np.ndarray, along: np.ndarray, length: np.ndarray
+        self, mesh: AlphaMesh, scene: Any, start: np.ndarray, directions: np.ndarray, length: np.ndarray
     ) -> np.ndarray:
         stopped = np.zeros(len(start), bool)
         active, start, remaining = np.arange(len(start)), start.copy(), length.astype(np.float64)
         for _ in range(MAX_LAYERS):
             if not len(active):
                 return stopped
-            hit = scene.run(start[active], along[active], query="INTERSECT", output=True)
-            hits = (hit["primID"] != -1) & (hit["tfar"] < remaining[active])
-            active = active[hits]
-            u, v, corners = hit["u"][hits], hit["v"][hits], mesh.triangles[hit["primID"][hits]]
+            intersections = scene.run(start[active], directions[active], query="INTERSECT", output=True)
+            is_hit = (intersections["primID"] != -1) & (intersections["tfar"] < remaining[active])
+            active = active[is_hit]
+            u, v, corners = intersections["u"][is_hit], intersections["v"][is_hit], mesh.triangles[intersections["primID"][is_hit]]
             uv = (
                 (1 - u - v)[:, None] * mesh.uv[corners[:, 0]]
                 + u[:, None] * mesh.uv[corners[:, 1]]
                 + v[:, None] * mesh.uv[corners[:, 2]]
             )
-            layer = None if mesh.layer is None else mesh.layer[hit["primID"][hits]]
+            layer = None if mesh.layer is None else mesh.layer[intersections["primID"][is_hit]]
             opaque = sample_alpha(mesh.alpha, uv, layer) >= mesh.threshold
             stopped[active[opaque]] = True
-            advance = hit["tfar"][hits] + self.offset_m
-            start[active] += (advance[:, None] * along[active]).astype(np.float32)
+            advance = intersections["tfar"][is_hit] + self.offset_m
+            start[active] += (advance[:, None] * directions[active]).astype(np.float32)
             remaining[active] -= advance
             active = active[~opaque]
         stopped[active] = True
@@ -215,5 +215,5 @@ def trees_as_mesh(instances: TreeInstances) -> AlphaMesh:
     triangles = (first[:, None, :] + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
     uv = np.tile(np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]), (count * 3, 1))
     layer = np.repeat((2 * instances.variant[:, None] + np.array([0, 0, 1])).ravel(), 2)
-    alpha = foliage().levels[0][..., 3].astype(np.float32) / 255.0
-    return AlphaMesh(instances.corners().reshape(-1, 3), triangles, uv, alpha, THRESHOLD, layer)
+    alpha = foliage().mip_levels[0][..., 3].astype(np.float32) / 255.0
+    return AlphaMesh(instances.corners().reshape(-1, 3), triangles, uv, alpha, ALPHA_THRESHOLD, layer)

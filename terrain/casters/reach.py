@@ -87,9 +87,9 @@ class Reach:
 
 @dataclass(frozen=True)
 class Patch:
-    """A patch of casters: every 2**level-th node from row and column ``PATCH_QUADS * (row, col)`` on."""
+    """A patch of casters: every 2**lod-th node from row and column ``PATCH_QUADS * (row, col)`` on."""
 
-    level: int
+    lod: int
     row: int
     col: int
 
@@ -173,7 +173,7 @@ def find_casters(scene: Scene, buffer: GeometryBuffer) -> Casters:
     towards_lamps = _lamp_patches(scene, buffer) if buffer.valid.any() else ()
     if not _sun_shines(scene, buffer):
         return Casters(towards_lamps, NO_CASTERS.reach)
-    patches, caster_m = _patches(scene, buffer)
+    patches, caster_m = _shading_patches(scene, buffer)
     return Casters(tuple(dict.fromkeys((*patches, *towards_lamps))), _reach(scene, buffer, caster_m))
 
 
@@ -195,7 +195,7 @@ def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
     """Return the ground outside a map's block that can shade it from the sun."""
     if not _sun_shines(scene, receivers):
         return ()
-    return _patches(scene, receivers)[0]
+    return _shading_patches(scene, receivers)[0]
 
 
 def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
@@ -208,7 +208,7 @@ def _shading_cells(scene: Scene, buffer: Receivers) -> np.ndarray:
     return _is_towards_sun(scene, buffer, light, slack)
 
 
-def _is_towards_sun(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_m: float) -> np.ndarray:
+def _is_towards_sun(scene: Scene, buffer: Receivers, light_space_m: np.ndarray, slack_m: float) -> np.ndarray:
     """Return which points in light space (..., 3) lie between a buffer's points and the sun.
 
     Points that miss it by less than ``slack_m`` count, too.
@@ -216,8 +216,8 @@ def _is_towards_sun(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_
     assert scene.light is not None
     low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
     is_towards_sun: np.ndarray = (
-        (light_m[..., 0] >= low[0] - slack_m) & (light_m[..., 0] <= high[0] + slack_m)
-        & (light_m[..., 1] >= low[1] - slack_m) & (light_m[..., 2] <= high[2] + slack_m)
+        (light_space_m[..., 0] >= low[0] - slack_m) & (light_space_m[..., 0] <= high[0] + slack_m)
+        & (light_space_m[..., 1] >= low[1] - slack_m) & (light_space_m[..., 2] <= high[2] + slack_m)
     )  # fmt: skip
     return is_towards_sun
 
@@ -240,24 +240,24 @@ def _grid_and_ground(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindo
 
 def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
     """Return the ground between a block and the level's lamps, on the block's own grid, within ``FULL_DETAIL_NODES``."""
-    grid, own = _grid_and_ground(buffer)
-    rows, cols = own.shape
-    found: dict[Patch, None] = {}
+    grid, block_ground = _grid_and_ground(buffer)
+    rows, cols = block_ground.shape
+    patches: dict[Patch, None] = {}
     for lamp in scene.lamps.values():
         x, y, _ = scene.world.map_position(grid.crs, lamp.position_earth_m)
         row, col = grid.row(float(y)), grid.col(float(x))
         if not np.isfinite(row + col):
             continue
         ends = []
-        for index, first, count in ((row, own.row0, rows), (col, own.col0, cols)):
+        for index, first, count in ((row, block_ground.row0, rows), (col, block_ground.col0, cols)):
             low = max(min(index, first), first - FULL_DETAIL_NODES)
             high = min(max(index, first + count - 1), first + count + FULL_DETAIL_NODES)
             ends.append(range(int(np.floor(low / PATCH_QUADS)), int(np.floor(high / PATCH_QUADS)) + 1))
         for r in ends[0]:
             for c in ends[1]:
-                if not _inside(r * PATCH_QUADS, c * PATCH_QUADS, PATCH_QUADS, own.row0, own.col0, rows, cols):
-                    found[Patch(0, r, c)] = None
-    return tuple(found)
+                if not _inside(r * PATCH_QUADS, c * PATCH_QUADS, PATCH_QUADS, block_ground.row0, block_ground.col0, rows, cols):
+                    patches[Patch(0, r, c)] = None
+    return tuple(patches)
 
 
 def _sunward_extent_m(scene: Scene, buffer: Receivers, can_shade: np.ndarray) -> float:
@@ -289,13 +289,13 @@ def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, 
 def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     overview = elevation.overview
     rows, cols = overview.heights_m.shape
-    factor = 2**overview.level
+    factor = 2**overview.lod
     col, row = np.meshgrid((np.arange(cols) + 0.5) * factor - 0.5, (np.arange(rows) + 0.5) * factor - 0.5)
     return elevation.xy(row, col)
 
 
 def _overview_cell_m(scene: Scene) -> float:
-    return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.level
+    return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.lod
 
 
 @cached("scene", 256 * MIB)
@@ -333,7 +333,7 @@ class _ShadingCells:
 
     Attributes
     ----------
-    row, col, half
+    row, col, half_extent
         float64 (n,), rows, columns and half extents on the block's grid, in nodes.
     distance
         float64 (n,), distances from the block, in nodes.
@@ -341,7 +341,7 @@ class _ShadingCells:
 
     row: np.ndarray
     col: np.ndarray
-    half: np.ndarray
+    half_extent: np.ndarray
     distance: np.ndarray
 
 
@@ -352,72 +352,89 @@ def _find_shading_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _S
     necessary.
     """
     can_shade = _shading_cells(scene, buffer)
-    grid, own = _grid_and_ground(buffer)
-    row, col, half = overview_on_grid(scene.world, scene.elevation, grid)
-    can_shade = can_shade & np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
-    row, col, half = row[can_shade], col[can_shade], half[can_shade]
-    rows, cols = own.shape
+    grid, block_ground = _grid_and_ground(buffer)
+    row, col, half_extent = overview_on_grid(scene.world, scene.elevation, grid)
+    can_shade = can_shade & np.isfinite(row) & np.isfinite(col) & np.isfinite(half_extent)
+    row, col, half_extent = row[can_shade], col[can_shade], half_extent[can_shade]
+    rows, cols = block_ground.shape
     period = _columns_round_the_earth(grid)
     if period is not None and len(col):
-        col = col + period * np.rint((own.col0 + cols / 2 - np.median(col)) / period)
+        col = col + period * np.rint((block_ground.col0 + cols / 2 - np.median(col)) / period)
     outside = can_shade.copy()
-    outside[can_shade] = _node_distances(own, row, col) > 0
-    if len(half) and float(np.median(half)) > COARSE_CELL_NODES:
+    outside[can_shade] = _node_distances(block_ground, row, col) > 0
+    if len(half_extent) and float(np.median(half_extent)) > COARSE_CELL_NODES:
         assert scene.light is not None
-        fine = fine_cells(scene, scene.light, grid, can_shade, (col, half), period)
-        if fine is not None:
+        finer_cells = fine_cells(scene, scene.light, grid, can_shade, (col, half_extent), period)
+        if finer_cells is not None:
             selected = (
-                _is_towards_sun(scene, buffer, fine.light_m, fine.width_m * CELL_SLACK)
-                & np.isfinite(fine.row)
-                & np.isfinite(fine.col)
+                _is_towards_sun(scene, buffer, finer_cells.light_space_m, finer_cells.width_m * CELL_SLACK)
+                & np.isfinite(finer_cells.row)
+                & np.isfinite(finer_cells.col)
             )
-            row, col, half = fine.row[selected], fine.col[selected], fine.half[selected]
-    return outside, _ShadingCells(row, col, half, _node_distances(own, row, col))
+            row, col, half_extent = finer_cells.row[selected], finer_cells.col[selected], finer_cells.half_extent[selected]
+    return outside, _ShadingCells(row, col, half_extent, _node_distances(block_ground, row, col))
 
 
-def _node_distances(own: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+def _node_distances(block_ground: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the distances of positions (n,) from a block's own ground, in nodes; 0 on it."""
-    rows, cols = own.shape
-    beside = [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
-    distance: np.ndarray = np.maximum.reduce(beside)
+    rows, cols = block_ground.shape
+    side_distances = [
+        block_ground.row0 - row,
+        row - (block_ground.row0 + rows - 1),
+        block_ground.col0 - col,
+        col - (block_ground.col0 + cols - 1),
+        np.zeros_like(row),
+    ]
+    distance: np.ndarray = np.maximum.reduce(side_distances)
     return distance
 
 
-def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
+def _shading_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
     """Return patches under the overview's cells that can shade the block, and the distance of the farthest cell.
 
     The distance is measured towards the sun, in metres. A cell may be larger than a patch and than the block: it counts at each
     level of detail within that level's distance.
     """
     outside, cells = _find_shading_cells(scene, buffer)
-    (grid, own), row, col, half, distance = _grid_and_ground(buffer), cells.row, cells.col, cells.half, cells.distance
-    rows, cols = own.shape
+    (grid, block_ground), row, col, half_extent, distance = (
+        _grid_and_ground(buffer),
+        cells.row,
+        cells.col,
+        cells.half_extent,
+        cells.distance,
+    )
+    rows, cols = block_ground.shape
     assert scene.light is not None
     caster_m = _sunward_extent_m(scene, buffer, outside)
     relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light.altitude_deg
     longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.flat, scene.world.radius_m)
-    farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half.max(initial=0.0)
+    farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half_extent.max(initial=0.0)
     patches: list[Patch] = []
-    detail = _full_detail_nodes(scene, grid)
-    level, near = 0, 0
-    while near < farthest or level == 0:
-        far, quads = detail * 2**level, PATCH_QUADS * 2**level
-        limits = ((own.row0 - far, own.row0 + rows + far), (own.col0 - far, own.col0 + cols + far))
+    full_detail_nodes = _full_detail_nodes(scene, grid)
+    lod, near = 0, 0
+    while near < farthest or lod == 0:
+        far, quads = full_detail_nodes * 2**lod, PATCH_QUADS * 2**lod
+        limits = (
+            (block_ground.row0 - far, block_ground.row0 + rows + far),
+            (block_ground.col0 - far, block_ground.col0 + cols + far),
+        )
         low, high = (
-            np.stack([np.clip(v + side * half, *limit) for v, limit in zip((row, col), limits, strict=True)], axis=1)
+            np.stack([np.clip(v + side * half_extent, *limit) for v, limit in zip((row, col), limits, strict=True)], axis=1)
             for side in (-1, 1)
         )
-        reached = (low < high).all(axis=1)
-        spans = np.concatenate([np.floor(low[reached] / quads), np.floor(high[reached] / quads)], axis=1).astype(np.int64)
-        found = {
-            Patch(level, r, c)
+        is_in_range = (low < high).all(axis=1)
+        spans = np.concatenate([np.floor(low[is_in_range] / quads), np.floor(high[is_in_range] / quads)], axis=1).astype(np.int64)
+        level_patches = {
+            Patch(lod, r, c)
             for top, left, bottom, right in _unique_rows(spans)
             for r in range(top, bottom + 1)
             for c in range(left, right + 1)
-            if not _inside(r * quads, c * quads, quads, own.row0 - near, own.col0 - near, rows + 2 * near, cols + 2 * near)
+            if not _inside(
+                r * quads, c * quads, quads, block_ground.row0 - near, block_ground.col0 - near, rows + 2 * near, cols + 2 * near
+            )
         }
-        patches += _patches_that_may_shade(scene, buffer, sorted(found, key=lambda patch: (patch.row, patch.col)))
-        level, near = level + 1, far
+        patches += _patches_that_may_shade(scene, buffer, sorted(level_patches, key=lambda patch: (patch.row, patch.col)))
+        lod, near = lod + 1, far
     return tuple(patches), caster_m
 
 
@@ -433,7 +450,7 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
     if not patches:
         return []
     assert scene.light is not None
-    (grid, _), quads = _grid_and_ground(buffer), PATCH_QUADS * 2 ** patches[0].level
+    (grid, _), quads = _grid_and_ground(buffer), PATCH_QUADS * 2 ** patches[0].lod
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
     point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
     low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
@@ -441,7 +458,7 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
     slack = quads * scene.surface(grid).step_m * 1.5  # twice half a diagonal: map scale varies over a level
     in_window = (in_light[:, 0] >= low[0] - slack) & (in_light[:, 0] <= high[0] + slack) & (in_light[:, 1] >= low[1] - slack)
     keep = in_window & (in_light[:, 2] <= high[2] + slack + np.ptp(scene.height_range_m)) | ~np.isfinite(in_light).all(axis=1)
-    return [patch for patch, kept in zip(patches, keep, strict=True) if kept]
+    return [patch for patch, is_kept in zip(patches, keep, strict=True) if is_kept]
 
 
 def _unique_rows(spans: np.ndarray) -> list[list[int]]:
@@ -473,8 +490,8 @@ def _rim_pixels(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for axis, mask in enumerate((valid, valid.T)):
         lines = np.flatnonzero(mask.any(axis=1))
         for line in lines[np.unique(np.linspace(0, lines.size - 1, 9).astype(int))]:
-            across = np.flatnonzero(mask[line])
-            ends += [(line, end) if axis == 0 else (end, line) for end in (across[0], across[-1])]
+            valid_indices = np.flatnonzero(mask[line])
+            ends += [(line, end) if axis == 0 else (end, line) for end in (valid_indices[0], valid_indices[-1])]
     i, j = np.array(ends).T
     return i, j
 
@@ -483,12 +500,12 @@ def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, 
     """Return positions among a buffer's receivers from which rays to the sun are examined: CRS, x, y, and the view's middle."""
     view = buffer.view
     if isinstance(view, MapView):
-        i, j = _rim_pixels(buffer.shown if isinstance(buffer, BareNodes) else buffer.valid)
+        i, j = _rim_pixels(buffer.shows_ground if isinstance(buffer, BareNodes) else buffer.valid)
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     valid = np.flatnonzero(buffer.valid)
-    seen = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // RAY_STARTS, 1)]]
-    points = buffer.frame.points_to_earth(seen)
+    start_points = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // RAY_STARTS, 1)]]
+    points = buffer.frame.points_to_earth(start_points)
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))
 
@@ -508,8 +525,8 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float
     else:
         point, up = scene.world.ground(crs, *middle)
         azimuth, altitude = position_at(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
-    should_m = min(longest_shadow_m(relief, altitude, not scene.world.flat, scene.world.radius_m), 1e6)
-    along_m = np.linspace(0.0, should_m, 65)
+    needed_m = min(longest_shadow_m(relief, altitude, not scene.world.flat, scene.world.radius_m), 1e6)
+    along_m = np.linspace(0.0, needed_m, 65)
     if scene.world.flat:
         unit = scene.world.metres_per_unit
         x = x[:, None] + along_m * np.sin(np.radians(azimuth)) / unit
@@ -526,5 +543,5 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float
     ends = ~on_data
     ends[:, 0] = False  # the receiver itself is on the data
     first = np.where(ends.any(axis=1), ends.argmax(axis=1), along_m.size)
-    reached = np.where(first < along_m.size, along_m[np.minimum(first, along_m.size - 1) - 1], should_m)
-    return float(reached.min()), should_m
+    data_extent_m = np.where(first < along_m.size, along_m[np.minimum(first, along_m.size - 1) - 1], needed_m)
+    return float(data_extent_m.min()), needed_m

@@ -31,11 +31,12 @@ class Pyramids(NamedTuple):
     ----------
     node
         float64 (n, 3), nodes rotated so that rays run along the third axis.
-    falls
+    is_cut_nw_se
         bool (m,), the cuts of the quads.
     sheet
-        int64 (k, 5) for each sheet: its first node, the nodes of a row, its first quad, and its first and last index in ``level``.
-    level
+        int64 (k, 5) for each sheet: its first node, the nodes of a row, its first quad, and its first and last index in
+        ``pyramid_level``.
+    pyramid_level
         int64 (l, 3) for each pyramid level: its first box, and its rows and columns of boxes.
     box
         float64 (b, 5), bounds of a box: minimum and maximum of the first and of the second coordinate, and maximum of the third
@@ -43,9 +44,9 @@ class Pyramids(NamedTuple):
     """
 
     node: np.ndarray
-    falls: np.ndarray
+    is_cut_nw_se: np.ndarray
     sheet: np.ndarray
-    level: np.ndarray
+    pyramid_level: np.ndarray
     box: np.ndarray
 
 
@@ -53,43 +54,43 @@ class SheetRays:
     """Ray queries on sheets in one frame. Coordinates are relative to its point ``centre_m`` (3,)."""
 
     def __init__(self, sheets: Iterable[Sheet], centre_m: np.ndarray) -> None:
-        self._sheets = [sheet for sheet in sheets if sheet.falls.size]
+        self._sheets = [sheet for sheet in sheets if sheet.is_cut_nw_se.size]
         self._centre_m = centre_m
-        self._last: tuple[tuple[float, ...], Pyramids] | None = None
+        self._cached_pyramids: tuple[tuple[float, ...], Pyramids] | None = None
         self.nbytes = 2 * sum(sheet.position_frame_m.nbytes for sheet in self._sheets)
 
     def blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return whether rays from starts (n, 3) towards one unit direction (3,) meet a triangle: bool (n,)."""
         if not self._sheets:
             return np.zeros(len(start_m), bool)
-        axes, pyramids = _axes_along(direction), self._along(tuple(map(float, direction)))
+        axes, pyramids = _axes_along(direction), self._pyramids_along(tuple(map(float, direction)))
         parts = np.array_split((start_m - self._centre_m) @ axes.T, CORES)
         return np.concatenate(map_on_cores(partial(_blocked, pyramids), parts))
 
-    def _along(self, direction: tuple[float, ...]) -> Pyramids:
+    def _pyramids_along(self, direction: tuple[float, ...]) -> Pyramids:
         """Return the sheets rotated along a direction. The last ones are cached."""
-        if self._last is None or self._last[0] != direction:
-            self._last = direction, self._turned(direction)
-        return self._last[1]
+        if self._cached_pyramids is None or self._cached_pyramids[0] != direction:
+            self._cached_pyramids = direction, self._build_pyramids(direction)
+        return self._cached_pyramids[1]
 
-    def _turned(self, direction: tuple[float, ...]) -> Pyramids:
+    def _build_pyramids(self, direction: tuple[float, ...]) -> Pyramids:
         axes = _axes_along(np.array(direction))
         levels: list[tuple[int, int, int]] = []
         sheets, node, quad, box = [], 0, 0, 0
-        for each in self._sheets:
-            rows, cols = each.falls.shape
+        for sheet in self._sheets:
+            rows, cols = sheet.is_cut_nw_se.shape
             first = len(levels)
-            tall, wide = -(-rows // MIN_TILE_QUADS), -(-cols // MIN_TILE_QUADS)
+            box_rows, box_cols = -(-rows // MIN_TILE_QUADS), -(-cols // MIN_TILE_QUADS)
             while True:
-                levels.append((box, tall, wide))
-                box += tall * wide
-                if tall == wide == 1:
+                levels.append((box, box_rows, box_cols))
+                box += box_rows * box_cols
+                if box_rows == box_cols == 1:
                     break
-                tall, wide = -(-tall // 2), -(-wide // 2)
+                box_rows, box_cols = -(-box_rows // 2), -(-box_cols // 2)
             sheets.append((node, cols + 1, quad, first, len(levels) - 1))
             node, quad = node + (rows + 1) * (cols + 1), quad + rows * cols
-        falls = np.concatenate([each.falls.ravel() for each in self._sheets])
-        pyramids = Pyramids(np.empty((node, 3)), falls, np.array(sheets), np.array(levels), np.empty((box, 5)))
+        is_cut_nw_se = np.concatenate([sheet.is_cut_nw_se.ravel() for sheet in self._sheets])
+        pyramids = Pyramids(np.empty((node, 3)), is_cut_nw_se, np.array(sheets), np.array(levels), np.empty((box, 5)))
 
         def build(number: int) -> None:
             _build(pyramids, number, self._sheets[number].position_frame_m, self._centre_m, axes)
@@ -103,10 +104,10 @@ def _axes_along(direction: np.ndarray) -> np.ndarray:
 
     The first one is horizontal where possible, so that boxes of ground are flattest.
     """
-    along = np.asarray(direction, np.float64) / np.linalg.norm(direction)
-    level = np.cross([0.0, 0.0, 1.0] if abs(along[2]) < 0.999 else [0.0, 1.0, 0.0], along)
-    level /= np.linalg.norm(level)
-    return np.stack([level, np.cross(along, level), along])
+    axis = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    horizontal = np.cross([0.0, 0.0, 1.0] if abs(axis[2]) < 0.999 else [0.0, 1.0, 0.0], axis)
+    horizontal /= np.linalg.norm(horizontal)
+    return np.stack([horizontal, np.cross(axis, horizontal), axis])
 
 
 @compiled
@@ -114,39 +115,39 @@ def _build(pyramids, number, position, centre, axes):
     """Write a sheet's rotated nodes and its boxes."""
     first, per_row, _, low, high = pyramids.sheet[number]
     rows, cols, _ = position.shape
-    node, box, level = pyramids.node, pyramids.box, pyramids.level
+    node, box, pyramid_level = pyramids.node, pyramids.box, pyramids.pyramid_level
     for r in range(rows):
         for c in range(cols):
             x, y, z = position[r, c, 0] - centre[0], position[r, c, 1] - centre[1], position[r, c, 2] - centre[2]
             for k in range(3):
                 node[first + r * per_row + c, k] = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
-    begin, tall, wide = level[low]
-    for i in range(tall):
-        for j in range(wide):
+    begin, box_rows, box_cols = pyramid_level[low]
+    for i in range(box_rows):
+        for j in range(box_cols):
             a0, a1, b0, b1, d1 = np.inf, -np.inf, np.inf, -np.inf, -np.inf
             for r in range(i * MIN_TILE_QUADS, min((i + 1) * MIN_TILE_QUADS + 1, rows)):
                 for c in range(j * MIN_TILE_QUADS, min((j + 1) * MIN_TILE_QUADS + 1, cols)):
                     a, b, d = node[first + r * per_row + c]
                     if np.isfinite(d):
                         a0, a1, b0, b1, d1 = min(a0, a), max(a1, a), min(b0, b), max(b1, b), max(d1, d)
-            _fill(box, begin + i * wide + j, a0, a1, b0, b1, d1)
-    for above in range(low + 1, high + 1):
-        under, under_tall, under_wide = level[above - 1]
-        begin, tall, wide = level[above]
-        for i in range(tall):
-            for j in range(wide):
+            _fill(box, begin + i * box_cols + j, a0, a1, b0, b1, d1)
+    for parent_level in range(low + 1, high + 1):
+        child_begin, child_rows, child_cols = pyramid_level[parent_level - 1]
+        begin, box_rows, box_cols = pyramid_level[parent_level]
+        for i in range(box_rows):
+            for j in range(box_cols):
                 a0, a1, b0, b1, d1 = np.inf, -np.inf, np.inf, -np.inf, -np.inf
-                for r in range(2 * i, min(2 * i + 2, under_tall)):
-                    for c in range(2 * j, min(2 * j + 2, under_wide)):
-                        part = box[under + r * under_wide + c]
+                for r in range(2 * i, min(2 * i + 2, child_rows)):
+                    for c in range(2 * j, min(2 * j + 2, child_cols)):
+                        part = box[child_begin + r * child_cols + c]
                         a0, a1, b0, b1 = min(a0, part[0]), max(a1, part[1]), min(b0, part[2]), max(b1, part[3])
                         d1 = max(d1, part[4])
-                _fill(box, begin + i * wide + j, a0, a1, b0, b1, d1)
+                _fill(box, begin + i * box_cols + j, a0, a1, b0, b1, d1)
 
 
 @internal
-def _fill(box, at, a0, a1, b0, b1, d1):
-    box[at, 0], box[at, 1], box[at, 2], box[at, 3], box[at, 4] = a0, a1, b0, b1, d1
+def _fill(box, index, a0, a1, b0, b1, d1):
+    box[index, 0], box[index, 1], box[index, 2], box[index, 3], box[index, 4] = a0, a1, b0, b1, d1
 
 
 @compiled
@@ -167,55 +168,55 @@ def _blocked(pyramids, start):
 def _hits_sheet(pyramids, number, a, b, d, stack):
     """Return whether a ray meets a triangle of a sheet."""
     _, _, _, low, high = pyramids.sheet[number]
-    box, level = pyramids.box, pyramids.level
-    if not _may_hit_box(box, level[high, 0], a, b, d):
+    box, pyramid_level = pyramids.box, pyramids.pyramid_level
+    if not _may_hit_box(box, pyramid_level[high, 0], a, b, d):
         return False
     stack[0, 0], stack[0, 1], stack[0, 2] = high, 0, 0
     stack_size = 1
     while stack_size > 0:
         stack_size -= 1
-        at, i, j = stack[stack_size]
-        if at == low:
+        level_number, i, j = stack[stack_size]
+        if level_number == low:
             if _hits_tile(pyramids, number, i, j, a, b, d):
                 return True
             continue
-        under, under_tall, under_wide = level[at - 1]
-        for r in range(2 * i, min(2 * i + 2, under_tall)):
-            for c in range(2 * j, min(2 * j + 2, under_wide)):
-                if _may_hit_box(box, under + r * under_wide + c, a, b, d):
-                    stack[stack_size, 0], stack[stack_size, 1], stack[stack_size, 2] = at - 1, r, c
+        child_begin, child_rows, child_cols = pyramid_level[level_number - 1]
+        for r in range(2 * i, min(2 * i + 2, child_rows)):
+            for c in range(2 * j, min(2 * j + 2, child_cols)):
+                if _may_hit_box(box, child_begin + r * child_cols + c, a, b, d):
+                    stack[stack_size, 0], stack[stack_size, 1], stack[stack_size, 2] = level_number - 1, r, c
                     stack_size += 1
     return False
 
 
 @internal
-def _may_hit_box(box, at, a, b, d):
+def _may_hit_box(box, index, a, b, d):
     """Return whether the contents of a box may cover a point, farther along the rays."""
-    return box[at, 2] <= b and b <= box[at, 3] and box[at, 0] <= a and a <= box[at, 1] and box[at, 4] > d
+    return box[index, 2] <= b and b <= box[index, 3] and box[index, 0] <= a and a <= box[index, 1] and box[index, 4] > d
 
 
 @internal
 def _hits_tile(pyramids, number, i, j, a, b, d):
     """Return whether a ray meets a triangle of a tile of quads."""
     first, per_row, first_quad, _, _ = pyramids.sheet[number]
-    last = pyramids.sheet[number + 1, 2] if number + 1 < len(pyramids.sheet) else len(pyramids.falls)
+    last = pyramids.sheet[number + 1, 2] if number + 1 < len(pyramids.sheet) else len(pyramids.is_cut_nw_se)
     node, cols = pyramids.node, per_row - 1
     rows = (last - first_quad) // cols
     for r in range(i * MIN_TILE_QUADS, min((i + 1) * MIN_TILE_QUADS, rows)):
         for c in range(j * MIN_TILE_QUADS, min((j + 1) * MIN_TILE_QUADS, cols)):
-            at = first + r * per_row + c
-            below = at + per_row
+            nw = first + r * per_row + c
+            sw = nw + per_row
             # Test the third axis first: most triangles round a start lie behind it.
-            if not (node[at, 2] > d or node[at + 1, 2] > d or node[below, 2] > d or node[below + 1, 2] > d):
+            if not (node[nw, 2] > d or node[nw + 1, 2] > d or node[sw, 2] > d or node[sw + 1, 2] > d):
                 continue
-            if node[at, 1] < b and node[at + 1, 1] < b and node[below, 1] < b and node[below + 1, 1] < b:
+            if node[nw, 1] < b and node[nw + 1, 1] < b and node[sw, 1] < b and node[sw + 1, 1] < b:
                 continue
-            if node[at, 1] > b and node[at + 1, 1] > b and node[below, 1] > b and node[below + 1, 1] > b:
+            if node[nw, 1] > b and node[nw + 1, 1] > b and node[sw, 1] > b and node[sw + 1, 1] > b:
                 continue
-            if pyramids.falls[first_quad + r * cols + c]:
-                if _hits_triangle(node, at, below + 1, at + 1, a, b, d) or _hits_triangle(node, at, below + 1, below, a, b, d):
+            if pyramids.is_cut_nw_se[first_quad + r * cols + c]:
+                if _hits_triangle(node, nw, sw + 1, nw + 1, a, b, d) or _hits_triangle(node, nw, sw + 1, sw, a, b, d):
                     return True
-            elif _hits_triangle(node, below, at + 1, at, a, b, d) or _hits_triangle(node, below, at + 1, below + 1, a, b, d):
+            elif _hits_triangle(node, sw, nw + 1, nw, a, b, d) or _hits_triangle(node, sw, nw + 1, sw + 1, a, b, d):
                 return True
     return False
 

@@ -2,7 +2,8 @@
 
 A facet with the normal (-a, -b, 1), in the east-north-up axes of the level's anchor, faces the sun (e, n, u) if u > a e + b n.
 Over all facets the right side is largest and least at a corner of the convex hull of the slopes (a, b). The hull is stored by its
-support function in ``DIRECTIONS`` directions. The polygon that these bound contains the hull, and exceeds it by 0.12 % at most.
+support function in ``SUPPORT_DIRECTIONS`` directions. The polygon that these bound contains the hull, and exceeds it by 0.12 % at
+most.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import Surface
 
-DIRECTIONS = 64
+SUPPORT_DIRECTIONS = 64
 
 MAX_SLOPE = 50.0
 """Maximum slope that is resolved: 89 degrees. Beyond it, or on another side of the earth, the result is unknown."""
 
 
 class SlopeSupport(NamedTuple):
-    """Support functions (``DIRECTIONS``,) of a ground's slopes, metres per metre.
+    """Support functions (``SUPPORT_DIRECTIONS``,) of a ground's slopes, metres per metre.
 
     Attributes
     ----------
@@ -53,8 +54,8 @@ def facing_range_of_slopes(support: SlopeSupport | None, to_sun_enu: np.ndarray)
 
 
 def _facing_range_of_support(support: np.ndarray, to_sun_enu: np.ndarray) -> tuple[float, float]:
-    turn = 2.0 * np.pi / DIRECTIONS
-    angle, next_support = np.arange(DIRECTIONS) * turn, np.roll(support, -1)
+    turn = 2.0 * np.pi / SUPPORT_DIRECTIONS
+    angle, next_support = np.arange(SUPPORT_DIRECTIONS) * turn, np.roll(support, -1)
     # Corners of the polygon: intersections of the lines of neighbouring directions.
     across = (next_support - support * np.cos(turn)) / np.sin(turn)
     corners = np.column_stack([support * np.cos(angle) - across * np.sin(angle), support * np.sin(angle) + across * np.cos(angle)])
@@ -124,12 +125,12 @@ def extent_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[tupl
 
 
 def _directions() -> np.ndarray:
-    angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    angle = np.arange(SUPPORT_DIRECTIONS) * (2.0 * np.pi / SUPPORT_DIRECTIONS)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _empty_support() -> np.ndarray:
-    return np.full(DIRECTIONS, -np.inf)
+    return np.full(SUPPORT_DIRECTIONS, -np.inf)
 
 
 @compiled
@@ -153,17 +154,17 @@ def _extend_support(normals, anchor_from_frame, directions, support):
         a, b = -east / up, -north / up
         if a * a + b * b < inner * inner:
             continue
-        stretched = False
+        is_extended = False
         for k in range(len(directions)):
-            along = a * directions[k, 0] + b * directions[k, 1]
-            if along > support[k]:
-                support[k] = along
-                stretched = True
-        if stretched:
-            least = support[0]
+            projection = a * directions[k, 0] + b * directions[k, 1]
+            if projection > support[k]:
+                support[k] = projection
+                is_extended = True
+        if is_extended:
+            min_support = support[0]
             for k in range(len(directions)):
-                least = support[k] if support[k] < least else least
-            inner = max(least, 0.0)
+                min_support = support[k] if support[k] < min_support else min_support
+            inner = max(min_support, 0.0)
 
 
 @compiled

@@ -15,9 +15,9 @@ from contextlib import suppress
 from pathlib import Path
 
 FOLDER = Path(__file__).with_name("bundled")
-VERSIONS = "versions.json"
+VERSIONS_FILE = "versions.json"
 
-TARGET = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
+NUMBA_TARGET = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
 """Environment variables that make numba compile for any x86-64-v3 processor.
 
 Given the name alone, numba would add the features of the local processor.
@@ -31,9 +31,9 @@ def installed_versions() -> dict[str, str]:
     """Return the package versions that machine code depends on. Raises ``ImportError`` if one is not installed."""
     from importlib.metadata import version  # slow to import, and a clone does not need it
 
-    found = {"python": sys.implementation.cache_tag or ""}
-    found |= {name: version(name) for name in ("numba", "llvmlite")}
-    return found | {"numpy": ".".join(version("numpy").split(".")[:2])}
+    versions = {"python": sys.implementation.cache_tag or ""}
+    versions |= {name: version(name) for name in ("numba", "llvmlite")}
+    return versions | {"numpy": ".".join(version("numpy").split(".")[:2])}
 
 
 def use_bundled_loops(folder: Path = FOLDER, cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
@@ -42,10 +42,10 @@ def use_bundled_loops(folder: Path = FOLDER, cpuinfo: Path = Path("/proc/cpuinfo
     Sets environment variables and must run before numba is imported. Only programs call it, never library code.
     """
     with suppress(OSError, ValueError, ImportError):  # ``PackageNotFoundError`` is an ``ImportError``
-        fits = json.loads((folder / VERSIONS).read_text(encoding="utf-8")) == installed_versions() and _is_v3(cpuinfo)
-        if fits and not any(name in os.environ for name in TARGET):
-            os.environ.update(TARGET)
-        return fits and _is_set(os.environ)
+        is_compatible = json.loads((folder / VERSIONS_FILE).read_text(encoding="utf-8")) == installed_versions() and _is_v3(cpuinfo)
+        if is_compatible and not any(name in os.environ for name in NUMBA_TARGET):
+            os.environ.update(NUMBA_TARGET)
+        return is_compatible and _is_set(os.environ)
     return False
 
 
@@ -59,4 +59,4 @@ def _is_v3(cpuinfo: Path) -> bool:
 
 
 def _is_set(environment: Mapping[str, str]) -> bool:
-    return all(environment.get(name) == value for name, value in TARGET.items())
+    return all(environment.get(name) == value for name, value in NUMBA_TARGET.items())

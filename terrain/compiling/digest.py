@@ -20,7 +20,7 @@ from numba.core.dispatcher import Dispatcher
 LIBRARIES = frozenset({"_heapq", "builtins", "cmath", "heapq", "math", "numba", "numpy", "operator"})
 """Packages whose functions are identified by name. Their versions are part of the cache key of every loop."""
 
-DigestOf = Callable[[Dispatcher], str]
+DigestFunction = Callable[[Dispatcher], str]
 
 
 class UnknownValueError(TypeError):
@@ -32,7 +32,7 @@ def digest(description: Hashable) -> str:
     return hashlib.sha256(repr(description).encode()).hexdigest()
 
 
-def describe_function(function: FunctionType, digest_of_callee: DigestOf) -> Hashable:
+def describe_function(function: FunctionType, digest_of_callee: DigestFunction) -> Hashable:
     """Describe a function by its bytecode, its constants, and the values of the globals and free variables that it reads.
 
     Parameters
@@ -66,7 +66,7 @@ def describe_function(function: FunctionType, digest_of_callee: DigestOf) -> Has
 
 def describe_types(args: tuple[types.Type, ...]) -> Hashable:
     """Describe the argument types of a signature. Named tuples include the order of their fields, which numba's names lack."""
-    return tuple(_describe_type(each) for each in args)
+    return tuple(_describe_type(numba_type) for numba_type in args)
 
 
 def _describe_type(numba_type: types.Type) -> Hashable:
@@ -93,7 +93,7 @@ def _describe_code(code: CodeType, doc: str | None) -> Hashable:
     )  # fmt: skip
 
 
-def _describe_globals(function: FunctionType, digest_of_callee: DigestOf) -> Iterator[Hashable]:
+def _describe_globals(function: FunctionType, digest_of_callee: DigestFunction) -> Iterator[Hashable]:
     """Describe the globals that a function may read.
 
     ``co_names`` also holds attribute names. A global that has the name of an attribute is therefore included.
@@ -111,7 +111,7 @@ def _names(code: CodeType) -> Iterator[str]:
             yield from _names(constant)
 
 
-def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestOf) -> Hashable:
+def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestFunction) -> Hashable:
     """Describe a value. A module is described by those of the ``attributes`` that it has."""
 
     def described(part: Any) -> Hashable:
@@ -144,8 +144,8 @@ def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestO
         case ModuleType():
             if _is_library(value.__name__):
                 return "library", value.__name__
-            found = [name for name in attributes if name in vars(value)]
-            parts = ((name, _describe(vars(value)[name], attributes, digest_of_callee)) for name in found)
+            attribute_names = [name for name in attributes if name in vars(value)]
+            parts = ((name, _describe(vars(value)[name], attributes, digest_of_callee)) for name in attribute_names)
             return "module", value.__name__, tuple(parts)
     owner = getattr(value, "__module__", None) or type(value).__module__
     if _is_library(owner) or isinstance(value, BuiltinFunctionType | np.ufunc):

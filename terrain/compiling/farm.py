@@ -65,12 +65,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     if arguments.background:
         os.nice(LOWEST_PRIORITY)
     try:
-        with _one_at_a_time(arguments.background):
+        with _compile_lock(arguments.background):
             tasks = missing_tasks(arguments.products)
             if tasks:
                 print(0, len(tasks), arguments.products[min(task.rank for task in tasks)], flush=True)
-            for done, task in enumerate(compile_tasks(tasks, arguments.processes), 1):
-                print(done, len(tasks), arguments.products[task.rank], flush=True)
+            for done_count, task in enumerate(compile_tasks(tasks, arguments.processes), 1):
+                print(done_count, len(tasks), arguments.products[task.rank], flush=True)
     except BrokenPipeError:  # the parent process has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError:  # the store is not writable: the caller of a loop compiles it and logs the reason
@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 @contextmanager
-def _one_at_a_time(background: bool) -> Iterator[None]:
+def _compile_lock(background: bool) -> Iterator[None]:
     """Hold the lock of foreground or background compilation.
 
     Another foreground process may be compiling the same loops, so this one waits for it. Background work uses its own lock.
@@ -102,15 +102,15 @@ def named_tasks(products: Sequence[str]) -> Iterator[tuple[Task, str]]:
 
     Recorded loops that no longer exist are left out, and so are loops that cannot be stored.
     """
-    for each in recorded_signatures(products):
+    for signature in recorded_signatures(products):
         try:
-            loop, args = each.dispatcher(), each.argument_types()
+            loop, args = signature.dispatcher(), signature.argument_types()
         except (ImportError, AttributeError):
             continue
         cache = getattr(loop, "_cache", None)
         name = cache.entry_name(args, loop.targetctx.codegen().magic_tuple()) if isinstance(cache, LoopCache) else None
         if name is not None:
-            rank = min(products.index(product) for product in each.products if product in products)
+            rank = min(products.index(product) for product in signature.products if product in products)
             yield Task(loop, args, rank), name
 
 
@@ -145,10 +145,10 @@ def _fork(tasks: Sequence[Task], count: int) -> list[Connection]:
     fork = get_context("fork")
     pipes: list[Connection] = []
     for _ in range(count):
-        ours, theirs = fork.Pipe()
-        fork.Process(target=_compile_until_closed, args=(theirs, tasks, [ours, *pipes]), daemon=True).start()
-        theirs.close()
-        pipes.append(ours)
+        parent_end, child_end = fork.Pipe()
+        fork.Process(target=_compile_until_closed, args=(child_end, tasks, [parent_end, *pipes]), daemon=True).start()
+        child_end.close()
+        pipes.append(parent_end)
     return pipes
 
 
@@ -161,20 +161,21 @@ class _Queue:
         for number, task in enumerate(tasks):
             by_loop.setdefault(task.loop, []).append(number)
         dependencies = {
-            number: [n for each in callees[task.loop] for n in by_loop.get(each, ())] for number, task in enumerate(tasks)
+            number: [n for callee_loop in callees[task.loop] for n in by_loop.get(callee_loop, ())]
+            for number, task in enumerate(tasks)
         }
         self._tasks = tasks
-        own = [_code_bytes(task.loop) + sum(map(_code_bytes, callees[task.loop])) for task in tasks]
-        self._chain = list(own)
+        code_bytes = [_code_bytes(task.loop) + sum(map(_code_bytes, callees[task.loop])) for task in tasks]
+        self._chain_bytes = list(code_bytes)
         for number in reversed([*TopologicalSorter(dependencies).static_order()]):  # callers first
             for callee in dependencies[number]:
-                self._chain[callee] = max(self._chain[callee], own[callee] + self._chain[number])
+                self._chain_bytes[callee] = max(self._chain_bytes[callee], code_bytes[callee] + self._chain_bytes[number])
         self._sorter = TopologicalSorter(dependencies)
         self._sorter.prepare()
         self._ready: list[int] = []
 
     def _urgency(self, number: int) -> tuple[int, int]:
-        return -self._tasks[number].rank, self._chain[number]
+        return -self._tasks[number].rank, self._chain_bytes[number]
 
     @property
     def is_active(self) -> bool:
@@ -191,13 +192,13 @@ class _Queue:
         self._sorter.done(number)
 
 
-def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequence[Connection]) -> None:
+def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], inherited_pipes: Sequence[Connection]) -> None:
     """Compile the tasks whose numbers arrive on a pipe, until it is closed.
 
-    ``foreign`` are the inherited ends of the other pipes. They are closed here, since they would keep those pipes open.
+    ``inherited_pipes`` are the inherited ends of the other pipes. They are closed here, since they would keep those pipes open.
     """
     end_with_parent()
-    for end in foreign:
+    for end in inherited_pipes:
         end.close()
     while True:
         try:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-Compile = Callable[[Sequence[str]], None]
+CompileFunction = Callable[[Sequence[str]], None]
 """Callback that compiles all loops that some products need."""
 
-_compilers: list[Compile] = []
-_needed: list[str] = []
-_compiled: set[str] = set()
+_compilers: list[CompileFunction] = []
+_needed_products: list[str] = []
+_compiled_products: set[str] = set()
 _is_grouping_enabled = True
 
 
@@ -19,12 +19,12 @@ def declare_product(product: str) -> None:
 
     If a loop is missing, all missing loops of the declared products are compiled together.
     """
-    if product not in _needed:
-        _needed.append(product)
+    if product not in _needed_products:
+        _needed_products.append(product)
 
 
 @contextmanager
-def missing_loop_compiler(compile_products: Compile) -> Iterator[None]:
+def missing_loop_compiler(compile_products: CompileFunction) -> Iterator[None]:
     """Within the block, call a function with the needed products on the first missing loop.
 
     The function is called again only after further products were declared. Other missing loops are compiled one by one.
@@ -44,9 +44,9 @@ def compile_lazily() -> None:
 
 def compile_needed_products() -> bool:
     """Compile the needed products that are not compiled yet. Return whether there were any: if so, the loop may now be stored."""
-    products = [product for product in _needed if product not in _compiled]
+    products = [product for product in _needed_products if product not in _compiled_products]
     if not products or not _compilers or not _is_grouping_enabled:
         return False
-    _compiled.update(products)
+    _compiled_products.update(products)
     _compilers[-1](products)
     return True

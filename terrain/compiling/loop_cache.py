@@ -28,7 +28,7 @@ from skugga.terrain.compiling.store import LoopStore, default_store
 ENTRY_FORMAT = 1
 """Version of the format of cache entries."""
 
-OPTIONS = (
+NUMBA_OPTIONS = (
     "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "DISABLE_INTEL_SVML", "ENABLE_AVX", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS",
     "LOOP_VECTORIZE", "OPT", "SLP_VECTORIZE",
 )  # fmt: skip
@@ -117,7 +117,7 @@ class LoopCache(_Cache):
             log.debug("%s: cannot be stored: it reads %s", self._dispatcher, error)
             return None
         readable = re.sub(r"\W", "", self._dispatcher.py_func.__name__)[:NAME_LENGTH]
-        return f"{readable}-{digest((_engine(target), loop_digest, describe_types(args)))[:40]}"
+        return f"{readable}-{digest((_codegen_inputs(target), loop_digest, describe_types(args)))[:40]}"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any | None:
         """Return the stored machine code of a signature, or ``None`` on a cache miss."""
@@ -126,10 +126,10 @@ class LoopCache(_Cache):
             with suppress(UnknownValueError):
                 self.digest()  # fix the digest now: callers that are compiled later include the same values
             return None
-        found = self._read(args, target_context)
-        if found is None and compile_needed_products():  # the hook may have compiled it in another process
-            found = self._read(args, target_context)
-        return found
+        overload = self._read(args, target_context)
+        if overload is None and compile_needed_products():  # the hook may have compiled it in another process
+            overload = self._read(args, target_context)
+        return overload
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the machine code of a signature."""
@@ -183,9 +183,9 @@ def _digest_of(dispatcher: Loop, callers: tuple[Loop, ...]) -> str:
     return current_digest
 
 
-def _engine(target: Hashable) -> Hashable:
+def _codegen_inputs(target: Hashable) -> Hashable:
     """Return the inputs that the machine code of every loop depends on: versions, the processor, settings."""
     return (
         ENTRY_FORMAT, sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__.split(".")[:2], target,
-        tuple((name, repr(getattr(config, name, None))) for name in OPTIONS),
+        tuple((name, repr(getattr(config, name, None))) for name in NUMBA_OPTIONS),
     )  # fmt: skip

@@ -17,7 +17,7 @@ import numba.core.types
 
 types: Any = numba.core.types  # its stubs lack most names used here
 
-PATH = Path(__file__).with_name("signatures.json")
+SIGNATURES_FILE = Path(__file__).with_name("signatures.json")
 
 Encoded = str | list[Any]
 
@@ -52,12 +52,12 @@ class Signature:
 
 def recorded_signatures(products: Iterable[str] | None = None) -> list[Signature]:
     """Return the recorded signatures that some products need, by default all recorded signatures."""
-    if not PATH.is_file():
+    if not SIGNATURES_FILE.is_file():
         return []
-    rows = json.loads(PATH.read_text(encoding="utf-8"))
+    rows = json.loads(SIGNATURES_FILE.read_text(encoding="utf-8"))
     signatures = [Signature(row["loop"], json.dumps(row["args"]), tuple(row["products"])) for row in rows]
     product_set = None if products is None else set(products)
-    return [each for each in signatures if product_set is None or product_set & set(each.products)]
+    return [signature for signature in signatures if product_set is None or product_set & set(signature.products)]
 
 
 def encode_type(numba_type: Any) -> Encoded:

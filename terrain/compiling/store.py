@@ -124,11 +124,11 @@ class LoopStore:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:  # another process is evicting, or the file system has no locks
                 return
-            now, entries = time.time(), []
+            now_s, entries = time.time(), []
             for file in os.scandir(self.folder):
                 with suppress(FileNotFoundError):
                     state = file.stat(follow_symlinks=False)
-                    if file.name.startswith(".partial-") and now - state.st_mtime > PARTIAL_AGE_S:
+                    if file.name.startswith(".partial-") and now_s - state.st_mtime > PARTIAL_AGE_S:
                         os.unlink(file.path)
                     elif file.name.endswith(SUFFIX):
                         entries.append((state.st_mtime, state.st_size, file.path))

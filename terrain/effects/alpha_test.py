@@ -18,7 +18,7 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed without foliage, if all trees are too small to draw, or if no foliage
     shadow can be visible.
     """
@@ -28,19 +28,21 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "no tree is large enough to be drawn")
     if any(lamp.reaches for lamp in descriptor.lamps):
         return Verdict(True, "foliage in the light of lamps")
-    return cast_shadows.sun_kind_verdict(descriptor, "forest")
+    return cast_shadows.sun_caster_verdict(descriptor, "forest")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """Return the fact ``drawn``: whether the view still draws any tree after it decimates small ones."""
     if scene.objects.trees is None:
         return {}
-    drawn = supersampled_view(scene, view)
-    if isinstance(drawn, MapView):
-        pixel_m = map_pixel_m(scene.world, drawn)
+    sampled_view = supersampled_view(scene, view)
+    if isinstance(sampled_view, MapView):
+        pixel_m = map_pixel_m(scene.world, sampled_view)
         return {"drawn": map_draws_trees(scene.objects.trees, pixel_m)}
-    stand = tree_instances_in_perspective(scene.objects, drawn.frame(scene.world), tuple(drawn.eye_earth_m), drawn.focal_px)
-    return {"drawn": stand is not None and len(stand) > 0}
+    trees = tree_instances_in_perspective(
+        scene.objects, sampled_view.frame(scene.world), tuple(sampled_view.eye_earth_m), sampled_view.focal_px
+    )
+    return {"drawn": trees is not None and len(trees) > 0}
 
 
-EFFECT = Effect("alpha test: light passes the gaps in foliage", called_for, facts, needs=("cast_shadows",), unknown=None)
+EFFECT = Effect("alpha test: light passes the gaps in foliage", judge, facts, needs=("cast_shadows",), verdict_without_facts=None)

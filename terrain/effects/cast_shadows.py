@@ -8,7 +8,7 @@ there the ground falls away from the sun more steeply than the ray rises. It fol
 
 Both conditions are evaluated on the facets as drawn, once for each ground and zoom. A facet with the normal (-a, -b, 1) has the
 slopes (a, b) at the level's anchor. It faces the sun (e, n, u) if u > a e + b n. For all facets only the extent of the slopes in
-``DIRECTIONS`` directions is stored.
+``SUPPORT_DIRECTIONS`` directions is stored.
 
 **Objects on the ground** can shade any point of a map. In a perspective view they can cast a visible shadow only if they overlap
 visible surfaces in light space.
@@ -24,7 +24,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.effects.effect import Effect, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.facts.fact_types import Fact, numeric_fact
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
 from skugga.terrain.gbuffer.supersampling import supersampled_view
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
@@ -55,12 +55,12 @@ the normal (-a, -b, 1) of a slope that is as steep as the sun is high.
 """
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed without lights, at night or overcast without lamps, and without
     possible occluders.
     """
     sun = sun_verdict(descriptor)
-    if sun.called_for:
+    if sun.is_needed:
         return sun
     lamps = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
     if not lamps:
@@ -80,14 +80,14 @@ def sun_verdict(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "overcast: no direct sunlight")
     if not has_casters(descriptor):
         return Verdict(False, "flat ground without objects: nothing can cast a shadow")
-    kinds = [kind for kind in descriptor.casters if sun_kind_verdict(descriptor, kind).called_for]
+    kinds = [kind for kind in descriptor.casters if sun_caster_verdict(descriptor, kind).is_needed]
     if not kinds:
-        return Verdict(False, "; ".join(sun_kind_verdict(descriptor, kind).reason for kind in descriptor.casters))
+        return Verdict(False, "; ".join(sun_caster_verdict(descriptor, kind).reason for kind in descriptor.casters))
     caster_names = [f"{descriptor.relief_m:.0f} m of relief" if kind == "relief" else kind for kind in kinds]
     return Verdict(True, f"the sun, {descriptor.sun_altitude_deg:.1f} degrees high, can be blocked by {', '.join(caster_names)}")
 
 
-def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
+def sun_caster_verdict(descriptor: Descriptor, kind: str) -> Verdict:
     """Return whether casters of one kind can cast the sun's shadow on a visible surface, with the reason."""
     facts = descriptor.facts.get("cast_shadows", {})
     if kind != "relief":
@@ -96,7 +96,7 @@ def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
         return Verdict(False, f"{kind} cannot cast shadows into the view")
     if descriptor.relief_m <= 0.0:
         return Verdict(False, "level ground casts no shadow")
-    min_excess, max_excess = number(facts.get("least_slope")), number(facts.get("most_slope"))
+    min_excess, max_excess = numeric_fact(facts.get("least_slope")), numeric_fact(facts.get("most_slope"))
     tolerance = _facing_tolerance(descriptor.sun_altitude_deg or 0.0)
     if min_excess == np.inf:
         return Verdict(False, "no ground between the view and the sun")
@@ -130,11 +130,11 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     if not scene.sun_is_up:
         return {}
-    least, most = _slopes_under_sun(scene, view, coarse_view)
-    found: dict[str, Fact] = {"least_slope": least, "most_slope": most}
+    min_excess, max_excess = _slopes_under_sun(scene, view, coarse_view)
+    result: dict[str, Fact] = {"least_slope": min_excess, "most_slope": max_excess}
     if coarse_view is not None and isinstance(view, PerspectiveView):
-        found |= {kind: _can_occlude_view(scene, view, kind, coarse_view) for kind in scene.objects.kinds if kind != "relief"}
-    return found
+        result |= {kind: _can_occlude_view(scene, view, kind, coarse_view) for kind in scene.objects.kinds if kind != "relief"}
+    return result
 
 
 def _slopes_under_sun(
@@ -148,9 +148,9 @@ def _slopes_under_sun(
         assert coarse_view is not None
         ground, frame = ground_mesh(scene, view), coarse_view.buffer.frame
         return facing_range_of_mesh(scene.world, ground, frame, _corridor(scene, view, coarse_view), to_sun)
-    drawn = supersampled_view(scene, view)  # shadows of a coarse map are computed on finer ground
-    assert isinstance(drawn, MapView)
-    grid = drawn.grid
+    sampled_view = supersampled_view(scene, view)  # shadows of a coarse map are computed on finer ground
+    assert isinstance(sampled_view, MapView)
+    grid = sampled_view.grid
     nodes = node_count(scene.world, scene.elevation, grid)
     halvings = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
     min_excess, max_excess = facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid.coarser(halvings)), to_sun)
@@ -164,24 +164,24 @@ def _slopes_under_sun(
 @cached("scene", 256 * MIB)
 def find_visible_trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
     """Return the trees around the eye, and whether any of them may be in view."""
-    stand = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
-    if stand is None:
+    trees = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
+    if trees is None:
         return None, False
     eye, camera_from_frame = view.in_frame(coarse_view.buffer.frame)
     ends = [[start - view.step, start + count * view.step] for start, count in ((view.col0, view.cols), (view.row0, view.rows))]
     tangents = np.array(ends) / view.focal_px
-    near = stand.in_frustum(eye, camera_from_frame, tangents)
-    if not 0 < len(near) <= MAX_TREES_TESTED:
-        return stand, len(near) > 0
-    in_camera = (stand.select(near).outlines() - eye) @ camera_from_frame.T
+    candidates = trees.in_frustum(eye, camera_from_frame, tangents)
+    if not 0 < len(candidates) <= MAX_TREES_TESTED:
+        return trees, len(candidates) > 0
+    in_camera = (trees.select(candidates).outlines() - eye) @ camera_from_frame.T
     # A tree is outside of the view frustum if it lies entirely beyond one of its sides.
-    beyond = [
+    is_beyond_side = [
         side * (in_camera[..., k] - tangents[k, end] * in_camera[..., 2]) > 0.0
         for k in (0, 1)
         for end, side in ((0, -1.0), (1, 1.0))
     ]
-    outside = np.logical_or.reduce([one.all(axis=-1) for one in (*beyond, in_camera[..., 2] <= 0.0)])
-    return stand, not outside.all()
+    outside = np.logical_or.reduce([corner_mask.all(axis=-1) for corner_mask in (*is_beyond_side, in_camera[..., 2] <= 0.0)])
+    return trees, not outside.all()
 
 
 def _sample_radius_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
@@ -217,25 +217,25 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
     assert scene.light is not None
     objects, frame = scene.objects, coarse_view.buffer.frame
     if kind == "meshes":
-        first, last = _boxes_of_meshes(objects, scene.light)
+        box_low, box_high = _boxes_of_meshes(objects, scene.light)
     else:
-        stand, seen = find_visible_trees(scene.objects, view, coarse_view)
-        if stand is None or seen:
-            return seen
+        trees, in_view = find_visible_trees(scene.objects, view, coarse_view)
+        if trees is None or in_view:
+            return in_view
         rotation, translation = scene.light.from_frame(frame)
         points = coarse_view.points_frame_m @ rotation.T + translation
         slack = _sample_radius_m(scene, view, coarse_view)[:, None]
         low, high = ((points - slack).min(axis=0), (points + slack).max(axis=0)) if len(points) else (np.ones(3), np.zeros(3))
-        candidates = stand.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
+        candidates = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
         if not 0 < len(candidates) <= MAX_TREES_TESTED:
             return len(candidates) > 0
-        in_light = stand.select(candidates).outlines() @ rotation.T + translation
-        first, last = (end.reshape(-1, 3) for end in (in_light.min(axis=2), in_light.max(axis=2)))
+        in_light = trees.select(candidates).outlines() @ rotation.T + translation
+        box_low, box_high = (end.reshape(-1, 3) for end in (in_light.min(axis=2), in_light.max(axis=2)))
     rotation, translation = scene.light.from_frame(frame)
     return bool(
         _any_occludes(
-            first,
-            last,
+            box_low,
+            box_high,
             coarse_view.points_frame_m @ rotation.T + translation,
             _sample_radius_m(scene, view, coarse_view),
             MASK_CELLS,
@@ -253,22 +253,22 @@ def _boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarr
 @compiled
 def _boxes(points, triangles):
     """Return the minimum and maximum coordinates (m, 3) of triangles (m, 3) with vertices (n, 3)."""
-    first, last = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
+    box_low, box_high = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     for m in range(len(triangles)):
         for k in range(3):
             a, b, c = points[triangles[m, 0], k], points[triangles[m, 1], k], points[triangles[m, 2], k]
-            first[m, k], last[m, k] = min(a, b, c), max(a, b, c)
-    return first, last
+            box_low[m, k], box_high[m, k] = min(a, b, c), max(a, b, c)
+    return box_low, box_high
 
 
 @compiled
-def _any_occludes(first, last, points, slack, cells):
+def _any_occludes(box_low, box_high, points, slack, cells):
     """Return whether any box occludes any point, in light space.
 
-    Boxes extend from ``first`` to ``last`` (n, 3). Points (m, 3) have a tolerance ``slack`` (m,). The test draws the points into a
-    grid with the maximum depth of each cell, and compares the nearest depth of each box with it.
+    Boxes extend from ``box_low`` to ``box_high`` (n, 3). Points (m, 3) have a tolerance ``slack`` (m,). The test draws the points
+    into a grid with the maximum depth of each cell, and compares the nearest depth of each box with it.
     """
-    if len(points) == 0 or len(first) == 0:
+    if len(points) == 0 or len(box_low) == 0:
         return False
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for m in range(len(points)):
@@ -282,16 +282,16 @@ def _any_occludes(first, last, points, slack, cells):
         for i in range(i0, min(i1, cells - 1) + 1):
             for j in range(j0, min(j1, cells - 1) + 1):
                 deepest[i, j] = max(deepest[i, j], points[m, 2] + slack[m])
-    for n in range(len(first)):
-        if not (last[n, 0] >= low[0] and first[n, 0] <= high[0] and last[n, 1] >= low[1] and first[n, 1] <= high[1]):
+    for n in range(len(box_low)):
+        if not (box_high[n, 0] >= low[0] and box_low[n, 0] <= high[0] and box_high[n, 1] >= low[1] and box_low[n, 1] <= high[1]):
             continue
-        i0, i1 = max(int((first[n, 0] - low[0]) * scale[0]), 0), int((last[n, 0] - low[0]) * scale[0])
-        j0, j1 = max(int((first[n, 1] - low[1]) * scale[1]), 0), int((last[n, 1] - low[1]) * scale[1])
+        i0, i1 = max(int((box_low[n, 0] - low[0]) * scale[0]), 0), int((box_high[n, 0] - low[0]) * scale[0])
+        j0, j1 = max(int((box_low[n, 1] - low[1]) * scale[1]), 0), int((box_high[n, 1] - low[1]) * scale[1])
         for i in range(i0, min(i1, cells - 1) + 1):
             for j in range(j0, min(j1, cells - 1) + 1):
-                if deepest[i, j] >= first[n, 2]:
+                if deepest[i, j] >= box_low[n, 2]:
                     return True
     return False
 
 
-EFFECT = Effect("cast shadows", called_for, facts, unknown=None)
+EFFECT = Effect("cast shadows", judge, facts, verdict_without_facts=None)

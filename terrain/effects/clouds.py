@@ -18,7 +18,7 @@ from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_s
 from skugga.terrain.effects.haze import farthest_mesh_m
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.facts.fact_types import Fact, numeric_fact
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.elevation import Elevation
@@ -27,7 +27,7 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
 from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import daylight_of, night_of
+from skugga.terrain.shading import daylight_of, night_sky_share
 from skugga.terrain.shading_loops import dusk_of
 
 CLOUD_HEIGHT_M, CLEARANCE_M = 1500.0, 500.0
@@ -36,7 +36,7 @@ CLOUD_HEIGHT_M, CLEARANCE_M = 1500.0, 500.0
 DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
 """East and north components: 10 m/s towards the east-north-east."""
 
-LOWEST_SINE = np.sin(np.radians(5.0))
+MIN_ALTITUDE_SINE = np.sin(np.radians(5.0))
 """Lower bound of the sine of the sun's altitude in the projection. Without it the shadows would race at sunset."""
 
 COARSEST_WAVE_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
@@ -54,7 +54,7 @@ MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
 NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
 """Upper bound of the sum of all octaves."""
 
-FADE = 1 / 16, 1 / 2
+FADE_RANGE = 1 / 16, 1 / 2
 """Pixel sizes, as shares of ``COARSEST_WAVE_M``, between which clouds fade into their mean density."""
 
 INVISIBLE_SHARE = 0.008
@@ -128,9 +128,9 @@ def _mean_height_m(elevation: Elevation) -> float:
 
 def threshold_of(cover: float) -> float:
     """Return the value that the noise exceeds on a share ``cover`` of a plane. For 0 and 1 it lies beyond all values."""
-    beyond = NOISE_BOUND + CLOUD_EDGE_WIDTH / 2.0
+    limit = NOISE_BOUND + CLOUD_EDGE_WIDTH / 2.0
     shares, values = _distribution()
-    return float(np.interp(cover, [0.0, *shares, 1.0], [beyond, *values, -beyond]))
+    return float(np.interp(cover, [0.0, *shares, 1.0], [limit, *values, -limit]))
 
 
 @cached("process", 16 * MIB)
@@ -185,13 +185,13 @@ def _layer_position(x, y, z, height, layer_m, to_sun, centre, drift):
     """Return the intersection of a point's ray to the sun with the layer: metres east and north of the anchor, minus the drift."""
     ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
-    away = (layer_m - height) / max(sine, LOWEST_SINE)
-    return x + away * to_sun[0] - drift[0], y + away * to_sun[1] - drift[1]
+    distance_m = (layer_m - height) / max(sine, MIN_ALTITUDE_SINE)
+    return x + distance_m * to_sun[0] - drift[0], y + distance_m * to_sun[1] - drift[1]
 
 
 @compiled
 def _fade(pixel_m):
-    return min(max((pixel_m / COARSEST_WAVE_M - FADE[0]) / (FADE[1] - FADE[0]), 0.0), 1.0)
+    return min(max((pixel_m / COARSEST_WAVE_M - FADE_RANGE[0]) / (FADE_RANGE[1] - FADE_RANGE[0]), 0.0), 1.0)
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
@@ -209,16 +209,16 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
     valid, _, position, height, _ = shading_inputs
     rotation, origin = anchor_from_frame
     cover, threshold, max_opacity, layer_m, to_sun, centre, drift = layer
-    eye, spread, pixel_m = size
+    eye, tangent, pixel_m = size
     fade = _fade(pixel_m)
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
             if not valid[i, j] or sunlight[i, j] == 0.0:
                 continue
             p = position[i, j]
-            if spread > 0.0:
+            if tangent > 0.0:
                 x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-                fade = _fade(spread * np.sqrt(x * x + y * y + z * z))
+                fade = _fade(tangent * np.sqrt(x * x + y * y + z * z))
             x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
             y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
             z = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + origin[2]
@@ -229,7 +229,7 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
             sunlight[i, j] *= 1.0 - max_opacity * density
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed under a clear or overcast sky, without a sun, and if clouds block no
     visible share of light.
     """
@@ -243,14 +243,14 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
         return Verdict(False, f"night: the sun is at most {descriptor.highest_sun_deg:.1f} degrees high anywhere in the level")
-    taken_share = number(facts["taken"])
-    if taken_share is None:
+    blocked_share = numeric_fact(facts["taken"])
+    if blocked_share is None:
         return Verdict(True, f"cloud cover {cover:.3g}")
-    if taken_share <= INVISIBLE_SHARE:
+    if blocked_share <= INVISIBLE_SHARE:
         return Verdict(
-            False, f"cloud cover {cover:.3g}: clouds block at most {taken_share:.1%} of the light on any visible surface"
+            False, f"cloud cover {cover:.3g}: clouds block at most {blocked_share:.1%} of the light on any visible surface"
         )
-    return Verdict(True, f"cloud cover {cover:.3g}: clouds block up to {taken_share:.0%} of the light")
+    return Verdict(True, f"cloud cover {cover:.3g}: clouds block up to {blocked_share:.0%} of the light")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -286,7 +286,7 @@ def _direct_share(scene: Scene) -> float:
     scene is bare ground of constant height.
     """
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
-    night = night_of(scene)
+    night = night_sky_share(scene)
     low, high = scene.height_range_m
     bare = low == high and scene.objects.kinds == ("relief",)
     direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
@@ -306,9 +306,9 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     low, high = scene.height_range_m
     heights = np.repeat([low, high + scene.objects.tallest_m], len(point))
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
-    places = _layer_positions(points @ scene.world.earth_from_anchor, heights, layer)
+    positions = _layer_positions(points @ scene.world.earth_from_anchor, heights, layer)
     # The margin allows for meridians that curve between the points.
-    return _box(places, 0.001 * np.ptp(places[np.isfinite(places).all(axis=1)], axis=0).max())
+    return _box(positions, 0.001 * np.ptp(positions[np.isfinite(positions).all(axis=1)], axis=0).max())
 
 
 def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
@@ -323,12 +323,12 @@ def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseVi
         far = distance_m > distance_m.max(initial=0.0) / 1.25
         points = np.concatenate([points, 1.25 * points[far] - 0.25 * coarse_view.eye_frame_m])
         distance_m, height_m = np.concatenate([distance_m, 1.25 * distance_m[far]]), np.concatenate([height_m, height_m[far]])
-    places = _layer_positions(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
+    positions = _layer_positions(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(distance_m, 1.0)))
-    rise_m = _unseen_rise_m(scene, coarse_view) / max(layer.to_sun_anchor[2], LOWEST_SINE)
+    rise_m = _unseen_rise_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_ALTITUDE_SINE)
     octaves, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
     for near, far in pairwise(octaves) if len(octaves) > 1 else zip(octaves, octaves, strict=True):
-        west, east, south, north = _box(places[(octave == near) | (octave == far)], coarse_view.spacing * 2.0**far + rise_m)
+        west, east, south, north = _box(positions[(octave == near) | (octave == far)], coarse_view.spacing * 2.0**far + rise_m)
         box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
         if box[0] <= box[1] and box[2] <= box[3]:
             boxes.append(box)
@@ -343,8 +343,8 @@ def _unseen_rise_m(scene: Scene, coarse_view: CoarseView) -> float:
     return 0.0 if trees is None else float(trees.height_m.max())
 
 
-def _box(places: np.ndarray, margin_m: float) -> CloudBounds:
-    low, high = np.nanmin(places, axis=0) - margin_m, np.nanmax(places, axis=0) + margin_m
+def _box(positions: np.ndarray, margin_m: float) -> CloudBounds:
+    low, high = np.nanmin(positions, axis=0) - margin_m, np.nanmax(positions, axis=0) + margin_m
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
@@ -415,4 +415,4 @@ def _max_noise(west, east, south, north, low, high):
     return best
 
 
-EFFECT = Effect("drifting clouds that shade the ground", called_for, facts, stage="sunlight", part=apply_clouds)
+EFFECT = Effect("drifting clouds that shade the ground", judge, facts, stage="sunlight", apply=apply_clouds)

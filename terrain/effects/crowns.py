@@ -45,7 +45,7 @@ CELL_INDEX_BITS = 18
 """Number of bits of a cell's index along each axis. Indices wrap around beyond that."""
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed in maps, without trees in view, and without direct sunlight."""
     facts = descriptor.facts["crowns"]
     if descriptor.view_kind == "map":
@@ -65,10 +65,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     if isinstance(view, MapView) or coarse_view is None:
         return {"trees": 0, "sunlit": scene.sun_is_up}
-    stand, near = trees_in_view(scene, view, coarse_view.buffer.frame)
+    trees, in_frustum = trees_in_view(scene, view, coarse_view.buffer.frame)
     sunlit = scene.sun_is_up and bool(daylight_of(scene).sun.any())
-    seen = stand is not None and find_visible_trees(scene.objects, view, coarse_view)[1]
-    return {"trees": len(near) if seen else 0, "sunlit": sunlit}
+    any_in_view = trees is not None and find_visible_trees(scene.objects, view, coarse_view)[1]
+    return {"trees": len(in_frustum) if any_in_view else 0, "sunlit": sunlit}
 
 
 def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
@@ -83,15 +83,15 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     run_in_chunks(len(pixels), _cells, points, pixels, block.view.in_frame(buffer.frame)[0], key)
     keys, first, cell = np.unique(key, return_index=True, return_inverse=True)
     # Rays start at the centre of a cell, so that the result does not depend on the origin of the picture.
-    wide = CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
-    start, to_sun = (np.floor(points[pixels[first]] / wide) + 0.5) * wide, scene.sun.in_frame(buffer.frame)
-    hidden = hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
+    cell_side_m = CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
+    start, to_sun = (np.floor(points[pixels[first]] / cell_side_m) + 0.5) * cell_side_m, scene.sun.in_frame(buffer.frame)
+    is_shaded = hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
     if scene.objects.solids is not None:
         distance_m, _ = first_mesh_hits(
             scene.objects, buffer.frame, start, np.broadcast_to(to_sun, start.shape), np.full(len(start), np.inf)
         )  # fmt: skip
-        hidden |= np.isfinite(distance_m)
-    run_in_chunks(len(pixels), _transmit, sunlight, pixels, hidden, cell.reshape(-1), np.float32(LEAF_TRANSMITTANCE))
+        is_shaded |= np.isfinite(distance_m)
+    run_in_chunks(len(pixels), _transmit, sunlight, pixels, is_shaded, cell.reshape(-1), np.float32(LEAF_TRANSMITTANCE))
 
 
 @compiled
@@ -100,22 +100,22 @@ def _cells(first, last, points, pixels, eye, key):
     for n in range(first, last):
         p = points[pixels[n]]
         x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-        distance_m, doubled, wide = np.sqrt(x * x + y * y + z * z), 0, CELL_M
-        while wide < distance_m * CELL_TANGENT:
-            doubled, wide = doubled + 1, 2.0 * wide
-        number = doubled
+        distance_m, doublings, cell_side_m = np.sqrt(x * x + y * y + z * z), 0, CELL_M
+        while cell_side_m < distance_m * CELL_TANGENT:
+            doublings, cell_side_m = doublings + 1, 2.0 * cell_side_m
+        number = doublings
         for k in range(3):
-            number = number << CELL_INDEX_BITS | np.int64(np.floor(p[k] / wide)) & (1 << CELL_INDEX_BITS) - 1
+            number = number << CELL_INDEX_BITS | np.int64(np.floor(p[k] / cell_side_m)) & (1 << CELL_INDEX_BITS) - 1
         key[n] = number
 
 
 @compiled
-def _transmit(first, last, sunlight, pixels, hidden, cell, share):
+def _transmit(first, last, sunlight, pixels, is_shaded, cell, share):
     for n in range(first, last):
-        if not hidden[cell[n]]:
+        if not is_shaded[cell[n]]:
             row, col = divmod(pixels[n], sunlight.shape[1])
-            seen = sunlight[row, col]
-            sunlight[row, col] = seen + (np.float32(1.0) - seen) * share
+            received = sunlight[row, col]
+            sunlight[row, col] = received + (np.float32(1.0) - received) * share
 
 
-EFFECT = Effect("light through foliage", called_for, facts, "sunlight", apply_crowns, needs=("cast_shadows",))
+EFFECT = Effect("light through foliage", judge, facts, "sunlight", apply_crowns, needs=("cast_shadows",))

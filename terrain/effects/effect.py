@@ -41,13 +41,13 @@ class Verdict:
 
     Attributes
     ----------
-    called_for
+    is_needed
         Whether the scene needs the effect.
     reason
         The reason for either answer, as text for users.
     """
 
-    called_for: bool
+    is_needed: bool
     reason: str
 
 
@@ -107,7 +107,7 @@ class Effect:
     ----------
     about
         Description in a few words.
-    called_for
+    judge
         Predicate that decides from the descriptor whether a scene needs the effect. The descriptor includes the effect's own facts.
     facts
         Function that returns the further facts that the predicate needs, by name. Its arguments are the scene, the view and, for a
@@ -115,23 +115,23 @@ class Effect:
         predicate needs no further facts.
     stage
         The array that the effect changes; ``None`` for switches of the pipeline.
-    part
+    apply
         Function that changes this array in place, as a pass named after the effect. ``None`` for switches of the pipeline:
         ``skugga.terrain.effects.SWITCHES`` names what they switch.
     needs
         Names of the effects that this effect depends on.
-    unknown
+    verdict_without_facts
         Verdict for a descriptor without the effect's facts, for example a handwritten one. ``None`` if the predicate accepts such
         a descriptor.
     """
 
     about: str
-    called_for: Callable[[Descriptor], Verdict]
+    judge: Callable[[Descriptor], Verdict]
     facts: Callable[[Scene, MapView | PerspectiveView, CoarseView | None], dict[str, Fact]] | None = None
     stage: Stage | None = None
-    part: Callable[[np.ndarray, ShadingBlock], None] | None = None
+    apply: Callable[[np.ndarray, ShadingBlock], None] | None = None
     needs: tuple[str, ...] = ()
-    unknown: Verdict | None = Verdict(False, "the descriptor has no facts of this effect")
+    verdict_without_facts: Verdict | None = Verdict(False, "the descriptor has no facts of this effect")
 
     def verdict(self, name: str, descriptor: Descriptor) -> Verdict:
         """Return whether a scene needs the effect.
@@ -148,6 +148,6 @@ class Effect:
         Verdict
             The decision with its reason.
         """
-        if self.facts is not None and self.unknown is not None and name not in descriptor.facts:
-            return self.unknown
-        return self.called_for(descriptor)
+        if self.facts is not None and self.verdict_without_facts is not None and name not in descriptor.facts:
+            return self.verdict_without_facts
+        return self.judge(descriptor)

@@ -20,21 +20,21 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.facts.fact_types import Fact, numeric_fact
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import noise_along
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import SHORE_M
+from skugga.terrain.shading import WATER_TOLERANCE_M
 
 GROUND_WAVES = (
     (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.15), (0.43, 0.19), (0.17, 0.22), (0.067, 0.22),
 )  # fmt: skip
 """Wavelengths in metres, each with its amplitude as a share of the albedo."""
 
-HUE = (0.55, 0.0, -0.85)
+HUE_SHIFT = (0.55, 0.0, -0.85)
 """Additional change of red, green and blue by the waves that change the hue, relative to their amplitude: lighter means drier."""
 
 HUE_WAVES = 3
@@ -48,7 +48,7 @@ DETAIL_SEED = 71
 MAX_NOISE = 0.9
 """Upper bound of gradient noise."""
 
-TURN = (0.8, 0.6)
+LATTICE_ROTATION = (0.8, 0.6)
 """Cosine and sine of the rotation between the lattices of successive waves, so that their rows never coincide."""
 
 GRAZING_COSINE = 0.02
@@ -63,7 +63,7 @@ WAVE_RUN = 256
 _WAVES = np.array(GROUND_WAVES)
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed in maps, on draped imagery, and if all ground is too far away for
     visible detail.
     """
@@ -72,7 +72,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "a map shows the ground's tints only")
     if facts["draped"]:
         return Verdict(False, "imagery is draped over the ground")
-    nearest_m, share = number(facts["nearest_m"]), number(facts["share"])
+    nearest_m, share = numeric_fact(facts["nearest_m"]), numeric_fact(facts["share"])
     if nearest_m is None or share is None:
         return Verdict(False, "no ground is in view")
     if share <= INVISIBLE_CHANGE:
@@ -99,14 +99,14 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.valid][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
     steeper = np.clip(facing + coarse_view.spacing, GRAZING_COSINE, 1.0)
-    wide_m = view.pixel * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
-    return {"draped": draped, "nearest_m": float(distance_m.min()), "share": largest_share(float(wide_m.min()))}
+    pixel_width_m = view.pixel * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
+    return {"draped": draped, "nearest_m": float(distance_m.min()), "share": max_albedo_change(float(pixel_width_m.min()))}
 
 
-def largest_share(pixel_m: float) -> float:
+def max_albedo_change(pixel_m: float) -> float:
     """Return an upper bound of the relative change of the albedo for pixels of some size."""
-    shown = [amplitude * _visible_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
-    return float(MAX_NOISE * (sum(shown) + max(map(abs, HUE)) * sum(shown[:HUE_WAVES])))
+    visible_amplitudes = [amplitude * _visible_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
+    return float(MAX_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT)) * sum(visible_amplitudes[:HUE_WAVES])))
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
@@ -116,7 +116,7 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
         return
     low, high = scene.height_range_m
     run_in_chunks(
-        len(albedo), _vary, albedo, _detail(buffer, scene, view), 1.0 if high > low else FLAT_GROUND_FACTOR, np.array(HUE)
+        len(albedo), _vary, albedo, _detail(buffer, scene, view), 1.0 if high > low else FLAT_GROUND_FACTOR, np.array(HUE_SHIFT)
     )
 
 
@@ -130,7 +130,7 @@ def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.n
     out = np.zeros((*buffer.valid.shape, 2))
     run_in_chunks(
         len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame),
-        scene.elevation.water_m + SHORE_M,
+        scene.elevation.water_m + WATER_TOLERANCE_M,
         view.in_frame(buffer.frame)[0], view.pixel, _WAVES, out,
     )  # fmt: skip
     return out
@@ -157,7 +157,7 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
     """Compute the detail of some rows, in runs of pixels, with ``noise_along``."""
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
-    x, y, wide_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
+    x, y, pixel_width_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
     column = np.empty(WAVE_RUN, np.int64)
     cols = valid.shape[1]
     for i in range(first, last):
@@ -166,37 +166,40 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
             if valid[i, j] and kind[i, j] == RELIEF and height[i, j] > water_m:
                 p, n = position[i, j], normal[i, j]
                 dx, dy, dz = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-                away = np.sqrt(dx * dx + dy * dy + dz * dz)
-                facing = abs(n[0] * dx + n[1] * dy + n[2] * dz) / max(away, 1e-9)
-                wide_m[count] = pixel * away / max(facing, GRAZING_COSINE)
-                if waves[0, 0] > 2.0 * wide_m[count]:
+                distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+                facing = abs(n[0] * dx + n[1] * dy + n[2] * dz) / max(distance, 1e-9)
+                pixel_width_m[count] = pixel * distance / max(facing, GRAZING_COSINE)
+                if waves[0, 0] > 2.0 * pixel_width_m[count]:
                     x[count] = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
                     y[count] = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
                     column[count] = j
                     count += 1
             if count == WAVE_RUN or (count > 0 and j == cols - 1):
-                _add_waves(x[:count], y[:count], wide_m[:count], waves, column, out[i])
+                _add_waves(x[:count], y[:count], pixel_width_m[:count], waves, column, out[i])
                 count = 0
 
 
 @internal
-def _add_waves(x, y, wide_m, waves, column, out):
+def _add_waves(x, y, pixel_width_m, waves, column, out):
     """Add the waves at positions (n,) to the columns of a row. The positions are modified."""
-    along, across, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
-    finest = wide_m.min()
+    wave_x, wave_y, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
+    finest = pixel_width_m.min()
     for k in range(len(waves)):
         wave = waves[k, 0]
         if _visible_share(wave, finest) <= 0.0:
             break
         for n in range(x.size):
-            x[n], y[n] = TURN[0] * x[n] - TURN[1] * y[n], TURN[1] * x[n] + TURN[0] * y[n]
-            along[n], across[n] = x[n] / wave, y[n] / wave
-        noise_along(along, across, DETAIL_SEED + k, noise)
+            x[n], y[n] = (
+                LATTICE_ROTATION[0] * x[n] - LATTICE_ROTATION[1] * y[n],
+                LATTICE_ROTATION[1] * x[n] + LATTICE_ROTATION[0] * y[n],
+            )
+            wave_x[n], wave_y[n] = x[n] / wave, y[n] / wave
+        noise_along(wave_x, wave_y, DETAIL_SEED + k, noise)
         for n in range(x.size):
-            value = _visible_share(wave, wide_m[n]) * waves[k, 1] * noise[n]
+            value = _visible_share(wave, pixel_width_m[n]) * waves[k, 1] * noise[n]
             out[column[n], 0] += value
             if k < HUE_WAVES:
                 out[column[n], 1] += value
 
 
-EFFECT = Effect("detail of the ground near the eye", called_for, facts, "albedo", apply_ground_detail)
+EFFECT = Effect("detail of the ground near the eye", judge, facts, "albedo", apply_ground_detail)

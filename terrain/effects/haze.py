@@ -65,17 +65,17 @@ SCALE_HEIGHT_M = 8000.0
 RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 """Scattering of red, green and blue light by air at sea level (E. Bruneton and F. Neyret 2008)."""
 
-BIN = 1.0 / 4096.0
+ENCODER_BIN_WIDTH = 1.0 / 4096.0
 """Width of the bins of linear colour in ``skugga.terrain.shading.srgb_encoded``."""
 
-SHARES = np.geomspace(1e-5, 1.0, 2048)
+TESTED_SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Tested shares of light, in steps of 0.6 %."""
 
 SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 """Possible shares of a pixel that some of its samples cover (``skugga.terrain.gbuffer.antialias``)."""
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed in maps, and if all visible surfaces are too near for visible haze."""
     if descriptor.view_kind == "map":
         return Verdict(False, "a map view has no viewing distance, so no haze")
@@ -104,7 +104,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if coarse_view is None:
         return {"visibility_m": scene.loaded.level.weather.visibility}
     visibility_m = visibility_of(scene, view)
-    shows_from_m = _shows_from_m(scene, visibility_m)
+    shows_from_m = _visible_haze_distance_m(scene, visibility_m)
     farthest_m = float(coarse_view.distance_m.max(initial=0.0))
     if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
         farthest_m = max(farthest_m, max_visible_distance_m(scene, view, coarse_view))
@@ -144,20 +144,20 @@ def max_visible_distance_m(scene: Scene, view: PerspectiveView, coarse_view: Coa
     farthest = [farthest_mesh_m(scene, view, frame)]
     if ground is not None:
         farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
-    stand, seen = trees_in_view(scene, view, frame)
-    if stand is not None:
-        size = np.hypot(np.sqrt(2.0) * stand.shape[seen, :2].max(axis=1), stand.shape[seen, 2])
-        farthest.append(np.max(np.linalg.norm(stand.base_frame_m[seen] - eye, axis=1) + size, initial=0.0))
+    trees, in_view = trees_in_view(scene, view, frame)
+    if trees is not None:
+        size = np.hypot(np.sqrt(2.0) * trees.shape[in_view, :2].max(axis=1), trees.shape[in_view, 2])
+        farthest.append(np.max(np.linalg.norm(trees.base_frame_m[in_view] - eye, axis=1) + size, initial=0.0))
     return float(max(farthest, default=0.0))
 
 
 def trees_in_view(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> tuple[TreeInstances | None, np.ndarray]:
     """Return the trees around the eye (or ``None``), and the indices (n,) of those that intersect the view frustum."""
-    stand = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
-    if stand is None:
+    trees = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
+    if trees is None:
         return None, np.zeros(0, np.int64)
     eye, camera_from_frame, tangents, _ = _frustum(view, frame)
-    return stand, stand.in_frustum(eye, camera_from_frame, tangents)
+    return trees, trees.in_frustum(eye, camera_from_frame, tangents)
 
 
 def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> float:
@@ -199,11 +199,11 @@ def _white_in_sun(scene: Scene) -> np.ndarray:
     """Return an upper bound of the linear display colour (3,) of direct sunlight: a white surface, or 1 for glints on water."""
     if scene.loaded.level.water is not None:
         return np.ones(3)
-    shown = daylight_of(scene).sun
-    return np.array([shoulder(each) for each in shown])
+    sunlight = daylight_of(scene).sun
+    return np.array([shoulder(channel) for channel in sunlight])
 
 
-def _shows_from_m(scene: Scene, visibility_m: float) -> float:
+def _visible_haze_distance_m(scene: Scene, visibility_m: float) -> float:
     """Return the distance up to which haze changes no pixel of any colour by more than one of 255, metres."""
     horizon = horizon_colors(scene)
     shares = [
@@ -215,10 +215,12 @@ def _shows_from_m(scene: Scene, visibility_m: float) -> float:
 @cached("process", MIB)
 def _max_hiding_transmittance(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
     """Return the maximum transmittance at which sunlight and shadow still look alike."""
-    air = (1.0 - SHARES)[:, None] * np.array(horizon)
-    lit = air + SHARES[:, None] * np.array(white)
-    hidden = np.logical_and.reduce([_look_alike(part * air, part * lit) for part in SAMPLE_SHARES])
-    return float(SHARES[hidden].max(initial=SHARES[0]))
+    air = (1.0 - TESTED_SHARES)[:, None] * np.array(horizon)
+    lit = air + TESTED_SHARES[:, None] * np.array(white)
+    is_indistinguishable = np.logical_and.reduce(
+        [_look_alike(covered_share * air, covered_share * lit) for covered_share in SAMPLE_SHARES]
+    )
+    return float(TESTED_SHARES[is_indistinguishable].max(initial=TESTED_SHARES[0]))
 
 
 @cached("process", MIB)
@@ -228,16 +230,16 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
     The test on black uses the brightest colour of the horizon, the test on white the darkest.
     """
     black = np.zeros((1, len(darkest)))
-    hidden = _look_alike(black, SHARES[:, None] * brightest)
-    hidden &= _look_alike(1.0 - SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
-    return float(SHARES[hidden].max(initial=SHARES[0]))
+    is_indistinguishable = _look_alike(black, TESTED_SHARES[:, None] * brightest)
+    is_indistinguishable &= _look_alike(1.0 - TESTED_SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
+    return float(TESTED_SHARES[is_indistinguishable].max(initial=TESTED_SHARES[0]))
 
 
 def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     """Return whether pairs of colours (n, 3) differ by at most one code wherever the encoder's bins lie, bool (n,)."""
-    lowest = np.maximum(dark - 0.5 * BIN, 0.5 * BIN)
-    bins = np.ceil((bright - dark) / BIN)
-    return (255.0 * (srgb_of_linear(lowest + bins * BIN) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
+    lowest = np.maximum(dark - 0.5 * ENCODER_BIN_WIDTH, 0.5 * ENCODER_BIN_WIDTH)
+    bins = np.ceil((bright - dark) / ENCODER_BIN_WIDTH)
+    return (255.0 * (srgb_of_linear(lowest + bins * ENCODER_BIN_WIDTH) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
 
 
 def _metres(length_m: float) -> str:
@@ -252,51 +254,56 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     eye, _ = view.in_frame(frame)
     up = eye - scene.world.up_origin(frame)
     up /= np.linalg.norm(up)
-    level = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.in_frame(frame), up)
+    to_sun_horizontal = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.in_frame(frame), up)
     buffer, air = block.buffer, extinctions(visibility_of(scene, view))
-    run_in_chunks(len(color), _apply_haze_rows, color, buffer.valid, buffer.position_frame_m, eye, air, up, level, sky_of(scene))
+    run_in_chunks(
+        len(color), _apply_haze_rows, color, buffer.valid, buffer.position_frame_m, eye, air, up, to_sun_horizontal, sky_of(scene)
+    )
 
 
 @compiled
-def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, level, sky):
+def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, to_sun_horizontal, sky):
     """Apply haze to some rows. The inner loops compile to vector instructions."""
     cols = valid.shape[1]
-    away, along, transmittance = np.empty(cols), np.empty(cols), np.empty(cols)
+    distance, azimuth_cosine, transmittance = np.empty(cols), np.empty(cols), np.empty(cols)
     at_horizon, horizon_color = np.zeros(cols), np.empty((3, cols))
     for i in range(first, last):
         p = position[i]
         for j in range(cols):
             x, y, z = p[j, 0] - eye[0], p[j, 1] - eye[1], p[j, 2] - eye[2]
             square, rise = x * x + y * y + z * z, x * up[0] + y * up[1] + z * up[2]
-            across = np.sqrt(max(square - rise * rise, 1e-12))
-            along[j] = min(max((x * level[0] + y * level[1] + z * level[2]) / across, -1.0), 1.0)
-            away[j] = np.sqrt(square)
-        sky_colors(sky, at_horizon, along, horizon_color)
+            horizontal_distance = np.sqrt(max(square - rise * rise, 1e-12))
+            azimuth_cosine[j] = min(
+                max((x * to_sun_horizontal[0] + y * to_sun_horizontal[1] + z * to_sun_horizontal[2]) / horizontal_distance, -1.0),
+                1.0,
+            )
+            distance[j] = np.sqrt(square)
+        sky_colors(sky, at_horizon, azimuth_cosine, horizon_color)
         for k in range(3):
-            transmittances(extinction[k], away, transmittance)
-            horizon, own = horizon_color[k], color[i, :, k]
+            transmittances(extinction[k], distance, transmittance)
+            horizon, channel = horizon_color[k], color[i, :, k]
             for j in range(cols):
-                value = horizon[j] + (own[j] - horizon[j]) * transmittance[j]
-                own[j] = value if valid[i, j] else own[j]
+                value = horizon[j] + (channel[j] - horizon[j]) * transmittance[j]
+                channel[j] = value if valid[i, j] else channel[j]
 
 
 @compiled
 def _farthest(position, triangles, eye, inward):
     """Return the maximum distance from the eye of triangles clipped by planes through the eye with normals ``inward`` (m, 3)."""
-    away, outside = np.zeros(len(position)), np.zeros(len(position), np.uint8)
+    squared_distance, outside = np.zeros(len(position)), np.zeros(len(position), np.uint8)
     for n in range(len(position)):
         x, y, z = position[n, 0] - eye[0], position[n, 1] - eye[1], position[n, 2] - eye[2]
-        away[n] = x * x + y * y + z * z
+        squared_distance[n] = x * x + y * y + z * z
         for k in range(len(inward)):
             if inward[k, 0] * x + inward[k, 1] * y + inward[k, 2] * z < 0.0:
                 outside[n] |= 1 << k
     farthest, polygon = 0.0, np.empty((2, 3 + len(inward), 3))
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        if outside[a] & outside[b] & outside[c] or max(away[a], away[b], away[c]) <= farthest:
+        if outside[a] & outside[b] & outside[c] or max(squared_distance[a], squared_distance[b], squared_distance[c]) <= farthest:
             continue
         if not outside[a] | outside[b] | outside[c]:
-            farthest = max(away[a], away[b], away[c])
+            farthest = max(squared_distance[a], squared_distance[b], squared_distance[c])
             continue
         for k in range(3):
             for m in range(3):
@@ -334,4 +341,4 @@ def _farthest_corner(polygon, inward):
     return farthest
 
 
-EFFECT = Effect("distance haze", called_for, facts, stage="color", part=apply_haze)
+EFFECT = Effect("distance haze", judge, facts, stage="color", apply=apply_haze)

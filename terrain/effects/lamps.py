@@ -19,30 +19,30 @@ from skugga.terrain.gbuffer.resolve import FOREST
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible_cells
-from skugga.terrain.lights import CONE_EDGE, Lamp
+from skugga.terrain.lights import CONE_FADE_SHARE, Lamp
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import LEAF_GLOW, daylight_of, exposure_of, night_of
-from skugga.terrain.shading_loops import MIN_SKY, dusk_of
+from skugga.terrain.shading import LEAF_GLOW, daylight_of, exposure_of, night_sky_share
+from skugga.terrain.shading_loops import MIN_SKY_FACTOR, dusk_of
 from skugga.terrain.srgb import srgb_of_linear
 
-NAMED_LAMPS = 8
+MAX_NAMED_LAMPS = 8
 """Maximum number of lamps that a reason names."""
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed without lamps, and if the light of none of them is visible."""
     if not descriptor.lamps:
         return Verdict(False, "the level has no lamps")
-    reaching = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
-    if not reaching:
+    reaching_lamps = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
+    if not reaching_lamps:
         return Verdict(False, f"no light from {_join_names([lamp.name for lamp in descriptor.lamps])} reaches the view")
-    return Verdict(True, f"light from {_join_names(reaching)} reaches the view")
+    return Verdict(True, f"light from {_join_names(reaching_lamps)} reaches the view")
 
 
 def _join_names(names: list[str]) -> str:
-    """Return names joined with commas, shortened to the first ``NAMED_LAMPS`` and the number of the others."""
-    rest_count = len(names) - NAMED_LAMPS
-    return ", ".join(names if rest_count <= 1 else [*names[:NAMED_LAMPS], f"{rest_count} others"])
+    """Return names joined with commas, shortened to the first ``MAX_NAMED_LAMPS`` and the number of the others."""
+    rest_count = len(names) - MAX_NAMED_LAMPS
+    return ", ".join(names if rest_count <= 1 else [*names[:MAX_NAMED_LAMPS], f"{rest_count} others"])
 
 
 def visible_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> set[str]:
@@ -55,16 +55,17 @@ def visible_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: Co
     return set(light) - negligible_lamps(light, _min_visible_light(scene))
 
 
-def negligible_lamps(light: Mapping[str, np.ndarray | float], least: float) -> set[str]:
+def negligible_lamps(light: Mapping[str, np.ndarray | float], min_visible: float) -> set[str]:
     """Return the lamps that may be left out: the dimmest ones, until some point would lose more than the visible light.
 
-    ``light`` is the irradiance of each lamp at the same points (n,), or at one point. ``least`` is the smallest visible irradiance
-    in the same unit. All values are 0 or more. Lamps are sorted by their maximum irradiance; equal ones keep their order.
+    ``light`` is the irradiance of each lamp at the same points (n,), or at one point. ``min_visible`` is the smallest visible
+    irradiance in the same unit. All values are 0 or more. Lamps are sorted by their maximum irradiance; equal ones keep their
+    order.
     """
     negligible, total = set(), np.zeros(1)
     for name in sorted(light, key=lambda name: float(np.max(light[name], initial=0.0))):
         total = total + light[name]
-        if np.max(total, initial=0.0) > least:
+        if np.max(total, initial=0.0) > min_visible:
             break
         negligible.add(name)
     return negligible
@@ -110,9 +111,9 @@ def _min_visible_light(scene: Scene) -> float:
     changes the code of a colour c in proportion to c to the power of 0.42.
     """
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
-    night = night_of(scene)
+    night = night_sky_share(scene)
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
-    ground_light = 0.25 * (1.0 if scene.sun is None else MIN_SKY) * sky if "meshes" not in scene.objects.kinds else 0.0
+    ground_light = 0.25 * (1.0 if scene.sun is None else MIN_SKY_FACTOR) * sky if "meshes" not in scene.objects.kinds else 0.0
     increments = np.geomspace(1e-6, 1.0, 256)
     return float(
         increments[
@@ -125,14 +126,14 @@ def _min_visible_light(scene: Scene) -> float:
 def _points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.ndarray]:
     """Return the earth-fixed points (n, 3) of some cells of the overview, and the radius of each cell's ground (n,), metres."""
     overview, elevation = scene.elevation.overview, scene.elevation
-    factor = 2**overview.level
-    shown = np.zeros(overview.high_m.shape, bool)
-    shown[block_slices(cells, factor, overview.high_m.shape)] = True
-    row, col = np.nonzero(shown & np.isfinite(overview.high_m))
+    factor = 2**overview.lod
+    cell_mask = np.zeros(overview.high_m.shape, bool)
+    cell_mask[block_slices(cells, factor, overview.high_m.shape)] = True
+    row, col = np.nonzero(cell_mask & np.isfinite(overview.high_m))
     high, mean = overview.high_m[row, col], overview.heights_m[row, col]
     point, up = scene.world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
-    across_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
-    return point + up * high[:, None], across_m + 2.0 * np.nan_to_num(high - mean)
+    cell_width_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
+    return point + up * high[:, None], cell_width_m + 2.0 * np.nan_to_num(high - mean)
 
 
 def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
@@ -146,7 +147,9 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
         position, axis, _ = lamp.in_frame(buffer.frame)
         color = np.array(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
         outer, inner = (
-            np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
+            np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_FADE_SHARE)]))
+            if lamp.kind == "spot"
+            else (-2.0, -1.5)
         )
         _add_lamp_light(lamplight, buffer.shading_inputs, visibility, position, axis, color, outer, inner, LEAF_GLOW)
 
@@ -158,16 +161,16 @@ def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, i
         for j in range(valid.shape[1]):
             n, p = normal[i, j], position[i, j]
             x, y, z = lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2]
-            away = np.sqrt(x * x + y * y + z * z)
-            if not valid[i, j] or away == 0.0 or visibility[i, j] == 0.0:
+            distance = np.sqrt(x * x + y * y + z * z)
+            if not valid[i, j] or distance == 0.0 or visibility[i, j] == 0.0:
                 continue
             leaf = glow if kind[i, j] == FOREST else 0.0
-            across = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / away
-            cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / away
+            incidence_cosine = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / distance
+            cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / distance
             rim = min(max((cosine - outer) / (inner - outer), 0.0), 1.0)
-            share = (leaf + (1.0 - leaf) * across) * rim * visibility[i, j] / (away * away)
+            share = (leaf + (1.0 - leaf) * incidence_cosine) * rim * visibility[i, j] / (distance * distance)
             for k in range(3):
                 out[i, j, k] += color[k] * share
 
 
-EFFECT = Effect("spots and omni lights", called_for, stage="lamplight", part=apply_lamps)
+EFFECT = Effect("spots and omni lights", judge, stage="lamplight", apply=apply_lamps)

@@ -20,7 +20,7 @@ from skugga.terrain.ground.visible_cells import is_block
 from skugga.terrain.scene import Scene
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed if no ground outside can cast shadows into the view, or if all ground
     is inside.
     """
@@ -28,12 +28,12 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "not needed: a perspective view already includes all ground, even behind the camera")
     if not descriptor.facts.get("outside_casters", {}).get("outside", True):
         return Verdict(False, "one block shows all of the ground")
-    relief = cast_shadows.sun_kind_verdict(descriptor, "relief")
-    if relief.called_for and cast_shadows.sun_verdict(descriptor).called_for:
+    relief = cast_shadows.sun_caster_verdict(descriptor, "relief")
+    if relief.is_needed and cast_shadows.sun_verdict(descriptor).is_needed:
         return Verdict(True, f"{relief.reason}, also outside the view")
     if any(lamp.reaches for lamp in descriptor.lamps) and descriptor.relief_m > 0.0:
         return Verdict(True, "ground between the view and a lamp can cast shadows into the view")
-    return Verdict(False, relief.reason if not relief.called_for else cast_shadows.sun_verdict(descriptor).reason)
+    return Verdict(False, relief.reason if not relief.is_needed else cast_shadows.sun_verdict(descriptor).reason)
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -50,4 +50,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"outside": not inside}
 
 
-EFFECT = Effect("casters outside of a map's block", called_for, facts, needs=("cast_shadows",), unknown=None)
+EFFECT = Effect("casters outside of a map's block", judge, facts, needs=("cast_shadows",), verdict_without_facts=None)

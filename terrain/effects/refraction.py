@@ -23,7 +23,7 @@ SRGB_SLOPE = 3.5
 """Slope of sRGB at a linear value of 0.03: the dark side of white ground on a slope that sees half of the sky."""
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed if the level sets the sun's apparent angles, and under a high sun."""
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
@@ -60,4 +60,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"lift_deg": scene.sun.lift_deg, "moves_m": longer_m}
 
 
-EFFECT = Effect("atmospheric refraction", called_for, facts)
+EFFECT = Effect("atmospheric refraction", judge, facts)

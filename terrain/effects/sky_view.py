@@ -22,11 +22,11 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.ground.sky_view_factor import SkyView, hidden_on, pyramid_level, sky_view, sky_view_nodes
+from skugga.terrain.ground.sky_view_factor import SkyView, mip_pair, sky_occlusion_at, sky_view, sky_view_nodes
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.ground.visible_cells import block_slices, visible_cells
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import daylight_of, look_of, max_sky_factor, night_of, sky_lit_albedo, srgb_encoded
+from skugga.terrain.shading import daylight_of, look_of, max_sky_factor, night_sky_share, sky_lit_albedo, srgb_encoded
 from skugga.terrain.shading_loops import dusk_of
 from skugga.terrain.style import tint_table
 
@@ -38,17 +38,21 @@ MARGIN_NODES = 4
 """Margin of nodes beyond a map's edge that interpolation may read, including those of the next coarser pyramid level."""
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not if the hidden part of the sky changes no channel by more than a step."""
     facts = descriptor.facts["sky_view"]
     if not facts:
         return Verdict(False, "the light of the sky is only known on the Earth")
-    hidden, steps = facts["hidden"], facts["steps"]
-    assert isinstance(hidden, float) and isinstance(steps, float)
-    if hidden == 0.0:
+    hidden_share, darkening_steps = facts["hidden"], facts["steps"]
+    assert isinstance(hidden_share, float) and isinstance(darkening_steps, float)
+    if hidden_share == 0.0:
         return Verdict(False, "open sky: no ground rises above the ground in view")
-    text = f"ground hides up to {100.0 * hidden:.2g} % of the sky and darkens surfaces lit by the sky alone by "
-    return Verdict(True, f"{text}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{text}at most one step of 255")
+    text = f"ground hides up to {100.0 * hidden_share:.2g} % of the sky and darkens surfaces lit by the sky alone by "
+    return (
+        Verdict(True, f"{text}{darkening_steps:.0f} steps of 255")
+        if darkening_steps > 1
+        else Verdict(False, f"{text}at most one step of 255")
+    )
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -75,16 +79,16 @@ def _max_hidden_in_map(scene: Scene, view: MapView, baked: SkyView) -> float:
     cells, (means, table) = visible_cells(scene.elevation, view), baked.means
     if cells is None:
         return 0.0
-    halved = _pyramid_position(scene, view, baked)
-    number = min(int(halved), len(table) - 1)
-    level, beside = _level(means, table, number), MARGIN_NODES if halved > 0.0 else 1
-    return float(level[block_slices(cells, 2 ** (baked.level + number), level.shape, beside)].max())
+    fractional_level = _pyramid_position(scene, view, baked)
+    number = min(int(fractional_level), len(table) - 1)
+    level_values, margin = _pyramid_values(means, table, number), MARGIN_NODES if fractional_level > 0.0 else 1
+    return float(level_values[block_slices(cells, 2 ** (baked.lod + number), level_values.shape, margin)].max())
 
 
-def max_darkening_steps(light: float, hidden: float) -> int:
-    """Return the maximum number of steps of 255 by which the share ``hidden`` darkens any linear colour up to ``light``."""
+def max_darkening_steps(light: float, hidden_share: float) -> int:
+    """Return the maximum number of steps of 255 by which the share ``hidden_share`` darkens any linear colour up to ``light``."""
     shades = np.linspace(0.0, light, COMPARED_SHADES)
-    return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden))).max())
+    return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden_share))).max())
 
 
 def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
@@ -96,7 +100,7 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
     tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
     albedo = sky_lit_albedo(tints, look_of(scene, view)).max(axis=0) if plain else np.ones(3)
-    night = night_of(scene)
+    night = night_sky_share(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
     return float((albedo * daylight_of(scene).sky).max()) * max_sky_factor(scene) * (night + (1.0 - night) * day)
 
@@ -106,7 +110,7 @@ def _pyramid_position(scene: Scene, view: MapView, baked: SkyView) -> float:
     return max(float(np.log2(map_pixel_m(scene.world, view) / baked.node_m)), 0.0)
 
 
-def _level(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
+def _pyramid_values(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
     """Return a level (rows, cols) of a pyramid. Numbers beyond the last level give the last level."""
     begin, rows, cols = table[min(number, len(table) - 1)]
     return values[begin : begin + rows * cols].reshape(rows, cols)
@@ -121,23 +125,23 @@ def _max_hidden_in_view(baked: SkyView, coarse_view: CoarseView) -> float:
     if not buffer.valid.any():
         return 0.0
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
-    reach = np.zeros(buffer.valid.shape)
+    radius = np.zeros(buffer.valid.shape)
     for axis in (0, 1):
-        apart = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
-        before, after = (np.insert(apart, position, np.nan, axis=axis) for position in (0, apart.shape[axis]))
+        spacing = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
+        previous_spacing, next_spacing = (np.insert(spacing, position, np.nan, axis=axis) for position in (0, spacing.shape[axis]))
         # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
-        reach = np.fmax(reach, np.fmin(before, after))
+        radius = np.fmax(radius, np.fmin(previous_spacing, next_spacing))
     highest, table = baked.highest
     has_node = buffer.valid & np.isfinite(nodes[..., 0])
-    return float(_max_around_nodes(highest, table, nodes[has_node], reach[has_node]))
+    return float(_max_around_nodes(highest, table, nodes[has_node], radius[has_node]))
 
 
 @compiled
-def _max_around_nodes(values, table, nodes, reach):
+def _max_around_nodes(values, table, nodes, radius):
     """Return the maximum of a pyramid of maxima within a radius of any node: over 3 x 3 cells that are as wide as the radius."""
     largest = 0.0
     for n in range(len(nodes)):
-        number = min(max(int(np.ceil(np.log2(max(reach[n], 1.0)))), 0), len(table) - 1)
+        number = min(max(int(np.ceil(np.log2(max(radius[n], 1.0)))), 0), len(table) - 1)
         begin, rows, cols = table[number]
         side = 2.0**number
         row, col = int(np.floor((nodes[n, 0] + 0.5) / side)), int(np.floor((nodes[n, 1] + 0.5) / side))
@@ -177,7 +181,7 @@ def _write_factors(first, last, out, nodes, position, values, table, eye, tangen
 
     Pixels are ``tangent`` nodes wide at distance 1 in perspective, or ``width`` nodes wide in a map.
     """
-    level = finest = pyramid_level(table, width)
+    mip_level = finest_level = mip_pair(table, width)
     for i in range(first, last):
         for j in range(out.shape[1]):
             row, col = nodes[i, j, 0], nodes[i, j, 1]
@@ -185,9 +189,9 @@ def _write_factors(first, last, out, nodes, position, values, table, eye, tangen
                 continue
             if tangent > 0.0:
                 x, y, z = position[i, j, 0] - eye[0], position[i, j, 1] - eye[1], position[i, j, 2] - eye[2]
-                wide = tangent * np.sqrt(x * x + y * y + z * z)
-                level = finest if wide <= 1.0 else pyramid_level(table, wide)  # in perspective ``width`` is 0
-            out[i, j] = 1.0 - hidden_on(values, level, row, col)
+                pixel_nodes = tangent * np.sqrt(x * x + y * y + z * z)
+                mip_level = finest_level if pixel_nodes <= 1.0 else mip_pair(table, pixel_nodes)  # in perspective ``width`` is 0
+            out[i, j] = 1.0 - sky_occlusion_at(values, mip_level, row, col)
 
 
-EFFECT = Effect("sky-view factor: sky light that relief blocks", called_for, facts, "skylight", apply_sky_view)
+EFFECT = Effect("sky-view factor: sky light that relief blocks", judge, facts, "skylight", apply_sky_view)

@@ -15,7 +15,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import fractal_at
 from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import SHORE_M
+from skugga.terrain.shading import WATER_TOLERANCE_M
 
 SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of settled snow, and of the rock and scree on steep ground."""
@@ -41,33 +41,33 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     _whiten(
         albedo, buffer.shading_inputs, buffer.albedo, scene.world.up_origin(buffer.frame),
         scene.world.anchor_from_frame(buffer.frame),
-        scene.elevation.water_m + SHORE_M, pixel_size(block),
+        scene.elevation.water_m + WATER_TOLERANCE_M, pixel_size(block),
     )  # fmt: skip
 
 
 @compiled
-def _whiten(albedo, shading_inputs, own, centre, anchor_from_frame, water_m, size):
+def _whiten(albedo, shading_inputs, surface_albedo, centre, anchor_from_frame, water_m, size):
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
-    eye, spread, pixel_m = size
+    eye, tangent, pixel_m = size
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
             if not valid[i, j] or (kind[i, j] == RELIEF and height[i, j] <= water_m):
                 continue
             n, p = normal[i, j], position[i, j]
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
-            upright = (n[0] * ux + n[1] * uy + n[2] * uz) / np.sqrt(ux * ux + uy * uy + uz * uz)
+            up_cosine = (n[0] * ux + n[1] * uy + n[2] * uz) / np.sqrt(ux * ux + uy * uy + uz * uz)
             away_x, away_y, away_z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-            wide_m = pixel_m + spread * np.sqrt(away_x * away_x + away_y * away_y + away_z * away_z)
+            pixel_width_m = pixel_m + tangent * np.sqrt(away_x * away_x + away_y * away_y + away_z * away_z)
             x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
             y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
             if kind[i, j] == FOREST:
-                share = _crown_snow_share(upright, x, y, height[i, j], wide_m)
+                share = _crown_snow_share(up_cosine, x, y, height[i, j], pixel_width_m)
             else:
-                share = _slope_snow_share(np.degrees(np.arccos(min(max(upright, -1.0), 1.0))), x, y, wide_m)
+                share = _slope_snow_share(np.degrees(np.arccos(min(max(up_cosine, -1.0), 1.0))), x, y, pixel_width_m)
             draped = False
-            if own is not None:
-                draped = np.isfinite(own[i, j, 0])
+            if surface_albedo is not None:
+                draped = np.isfinite(surface_albedo[i, j, 0])
             for k in range(3):
                 bare = albedo[i, j, k]
                 if kind[i, j] == RELIEF and not draped:
@@ -84,11 +84,11 @@ def _slope_snow_share(slope_deg, x_m, y_m, pixel_m):
 
 
 @internal
-def _crown_snow_share(upright, x_m, y_m, height_m, pixel_m):
-    """Return the share of snow on a crown, at a point where the cosine between normal and vertical is ``upright``."""
-    if upright > CROWN_TOP[0] - 2.0 * CLUMPS:
-        upright += CLUMPS * (_fading_noise(x_m, height_m, CLUMP_M, pixel_m) + _fading_noise(height_m, y_m, CLUMP_M, pixel_m))
-    return CROWN_SNOW_SHARE * smoothstep_value((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
+def _crown_snow_share(up_cosine, x_m, y_m, height_m, pixel_m):
+    """Return the share of snow on a crown, at a point where the cosine between normal and vertical is ``up_cosine``."""
+    if up_cosine > CROWN_TOP[0] - 2.0 * CLUMPS:
+        up_cosine += CLUMPS * (_fading_noise(x_m, height_m, CLUMP_M, pixel_m) + _fading_noise(height_m, y_m, CLUMP_M, pixel_m))
+    return CROWN_SNOW_SHARE * smoothstep_value((up_cosine - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
 
 
 @internal
@@ -98,7 +98,7 @@ def _fading_noise(x_m, y_m, wave_m, pixel_m):
     return share * fractal_at(x_m / wave_m, y_m / wave_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed without snow, and without a visible surface for it."""
     facts = descriptor.facts["snow"]
     if not facts["lies"]:
@@ -116,12 +116,12 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     - ``why``: the reason if none can, or ``None``.
     """
     level = scene.loaded.level
-    why = None
+    reason = None
     if level.water is not None and scene.objects.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
-        why = f"all ground lies below the water level, {level.water.level:g} m"
+        reason = f"all ground lies below the water level, {level.water.level:g} m"
     elif coarse_view is not None and len(coarse_view.points_frame_m) == 0 and scene.objects.trees is None:
-        why = "the view shows only sky"
-    return {"lies": level.weather.snow, "on": why is None, "why": why}
+        reason = "the view shows only sky"
+    return {"lies": level.weather.snow, "on": reason is None, "why": reason}
 
 
-EFFECT = Effect("snow cover", called_for, facts, stage="albedo", part=apply_snow)
+EFFECT = Effect("snow cover", judge, facts, stage="albedo", apply=apply_snow)

@@ -17,7 +17,7 @@ SUN_DIAMETER_RAD = float(2.0 * np.radians(SUN_RADIUS_DEG))
 """Angular diameter of the sun, radians: width of the penumbra, perpendicular to the light, per distance of caster and receiver."""
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed if every penumbra is narrower than a pixel."""
     if descriptor.sun_altitude_deg is None:
         return Verdict(False, "the level has no sun")
@@ -43,4 +43,4 @@ def penumbra_m(descriptor: Descriptor) -> float:
     return thrown_m * SUN_DIAMETER_RAD / float(sine)
 
 
-EFFECT = Effect("penumbrae of the sun's disc", called_for, needs=("cast_shadows",))
+EFFECT = Effect("penumbrae of the sun's disc", judge, needs=("cast_shadows",))

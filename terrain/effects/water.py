@@ -28,7 +28,7 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.facts.fact_types import Fact, numeric_fact
 from skugga.terrain.gbuffer.antialias import finer_view
 from skugga.terrain.gbuffer.view_geometry import RasterisedView
 from skugga.terrain.geo.camera import PerspectiveView
@@ -37,7 +37,16 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import SHORE_M, daylight_of, exposure_of, look_of, night_of, sky_lit_albedo, srgb_encoded, water_in
+from skugga.terrain.shading import (
+    WATER_TOLERANCE_M,
+    daylight_of,
+    exposure_of,
+    look_of,
+    night_sky_share,
+    sky_lit_albedo,
+    srgb_encoded,
+    water_in,
+)
 from skugga.terrain.shading_loops import dusk_of, shoulder
 from skugga.terrain.sky import sky_color, sky_of
 
@@ -76,12 +85,12 @@ from a tested one.
 """
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed without water in view, and if the reflected sky is as dark as the water
     itself.
     """
     facts = descriptor.facts["water"]
-    level_m, change = number(facts["level_m"]), number(facts["change_steps"])
+    level_m, change = numeric_fact(facts["level_m"]), numeric_fact(facts["change_steps"])
     if level_m is None:
         return Verdict(False, "the level has no water")
     if not facts["covers"]:
@@ -108,7 +117,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if scene.loaded.level.water is None:
         return {"level_m": None, "covers": False, "change_steps": None, "glint": False}
     change: int | None = None
-    covers = scene.elevation.overview.lowest_m <= water_m + SHORE_M
+    covers = scene.elevation.overview.lowest_m <= water_m + WATER_TOLERANCE_M
     if isinstance(view, MapView):
         covers = covers and _has_water_at(scene, view)
         change = _change_steps(scene, view, np.array([1.0])) if covers else None
@@ -120,24 +129,24 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 def _has_water_at(scene: Scene, view: MapView) -> bool:
     cells = visible_cells(scene.elevation, view)
-    return cells is not None and _has_water_in(scene.elevation, scene.surface(view.grid).level, cells)
+    return cells is not None and _has_water_in(scene.elevation, scene.surface(view.grid).lod, cells)
 
 
 @cached("scene", MIB)
-def _has_water_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
+def _has_water_in(elevation: Elevation, overview_level: int, cells: CellRange) -> bool:
     """Return whether any visible cell of a raster lies under water, read at an overview level.
 
     Too many cells are not read. The result is then conservative: it may be true without water.
     """
-    side = 2**level
-    shown = block_slices(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
-    if np.prod([rows.stop - rows.start for rows in shown]) > MAX_CELLS_READ:
+    side = 2**overview_level
+    slices = block_slices(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
+    if np.prod([rows.stop - rows.start for rows in slices]) > MAX_CELLS_READ:
         overview = elevation.overview
-        means = overview.heights_m[block_slices(cells, 2**overview.level, overview.heights_m.shape, 2)]
-        return level < overview.level or bool(np.nanmin(means, initial=np.inf) <= elevation.water_m + SHORE_M)
-    row, col = ((np.arange(rows.start, rows.stop) + 0.5) * side - 0.5 for rows in shown)
-    height_m, valid = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
-    return bool((valid & (height_m <= elevation.water_m + SHORE_M)).any())
+        means = overview.heights_m[block_slices(cells, 2**overview.lod, overview.heights_m.shape, 2)]
+        return overview_level < overview.lod or bool(np.nanmin(means, initial=np.inf) <= elevation.water_m + WATER_TOLERANCE_M)
+    row, col = ((np.arange(rows.start, rows.stop) + 0.5) * side - 0.5 for rows in slices)
+    height_m, valid = elevation.heights_at(overview_level, *np.meshgrid(row, col, indexing="ij"))
+    return bool((valid & (height_m <= elevation.water_m + WATER_TOLERANCE_M)).any())
 
 
 def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
@@ -166,33 +175,35 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
 
     buffer, ground = coarse_view.buffer, coarse_view.buffer.ground
     assert ground is not None and isinstance(buffer.view, PerspectiveView)
-    coarse, wet = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= SHORE_M
-    points = ground.position_frame_m[wet]
-    eye, camera_from_frame = coarse.in_frame(buffer.frame)
+    sample_view, is_water = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= WATER_TOLERANCE_M
+    points = ground.position_frame_m[is_water]
+    eye, camera_from_frame = sample_view.in_frame(buffer.frame)
     in_camera = (points - eye) @ camera_from_frame.T
     points, in_camera = points[in_camera[:, 2] > 0.0], in_camera[in_camera[:, 2] > 0.0]
-    first = coarse.col0, coarse.row0
-    col, row = (np.rint((in_camera[:, k] / in_camera[:, 2] * coarse.focal_px - first[k]) / coarse.step) for k in (0, 1))
-    inside = (row >= -1) & (row <= coarse.rows) & (col >= -1) & (col <= coarse.cols)
+    first = sample_view.col0, sample_view.row0
+    col, row = (np.rint((in_camera[:, k] / in_camera[:, 2] * sample_view.focal_px - first[k]) / sample_view.step) for k in (0, 1))
+    inside = (row >= -1) & (row <= sample_view.rows) & (col >= -1) & (col <= sample_view.cols)
     points, in_camera, row, col = points[inside], in_camera[inside], row[inside].astype(int), col[inside].astype(int)
     far_m = np.full(buffer.valid.shape, np.inf)
     far_m[buffer.valid] = coarse_view.distance_m
-    far_m = maximum_filter(far_m, size=3, mode="nearest")[np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1)]
-    seen = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
-    if not seen.any():
+    far_m = maximum_filter(far_m, size=3, mode="nearest")[
+        np.clip(row, 0, sample_view.rows - 1), np.clip(col, 0, sample_view.cols - 1)
+    ]
+    is_visible = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
+    if not is_visible.any():
         return points[:0]
-    pixels_per_sample = round(coarse.step / view.step)
-    top, left = (max((int(v[seen].min()) - 1) * pixels_per_sample, 0) for v in (row, col))
-    bottom, right = (min((int(v[seen].max()) + 2) * pixels_per_sample, n) for v, n in ((row, view.rows), (col, view.cols)))
+    pixels_per_sample = round(sample_view.step / view.step)
+    top, left = (max((int(v[is_visible].min()) - 1) * pixels_per_sample, 0) for v in (row, col))
+    bottom, right = (min((int(v[is_visible].max()) + 2) * pixels_per_sample, n) for v, n in ((row, view.rows), (col, view.cols)))
     box = view.part(top, left, max(bottom - top, 1), max(right - left, 1))
     if box.rows * box.cols > MAX_PIXELS:
-        return points[seen]
-    submerged = wet[ground.triangles].all(axis=1)
-    for drawn in (box, finer_view(box)):
-        number = RasterisedView(scene, drawn, buffer.frame, kinds=("relief", "meshes")).seen.number
-        shown = number[(number > 0) & (number <= len(submerged))].astype(np.int64) - 1
-        if submerged[shown].any():
-            return points[seen]
+        return points[is_visible]
+    submerged = is_water[ground.triangles].all(axis=1)
+    for box_view in (box, finer_view(box)):
+        number = RasterisedView(scene, box_view, buffer.frame, kinds=("relief", "meshes")).id_buffer.number
+        triangle_index = number[(number > 0) & (number <= len(submerged))].astype(np.int64) - 1
+        if submerged[triangle_index].any():
+            return points[is_visible]
     return points[:0]
 
 
@@ -202,26 +213,26 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     The tested colours range from the darkest possible water (in shadow, half of the sky hidden) to the brightest (in the light of
     the sun and all lamps). The test uses the same loop as rendering.
     """
-    light, night = daylight_of(scene), night_of(scene)
+    light, night = daylight_of(scene), night_sky_share(scene)
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     sky = light.sky * (night + (1.0 - night) * dusk_of(sine))
     draped = scene.loaded.level.terrain.imagery is not None
-    own = np.array(scene.style.water)
-    darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(own, look_of(scene, view)), own)
+    water_albedo = np.array(scene.style.water)
+    darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, look_of(scene, view)), water_albedo)
     dark, bright = MIN_SKY_VIEW * sky * darkest, (sky + light.sun * max(sine, 0.0) + _lamplight(scene)) * brightest
-    bright = np.array([shoulder(each) for each in bright])
+    bright = np.array([shoulder(channel) for channel in bright])
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, ANGLES))
-    shown = (dark + (bright - dark) * np.linspace(0.0, 1.0, SHADES)[:, None, None] ** 2).astype(np.float32)
-    shown = np.ascontiguousarray(np.broadcast_to(shown, (SHADES, ANGLES, 3)))
+    tested_colors = (dark + (bright - dark) * np.linspace(0.0, 1.0, SHADES)[:, None, None] ** 2).astype(np.float32)
+    tested_colors = np.ascontiguousarray(np.broadcast_to(tested_colors, (SHADES, ANGLES, 3)))
     # Points on a sphere around the eye, above a horizontal plane.
     eye = np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
-    points = np.ascontiguousarray(np.broadcast_to(-eye, shown.shape))
-    valid, below, max_steps = np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
+    points = np.ascontiguousarray(np.broadcast_to(-eye, tested_colors.shape))
+    valid, below, max_steps = np.ones(tested_colors.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
     # The sky's colour is monotonic from below the sun to the opposite side, so both ends suffice.
     for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
-        color = shown.copy()
+        color = tested_colors.copy()
         _add_reflections(color, valid, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
-        max_steps = max(max_steps, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(shown)).max()))
+        max_steps = max(max_steps, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(tested_colors)).max()))
     return max_steps
 
 
@@ -273,9 +284,9 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
 
 
 @compiled
-def _seen_facets(cosine, square):
+def _visible_facets(cosine, mean_square_slope):
     """Return the visible area of facets at a zenith angle, per area of the plane, and their mean slope towards the eye."""
-    sine, deviation = np.sqrt(max(1.0 - cosine * cosine, 1e-12)), np.sqrt(0.5 * square)
+    sine, deviation = np.sqrt(max(1.0 - cosine * cosine, 1e-12)), np.sqrt(0.5 * mean_square_slope)
     a = cosine / (deviation * sine)
     share = 0.5 * (1.0 + erf(a * np.sqrt(0.5)))
     area = cosine * share + deviation * sine * np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
@@ -283,17 +294,17 @@ def _seen_facets(cosine, square):
 
 
 @internal
-def _reflection_at(cosine, square):
+def _reflection_at(cosine, mean_square_slope):
     """Return the Fresnel reflectance at a zenith angle, the sine of the reflected sky's altitude, and the area of the facets."""
-    area, slope = _seen_facets(cosine, square)
-    deviation = np.sqrt(0.5 * square)
+    area, slope = _visible_facets(cosine, mean_square_slope)
+    deviation = np.sqrt(0.5 * mean_square_slope)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
-    across = slope * np.sqrt(1.0 - cosine * cosine) + cosine
-    return NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * grazing, 2.0 * across / (1.0 + slope * slope) - cosine, area
+    eye_dot_normal = slope * np.sqrt(1.0 - cosine * cosine) + cosine
+    return NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * grazing, 2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine, area
 
 
 @compiled
-def _glint(eye_up, sun_up, eye_sun, area, square):
+def _glint(eye_up, sun_up, eye_sun, area, mean_square_slope):
     """Return the glint per irradiance at normal incidence, from the cosines between eye, sun and up.
 
     ``area`` is the area of the facets that the eye sees. Glint fades in over the first degree of the sun's altitude, like direct
@@ -303,36 +314,36 @@ def _glint(eye_up, sun_up, eye_sun, area, square):
         return 0.0
     bisector_length = np.sqrt(max(2.0 + 2.0 * eye_sun, 1e-12))  # the length of eye + sun, whose direction is the facet's normal
     tilt = min((eye_up + sun_up) / bisector_length, 1.0)
-    if (1.0 / (tilt * tilt) - 1.0) > 25.0 * square:  # only 1e-11 of the waves are so steep
+    if (1.0 / (tilt * tilt) - 1.0) > 25.0 * mean_square_slope:  # only 1e-11 of the waves are so steep
         return 0.0
     fresnel = NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
-    slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / square) / (square * tilt**4)
-    lit_area, _ = _seen_facets(sun_up, square)
+    slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / mean_square_slope) / (mean_square_slope * tilt**4)
+    lit_area, _ = _visible_facets(sun_up, mean_square_slope)
     return fresnel * slopes * sun_up / (4.0 * area * lit_area) * min(np.degrees(sun_up), 1.0)
 
 
 @compiled
-def _largest_glint(to_eye, up, to_sun, square):
+def _largest_glint(to_eye, up, to_sun, mean_square_slope):
     largest = 0.0
     sun_up = up[0] * to_sun[0] + up[1] * to_sun[1] + up[2] * to_sun[2]
     for n in range(to_eye.shape[0]):
         v = to_eye[n]
         eye_up = max(v[0] * up[0] + v[1] * up[1] + v[2] * up[2], 0.0)
-        area, _ = _seen_facets(eye_up, square)
+        area, _ = _visible_facets(eye_up, mean_square_slope)
         eye_sun = v[0] * to_sun[0] + v[1] * to_sun[1] + v[2] * to_sun[2]
-        largest = max(largest, _glint(eye_up, sun_up, eye_sun, area, square))
+        largest = max(largest, _glint(eye_up, sun_up, eye_sun, area, mean_square_slope))
     return largest
 
 
 @compiled
-def _add_reflections(color, water, position, eye, centre, sky, square, to_sun, sun, visibility):
+def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope, to_sun, sun, visibility):
     # The tests for None are resolved at compile time. No eye means a view from infinitely far above, no sun means no glint. The
     # reflected sky has no glow around the sun, since the glint replaces it.
-    below_sun, opposite, zenith, glow, _, fall, altitude = sky
-    plain = (below_sun, opposite, zenith, glow, 0.0, fall, altitude)
-    fresnel, sine, area = _reflection_at(1.0, square)
-    mirrored, along = np.empty(3), 0.0
-    sky_color(plain, sine, along, mirrored)
+    below_sun, opposite, zenith, glow, _, fade, sun_altitude = sky
+    sky_without_aureole = (below_sun, opposite, zenith, glow, 0.0, fade, sun_altitude)
+    fresnel, sine, area = _reflection_at(1.0, mean_square_slope)
+    mirrored_color, azimuth_cosine = np.empty(3), 0.0
+    sky_color(sky_without_aureole, sine, azimuth_cosine, mirrored_color)
     for i in range(water.shape[0]):
         for j in range(water.shape[1]):
             if not water[i, j]:
@@ -348,26 +359,26 @@ def _add_reflections(color, water, position, eye, centre, sky, square, to_sun, s
                 length = np.sqrt(vx * vx + vy * vy + vz * vz)
                 vx, vy, vz = vx / length, vy / length, vz / length
                 cosine = min(max(vx * ux + vy * uy + vz * uz, 0.0), 1.0)
-                fresnel, sine, area = _reflection_at(cosine, square)
+                fresnel, sine, area = _reflection_at(cosine, mean_square_slope)
                 sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                 eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
-                level = np.sqrt(max((1.0 - sun_up * sun_up) * (1.0 - cosine * cosine), 1e-12))
-                along = min(max((sun_up * cosine - eye_sun) / level, -1.0), 1.0)
-                sky_color(plain, sine, along, mirrored)
+                horizontal_product = np.sqrt(max((1.0 - sun_up * sun_up) * (1.0 - cosine * cosine), 1e-12))
+                azimuth_cosine = min(max((sun_up * cosine - eye_sun) / horizontal_product, -1.0), 1.0)
+                sky_color(sky_without_aureole, sine, azimuth_cosine, mirrored_color)
             glint = 0.0
             if sun is not None:
                 if visibility[i, j] > 0.0:
                     sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                     eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
-                    glint = visibility[i, j] * _glint(cosine, sun_up, eye_sun, area, square)
+                    glint = visibility[i, j] * _glint(cosine, sun_up, eye_sun, area, mean_square_slope)
             for k in range(3):
-                shown = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored[k]
+                value = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored_color[k]
                 if sun is not None:
                     if glint > 0.0:
-                        white = max(sun[k] / max(sun[0], sun[1], sun[2]), shown)
+                        white = max(sun[k] / max(sun[0], sun[1], sun[2]), value)
                         # Weak glint is added linearly. Glint fifty times brighter than the land is compressed and keeps its shape.
-                        shown += (white - shown) * (1.0 - 1.0 / np.sqrt(1.0 + 2.0 * glint * sun[k]))
-                color[i, j, k] = shown
+                        value += (white - value) * (1.0 - 1.0 / np.sqrt(1.0 + 2.0 * glint * sun[k]))
+                color[i, j, k] = value
 
 
-EFFECT = Effect("reflected sky and sun glint on standing water", called_for, facts, "color", apply_water)
+EFFECT = Effect("reflected sky and sun glint on standing water", judge, facts, "color", apply_water)

@@ -17,20 +17,20 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
-from skugga.terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
-TREE_TRIANGLES = 6
+TRIANGLES_PER_TREE = 6
 """A tree is three quads."""
 
 
 def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeInstances | None) -> tuple[CasterFacts, ...]:
     """Return the facts of each kind of casters in a scene. Trees are counted as the view draws them."""
-    objects, found = scene.objects, [_relief(scene, view)]
+    objects, facts = scene.objects, [_relief_facts(scene, view)]
     if objects.solids is not None:
-        found.append(_meshes(objects))
+        facts.append(_mesh_facts(objects))
     if trees is not None:
-        found.append(_forest(trees))
-    return tuple(found)
+        facts.append(_forest_facts(trees))
+    return tuple(facts)
 
 
 def trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
@@ -41,7 +41,7 @@ def trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | N
     return tree_instances_in_map(scene.objects, frame, map_pixel_m(scene.world, view))
 
 
-def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
+def _relief_facts(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
     low, high = scene.height_range_m
     if isinstance(view, PerspectiveView):
         ground, nodes = ground_mesh(scene, view), ground_nodes(scene).height_m.size
@@ -73,7 +73,7 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
 
 
 @cached("scene", MIB)
-def _meshes(objects: SceneObjects) -> CasterFacts:
+def _mesh_facts(objects: SceneObjects) -> CasterFacts:
     assert objects.placement is not None
     casting = objects.placement.casting
     sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])
@@ -85,12 +85,12 @@ def _meshes(objects: SceneObjects) -> CasterFacts:
 
 
 @cached("scene", MIB)
-def _forest(trees: TreeInstances) -> CasterFacts:
+def _forest_facts(trees: TreeInstances) -> CasterFacts:
     """Return the facts of the trees as drawn. Where trees are decimated, the remaining ones are larger."""
     sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
     gaps = leaf_gaps()[2 * trees.variant] * trees.shape[:, 2] if len(trees) else np.zeros(1)
     return CasterFacts(
-        kind="forest", count=len(trees), triangles=TREE_TRIANGLES * len(trees), alpha_share=1.0,
+        kind="forest", count=len(trees), triangles=TRIANGLES_PER_TREE * len(trees), alpha_share=1.0,
         height_m=float(sizes[2]), width_m=2.0 * float(sizes[0]), leaf_gap_m=float(np.median(gaps)),
     )  # fmt: skip
 
@@ -102,12 +102,12 @@ def leaf_gaps() -> np.ndarray:
     The width is the mean length of runs of leaf texels and of gap texels along the rows, within the outline of the tree.
     """
     means = []
-    for alpha in foliage().levels[0][..., 3]:
-        leaf = alpha >= THRESHOLD * 255
+    for alpha in foliage().mip_levels[0][..., 3]:
+        leaf = alpha >= ALPHA_THRESHOLD * 255
         changes = np.count_nonzero(leaf[:, 1:] != leaf[:, :-1], axis=1)
         first, last = leaf.argmax(axis=1), leaf.shape[1] - leaf[:, ::-1].argmax(axis=1)
-        across = np.where(leaf.any(axis=1), last - first, 0)
-        means.append(across.sum() / max(int(np.maximum(changes - 1, 1)[across > 0].sum()), 1) / leaf.shape[1])
+        outline_width = np.where(leaf.any(axis=1), last - first, 0)
+        means.append(outline_width.sum() / max(int(np.maximum(changes - 1, 1)[outline_width > 0].sum()), 1) / leaf.shape[1])
     return np.array(means)
 
 
@@ -117,7 +117,7 @@ def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]
 
     All three are 0 if the overview has no neighbouring cells with data.
     """
-    cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.level
+    cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.lod
     heights = elevation.overview.heights_m.astype(np.float64)
     if min(heights.shape) < 2:
         return 0.0, 0.0, 0.0

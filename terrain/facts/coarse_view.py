@@ -101,7 +101,7 @@ class _CoarseRaster:
     frame: LocalFrame
     ground: GroundMesh
     solids: np.ndarray | None
-    seen: IdBuffer
+    id_buffer: IdBuffer
     tree_instances: None = None
 
 
@@ -126,30 +126,39 @@ def _sample_every(scene: Scene, view: PerspectiveView, px: int, edge_samples: Ne
 
     A view of every pixel receives the ``edge_samples`` of the coarse one, since its own would need too much memory in the cache.
     """
-    coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
+    coarse_camera = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     frame = view.frame(scene.world)
-    ground, solids = ground_mesh(scene, coarse), solid_vertices(scene.objects, frame)
+    ground, solids = ground_mesh(scene, coarse_camera), solid_vertices(scene.objects, frame)
     meshes = [(ground.position_frame_m, ground.triangles)]
     if solids is not None and scene.objects.solids is not None:
         meshes.append((solids, scene.objects.solids.triangles))
     number, depth_m = rasterize_triangles(
-        coarse, frame, meshes, np.array(CROSS_OFFSETS if edge_samples is None else CROSS_OFFSETS[:1]) / px
+        coarse_camera, frame, meshes, np.array(CROSS_OFFSETS if edge_samples is None else CROSS_OFFSETS[:1]) / px
     )
-    seen = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
+    id_buffer = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
     if edge_samples is None:
-        row, col = (px * index.ravel() for index in np.indices(seen.number.shape))
-        flat, normals = (len(row), len(CROSS_OFFSETS)), mesh_normals(scene.objects)
-        edge_samples = NeighbourSamples(view, row, col, number.reshape(flat), depth_m.reshape(flat), len(ground.triangles), normals)
+        row, col = (px * index.ravel() for index in np.indices(id_buffer.number.shape))
+        shape, normals = (len(row), len(CROSS_OFFSETS)), mesh_normals(scene.objects)
+        edge_samples = NeighbourSamples(
+            view, row, col, number.reshape(shape), depth_m.reshape(shape), len(ground.triangles), normals
+        )
         has_edge = edge_mask_of_crosses(edge_samples.number, edge_samples.distance_m, edge_samples.ground, edge_samples.normals)
     else:
         depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
-        has_edge = edge_mask(seen.number, depth, edge_samples.ground, edge_samples.normals, NEAR_M)
-    geometry = resolve_buffer(scene, coarse, _CoarseRaster(frame, ground, solids, seen))
+        has_edge = edge_mask(id_buffer.number, depth, edge_samples.ground, edge_samples.normals, NEAR_M)
+    geometry = resolve_buffer(scene, coarse_camera, _CoarseRaster(frame, ground, solids, id_buffer))
     points = geometry.position_frame_m[geometry.valid]
     eye, _ = view.in_frame(frame)
     distance_m = np.linalg.norm(points - eye, axis=-1)
     return CoarseView(
-        geometry, eye, points, distance_m, geometry.height_m[geometry.valid], coarse.pixel, float(has_edge.mean()), edge_samples
+        geometry,
+        eye,
+        points,
+        distance_m,
+        geometry.height_m[geometry.valid],
+        coarse_camera.pixel,
+        float(has_edge.mean()),
+        edge_samples,
     )
 
 
@@ -169,7 +178,7 @@ def rasterize_triangles(
     first = 1
     for vertices, triangles in meshes:
         in_camera, pixel = _projected(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
-        _draw(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_M, first, number, depth)
+        _rasterize(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_M, first, number, depth)
         first += len(triangles)
     return number, depth
 
@@ -177,14 +186,14 @@ def rasterize_triangles(
 @compiled
 def _projected(vertices, eye, rotation, tangents):
     """Return vertices (n, 3) in camera axes, and their columns and rows (n, 2), which are valid in front of the eye only."""
-    at, pixel = np.empty((len(vertices), 3)), np.empty((len(vertices), 2))
+    camera_position, pixel = np.empty((len(vertices), 3)), np.empty((len(vertices), 2))
     for n in range(len(vertices)):
         x, y, z = vertices[n, 0] - eye[0], vertices[n, 1] - eye[1], vertices[n, 2] - eye[2]
         for k in range(3):
-            at[n, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
+            camera_position[n, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
         for k in range(2):
-            pixel[n, k] = (at[n, k] / at[n, 2] - tangents[k]) / tangents[2]
-    return at, pixel
+            pixel[n, k] = (camera_position[n, k] / camera_position[n, 2] - tangents[k]) / tangents[2]
+    return camera_position, pixel
 
 
 @internal
@@ -201,12 +210,12 @@ def _is_outside_frustum(a, b, c, tangents, reach, rows, cols):
 
 
 @compiled
-def _draw(at, pixel, triangles, tangents, offsets, near, first, number, depth):
+def _rasterize(camera_vertices, pixel, triangles, tangents, offsets, near, first, number, depth):
     rows, cols, samples = number.shape
     reach = np.abs(offsets).max()
     for t in range(len(triangles)):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        behind_near = (at[i, 2] < near) + (at[j, 2] < near) + (at[k, 2] < near)
+        behind_near = (camera_vertices[i, 2] < near) + (camera_vertices[j, 2] < near) + (camera_vertices[k, 2] < near)
         if behind_near == 3:
             continue
         if behind_near == 0:
@@ -219,15 +228,15 @@ def _draw(at, pixel, triangles, tangents, offsets, near, first, number, depth):
                 continue
             c0, c1 = int(np.ceil(max(low_col - reach, 0.0))), int(min(high_col + reach, cols - 1.0))
             r0, r1 = int(np.ceil(max(low_row - reach, 0.0))), int(min(high_row + reach, rows - 1.0))
-        elif _is_outside_frustum(at[i], at[j], at[k], tangents, reach, rows, cols):
+        elif _is_outside_frustum(camera_vertices[i], camera_vertices[j], camera_vertices[k], tangents, reach, rows, cols):
             continue
         else:
             r0, r1, c0, c1 = 0, rows - 1, 0, cols - 1
         if c0 > c1 or r0 > r1:
             continue
-        a0, a1, a2 = at[i, 0], at[i, 1], at[i, 2]
-        b0, b1, b2 = at[j, 0], at[j, 1], at[j, 2]
-        d0, d1, d2 = at[k, 0], at[k, 1], at[k, 2]
+        a0, a1, a2 = camera_vertices[i, 0], camera_vertices[i, 1], camera_vertices[i, 2]
+        b0, b1, b2 = camera_vertices[j, 0], camera_vertices[j, 1], camera_vertices[j, 2]
+        d0, d1, d2 = camera_vertices[k, 0], camera_vertices[k, 1], camera_vertices[k, 2]
         u0, u1, u2 = b1 * d2 - b2 * d1, b2 * d0 - b0 * d2, b0 * d1 - b1 * d0
         v0, v1, v2 = d1 * a2 - d2 * a1, d2 * a0 - d0 * a2, d0 * a1 - d1 * a0
         w0, w1, w2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import CasterKind
 
-TEXEL_LADDER_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+TEXEL_SIZES_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Texel sizes, in pixels, for which the descriptor states the error of nearest-neighbour shadow-map look-ups."""
 
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
@@ -70,7 +70,7 @@ class Band(Facts):
     high_light_m: FinitePoint
 
     @model_validator(mode="after")
-    def _in_order(self) -> Band:
+    def _validate_order(self) -> Band:
         _check_ascending("far_m", self.near_m, self.far_m)
         for low, high in zip(self.low_light_m, self.high_light_m, strict=True):
             if high < low:
@@ -115,7 +115,7 @@ class CastBand(Facts):
     - ``cast``: share of the band that lies in these shadows.
     - ``pixel_m``: side of a pixel in the band, metres.
     - ``light_m``: distance of the lamp, metres; ``None`` for the sun.
-    - ``differs``: for each texel size of ``TEXEL_LADDER_PX`` the share of the band whose visibility differs from that of a point
+    - ``differs``: for each texel size of ``TEXEL_SIZES_PX`` the share of the band whose visibility differs from that of a point
       beside it. This point lies anywhere in a texel-sized square perpendicular to the light. The share is the error of a
       nearest-neighbour look-up in a shadow map with such texels.
     """
@@ -126,10 +126,10 @@ class CastBand(Facts):
     cast: Share
     pixel_m: Positive
     light_m: AtLeastZero | None = None
-    differs: Annotated[tuple[Share, ...], Field(min_length=len(TEXEL_LADDER_PX), max_length=len(TEXEL_LADDER_PX))]
+    differs: Annotated[tuple[Share, ...], Field(min_length=len(TEXEL_SIZES_PX), max_length=len(TEXEL_SIZES_PX))]
 
     @model_validator(mode="after")
-    def _in_order(self) -> CastBand:
+    def _validate_order(self) -> CastBand:
         if self.far_m is not None:
             _check_ascending("far_m", self.near_m, self.far_m)
         return self
@@ -150,7 +150,7 @@ class Casting(Facts):
     thrown_m: AtLeastZero | None = None
 
     @model_validator(mode="after")
-    def _in_order(self) -> Casting:
+    def _validate_order(self) -> Casting:
         _check_order(self.bands)
         return self
 
@@ -181,7 +181,7 @@ class LightFacts(Facts):
     casts: dict[CasterKind, Casting] = {}
 
 
-def number(fact: Fact) -> float | None:
+def numeric_fact(fact: Fact) -> float | None:
     """Return a fact as a number, or ``None`` if it is unknown. Raises ``InputError`` for text."""
     if isinstance(fact, str):
         raise InputError("facts", fact, "a number")

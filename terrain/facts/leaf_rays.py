@@ -15,7 +15,7 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.probes import ProbeRays
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
-from skugga.terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
 TREES_PER_CELL = 3
 """Mean number of trees per cell of the grid."""
@@ -55,21 +55,21 @@ class TreeGrid(NamedTuple):
 
 
 class LeafPictures(NamedTuple):
-    """Arrays of a ``TreeInstances``, and the leaf masks of the textures (``leaves``).
+    """Arrays of a ``TreeInstances``, and the leaf masks of the textures (``leaf_masks``).
 
     Attributes
     ----------
-    base_frame_m, shape, turn, variant
+    base_frame_m, shape, yaw_cos_sin, variant
         Position, size, rotation and texture of each tree, as in ``TreeInstances``.
-    leaf
+    leaf_mask
         Leaf masks of the textures (2 * looks, side, side), bool.
     """
 
     base_frame_m: np.ndarray
     shape: np.ndarray
-    turn: np.ndarray
+    yaw_cos_sin: np.ndarray
     variant: np.ndarray
-    leaf: np.ndarray
+    leaf_mask: np.ndarray
 
 
 @cached("scene", 64 * MIB)
@@ -81,12 +81,12 @@ def tree_grid_of(trees: TreeInstances) -> TreeGrid:
     extent = np.maximum(high - low, 1e-3)
     cell = max(float(np.sqrt(np.prod(extent) * TREES_PER_CELL / len(trees))), float(extent.max()) / MAX_CELLS_PER_SIDE)
     cols, rows = (int(n) for n in np.ceil(extent / cell))
-    top, first, tree, disc = _sorted(trees.base_frame_m, trees.shape, reach, low, cell, rows, cols)
+    top, first, tree, disc = _build_grid(trees.base_frame_m, trees.shape, reach, low, cell, rows, cols)
     return TreeGrid(low, cell, top, first, tree, disc)
 
 
 @compiled
-def _sorted(base, shape, reach, low, cell, rows, cols):
+def _build_grid(base, shape, reach, low, cell, rows, cols):
     top = np.full((rows, cols), -np.inf)
     first = np.zeros(rows * cols + 1, np.int64)
     tree, disc = np.empty(0, np.int32), np.empty((0, 3), np.float32)
@@ -114,9 +114,9 @@ def _sorted(base, shape, reach, low, cell, rows, cols):
 
 
 @cached("process", 64 * MIB)
-def leaves() -> np.ndarray:
+def leaf_masks() -> np.ndarray:
     """Return the leaf mask of each texture of a tree, shape (2 * looks, side, side), bool."""
-    return foliage().levels[0][..., 3] >= THRESHOLD * 255
+    return foliage().mip_levels[0][..., 3] >= ALPHA_THRESHOLD * 255
 
 
 def blocked_by_leaves(trees: TreeInstances, rays: ProbeRays) -> np.ndarray:
@@ -135,24 +135,24 @@ def first_leaf_hits(
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
-    pictures = LeafPictures(trees.base_frame_m, trees.shape, trees.turn, trees.variant, leaves())
-    return _first(tree_grid_of(trees), pictures, start, direction, length_m, MIN_LEAF_DISTANCE_M)
+    pictures = LeafPictures(trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, leaf_masks())
+    return _trace_first_hits(tree_grid_of(trees), pictures, start, direction, length_m, MIN_LEAF_DISTANCE_M)
 
 
 @compiled
-def _first(grid, pictures, start, direction, length, nearest):
+def _trace_first_hits(grid, pictures, start, direction, length, nearest):
     low, cell, top, first, tree, disc = grid
-    base, shape, turn, variant, leaf = pictures
+    base, shape, yaw_cos_sin, variant, leaf_mask = pictures
     rows, cols = top.shape
-    side = leaf.shape[1]
-    out, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))
+    side = leaf_mask.shape[1]
+    distance, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))
     for n in range(len(start)):
         dx, dy, dz = direction[n, 0], direction[n, 1], direction[n, 2]
         # Clip the ray to the grid, in units of cells.
         from_x, from_y = start[n, 0] - low[0], start[n, 1] - low[1]
         x, y = from_x / cell, from_y / cell
         vx, vy = dx / cell, dy / cell
-        begin, end = nearest, length[n]
+        entry_distance, end = nearest, length[n]
         for k in range(2):
             at, v, size = (x, vx, cols) if k == 0 else (y, vy, rows)
             if abs(v) < 1e-15:
@@ -160,54 +160,54 @@ def _first(grid, pictures, start, direction, length, nearest):
                     end = -1.0
             else:
                 a, b = -at / v, (size - at) / v
-                begin, end = max(begin, min(a, b)), min(end, max(a, b))
-        if not begin < end:
+                entry_distance, end = max(entry_distance, min(a, b)), min(end, max(a, b))
+        if not entry_distance < end:
             continue
-        c, r = min(max(int(x + begin * vx), 0), cols - 1), min(max(int(y + begin * vy), 0), rows - 1)
+        c, r = min(max(int(x + entry_distance * vx), 0), cols - 1), min(max(int(y + entry_distance * vy), 0), rows - 1)
         flat = np.hypot(dx, dy)
-        t = begin
+        t = entry_distance
         while True:
             next_x = ((c + (vx > 0.0)) - x) / vx if abs(vx) > 1e-15 else np.inf
             next_y = ((r + (vy > 0.0)) - y) / vy if abs(vy) > 1e-15 else np.inf
-            leave = min(next_x, next_y, end)
-            if min(start[n, 2] + t * dz, start[n, 2] + leave * dz) <= top[r, c]:
+            exit_distance = min(next_x, next_y, end)
+            if min(start[n, 2] + t * dz, start[n, 2] + exit_distance * dz) <= top[r, c]:
                 for i in range(first[r * cols + c], first[r * cols + c + 1]):
                     px, py, reach = from_x - disc[i, 0], from_y - disc[i, 1], disc[i, 2] + 0.01
                     if abs(px * dy - py * dx) > reach * flat or (flat < 1e-9 and px * px + py * py > reach * reach):
                         continue
                     m = tree[i]
                     px, py, pz = start[n, 0] - base[m, 0], start[n, 1] - base[m, 1], start[n, 2] - base[m, 2]
-                    cosine, sine = np.float64(turn[m, 0]), np.float64(turn[m, 1])
+                    cosine, sine = np.float64(yaw_cos_sin[m, 0]), np.float64(yaw_cos_sin[m, 1])
                     for quad in range(3):
                         if quad == 2:
-                            nx, ny, nz, off = 0.0, 0.0, 1.0, pz - shape[m, 3]
+                            nx, ny, nz, plane_distance = 0.0, 0.0, 1.0, pz - shape[m, 3]
                         elif quad == 0:
-                            nx, ny, nz, off = -sine, cosine, 0.0, cosine * py - sine * px
+                            nx, ny, nz, plane_distance = -sine, cosine, 0.0, cosine * py - sine * px
                         else:
-                            nx, ny, nz, off = cosine, sine, 0.0, cosine * px + sine * py
+                            nx, ny, nz, plane_distance = cosine, sine, 0.0, cosine * px + sine * py
                         towards = nx * dx + ny * dy + nz * dz
                         if towards == 0.0:
                             continue
-                        s = -off / towards
-                        if not (nearest < s < min(out[n], length[n])):
+                        s = -plane_distance / towards
+                        if not (nearest < s < min(distance[n], length[n])):
                             continue
                         qx, qy, qz = px + s * dx, py + s * dy, pz + s * dz
-                        along, across = cosine * qx + sine * qy, cosine * qy - sine * qx
+                        local_x, local_y = cosine * qx + sine * qy, cosine * qy - sine * qx
                         if quad == 2:
-                            u, v = 0.5 * (along / shape[m, 1] + 1.0), 0.5 * (1.0 - across / shape[m, 1])
+                            u, v = 0.5 * (local_x / shape[m, 1] + 1.0), 0.5 * (1.0 - local_y / shape[m, 1])
                         else:
-                            u, v = 0.5 * ((along if quad == 0 else across) / shape[m, 0] + 1.0), 1.0 - qz / shape[m, 2]
+                            u, v = 0.5 * ((local_x if quad == 0 else local_y) / shape[m, 0] + 1.0), 1.0 - qz / shape[m, 2]
                         if 0.0 <= u < 1.0 and 0.0 <= v < 1.0:
-                            if leaf[2 * variant[m] + (1 if quad == 2 else 0), int(v * side), int(u * side)]:
-                                out[n] = s
+                            if leaf_mask[2 * variant[m] + (1 if quad == 2 else 0), int(v * side), int(u * side)]:
+                                distance[n] = s
                                 normal[n, 0], normal[n, 1], normal[n, 2] = nx, ny, nz
-            if out[n] <= leave or leave >= end:
+            if distance[n] <= exit_distance or exit_distance >= end:
                 break
-            t = leave
+            t = exit_distance
             if next_x <= next_y:
                 c += 1 if vx > 0.0 else -1
             else:
                 r += 1 if vy > 0.0 else -1
             if not (0 <= c < cols and 0 <= r < rows):
                 break
-    return out, normal
+    return distance, normal

@@ -15,9 +15,9 @@ import numpy as np
 from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
 from skugga.terrain.facts.leaf_rays import blocked_by_leaves, first_leaf_hits
 from skugga.terrain.facts.mesh_rays import blocked_by_meshes, first_mesh_hits
-from skugga.terrain.facts.probes import PROBES, PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
+from skugga.terrain.facts.probes import MAX_PROBES, MAX_PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
 from skugga.terrain.facts.relief_rays import blocked_by_relief, overview_probes
-from skugga.terrain.facts.silhouette_facts import EYE_RAYS, mean_volume_layers, projected_length, silhouette_of
+from skugga.terrain.facts.silhouette_facts import MAX_EYE_RAYS, mean_volume_layers, projected_length, silhouette_of
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
@@ -28,17 +28,17 @@ from skugga.terrain.scene import Scene
 MIN_DISTANCE_M = 1.0
 """Minimum distance from the eye. Closer probes count as this far away."""
 
-GRAZING = 2.0**-20
+MIN_INCIDENCE_SINE = 2.0**-20
 """Minimum sine of the angle between a light and a surface. A lower light counts as below the surface."""
 
-EDGE_LADDER_SIZES = 6
-"""Number of entries of ``TEXEL_LADDER_PX`` that detect an edge near a point: up to 8 pixels, about the spacing of the points."""
+EDGE_TEXEL_SIZES = 6
+"""Number of entries of ``TEXEL_SIZES_PX`` that detect an edge near a point: up to 8 pixels, about the spacing of the points."""
 
 CUBE_FACE_PARTS = 8
 """Subdivision of a side of each cube-map face of an omni light, for the estimate of the visible share of its sphere."""
 
 
-MIN_THROW_M = 0.01
+RAY_OFFSET_M = 0.01
 """Offset of the start of a ray from the body that it starts on."""
 
 MAX_FOLIAGE_PROBES = 160
@@ -86,41 +86,45 @@ class ViewProbes:
     trees: TreeInstances | None
 
 
-def facts_of_lights(seen: ViewProbes, area_of_sun: float, lamps: Iterable[str]) -> dict[str, LightFacts]:
-    """Return the facts of the sun and of some lamps by name. ``area_of_sun`` is the ``area_share`` of the sun."""
-    found: dict[str, LightFacts] = {}
-    if seen.scene.sun is not None:
-        found[SUN] = _facts(seen, None, area_of_sun)
+def facts_of_lights(view_probes: ViewProbes, sun_area_share: float, lamps: Iterable[str]) -> dict[str, LightFacts]:
+    """Return the facts of the sun and of some lamps by name. ``sun_area_share`` is the ``area_share`` of the sun."""
+    facts: dict[str, LightFacts] = {}
+    if view_probes.scene.sun is not None:
+        facts[SUN] = _facts(view_probes, None, sun_area_share)
     for name in lamps:
-        lamp = seen.scene.lamps[name]
-        found[name] = _facts(seen, lamp, area_share_of_lamp(lamp, seen.probes))
-    return found
+        lamp = view_probes.scene.lamps[name]
+        facts[name] = _facts(view_probes, lamp, area_share_of_lamp(lamp, view_probes.probes))
+    return facts
 
 
-def _facts(seen: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts:
-    scene, camera, probes = seen.scene, seen.camera, seen.probes
+def _facts(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts:
+    scene, camera, probes = view_probes.scene, view_probes.camera, view_probes.probes
     to_view = None if camera is None or (lamp is not None and lamp.kind == "omni") else _to_view_deg(scene, camera, lamp, probes)
     if not len(probes) or (lamp is None and not scene.sun_is_up):
         return LightFacts(to_view_deg=to_view, facing_share=0.0, area_share=area_share)
-    lit, share = _lit_probes(scene, probes, lamp, PROBES if seen.trees is None else PROBES_AMONG_TREES)
-    rays = rays_to(lit.probes, lit.direction_frame, lit.length_m)
-    blocked = {kind: _blocked(seen, kind, lit.probes, rays) for kind in scene.objects.kinds} if len(lit.probes) else {}
+    lit_probes, facing_share = _lit_probes(scene, probes, lamp, MAX_PROBES if view_probes.trees is None else MAX_PROBES_AMONG_TREES)
+    rays = rays_to(lit_probes.probes, lit_probes.direction_frame, lit_probes.length_m)
+    blocked = (
+        {kind: _find_blocked_rays(view_probes, kind, lit_probes.probes, rays) for kind in scene.objects.kinds}
+        if len(lit_probes.probes)
+        else {}
+    )
     shaded = np.logical_or.reduce([blocked_rays.at_probes for blocked_rays in blocked.values()]) if blocked else np.zeros(0, bool)
     edge_m = [
-        lit.probes.distance_m[
+        lit_probes.probes.distance_m[
             blocked_rays.indices[
-                (blocked_rays.at_offsets[:EDGE_LADDER_SIZES] != blocked_rays.at_probes[blocked_rays.indices]).any(axis=0)
+                (blocked_rays.at_offsets[:EDGE_TEXEL_SIZES] != blocked_rays.at_probes[blocked_rays.indices]).any(axis=0)
             ]
         ]
         for blocked_rays in blocked.values()
     ]
-    nearest_m = min((float(away.min()) for away in edge_m if len(away)), default=None)
-    edges = {} if "meshes" not in scene.objects.kinds else _silhouette(scene, camera, probes, lamp)
+    nearest_m = min((float(distances.min()) for distances in edge_m if len(distances)), default=None)
+    edges = {} if "meshes" not in scene.objects.kinds else _silhouette_facts(scene, camera, probes, lamp)
     return LightFacts(
-        to_view_deg=to_view, facing_share=share, cast_share=share * float(shaded.mean()) if len(shaded) else 0.0,
+        to_view_deg=to_view, facing_share=facing_share, cast_share=facing_share * float(shaded.mean()) if len(shaded) else 0.0,
         area_share=area_share,
         nearest_edge_m=None if camera is None else nearest_m,
-        casts={kind: _casting(lit, blocked_rays, share, camera is not None) for kind, blocked_rays in blocked.items()}, **edges,
+        casts={kind: _cast_shadows(lit_probes, blocked_rays, facing_share, camera is not None) for kind, blocked_rays in blocked.items()}, **edges,
     )  # fmt: skip
 
 
@@ -139,7 +143,7 @@ def _lit_probes(scene: Scene, probes: Probes, lamp: Lamp | None, max_count: int)
         direction = to_lamp / np.maximum(length, 1e-12)[:, None]
         facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
         inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
-    indices = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > GRAZING) & inside)
+    indices = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > MIN_INCIDENCE_SINE) & inside)
     chosen = indices[stratified_indices(len(indices), max_count)]
     return LitProbes(probes.select(chosen), direction[chosen], length[chosen]), len(indices) / len(probes)
 
@@ -166,45 +170,47 @@ class RayOcclusion:
     thrown_m: np.ndarray | None = None
 
 
-def _blocked(seen: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> RayOcclusion:
-    scene, all_probes = seen.scene, np.arange(len(probes))
-    if kind == "forest" and seen.trees is not None and len(seen.trees):
+def _find_blocked_rays(view_probes: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> RayOcclusion:
+    scene, all_probes = view_probes.scene, np.arange(len(probes))
+    if kind == "forest" and view_probes.trees is not None and len(view_probes.trees):
         indices = stratified_indices(len(probes), MAX_FOLIAGE_PROBES)
-        met_m, _ = first_leaf_hits(seen.trees, *(np.ascontiguousarray(array[0]) for array in rays.arrays))
-        at_probes = np.isfinite(met_m)
+        hit_m, _ = first_leaf_hits(view_probes.trees, *(np.ascontiguousarray(array[0]) for array in rays.arrays))
+        at_probes = np.isfinite(hit_m)
         return RayOcclusion(
-            at_probes, blocked_by_leaves(seen.trees, rays.select(slice(1, None), indices)), indices, met_m[at_probes]
+            at_probes, blocked_by_leaves(view_probes.trees, rays.select(slice(1, None), indices)), indices, hit_m[at_probes]
         )
     if kind == "meshes":
-        met = blocked_by_meshes(scene.objects, probes, rays)
-        start, direction, length = (array[0][met[0]] for array in rays.arrays)
-        thrown_m, _ = first_mesh_hits(scene.objects, probes.frame, start + MIN_THROW_M * direction, direction, length)
-        return RayOcclusion(met[0], met[1:], all_probes, thrown_m[np.isfinite(thrown_m)])
+        is_blocked = blocked_by_meshes(scene.objects, probes, rays)
+        start, direction, length = (array[0][is_blocked[0]] for array in rays.arrays)
+        thrown_m, _ = first_mesh_hits(scene.objects, probes.frame, start + RAY_OFFSET_M * direction, direction, length)
+        return RayOcclusion(is_blocked[0], is_blocked[1:], all_probes, thrown_m[np.isfinite(thrown_m)])
     elif kind == "relief" and np.ptp(scene.height_range_m) > 0.0:
-        met = blocked_by_relief(scene.world, scene.elevation, overview_probes(scene.world, scene.elevation, probes), probes, rays)
+        is_blocked = blocked_by_relief(
+            scene.world, scene.elevation, overview_probes(scene.world, scene.elevation, probes), probes, rays
+        )
     else:
-        met = np.zeros(rays.length_m.shape, bool)
-    return RayOcclusion(met[0], met[1:], all_probes)
+        is_blocked = np.zeros(rays.length_m.shape, bool)
+    return RayOcclusion(is_blocked[0], is_blocked[1:], all_probes)
 
 
-def _casting(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by_distance: bool) -> Casting:
+def _cast_shadows(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by_distance: bool) -> Casting:
     """Return the cast shadows of one kind of casters on the visible surfaces.
 
     ``facing_share`` is the share of the visible surfaces that the lit probes represent.
     """
     probes, distance_m = lit.probes, np.maximum(lit.probes.distance_m, MIN_DISTANCE_M)
-    octave, of_band = np.unique(
+    octave, band_of_probe = np.unique(
         np.ceil(np.log2(distance_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
     )
-    at_offsets = of_band[blocked.indices]
+    at_offsets = band_of_probe[blocked.indices]
     changed = blocked.at_offsets != blocked.at_probes[blocked.indices]
 
-    def sums(values: np.ndarray, band: np.ndarray = of_band) -> np.ndarray:
+    def sums(values: np.ndarray, band: np.ndarray = band_of_probe) -> np.ndarray:
         return np.bincount(band, values, minlength=len(octave))
 
-    count = np.bincount(of_band)
+    count = np.bincount(band_of_probe)
     differs = (
-        np.stack([sums(one, at_offsets) for one in changed], axis=1)
+        np.stack([sums(offset_changed, at_offsets) for offset_changed in changed], axis=1)
         / np.maximum(np.bincount(at_offsets, minlength=len(octave)), 1)[:, None]
     )
     cast, pixel_m = sums(blocked.at_probes) / count, sums(probes.pixel_m) / count
@@ -250,13 +256,13 @@ def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
         number = ((2 * face + (largest[:, 0] > 0.0)) * CUBE_FACE_PARTS + cell[:, 0]) * CUBE_FACE_PARTS + cell[:, 1]
         return len(np.unique(number)) / (6 * CUBE_FACE_PARTS**2)
     max_tangent = np.tan(np.radians(lamp.cutoff_deg))
-    ahead = in_lamp[:, 2] > 0.0
-    tangents = in_lamp[ahead, :2] / in_lamp[ahead, 2:]
+    is_ahead = in_lamp[:, 2] > 0.0
+    tangents = in_lamp[is_ahead, :2] / in_lamp[is_ahead, 2:]
     tangents = tangents[np.linalg.norm(tangents, axis=1) <= max_tangent]
     return float(min(np.prod(np.ptp(tangents, axis=0)) / (2.0 * max_tangent) ** 2, 1.0)) if len(tangents) else 0.0
 
 
-def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, lamp: Lamp | None) -> dict[str, float]:
+def _silhouette_facts(scene: Scene, camera: PerspectiveView | None, probes: Probes, lamp: Lamp | None) -> dict[str, float]:
     """Return the silhouette facts of the meshes, as keyword arguments of ``LightFacts``."""
     if lamp is None:
         assert scene.sun is not None
@@ -266,9 +272,13 @@ def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, la
     ends = silhouette_of(scene.objects, light, is_positional)
     if camera is None or not len(ends):
         return {"silhouette_edges": len(ends)}
-    seen = (ends - camera.eye_earth_m) @ camera.earth_from_camera
-    first, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
-    bounds = np.stack([first - 0.5 * camera.step, first + (count - 0.5) * camera.step]) / camera.focal_px
-    from_eye = probes.select(stratified_indices(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
-    passed = mean_volume_layers(ends, light, is_positional, np.broadcast_to(camera.eye_earth_m, from_eye.shape), from_eye)
-    return {"silhouette_edges": len(ends), "silhouette_px": projected_length(seen, *bounds) / camera.pixel, "volume_layers": passed}
+    ends_camera = (ends - camera.eye_earth_m) @ camera.earth_from_camera
+    first_px, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
+    bounds = np.stack([first_px - 0.5 * camera.step, first_px + (count - 0.5) * camera.step]) / camera.focal_px
+    from_eye = probes.select(stratified_indices(len(probes), MAX_EYE_RAYS)).point_earth_m - camera.eye_earth_m
+    volume_layers = mean_volume_layers(ends, light, is_positional, np.broadcast_to(camera.eye_earth_m, from_eye.shape), from_eye)
+    return {
+        "silhouette_edges": len(ends),
+        "silhouette_px": projected_length(ends_camera, *bounds) / camera.pixel,
+        "volume_layers": volume_layers,
+    }

@@ -90,13 +90,13 @@ def first_mesh_hits(
 
 
 def _find_hits(
-    tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
+    tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, find_nearest: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance (...) along each ray to the nearest or to any hit, infinite without one, and its triangle (...)."""
     start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
     boxes = tree.low, tree.high, tree.first, tree.count
-    found = _trace(*boxes, tree.corner, tree.side_a, tree.side_b, start, directions, np.ravel(length_m), nearest)
-    return found[0].reshape(np.shape(length_m)), found[1].reshape(np.shape(length_m))
+    hits = _trace(*boxes, tree.corner, tree.side_a, tree.side_b, start, directions, np.ravel(length_m), find_nearest)
+    return hits[0].reshape(np.shape(length_m)), hits[1].reshape(np.shape(length_m))
 
 
 @cached("scene", 512 * MIB)
@@ -181,7 +181,7 @@ def _build_bvh(box_low, box_high, leaf, bins):
 
 @compiled
 def _trace(low, high, first, count, corner, side_a, side_b, start, direction, length, find_nearest):
-    away, number = np.full(len(start), np.inf), np.zeros(len(start), np.int64)
+    hit_distance, hit_triangle = np.full(len(start), np.inf), np.zeros(len(start), np.int64)
     stack = np.empty(256, np.int64)
     for n in range(len(start)):
         x, y, z = start[n, 0], start[n, 1], start[n, 2]
@@ -189,7 +189,7 @@ def _trace(low, high, first, count, corner, side_a, side_b, start, direction, le
         ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
         max_distance = length[n]
         stack[0], stack_size = 0, 1
-        while stack_size > 0 and (find_nearest or away[n] == np.inf):
+        while stack_size > 0 and (find_nearest or hit_distance[n] == np.inf):
             stack_size -= 1
             node = stack[stack_size]
             # The product of 0 and infinity is NaN, with which all comparisons fail: a ray in the plane of a face may miss the box.
@@ -222,8 +222,8 @@ def _trace(low, high, first, count, corner, side_a, side_b, start, direction, le
                     continue
                 s = (bx * qx + by * qy + bz * qz) / det
                 if 0.0 < s < max_distance:
-                    away[n], number[n] = s, t
+                    hit_distance[n], hit_triangle[n] = s, t
                     if not find_nearest:
                         break
                     max_distance = s
-    return away, number
+    return hit_distance, hit_triangle

@@ -13,25 +13,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 from skugga.terrain.geo.world import LocalFrame
 
-PROBES = 1000
+MAX_PROBES = 1000
 """Maximum number of probes that send rays to a light."""
 
-MIN_CAST_SHARE = 0.5 / PROBES
+MIN_CAST_SHARE = 0.5 / MAX_PROBES
 """Assumed share of shadows that no probe has hit: half the share of one probe."""
 
-PROBES_AMONG_TREES = 500
+MAX_PROBES_AMONG_TREES = 500
 """The same limit in a scene with trees, whose leaves make rays expensive."""
 
-MAX_PLANE = 8.0
+MAX_PLANE_SLOPE = 8.0
 """Maximum offset along the light of a place beside a point, as a multiple of its offset perpendicular to the light.
 
 The place lies on the plane of the surface unless that plane is steeper than this limit.
 """
 
-_R2 = np.array([0.7548776662466927, 0.5698402909980532])
+_R2_INCREMENTS = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +67,10 @@ class Probes:
     def __len__(self) -> int:
         return len(self.number)
 
-    def select(self, which: np.ndarray) -> Probes:
+    def select(self, index: np.ndarray) -> Probes:
         """Return the probes at some indices or in a mask."""
         names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind", "number")
-        return replace(self, **{name: getattr(self, name)[which] for name in names})
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
 
     @property
     def point_earth_m(self) -> np.ndarray:
@@ -101,9 +101,9 @@ class ProbeRays:
         """Starts, directions and lengths of the rays."""
         return self.start_frame_m, self.direction_frame, self.length_m
 
-    def select(self, rows: slice, which: np.ndarray) -> ProbeRays:
+    def select(self, rows: slice, index: np.ndarray) -> ProbeRays:
         """Return the rays of some rows and of the probes at some indices."""
-        return ProbeRays(*(array[rows][:, which] for array in self.arrays))
+        return ProbeRays(*(array[rows][:, index] for array in self.arrays))
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
@@ -116,7 +116,7 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 
 def quasirandom(number: np.ndarray) -> np.ndarray:
     """Return points (n, 2) in [0, 1) of the R2 low-discrepancy sequence at indices (n,)."""
-    return (0.5 + (np.asarray(number, np.float64)[:, None] + 1.0) * _R2) % 1.0
+    return (0.5 + (np.asarray(number, np.float64)[:, None] + 1.0) * _R2_INCREMENTS) % 1.0
 
 
 def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
@@ -130,9 +130,9 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
     facing = np.einsum("ij,ij->i", probes.normal_frame, direction_frame)
     # Shift the places along the light onto the plane of the visible surface, where a shadow map compares.
     shift = -np.einsum("ij,ij->i", probes.normal_frame, perpendicular) / np.where(facing == 0.0, 1e-30, facing)
-    max_shift = MAX_PLANE * np.linalg.norm(offset, axis=1)
+    max_shift = MAX_PLANE_SLOPE * np.linalg.norm(offset, axis=1)
     directions = perpendicular + np.clip(shift, -max_shift, max_shift)[:, None] * direction_frame
-    sizes = np.array([0.0, *TEXEL_LADDER_PX])
+    sizes = np.array([0.0, *TEXEL_SIZES_PX])
     start = probes.point_frame_m + sizes[:, None, None] * directions
     if not np.isfinite(length_m).all():
         shape = (len(sizes), len(probes))

@@ -21,7 +21,7 @@ from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 SKIP_BLOCK_CELLS = 16
 """Side of the blocks of cells that a ray can skip at once."""
 
-NEAREST_CELLS = 1.0
+MIN_OCCLUDER_CELLS = 1.0
 """Minimum distance of an occluder from the start of a ray, in cells. Closer ground is the ground that the ray starts on."""
 
 
@@ -73,29 +73,35 @@ def _locate_on_overview(world: World, elevation: Elevation, frame: LocalFrame, p
     x, y, height = world.map_position(elevation.crs, point_earth_m)
     if elevation.crs.is_geographic:  # the longitude nearest to the middle of the raster
         x = x + 360.0 * np.rint(((elevation.bounds[0] + elevation.bounds[2]) / 2 - x) / 360.0)
-    factor = 2**elevation.overview.level
+    factor = 2**elevation.overview.lod
     row, col = elevation.cell_of(x, y)
     half = 0.5 * factor * np.array([[[0.0], [1.0], [0.0]], [[0.0], [0.0], [1.0]]])
     point, up = world.ground(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
     row, col = ((v + 0.5) / factor - 0.5 for v in (row, col))
     to_frame = frame.directions_from_earth
     south, east = to_frame(2.0 * (point[1] - point[0])), to_frame(2.0 * (point[2] - point[0]))
-    return OverviewProbes(row, col, height, to_frame(up[0]), *_inverse(south, east))
+    return OverviewProbes(row, col, height, to_frame(up[0]), *_dual_basis(south, east))
 
 
-def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _dual_basis(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the dual basis (n, 3) of two vectors: dot products with it give the components of a vector along the two."""
     ss, ee, se = (np.einsum("ij,ij->i", a, b)[:, None] for a, b in ((south, south), (east, east), (south, east)))
     area = ss * ee - se * se
     return (ee * south - se * east) / area, (ss * east - se * south) / area
 
 
-def blocked_by_relief(world: World, elevation: Elevation, at: OverviewProbes, probes: Probes, rays: ProbeRays) -> np.ndarray:
-    """Return whether the ground blocks each ray (1 + k, n), bool. ``at`` holds the positions of the probes on the overview."""
-    return _is_hidden(world, elevation, at, rays.start_frame_m - probes.point_frame_m, rays)
+def blocked_by_relief(
+    world: World, elevation: Elevation, probe_positions: OverviewProbes, probes: Probes, rays: ProbeRays
+) -> np.ndarray:
+    """Return whether the ground blocks each ray (1 + k, n), bool. ``probe_positions`` holds the positions of the probes on the
+    overview.
+    """
+    return _is_hidden(world, elevation, probe_positions, rays.start_frame_m - probes.point_frame_m, rays)
 
 
-def _is_hidden(world: World, elevation: Elevation, at: OverviewProbes, start_offset: np.ndarray, rays: ProbeRays) -> np.ndarray:
+def _is_hidden(
+    world: World, elevation: Elevation, probe_positions: OverviewProbes, start_offset: np.ndarray, rays: ProbeRays
+) -> np.ndarray:
     """Return whether the ground blocks each ray (k, n). ``start_offset`` (k, n, 3) are offsets of the starts from the probes."""
     heights, tops = _heights_and_block_maxima(elevation)
     direction = rays.direction_frame
@@ -103,13 +109,13 @@ def _is_hidden(world: World, elevation: Elevation, at: OverviewProbes, start_off
     def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.einsum("kij,ij->ki", a, b)
 
-    rise = dot(direction, at.up)
+    rise = dot(direction, probe_positions.up)
     bend = world.curvature / 2.0
-    return _blocked(
+    return _trace_blocked(
         heights, tops, tops.max(), SKIP_BLOCK_CELLS,
-        at.row + dot(start_offset, at.row_from_frame), at.col + dot(start_offset, at.col_from_frame),
-        at.height_m + dot(start_offset, at.up), dot(direction, at.row_from_frame), dot(direction, at.col_from_frame), rise,
-        bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), NEAREST_CELLS,
+        probe_positions.row + dot(start_offset, probe_positions.row_from_frame), probe_positions.col + dot(start_offset, probe_positions.col_from_frame),
+        probe_positions.height_m + dot(start_offset, probe_positions.up), dot(direction, probe_positions.row_from_frame), dot(direction, probe_positions.col_from_frame), rise,
+        bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), MIN_OCCLUDER_CELLS,
     )  # fmt: skip
 
 
@@ -126,7 +132,7 @@ def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndar
 
 
 @compiled
-def _blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
+def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
     rows, cols = heights.shape
     out = np.empty(row.shape, np.bool_)
     for i in range(row.shape[0]):
@@ -150,9 +156,12 @@ def _blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, 
                     out_col = ((block_col + (d_col[i, n] > 0.0)) * side - c) / d_col[i, n] if d_col[i, n] != 0.0 else np.inf
                     t += max(min(out_row, out_col), 0.0) + epsilon * step
                     continue
-                r0, r1, down = cell_interval(r, rows)
-                c0, c1, across = cell_interval(c, cols)
-                if blend_corners(heights[r0, c0], heights[r0, c1], heights[r1, c0], heights[r1, c1], down, across) > h:
+                r0, r1, row_fraction = cell_interval(r, rows)
+                c0, c1, col_fraction = cell_interval(c, cols)
+                if (
+                    blend_corners(heights[r0, c0], heights[r0, c1], heights[r1, c0], heights[r1, c1], row_fraction, col_fraction)
+                    > h
+                ):
                     out[i, n] = True
                     break
                 # Step to the next row or column of cells, where bilinear ground has its edges.

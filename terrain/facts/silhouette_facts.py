@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MAX_SIDES = 4096
 """Maximum number of shadow-volume sides that are tested against the eye's rays. More sides are sampled evenly and scaled up."""
 
-EYE_RAYS = 48
+MAX_EYE_RAYS = 48
 """Maximum number of rays from the eye that are tested against the sides."""
 
 
@@ -42,35 +42,35 @@ class MeshEdges:
     triangle_pair: np.ndarray
 
 
-def mesh_edges(vertex: np.ndarray, triangles: np.ndarray) -> MeshEdges:
-    """Return the edges of triangles (m, 3). ``vertex`` (m, 3) are the same triangles with coincident vertices merged."""
-    start, end = vertex.ravel().astype(np.int64), np.roll(vertex, -1, axis=1).ravel().astype(np.int64)
+def mesh_edges(merged_triangles: np.ndarray, triangles: np.ndarray) -> MeshEdges:
+    """Return the edges of triangles (m, 3). ``merged_triangles`` (m, 3) are the same triangles with coincident vertices merged."""
+    start, end = merged_triangles.ravel().astype(np.int64), np.roll(merged_triangles, -1, axis=1).ravel().astype(np.int64)
     low, high = np.minimum(start, end), np.maximum(start, end)
     keys = low * (int(high.max(initial=0)) + 1) + high
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     is_shared = np.diff(first, append=len(keys)) > 1
     second = np.where(is_shared, order[np.minimum(first + 1, len(keys) - 1)] // 3, -1)
-    one = order[first]
-    ends = np.stack([triangles.ravel()[one], np.roll(triangles, -1, axis=1).ravel()[one]], axis=1)
-    return MeshEdges(ends.astype(np.int32), np.stack([one // 3, second], axis=1).astype(np.int32))
+    half_edge = order[first]
+    ends = np.stack([triangles.ravel()[half_edge], np.roll(triangles, -1, axis=1).ravel()[half_edge]], axis=1)
+    return MeshEdges(ends.astype(np.int32), np.stack([half_edge // 3, second], axis=1).astype(np.int32))
 
 
 @cached("scene", 256 * MIB)
 def _edges_of_bodies(placement: Placement) -> MeshEdges:
     """Return the edges of all casting bodies, which do not depend on time. Bodies share no edges."""
-    vertex, triangles, places, vertices = [], [], 0, 0
+    merged_triangles, triangles, merged_count, vertex_count = [], [], 0, 0
     for placed in placement.casting:
         merged = placed.body.merged_triangles
-        vertex.append(merged + np.int64(places))
-        triangles.append(placed.body.triangles + np.int64(vertices))
-        places += int(merged.max(initial=-1)) + 1
-        vertices += len(placed.body.vertices_m)
-    return mesh_edges(np.concatenate(vertex), np.concatenate(triangles))
+        merged_triangles.append(merged + np.int64(merged_count))
+        triangles.append(placed.body.triangles + np.int64(vertex_count))
+        merged_count += int(merged.max(initial=-1)) + 1
+        vertex_count += len(placed.body.vertices_m)
+    return mesh_edges(np.concatenate(merged_triangles), np.concatenate(triangles))
 
 
 @cached("scene", 256 * MIB)
-def _faces(objects: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
+def _face_normals_and_corners(objects: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
     """Return the normals (m, 3) and corners (m, 3) of the casting triangles, earth-fixed. Normals are twice the area long."""
     solids = objects.solids
     assert solids is not None
@@ -84,7 +84,7 @@ def silhouette_of(objects: SceneObjects, light_earth: np.ndarray, is_positional:
     ``light_earth`` (3,) is the direction to the light, or its position if ``is_positional``.
     """
     assert objects.solids is not None and objects.placement is not None
-    edges, (normal, corner) = _edges_of_bodies(objects.placement), _faces(objects)
+    edges, (normal, corner) = _edges_of_bodies(objects.placement), _face_normals_and_corners(objects)
     chosen = _silhouette_edges(
         normal, corner, edges.triangle_pair, np.asarray(light_earth, np.float64), 1.0 if is_positional else 0.0
     )
@@ -110,11 +110,11 @@ def _silhouette_edges(normal, corner, triangle_pair, light, weight):
 
 def projected_length(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """Return the total length of edges (k, 2, 3), in camera axes, inside a picture from ``low`` to ``high`` (2,), as tangents."""
-    return float(_length(ends_camera, low, high))
+    return float(_clipped_length(ends_camera, low, high))
 
 
 @compiled
-def _length(ends, low, high):
+def _clipped_length(ends, low, high):
     """Clip edges at the sides of the view frustum (M. Cyrus, J. Beck 1978), project them and return their total length."""
     total = 0.0
     for e in range(len(ends)):
@@ -131,16 +131,16 @@ def _length(ends, low, high):
                 last = min(last, a / (a - b))
         if first >= last:
             continue
-        at = np.empty((2, 2))
-        ahead = True
+        projected_ends = np.empty((2, 2))
+        is_ahead = True
         for i in range(2):
             s = first if i == 0 else last
             z = ends[e, 0, 2] + s * (ends[e, 1, 2] - ends[e, 0, 2])
-            ahead = ahead and z > 0.0
+            is_ahead = is_ahead and z > 0.0
             for k in range(2):
-                at[i, k] = (ends[e, 0, k] + s * (ends[e, 1, k] - ends[e, 0, k])) / z
-        if ahead:
-            total += np.hypot(at[1, 0] - at[0, 0], at[1, 1] - at[0, 1])
+                projected_ends[i, k] = (ends[e, 0, k] + s * (ends[e, 1, k] - ends[e, 0, k])) / z
+        if is_ahead:
+            total += np.hypot(projected_ends[1, 0] - projected_ends[0, 0], projected_ends[1, 1] - projected_ends[0, 1])
     return total
 
 
@@ -191,14 +191,14 @@ def _count_crossings(ends, start, segment, light, weight):
         if g0 * b0 + g1 * b1 + g2 * b2 > 0.0:
             g0, g1, g2 = -g0, -g1, -g2
         for i in range(len(start)):
-            towards = n0 * segment[i, 0] + n1 * segment[i, 1] + n2 * segment[i, 2]
+            segment_dot_normal = n0 * segment[i, 0] + n1 * segment[i, 1] + n2 * segment[i, 2]
             x, y, z = start[i, 0] - a0, start[i, 1] - a1, start[i, 2] - a2
             s = -(n0 * x + n1 * y + n2 * z)
-            if towards < 0.0:
-                towards, s = -towards, -s
-            if not (0.0 < s < towards):
+            if segment_dot_normal < 0.0:
+                segment_dot_normal, s = -segment_dot_normal, -s
+            if not (0.0 < s < segment_dot_normal):
                 continue
-            s /= towards
+            s /= segment_dot_normal
             x, y, z = x + s * segment[i, 0], y + s * segment[i, 1], z + s * segment[i, 2]
             if (
                 e0 * x + e1 * y + e2 * z > 0.0 and f0 * x + f1 * y + f2 * z > 0.0

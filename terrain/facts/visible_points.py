@@ -25,7 +25,7 @@ from skugga.terrain.interpolation import bilinear
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
-MAP_SIDE = 48
+MAP_STRATA_PER_SIDE = 48
 """Number of strata along each side of a level. A map has one probe in each stratum."""
 
 MAX_LEAF_PROBES = 2048
@@ -36,7 +36,9 @@ MAX_LEAF_EDGE_PIXELS = 300
 
 
 def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> Probes:
-    """Return the probes of a map: one in each of ``MAP_SIDE`` squared strata of the raster, on the surface visible from above."""
+    """Return the probes of a map: one in each of ``MAP_STRATA_PER_SIDE`` squared strata of the raster, on the surface visible from
+    above.
+    """
     probes = _points_in_map(scene.objects, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
 
@@ -62,29 +64,32 @@ def _coarse_view_probes(coarse_view: CoarseView, pixel: float) -> Probes:
 
 @cached("scene", 64 * MIB)
 def _probes_with_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -> Probes:
-    surface_probes, coarse, valid = (
+    surface_probes, coarse_camera, valid = (
         _coarse_view_probes(coarse_view, pixel),
         coarse_view.buffer.view,
         coarse_view.buffer.valid.ravel(),
     )
-    assert isinstance(coarse, PerspectiveView)
+    assert isinstance(coarse_camera, PerspectiveView)
     chosen = stratified_indices(valid.size, MAX_LEAF_PROBES)
     count = len(chosen)
-    row, col = np.divmod(chosen, coarse.cols)
-    tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px
-    _, camera_from_frame = coarse.in_frame(coarse_view.buffer.frame)
+    row, col = np.divmod(chosen, coarse_camera.cols)
+    tangents = (
+        np.stack([coarse_camera.col0 + col * coarse_camera.step, coarse_camera.row0 + row * coarse_camera.step], axis=1)
+        / coarse_camera.focal_px
+    )
+    _, camera_from_frame = coarse_camera.in_frame(coarse_view.buffer.frame)
     direction = np.column_stack([tangents, np.ones(count)]) @ camera_from_frame
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    point, length = (np.cumsum(valid) - 1)[chosen], np.full(count, np.inf)
-    length[valid[chosen]] = surface_probes.distance_m[point[valid[chosen]]]
-    met, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), direction, length)
-    leaf = np.isfinite(met)
+    point_index, length = (np.cumsum(valid) - 1)[chosen], np.full(count, np.inf)
+    length[valid[chosen]] = surface_probes.distance_m[point_index[valid[chosen]]]
+    hit_m, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), direction, length)
+    is_leaf = np.isfinite(hit_m)
     leaves = Probes(
-        coarse_view.buffer.frame, coarse_view.eye_frame_m + met[leaf, None] * direction[leaf], normal[leaf], met[leaf] * pixel,
-        met[leaf],
-        np.full(int(leaf.sum()), FOREST, np.uint8), chosen[leaf],
+        coarse_view.buffer.frame, coarse_view.eye_frame_m + hit_m[is_leaf, None] * direction[is_leaf], normal[is_leaf], hit_m[is_leaf] * pixel,
+        hit_m[is_leaf],
+        np.full(int(is_leaf.sum()), FOREST, np.uint8), chosen[is_leaf],
     )  # fmt: skip
-    return _joined(surface_probes.select(point[valid[chosen] & ~leaf]), leaves)
+    return _concatenate_probes(surface_probes.select(point_index[valid[chosen] & ~is_leaf]), leaves)
 
 
 def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:
@@ -98,7 +103,7 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
     edge_samples = coarse_view.edge_samples
     chosen = stratified_indices(len(edge_samples.number), MAX_LEAF_EDGE_PIXELS)
     number, depth_m = edge_samples.number[chosen], edge_samples.distance_m[chosen]
-    bare = edge_mask_of_crosses(number, depth_m, edge_samples.ground, edge_samples.normals)
+    edges_without_trees = edge_mask_of_crosses(number, depth_m, edge_samples.ground, edge_samples.normals)
     row, col = (index[chosen, None] + np.array(CROSS_OFFSETS)[:, k] for k, index in enumerate((edge_samples.row, edge_samples.col)))
     x, y = (
         (first + index * edge_samples.view.step) / edge_samples.view.focal_px
@@ -109,64 +114,68 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
     per_depth = np.linalg.norm(direction, axis=-1)
     direction /= per_depth[..., None]
     start = np.tile(coarse_view.eye_frame_m, (number.size, 1))
-    met, _ = first_leaf_hits(trees, start, direction.reshape(-1, 3), (depth_m * per_depth).ravel())
-    leaf = np.isfinite(met).reshape(number.shape)
+    hit_m, _ = first_leaf_hits(trees, start, direction.reshape(-1, 3), (depth_m * per_depth).ravel())
+    is_leaf = np.isfinite(hit_m).reshape(number.shape)
     # Every leaf gets a unique number, so that only distance decides whether an edge lies between neighbouring leaves.
     numbers = edge_samples.ground + len(edge_samples.normals) + 1 + np.arange(number.size).reshape(number.shape)
-    number = np.where(leaf, numbers.astype(np.uint32), number)
-    depth_m = np.where(leaf, met.reshape(number.shape) / per_depth, depth_m)
-    among = edge_mask_of_crosses(number, depth_m, edge_samples.ground, edge_samples.normals)
-    return float(np.clip(coarse_view.edge_share + among.mean() - bare.mean(), 0.0, 1.0))
+    number = np.where(is_leaf, numbers.astype(np.uint32), number)
+    depth_m = np.where(is_leaf, hit_m.reshape(number.shape) / per_depth, depth_m)
+    edges_with_trees = edge_mask_of_crosses(number, depth_m, edge_samples.ground, edge_samples.normals)
+    return float(np.clip(coarse_view.edge_share + edges_with_trees.mean() - edges_without_trees.mean(), 0.0, 1.0))
 
 
-def _joined(bare: Probes, leaves: Probes) -> Probes:
+def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
     """Concatenate two sets of probes and renumber them."""
     names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind")
-    both: dict[str, Any] = {name: np.concatenate([getattr(bare, name), getattr(leaves, name)]) for name in names}
-    return replace(bare, **both, number=np.arange(len(bare) + len(leaves)))
+    merged_fields: dict[str, Any] = {
+        name: np.concatenate([getattr(surface_probes, name), getattr(leaf_probes, name)]) for name in names
+    }
+    return replace(surface_probes, **merged_fields, number=np.arange(len(surface_probes) + len(leaf_probes)))
 
 
 @cached("scene", 64 * MIB)
 def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
     ground_probes, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_m
-    away = objects.world.curvature * ground_probes.point_frame_m[:, :2]
-    up = np.column_stack([away, np.ones(len(ground_probes))]) / np.sqrt(1.0 + (away**2).sum(axis=1))[:, None]
+    horizontal_slope = objects.world.curvature * ground_probes.point_frame_m[:, :2]
+    up = (
+        np.column_stack([horizontal_slope, np.ones(len(ground_probes))]) / np.sqrt(1.0 + (horizontal_slope**2).sum(axis=1))[:, None]
+    )
     start, length = ground_probes.point_frame_m + tallest_m * up, np.full(len(ground_probes), tallest_m)
     if objects.solids is not None:
         start, length = start + tallest_m * up, 2.0 * length  # above objects that stand on a slope nearby
         ground_probes, length = _move_to_roofs(objects, ground_probes, start, -up, length)
     if trees is None:
         return ground_probes
-    met, normal = first_leaf_hits(trees, start, -up, length)
-    leaf = np.isfinite(met)
-    leaf_probes = ground_probes.select(leaf)
-    above = replace(
-        leaf_probes, point_frame_m=start[leaf] - met[leaf, None] * up[leaf], normal_frame=normal[leaf],
+    hit_m, normal = first_leaf_hits(trees, start, -up, length)
+    is_leaf = np.isfinite(hit_m)
+    leaf_probes = ground_probes.select(is_leaf)
+    leaf_points = replace(
+        leaf_probes, point_frame_m=start[is_leaf] - hit_m[is_leaf, None] * up[is_leaf], normal_frame=normal[is_leaf],
         kind=np.full(len(leaf_probes), FOREST, np.uint8),
     )  # fmt: skip
-    return _joined(ground_probes.select(~leaf), above)
+    return _concatenate_probes(ground_probes.select(~is_leaf), leaf_points)
 
 
 def _move_to_roofs(
-    objects: SceneObjects, bare: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
+    objects: SceneObjects, ground_probes: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
 ) -> tuple[Probes, np.ndarray]:
     """Move the probes below meshes onto the meshes. Return them and their depths (n,) below the starts (n, 3), metres."""
-    met, normal = first_mesh_hits(objects, bare.frame, start, down, length)
-    roof = np.isfinite(met)
-    length = np.where(roof, met, length)
+    hit_m, normal = first_mesh_hits(objects, ground_probes.frame, start, down, length)
+    is_roof = np.isfinite(hit_m)
+    length = np.where(is_roof, hit_m, length)
     return replace(
-        bare, point_frame_m=np.where(roof[:, None], start + length[:, None] * down, bare.point_frame_m),
-        normal_frame=np.where(roof[:, None], normal, bare.normal_frame), kind=np.where(roof, np.uint8(MESHES), bare.kind),
+        ground_probes, point_frame_m=np.where(is_roof[:, None], start + length[:, None] * down, ground_probes.point_frame_m),
+        normal_frame=np.where(is_roof[:, None], normal, ground_probes.normal_frame), kind=np.where(is_roof, np.uint8(MESHES), ground_probes.kind),
     ), length  # fmt: skip
 
 
 @cached("scene", 64 * MIB)
 def ground_points(world: World, elevation: Elevation) -> Probes:
     """Return stratified points of a level's bare ground, bilinear between the cells of its overview."""
-    heights, factor = elevation.overview.heights_m, 2**elevation.overview.level
-    chance = quasirandom(np.arange(MAP_SIDE**2)).reshape(MAP_SIDE, MAP_SIDE, 2)
-    part = np.stack(tuple(np.mgrid[:MAP_SIDE, :MAP_SIDE]), axis=-1)
-    row, col = np.moveaxis((part + chance) / MAP_SIDE * np.array(heights.shape) - 0.5, -1, 0).reshape(2, -1)
+    heights, factor = elevation.overview.heights_m, 2**elevation.overview.lod
+    jitter = quasirandom(np.arange(MAP_STRATA_PER_SIDE**2)).reshape(MAP_STRATA_PER_SIDE, MAP_STRATA_PER_SIDE, 2)
+    stratum = np.stack(tuple(np.mgrid[:MAP_STRATA_PER_SIDE, :MAP_STRATA_PER_SIDE]), axis=-1)
+    row, col = np.moveaxis((stratum + jitter) / MAP_STRATA_PER_SIDE * np.array(heights.shape) - 0.5, -1, 0).reshape(2, -1)
     row, col = (np.clip(v, 0.0, max(size - 1, 0)) for v, size in zip((row, col), heights.shape, strict=True))
     frame = world.frame_near_earth(world.anchor_earth_m)
 
@@ -184,7 +193,7 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
     normal = np.cross(east, -south)
     normal *= np.where(normal[:, 2:] < 0.0, -1.0, 1.0) / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     is_finite = np.isfinite(normal).all(axis=1) & np.isfinite(point).all(axis=1)
-    none = np.zeros(int(is_finite.sum()))
+    zeros = np.zeros(int(is_finite.sum()))
     return Probes(
-        frame, point[is_finite], normal[is_finite], none, none, np.full(len(none), RELIEF, np.uint8), np.arange(len(none))
+        frame, point[is_finite], normal[is_finite], zeros, zeros, np.full(len(zeros), RELIEF, np.uint8), np.arange(len(zeros))
     )

@@ -54,14 +54,14 @@ class MultisampledBuffer:
         The number of the picture's own rows.
     pixels
         Rows and columns (n,) of the pixels that have samples.
-    each
+    sample_count
         Samples of each of these pixels. Samples follow one another in the order of ``pixels``; padding repeats the last one.
     """
 
     buffer: GeometryBuffer
     rows: int
     pixels: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
-    each: int = len(ALL_SAMPLES)
+    sample_count: int = len(ALL_SAMPLES)
 
     @property
     def has_samples(self) -> bool:
@@ -69,7 +69,7 @@ class MultisampledBuffer:
         return len(self.pixels[0]) > 0
 
     @cached_property
-    def own(self) -> GeometryBuffer:
+    def pixel_buffer(self) -> GeometryBuffer:
         """The buffer of the picture's own pixels, without samples."""
         if not self.has_samples:
             return self.buffer
@@ -86,16 +86,16 @@ class MultisampledBuffer:
         sample = np.flatnonzero(row >= self.rows)
         row, col = row.copy(), col.copy()
         if len(sample):
-            own = ((row[sample] - self.rows) * self.buffer.valid.shape[1] + col[sample]) // self.each
-            own = np.minimum(own, len(self.pixels[0]) - 1)
-            row[sample], col[sample] = self.pixels[0][own], self.pixels[1][own]
+            pixel_index = ((row[sample] - self.rows) * self.buffer.valid.shape[1] + col[sample]) // self.sample_count
+            pixel_index = np.minimum(pixel_index, len(self.pixels[0]) - 1)
+            row[sample], col[sample] = self.pixels[0][pixel_index], self.pixels[1][pixel_index]
         return row, col
 
     def averaged(self, linear: np.ndarray) -> np.ndarray:
         """Return the picture (rows, cols, k) of linear values of all points: the mean over each pixel's samples."""
         out = linear[: self.rows].copy()
         samples = linear[self.rows :].reshape(-1, linear.shape[-1])
-        run_in_chunks(len(self.pixels[0]), _average_samples, *self.pixels, samples, self.each, out)
+        run_in_chunks(len(self.pixels[0]), _average_samples, *self.pixels, samples, self.sample_count, out)
         return out
 
 
@@ -131,20 +131,22 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     frame = view.frame(scene.world)
     visible = RasterisedView(scene, view, frame)
     normals = mesh_normals(scene.objects)
-    row, col = np.nonzero(edge_mask(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M))
+    row, col = np.nonzero(
+        edge_mask(visible.id_buffer.number, visible.id_buffer.depth, len(visible.ground.triangles), normals, NEAR_M)
+    )
     if not len(row):
         return MultisampledBuffer(resolve_buffer(scene, view, visible), view.rows)
-    places = np.array(DIAGONAL_SAMPLES if len(row) > DENSE_EDGE_SHARE * view.rows * view.cols else ALL_SAMPLES)
-    spare = -len(row) * len(places) % view.cols
+    sample_positions = np.array(DIAGONAL_SAMPLES if len(row) > DENSE_EDGE_SHARE * view.rows * view.cols else ALL_SAMPLES)
+    padding = -len(row) * len(sample_positions) % view.cols
     fine_row, fine_col = (
-        np.pad((pixel_index[:, None] * SAMPLES_PER_SIDE + inside).ravel(), (0, spare), mode="edge").reshape(-1, view.cols)
-        for pixel_index, inside in ((row, places // SAMPLES_PER_SIDE), (col, places % SAMPLES_PER_SIDE))
+        np.pad((pixel_index[:, None] * SAMPLES_PER_SIDE + offset).ravel(), (0, padding), mode="edge").reshape(-1, view.cols)
+        for pixel_index, offset in ((row, sample_positions // SAMPLES_PER_SIDE), (col, sample_positions % SAMPLES_PER_SIDE))
     )
     finer = finer_view(view)
     pixel_mask = np.zeros((finer.rows, finer.cols), np.bool_)
     pixel_mask[fine_row, fine_col] = True
     samples = (finer, RasterisedView(scene, finer, frame, pixel_mask=pixel_mask), (fine_row, fine_col))
-    return MultisampledBuffer(resolve_buffer(scene, view, visible, samples), view.rows, (row, col), len(places))
+    return MultisampledBuffer(resolve_buffer(scene, view, visible, samples), view.rows, (row, col), len(sample_positions))
 
 
 @cached("scene", 128 * MIB)
@@ -172,62 +174,64 @@ def edge_mask_of_crosses(number: np.ndarray, distance_m: np.ndarray, ground: int
 
 
 @compiled
-def _average_samples(first, last, row, col, samples, each, out):
+def _average_samples(first, last, row, col, samples, sample_count, out):
     """Write the mean of each pixel and its samples, which are consecutive rows of ``samples`` (n * each, k), to the picture."""
     for n in range(first, last):
         for k in range(out.shape[2]):
-            total = samples[n * each, k]
-            for m in range(1, each):
-                total += samples[n * each + m, k]
-            out[row[n], col[n], k] = (out[row[n], col[n], k] + total) / (1 + each)
+            total = samples[n * sample_count, k]
+            for m in range(1, sample_count):
+                total += samples[n * sample_count + m, k]
+            out[row[n], col[n], k] = (out[row[n], col[n], k] + total) / (1 + sample_count)
 
 
 @compiled
-def _edges(number, depth, ground, normals, near, bend, jump):
+def _edges(number, depth, ground, normals, near, min_cosine, max_depth_step):
     rows, cols = number.shape
     out = np.zeros((rows, cols), np.bool_)
     for i in range(rows):
         for j in range(cols):
-            own = np.int64(number[i, j]) - 1
+            triangle = np.int64(number[i, j]) - 1
             for step in range(2):
                 a, b = i + step, j + 1 - step
                 if a >= rows or b >= cols:
                     continue
-                other = np.int64(number[a, b]) - 1
-                if _is_edge(own, other, near / depth[i, j], near / depth[a, b], ground, normals, bend, jump):
+                neighbour = np.int64(number[a, b]) - 1
+                if _is_edge(
+                    triangle, neighbour, near / depth[i, j], near / depth[a, b], ground, normals, min_cosine, max_depth_step
+                ):
                     out[i, j] = True
                     out[a, b] = True
     return out
 
 
 @compiled
-def _edges_of_crosses(number, away, ground, normals, bend, jump):
+def _edges_of_crosses(number, distance, ground, normals, min_cosine, max_depth_step):
     out = np.zeros(len(number), np.bool_)
     for n in range(len(number)):
-        own = np.int64(number[n, 0]) - 1
+        triangle = np.int64(number[n, 0]) - 1
         for k in range(1, number.shape[1]):
-            other = np.int64(number[n, k]) - 1
-            if _is_edge(own, other, away[n, 0], away[n, k], ground, normals, bend, jump):
+            neighbour = np.int64(number[n, k]) - 1
+            if _is_edge(triangle, neighbour, distance[n, 0], distance[n, k], ground, normals, min_cosine, max_depth_step):
                 out[n] = True
     return out
 
 
 @internal
-def _is_edge(own, other, distance, neighbour_distance, ground, normals, bend, jump):
+def _is_edge(triangle, neighbour, distance, neighbour_distance, ground, normals, min_cosine, max_depth_step):
     """Return whether an edge lies between two neighbours.
 
     Triangles count from 0 (negative: none). ``distance`` and ``neighbour_distance`` are distances along the view's axis.
     """
-    if own == other:
+    if triangle == neighbour:
         return False
-    if _kind(own, ground, len(normals)) != _kind(other, ground, len(normals)):
+    if _kind(triangle, ground, len(normals)) != _kind(neighbour, ground, len(normals)):
         return True
-    if abs(distance - neighbour_distance) > jump * min(distance, neighbour_distance):
+    if abs(distance - neighbour_distance) > max_depth_step * min(distance, neighbour_distance):
         return True
-    if not ground <= own < ground + len(normals):
+    if not ground <= triangle < ground + len(normals):
         return False
-    n, m = normals[own - ground], normals[other - ground]
-    return n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < bend
+    n, m = normals[triangle - ground], normals[neighbour - ground]
+    return n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < min_cosine
 
 
 @internal

@@ -21,10 +21,10 @@ from skugga.terrain.ground.sky_view_factor import (
     STEREOGRAPHIC,
     SkyView,
     cell_in_square,
-    hidden_on_row,
     lattice_square,
+    mip_pair,
     project_to_plane,
-    pyramid_level,
+    sky_occlusion_row,
     square_corners,
 )
 from skugga.terrain.ground.surface import Surface, at_height, between_columns, between_rows, map_pixel_m
@@ -79,9 +79,9 @@ def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround 
     return _bare_ground(scene.world, scene.elevation, view, sky)
 
 
-def trim_bare_ground_cache(most: int) -> None:
-    """Trim the cache to the ``most`` blocks used last, for a raster that is processed once from end to end."""
-    _bare_ground.cache.trim(most)
+def trim_bare_ground_cache(max_entries: int) -> None:
+    """Trim the cache to the ``max_entries`` blocks used last, for a raster that is processed once from end to end."""
+    _bare_ground.cache.trim(max_entries)
 
 
 @cached("scene", 448 * MIB)
@@ -90,29 +90,29 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     reach = normal_stencil_radius(surface)
     row0, col0 = int(view.row0) - reach, int(view.col0) - reach
     nodes = surface.height_window(row0, col0, view.rows + 2 * reach, view.cols + 2 * reach)
-    height, shown = nodes.height_m, nodes.valid
-    own = shown[reach:-reach, reach:-reach]
-    rows, cols = (np.flatnonzero(own.any(axis=axis)) for axis in (1, 0))
+    height, node_valid = nodes.height_m, nodes.valid
+    inner_valid = node_valid[reach:-reach, reach:-reach]
+    rows, cols = (np.flatnonzero(inner_valid.any(axis=axis)) for axis in (1, 0))
     valid = np.zeros((view.rows, view.cols), np.bool_)
     if not len(rows):
-        nothing = np.zeros((0, 0), np.float32)
-        nothing_3d = np.zeros((0, 0, 3), np.float32)
-        return BareGround(view, frame, valid, (slice(0, 0), slice(0, 0)), nothing, nothing_3d, nothing_3d, nothing)
+        empty = np.zeros((0, 0), np.float32)
+        empty_3d = np.zeros((0, 0, 3), np.float32)
+        return BareGround(view, frame, valid, (slice(0, 0), slice(0, 0)), empty, empty_3d, empty_3d, empty)
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
-    around = tuple(slice(side.start, side.stop + 2 * reach) for side in window)
-    height, shown = np.ascontiguousarray(height[around]), np.ascontiguousarray(shown[around])
+    node_window = tuple(slice(side.start, side.stop + 2 * reach) for side in window)
+    height, node_valid = np.ascontiguousarray(height[node_window]), np.ascontiguousarray(node_valid[node_window])
     row0, col0 = row0 + window[0].start, col0 + window[1].start
     exact, first_row, first_col = surface.exact_verticals(row0, col0, height.shape[0], height.shape[1], frame)
-    across = np.stack(
+    exact_rows = np.stack(
         [between_columns(np.ascontiguousarray(exact[..., k]), first_col, surface.stride, col0, height.shape[1]) for k in range(6)]
     )
-    normal, up, share, known, complete = _smooth_ground(
-        across, first_row, surface.stride, row0, height, shown, reach,
+    normal, up, share, window_valid, is_complete = _smooth_ground(
+        exact_rows, first_row, surface.stride, row0, height, node_valid, reach,
         world.up_origin(frame), None if sky is None else sky.finder.cells, *_sky_arguments(sky, frame, map_pixel_m(world, view)),
     )  # fmt: skip
-    if not complete:
+    if not is_complete:
         return None
-    valid[window] = known
+    valid[window] = window_valid
     return BareGround(view, frame, valid, window, height[reach:-reach, reach:-reach].copy(), normal, up, share)
 
 
@@ -122,20 +122,20 @@ def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tu
     Where the lattice is ``None``, numba compiles the loop without the code that uses it.
     """
     if sky is None:
-        nothing, no_values = np.zeros(2), np.zeros(0, np.float32)
-        level = pyramid_level(np.zeros((1, 3), np.int64), 1.0)
-        return frame.frame_from_earth, frame.origin_earth_m, 0, np.eye(3), nothing, nothing, no_values, level, 1.0
+        empty, empty_values = np.zeros(2), np.zeros(0, np.float32)
+        mip_level = mip_pair(np.zeros((1, 3), np.int64), 1.0)
+        return frame.frame_from_earth, frame.origin_earth_m, 0, np.eye(3), empty, empty, empty_values, mip_level, 1.0
     finder, (values, table) = sky.finder, sky.means
     return (
         frame.frame_from_earth, frame.origin_earth_m, finder.plane, finder.axes, finder.first, finder.step, values,
-        pyramid_level(table, pixel_m / sky.node_m), 2.0**sky.level,
+        mip_pair(table, pixel_m / sky.node_m), 2.0**sky.lod,
     )  # fmt: skip
 
 
 @compiled
 def _smooth_ground(
-    across, first_row, stride, row0, height, shown, reach, centre,
-    lattice, frame_from_earth, origin, plane, axes, first, step, values, level, cells_a_node,
+    exact_rows, first_row, stride, row0, height, node_valid, reach, centre,
+    lattice, frame_from_earth, origin, plane, axes, first, step, values, mip_level, cells_per_node,
 ):  # fmt: skip
     """Return normals, directions up, sky shares and valid mask (rows, cols) of a window, and whether all of its ground has normals.
 
@@ -148,37 +148,41 @@ def _smooth_ground(
     normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
     up = np.empty((rows, cols, 3), np.float32)
     valid = np.empty((rows, cols), np.bool_)
-    own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the current row
-    complete = True
+    own_normal, plane_position = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the current row
+    is_complete = True
     for i in range(-reach, rows + reach):
-        turn = (i + reach) % side
-        _points_of_row(across, first_row, stride, row0 + reach + i, height[i + reach], points[turn])
-        row_is_complete[turn] = _is_complete_row(points[turn, 2], height[i + reach])
-        at = i - reach
-        if at < 0:
+        ring_index = (i + reach) % side
+        _points_of_row(exact_rows, first_row, stride, row0 + reach + i, height[i + reach], points[ring_index])
+        row_is_complete[ring_index] = _is_complete_row(points[ring_index, 2], height[i + reach])
+        window_row = i - reach
+        if window_row < 0:
             continue
-        here, above, below = points[(at + reach) % side], points[at % side], points[(at + 2 * reach) % side]
+        middle, above, below = (
+            points[(window_row + reach) % side],
+            points[window_row % side],
+            points[(window_row + 2 * reach) % side],
+        )
         is_interior = True
         for k in range(side):
             is_interior = is_interior and row_is_complete[k]
         if is_interior:
             for j in range(cols):
-                valid[at, j] = shown[at + reach, reach + j]
-            row_complete = _write_interior_normals(above, here, below, reach, valid[at], own_normal)
+                valid[window_row, j] = node_valid[window_row + reach, reach + j]
+            row_complete = _write_interior_normals(above, middle, below, reach, valid[window_row], own_normal)
         else:
-            _write_valid(height, shown, at + reach, reach, valid[at])
-            row_complete = _write_rim_normals(above, here, below, reach, valid[at], own_normal)
-        complete = complete and row_complete
-        _put_normals(own_normal, valid[at], normal[at])
-        x, y, z = here[0, reach : reach + cols], here[1, reach : reach + cols], here[2, reach : reach + cols]
-        _write_open_sky(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[at])
-        _up_of_row(x, y, z, (centre[0], centre[1], centre[2]), up[at])
+            _write_valid(height, node_valid, window_row + reach, reach, valid[window_row])
+            row_complete = _write_rim_normals(above, middle, below, reach, valid[window_row], own_normal)
+        is_complete = is_complete and row_complete
+        _put_normals(own_normal, valid[window_row], normal[window_row])
+        x, y, z = middle[0, reach : reach + cols], middle[1, reach : reach + cols], middle[2, reach : reach + cols]
+        _write_open_sky(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[window_row])
+        _up_of_row(x, y, z, (centre[0], centre[1], centre[2]), up[window_row])
         if lattice is not None:
-            own_height = height[at + reach, reach : reach + cols]
-            _write_plane_positions(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, place)
-            _convert_to_cells(place, first, step, lattice, cells_a_node)
-            _subtract_hidden_sky(place[0], place[1], values, level, share[at])
-    return normal, up, share, valid, complete
+            own_height = height[window_row + reach, reach : reach + cols]
+            _write_plane_positions(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, plane_position)
+            _convert_to_cells(plane_position, first, step, lattice, cells_per_node)
+            _subtract_hidden_sky(plane_position[0], plane_position[1], values, mip_level, share[window_row])
+    return normal, up, share, valid, is_complete
 
 
 @internal
@@ -213,38 +217,38 @@ def _up_of_row(px, py, pz, centre, out):
 
 
 @internal
-def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, place):
+def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, plane_position):
     """Write the positions of points in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
     m02, m12, m22 = frame_from_earth[0, 2], frame_from_earth[1, 2], frame_from_earth[2, 2]
     ox, oy, oz = origin[0], origin[1], origin[2]
-    own = (
+    axis_rows = (
         (axes[0, 0], axes[0, 1], axes[0, 2]), (axes[1, 0], axes[1, 1], axes[1, 2]), (axes[2, 0], axes[2, 1], axes[2, 2]),
     )  # fmt: skip
-    begin, by = (first[0], first[1]), (step[0], step[1])
-    out_x, out_y = place[0], place[1]
+    first_xy, step_xy = (first[0], first[1]), (step[0], step[1])
+    out_x, out_y = plane_position[0], plane_position[1]
     if plane == STEREOGRAPHIC:
         for j in range(height.size):
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
             y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
             z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
-            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], STEREOGRAPHIC, own, begin, by)
+            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], STEREOGRAPHIC, axis_rows, first_xy, step_xy)
     else:
         for j in range(height.size):
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
             y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
             z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
-            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], plane, own, begin, by)
+            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], plane, axis_rows, first_xy, step_xy)
 
 
 @internal
-def _convert_to_cells(place, first, step, lattice, cells_a_node):
+def _convert_to_cells(plane_position, first, step, lattice, cells_per_node):
     """Convert positions in a finder's plane to rows and columns of the grid of hidden sky, in place.
 
     Consecutive positions in one square of the lattice are converted together.
     """
-    x, y, begin, by = place[0], place[1], (first[0], first[1]), (step[0], step[1])
+    x, y, begin, by = plane_position[0], plane_position[1], (first[0], first[1]), (step[0], step[1])
     rows, cols = lattice.shape[0], lattice.shape[1]
     square_j, square_i = np.empty(x.size, np.int32), np.empty(x.size, np.int32)
     for j in range(x.size):
@@ -254,69 +258,69 @@ def _convert_to_cells(place, first, step, lattice, cells_a_node):
         end, at_j, at_i = start + 1, square_j[start], square_i[start]
         while end < x.size and square_j[end] == at_j and square_i[end] == at_i:
             end += 1
-        _cells_of_run(x[start:end], y[start:end], square_corners(lattice, at_i, at_j), at_j, at_i, cells_a_node)
+        _cells_of_run(x[start:end], y[start:end], square_corners(lattice, at_i, at_j), at_j, at_i, cells_per_node)
         start = end
 
 
 @internal
-def _cells_of_run(across, down, corners, at_j, at_i, cells_a_node):
-    for j in range(across.size):
-        row, col = cell_in_square(corners, across[j] - at_j, down[j] - at_i)
-        across[j], down[j] = (row + 0.5) / cells_a_node - 0.5, (col + 0.5) / cells_a_node - 0.5
+def _cells_of_run(x, y, corners, at_j, at_i, cells_per_node):
+    for j in range(x.size):
+        row, col = cell_in_square(corners, x[j] - at_j, y[j] - at_i)
+        x[j], y[j] = (row + 0.5) / cells_per_node - 0.5, (col + 0.5) / cells_per_node - 0.5
 
 
 @internal
-def _subtract_hidden_sky(row, col, values, level, share):
+def _subtract_hidden_sky(row, col, values, mip_level, share):
     """Reduce a row's sky shares by the share that ground hides."""
-    hidden = np.empty(share.size)
-    hidden_on_row(values, level, row, col, hidden)
+    hidden_share = np.empty(share.size)
+    sky_occlusion_row(values, mip_level, row, col, hidden_share)
     for j in range(share.size):
-        known = np.isfinite(row[j]) & np.isfinite(col[j])
-        share[j] = share[j] * (1.0 - hidden[j]) if known else share[j]
+        has_cell = np.isfinite(row[j]) & np.isfinite(col[j])
+        share[j] = share[j] * (1.0 - hidden_share[j]) if has_cell else share[j]
 
 
 @internal
-def _points_of_row(across, first_row, stride, row, height, out):
+def _points_of_row(exact_rows, first_row, stride, row, height, out):
     """Write frame points (3, cols) of a row of nodes from points and verticals (6, m, cols) of exact rows."""
-    coarse = row // stride
-    weights = (row - coarse * stride) / stride
-    m = coarse - first_row
+    exact_row = row // stride
+    weights = (row - exact_row * stride) / stride
+    m = exact_row - first_row
     feet, slopes = np.empty(height.size), np.empty(height.size)
     for k in range(3):
-        between_rows(across[k], m, weights, feet)
-        between_rows(across[k + 3], m, weights, slopes)
+        between_rows(exact_rows[k], m, weights, feet)
+        between_rows(exact_rows[k + 3], m, weights, slopes)
         at_height(feet, slopes, height, out[k])
 
 
 @internal
-def _write_valid(height, shown, row, reach, valid):
+def _write_valid(height, node_valid, row, reach, valid):
     """Write which nodes of a row show ground: those that are a corner of a triangle.
 
     A quad with one missing corner still has one triangle.
     """
     for j in range(valid.size):
         col = j + reach
-        known = False
-        if shown[row, col] and np.isfinite(height[row, col]):
+        is_valid = False
+        if node_valid[row, col] and np.isfinite(height[row, col]):
             for k in range(4):
                 r, c = row - k // 2, col - k % 2
                 missing = 0
                 for m in range(4):
                     missing += 0 if np.isfinite(height[r + m // 2, c + m % 2]) else 1
-                known = known or missing <= 1
-        valid[j] = known
+                is_valid = is_valid or missing <= 1
+        valid[j] = is_valid
 
 
 @internal
-def _write_interior_normals(above, here, below, reach, valid, out):
+def _write_interior_normals(above, middle, below, reach, valid, out):
     """Write smooth unit normals (3, cols) of a row without missing neighbours.
 
     Returns whether all ground in the row has a normal.
     """
     cols = valid.size
-    west_x, west_y, west_z = here[0, :cols], here[1, :cols], here[2, :cols]
+    west_x, west_y, west_z = middle[0, :cols], middle[1, :cols], middle[2, :cols]
     east = 2 * reach
-    east_x, east_y, east_z = here[0, east : east + cols], here[1, east : east + cols], here[2, east : east + cols]
+    east_x, east_y, east_z = middle[0, east : east + cols], middle[1, east : east + cols], middle[2, east : east + cols]
     ax, ay, az = np.empty(cols), np.empty(cols), np.empty(cols)
     for j in range(cols):
         ax[j], ay[j], az[j] = east_x[j] - west_x[j], east_y[j] - west_y[j], east_z[j] - west_z[j]
@@ -343,8 +347,8 @@ def _unit_normal(ax, ay, az, bx, by, bz):
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     length = np.sqrt(x * x + y * y + z * z)
     x, y, z = np.float64(np.float32(x / length)), np.float64(np.float32(y / length)), np.float64(np.float32(z / length))
-    again = np.sqrt(x * x + y * y + z * z)
-    return length, x / again, y / again, z / again
+    rounded_length = np.sqrt(x * x + y * y + z * z)
+    return length, x / rounded_length, y / rounded_length, z / rounded_length
 
 
 @internal
@@ -359,27 +363,27 @@ def _put_normals(normal, valid, out):
 
 
 @internal
-def _write_rim_normals(above, here, below, reach, valid, out):
+def _write_rim_normals(above, middle, below, reach, valid, out):
     """Write smooth unit normals (3, cols) of a row where it is valid, one-sided at the ground's rim.
 
     Returns whether all ground in the row has a normal.
     """
-    complete = True
+    is_complete = True
     for j in range(valid.size):
         if not valid[j]:
             continue
         c = j + reach
         w, e = c - reach, c + reach
-        west = c if np.isnan(here[2, w]) else w
-        east = c if np.isnan(here[2, e]) else e
-        north = here if np.isnan(above[2, c]) else above
-        south = here if np.isnan(below[2, c]) else below
+        west = c if np.isnan(middle[2, w]) else w
+        east = c if np.isnan(middle[2, e]) else e
+        north = middle if np.isnan(above[2, c]) else above
+        south = middle if np.isnan(below[2, c]) else below
         length, x, y, z = _unit_normal(
-            here[0, east] - here[0, west], here[1, east] - here[1, west], here[2, east] - here[2, west],
+            middle[0, east] - middle[0, west], middle[1, east] - middle[1, west], middle[2, east] - middle[2, west],
             north[0, c] - south[0, c], north[1, c] - south[1, c], north[2, c] - south[2, c],
         )  # fmt: skip
         if length > 0.0:
             out[0, j], out[1, j], out[2, j] = x, y, z
         else:
-            complete = False
-    return complete
+            is_complete = False
+    return is_complete

@@ -56,7 +56,7 @@ class BareNodes:
         """``None``: bare nodes never lie on columns."""
 
     @property
-    def shown(self) -> np.ndarray:
+    def shows_ground(self) -> np.ndarray:
         """bool (rows, cols), whether a node shows ground."""
         return self.surface.valid[HALO:-HALO, HALO:-HALO]
 

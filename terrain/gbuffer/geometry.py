@@ -77,7 +77,7 @@ class GeometryBuffer:
         float32 (rows, cols, 9), the triangle's three corners; 0 for a map's ground. ``None`` where the view has nothing else.
     albedo
         float32, linear; NaN selects the ground's tint. ``None`` selects it everywhere.
-    samples_from, sample_pixels
+    first_sample_row, sample_pixels
         The first row of extra anti-aliasing samples (``skugga.terrain.gbuffer.antialias``), which are averaged; and the rows and
         columns (n, cols) of these samples in the finer view of the same camera.
     lift_m
@@ -108,7 +108,7 @@ class GeometryBuffer:
     albedo: np.ndarray | None = None
     tree_instances: TreeInstances | None = None
     solids_frame_m: np.ndarray | None = None
-    samples_from: int | None = None
+    first_sample_row: int | None = None
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
     lift_m: np.ndarray | None = None
     lifted: np.ndarray | None = None
@@ -127,12 +127,12 @@ class MapNodes:
     ----------
     window
         The nodes.
-    smooth
+    smooth_normals
         float32 (rows, cols, 3), their smooth unit normals.
     """
 
     window: SurfaceWindow
-    smooth: np.ndarray
+    smooth_normals: np.ndarray
 
 
 def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
@@ -164,7 +164,7 @@ def map_geometry(
     pixel_mask = np.ones((view.rows, view.cols), np.bool_) if pixel_mask is None else pixel_mask
     reach = normal_stencil_radius(surface)
     nodes = nodes or map_nodes(surface, [view], frame)
-    window, smooth, sheet = nodes.window, nodes.smooth, nodes.window.sheet
+    window, smooth_normals, sheet = nodes.window, nodes.smooth_normals, nodes.window.sheet
     row0, col0, row1, col1 = _node_bounds([view], reach)
     ends = window.row0, window.col0, window.row0 + window.shape[0], window.col0 + window.shape[1]
     if row0 < ends[0] or col0 < ends[1] or row1 > ends[2] or col1 > ends[3]:
@@ -172,18 +172,26 @@ def map_geometry(
     row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
     on_nodes = view.on_nodes and reach == 1
-    valid, position, height, normal, shading, crease, triangle = map_points(
-        window.position_frame_m, window.height_m, window.valid, sheet.falls, sheet.normals_frame, smooth, row, col, pixel_mask
+    valid, position, height, normal, shading_normal, crease, triangle = map_points(
+        window.position_frame_m,
+        window.height_m,
+        window.valid,
+        sheet.is_cut_nw_se,
+        sheet.normals_frame,
+        smooth_normals,
+        row,
+        col,
+        pixel_mask,
     )
     kind = np.where(valid, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     # A pixel on a node has no triangle of its own, unless the grid is finer than the raster.
     lift = None
     if not on_nodes:
         lift = map_lifts(
-            window.position_frame_m, sheet.falls, sheet.normals_frame, smooth, window.centre_frame_m, row, col, position, triangle,
+            window.position_frame_m, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, window.centre_frame_m, row, col, position, triangle,
             reach,
         )  # fmt: skip
-    return GeometryBuffer(view, frame, valid, position, height, normal, shading, crease, kind, triangle, window, lift_m=lift)
+    return GeometryBuffer(view, frame, valid, position, height, normal, shading_normal, crease, kind, triangle, window, lift_m=lift)
 
 
 def normal_stencil_radius(surface: Surface) -> int:

@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, run_in_chunks
-from skugga.terrain.geo.camera import FRAME_SHARE, PerspectiveView
+from skugga.terrain.geo.camera import FRAME_PITCH_SHARE, PerspectiveView
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import LocalFrame, World, transformer
 from skugga.terrain.ground.decimation import NodeErrors, decimate, node_errors
@@ -149,7 +149,7 @@ def _ground_mesh(
         float(height),
     )
     decimated = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
-    frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_SHARE)
+    frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_PITCH_SHARE)
     row, col = decimated.nodes[:, 0], decimated.nodes[:, 1]
     return _mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance * focal_px)
 
@@ -173,9 +173,9 @@ def _mesh(
     """Return the mesh of triangles of selected nodes of the ground, in a frame."""
     grid, height = nodes.grid, nodes.height_m[row, col]
     position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
-    faces, around = face_normals(position, triangles), node_faces(len(position), triangles)
+    faces, faces_at_nodes = face_normals(position, triangles), node_faces(len(position), triangles)
     return GroundMesh(
-        position, height, smooth_normals(faces, around), triangles, faces, around,
+        position, height, smooth_normals(faces, faces_at_nodes), triangles, faces, faces_at_nodes,
         np.asarray(grid.x(col + nodes.col0)), np.asarray(grid.y(row + nodes.row0)), grid, tolerance,
     )  # fmt: skip
 
@@ -208,9 +208,9 @@ def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, in
         grid = map_grid(world, crs, 1.01 * probe.step * detail_m / step_at_anchor_m(world, probe))
         first = int(np.ceil((grid.y0 - north) / grid.step)), int(np.ceil((west - grid.x0) / grid.step))
         last = int(np.floor((grid.y0 - south) / grid.step)), int(np.floor((east - grid.x0) / grid.step))
-    level = max(int(np.ceil(np.log2(max(last[0] - first[0], last[1] - first[1], 1) / MAX_SIDE_NODES))), 0)
-    (row0, col0), (row1, col1) = (-(-v // 2**level) for v in first), (v // 2**level for v in last)
-    return grid.coarser(level), row0, col0, max(row1 - row0 + 1, 1), max(col1 - col0 + 1, 1)
+    halvings = max(int(np.ceil(np.log2(max(last[0] - first[0], last[1] - first[1], 1) / MAX_SIDE_NODES))), 0)
+    (row0, col0), (row1, col1) = (-(-v // 2**halvings) for v in first), (v // 2**halvings for v in last)
+    return grid.coarser(halvings), row0, col0, max(row1 - row0 + 1, 1), max(col1 - col0 + 1, 1)
 
 
 def _full_triangulation(height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

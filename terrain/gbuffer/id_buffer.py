@@ -21,7 +21,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.gl.device import Device, device
 from skugga.terrain.gl.programs import join_shader_parts
-from skugga.terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
 if TYPE_CHECKING:
     import moderngl
@@ -85,10 +85,10 @@ def rasterise_perspective(
         "window": (*(2.0 * view.focal_px / (view.step * size)), *((1.0 - 2.0 * first / view.step) / size - 1.0)),
         "near_m": NEAR_M,
     }
-    target = gl.visible_target(view.cols, view.rows)
+    target = gl.visibility_buffer_target(view.cols, view.rows)
     tangent_bounds = np.array([[first[k] - view.step, first[k] + size[k] * view.step] for k in (0, 1)]) / view.focal_px
     visible_ground = _triangles_in_frustum(ground.position_frame_m, ground.triangles, eye, camera_from_frame, tangent_bounds)
-    with gl.visible_pass(target):
+    with gl.visibility_buffer_pass(target):
         if pixel_mask is not None:  # depth 1 is the near plane: the depth test rejects all other pixels early
             gl.write_depths(target, np.subtract(np.float32(1.0), pixel_mask, dtype=np.float32))
         program = _program(gl, "visible.vert", "visible.frag", uniforms)
@@ -128,9 +128,9 @@ def rasterise_map(
     low, high = heights_m
     scale = np.array([1.0, 1.0, 1.0 / (high - low)])
     shift = np.array([0.0, 0.0, low])
-    target = gl.visible_target(view.cols, view.rows)
-    triangle_count, chosen = 0, None
-    with gl.visible_pass(target):
+    target = gl.visibility_buffer_target(view.cols, view.rows)
+    triangle_count, tree_indices = 0, None
+    with gl.visibility_buffer_pass(target):
         uniforms = {"size_px": (float(view.cols), float(view.rows))}
         if solids_px is not None:
             program = _program(gl, "visible_map.vert", "visible.frag", uniforms)
@@ -138,25 +138,25 @@ def rasterise_map(
         if instances is not None and bases_px is not None:
             reach = np.linalg.norm(px_from_m, 2) * instances.shape[:, :2].max(axis=1) * 1.5
             inside = [(bases_px[:, k] > -reach) & (bases_px[:, k] < size + reach) for k, size in enumerate((view.cols, view.rows))]
-            chosen = np.flatnonzero(inside[0] & inside[1])
+            tree_indices = np.flatnonzero(inside[0] & inside[1])
             tree_uniforms = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
             tree_uniforms |= {"level_bias": float(np.log2(view.pixel_share))}
-            _draw_trees(gl, instances, chosen, (bases_px - shift) * scale, {**uniforms, **tree_uniforms}, triangle_count)
-    return _read(gl, target, instances, triangle_count, chosen, np.zeros(0, np.int64), with_depth=False)
+            _draw_trees(gl, instances, tree_indices, (bases_px - shift) * scale, {**uniforms, **tree_uniforms}, triangle_count)
+    return _read(gl, target, instances, triangle_count, tree_indices, np.zeros(0, np.int64), with_depth=False)
 
 
 def _draw_trees(
-    gl: Device, instances: TreeInstances, chosen: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int
+    gl: Device, instances: TreeInstances, tree_indices: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int
 ) -> None:
     program = gl.program(
         shader("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"), shader("terrain/gbuffer/visible_tree.frag")
     )
-    texture = gl.layers(foliage().levels)
+    texture = gl.layers(foliage().mip_levels)
     texture.use(0)
-    tree_uniforms = {"foliage": 0, "threshold": THRESHOLD, "curvature": instances.curvature, "first": first}
+    tree_uniforms = {"foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": instances.curvature, "first": first}
     set_uniforms(program, {**uniforms, **tree_uniforms})
-    variant = np.concatenate([instances.turn, instances.variant[:, None]], axis=1)
-    attributes = [("base", base[chosen]), ("shape", instances.shape[chosen]), ("look", variant[chosen])]
+    variant = np.concatenate([instances.yaw_cos_sin, instances.variant[:, None]], axis=1)
+    attributes = [("base", base[tree_indices]), ("shape", instances.shape[tree_indices]), ("look", variant[tree_indices])]
     gl.draw_instances(program, QUAD_TRIANGLES, attributes)
 
 
@@ -178,18 +178,23 @@ def _read(
     target: moderngl.Framebuffer,
     instances: TreeInstances | None,
     triangle_count: int,
-    chosen: np.ndarray | None,
+    tree_indices: np.ndarray | None,
     visible_ground: np.ndarray,
     with_depth: bool,
 ) -> IdBuffer:
     number = gl.read(target, 0, "u4")
     depth = gl.read(target, -1) if with_depth else np.zeros((0, 0), np.float32)
     run_in_chunks(
-        len(number), _renumber, number, visible_ground, triangle_count, np.zeros(0, np.int64) if chosen is None else chosen
+        len(number),
+        _renumber,
+        number,
+        visible_ground,
+        triangle_count,
+        np.zeros(0, np.int64) if tree_indices is None else tree_indices,
     )
-    if chosen is None or not len(chosen):
-        none = np.zeros((*number.shape, 4), np.uint8) if instances is not None else np.zeros((0, 0, 4), np.uint8)
-        return IdBuffer(number, none, depth)
+    if tree_indices is None or not len(tree_indices):
+        no_albedo = np.zeros((*number.shape, 4), np.uint8) if instances is not None else np.zeros((0, 0, 4), np.uint8)
+        return IdBuffer(number, no_albedo, depth)
     return IdBuffer(number, gl.read(target, 1, "f1", 4), depth)
 
 
@@ -217,17 +222,17 @@ def _triangles_in_frustum(position, triangles, eye, rotation, tangents):
     of ``rotation``; ``tangents`` are the minimum and maximum of x / z and of y / z.
     """
     outside = np.zeros(len(position), np.uint8)
-    at = np.empty(3)
+    in_camera = np.empty(3)
     for n in range(len(position)):
         for k in range(3):
-            at[k] = (
+            in_camera[k] = (
                 rotation[k, 0] * (position[n, 0] - eye[0]) + rotation[k, 1] * (position[n, 1] - eye[1])
                 + rotation[k, 2] * (position[n, 2] - eye[2])
             )  # fmt: skip
-        code = 1 if at[2] < 0.0 else 0
+        code = 1 if in_camera[2] < 0.0 else 0
         for axis in range(2):
-            code |= (2 << 2 * axis) * (at[axis] < tangents[axis, 0] * at[2]) + (4 << 2 * axis) * (
-                at[axis] > tangents[axis, 1] * at[2]
+            code |= (2 << 2 * axis) * (in_camera[axis] < tangents[axis, 0] * in_camera[2]) + (4 << 2 * axis) * (
+                in_camera[axis] > tangents[axis, 1] * in_camera[2]
             )
         outside[n] = code
     out = np.empty(len(triangles), np.int64)

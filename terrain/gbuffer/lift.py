@@ -28,10 +28,12 @@ bends by twice the angle there.
 
 
 @internal
-def is_smooth(face, smooth):
+def is_smooth(face, smooth_normal):
     """Return whether a smooth normal exists and is so near to a triangle's normal that no crease lies between them."""
-    length = np.sqrt(smooth[0] * smooth[0] + smooth[1] * smooth[1] + smooth[2] * smooth[2])
-    return face[0] * smooth[0] + face[1] * smooth[1] + face[2] * smooth[2] >= MIN_CREASE_COSINE * length
+    length = np.sqrt(
+        smooth_normal[0] * smooth_normal[0] + smooth_normal[1] * smooth_normal[1] + smooth_normal[2] * smooth_normal[2]
+    )
+    return face[0] * smooth_normal[0] + face[1] * smooth_normal[1] + face[2] * smooth_normal[2] >= MIN_CREASE_COSINE * length
 
 
 @internal
@@ -43,11 +45,13 @@ def up_at(point, centre, out):
 
 
 @internal
-def lift_distance(node, smooth, point, direction):
+def lift_distance(node, smooth_normal, point, direction):
     """Return the distance from a point, along a unit vector, to the plane through a node perpendicular to its smooth normal.
 
     It is 0 where the point lies above the plane, or where the normal is missing.
     """
-    below = smooth[0] * (node[0] - point[0]) + smooth[1] * (node[1] - point[1]) + smooth[2] * (node[2] - point[2])
-    facing = smooth[0] * direction[0] + smooth[1] * direction[1] + smooth[2] * direction[2]
+    below = (
+        smooth_normal[0] * (node[0] - point[0]) + smooth_normal[1] * (node[1] - point[1]) + smooth_normal[2] * (node[2] - point[2])
+    )
+    facing = smooth_normal[0] * direction[0] + smooth_normal[1] * direction[1] + smooth_normal[2] * direction[2]
     return below / max(facing, MIN_FACING) if below > 0.0 else 0.0

@@ -98,7 +98,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
         sheet, points = surface.casting.sheet, buffer.position_frame_m
         nodes, centre = sheet.position_frame_m, surface.centre_frame_m
-        _write_facing_facets(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
+        _write_facing_facets(nodes, sheet.normals_frame, sheet.is_cut_nw_se, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
         run_in_chunks(
             len(ground), _write_smooth_normals, ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m,
@@ -108,7 +108,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
 
 
 @compiled
-def _write_facing_facets(nodes, faces, falls, centre, row, col, ground, position, light, facing):
+def _write_facing_facets(nodes, faces, is_cut_nw_se, centre, row, col, ground, position, light, facing):
     """Write normal, crease, lift and blocking of the facet that faces a light most, where several share a point of the ground."""
     normal, crease, lift, blocked, _ = facing
     facets, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
@@ -116,7 +116,7 @@ def _write_facing_facets(nodes, faces, falls, centre, row, col, ground, position
         for j in range(col.size):
             if not ground[i, j]:
                 continue
-            count = facets_at(faces, falls, row[i], col[j], facets)
+            count = facets_at(faces, is_cut_nw_se, row[i], col[j], facets)
             p = position[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
             _write_local_axes(p, centre, axes)
@@ -128,7 +128,7 @@ def _write_facing_facets(nodes, faces, falls, centre, row, col, ground, position
                 for k in range(count):
                     n = faces[facets[k, 0], facets[k, 1], facets[k, 2]]
                     towards = n[0] * x + n[1] * y + n[2] * z
-                    if towards < 0.0 and _enters_facet(nodes, falls, facets[k], p, axes, east, north):
+                    if towards < 0.0 and _enters_facet(nodes, is_cut_nw_se, facets[k], p, axes, east, north):
                         blocked[i, j] = True
                     if towards > max_facing:
                         max_facing, best = towards, k
@@ -136,17 +136,17 @@ def _write_facing_facets(nodes, faces, falls, centre, row, col, ground, position
                 for k in range(3):
                     normal[i, j, k] = faces[facets[best, 0], facets[best, 1], facets[best, 2], k]
                     lift[i, j, k] = up[k] / max(flattest, MIN_UPWARD)
-                crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
-            if _is_on_rim(falls, facets, count, row[i], col[j]) and _is_parallel_to_side(
-                nodes, falls, facets, count, p, axes, east, north
+                crease[i, j] = crease_at(faces, is_cut_nw_se, row[i], col[j], normal[i, j])
+            if _is_on_rim(is_cut_nw_se, facets, count, row[i], col[j]) and _is_parallel_to_side(
+                nodes, is_cut_nw_se, facets, count, p, axes, east, north
             ):
-                east, north = _inward_direction(nodes, falls, facets, count, p, axes)
+                east, north = _inward_direction(nodes, is_cut_nw_se, facets, count, p, axes)
                 for k in range(3):
                     lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, MIN_UPWARD)
 
 
 @compiled
-def _write_smooth_normals(first, last, ground, smooth, lift, position, light, facing):
+def _write_smooth_normals(first, last, ground, smooth_normals, lift, position, light, facing):
     """Write the smooth ground's values in two cases.
 
     In the first its normal faces away from the light. In the second its normal alone faces the light, and the smooth ground lies
@@ -157,7 +157,7 @@ def _write_smooth_normals(first, last, ground, smooth, lift, position, light, fa
         for j in range(ground.shape[1]):
             if not ground[i, j] or np.isnan(lift[i, j]):
                 continue
-            p, n, s = position[i, j], normal[i, j], smooth[i, j]
+            p, n, s = position[i, j], normal[i, j], smooth_normals[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
             min_facing = MIN_LIGHT_SINE * np.sqrt(x * x + y * y + z * z)
             smooth_faces = s[0] * x + s[1] * y + s[2] * z > min_facing
@@ -199,13 +199,13 @@ def _plan_offset(node, p, axes):
 
 
 @internal
-def _enters_facet(nodes, falls, facet, p, axes, east, north):
+def _enters_facet(nodes, is_cut_nw_se, facet, p, axes, east, north):
     """Return whether a ray from a point on a facet's side or corner leads, in plan, over the facet.
 
     It does if none of the point's barycentric coordinates that are 0 decreases along the ray.
     """
     r, c, half = facet
-    corners = facet_corners(falls[r, c], half)
+    corners = facet_corners(is_cut_nw_se[r, c], half)
     for k in range(3):
         a = _plan_offset(nodes[r + corners[k][0], c + corners[k][1]], p, axes)
         b = _plan_offset(nodes[r + corners[(k + 1) % 3][0], c + corners[(k + 1) % 3][1]], p, axes)
@@ -213,14 +213,16 @@ def _enters_facet(nodes, falls, facet, p, axes, east, north):
         side_x, side_y = d[0] - b[0], d[1] - b[1]
         area = side_x * (a[1] - b[1]) - side_y * (a[0] - b[0])
         share = (side_y * b[0] - side_x * b[1]) / area
-        turn = (side_x * north - side_y * east) * np.sign(area)
-        if share <= 1e-5 and turn < -PARALLEL * np.sqrt((side_x * side_x + side_y * side_y) * (east * east + north * north)):
+        inward_speed = (side_x * north - side_y * east) * np.sign(area)
+        if share <= 1e-5 and inward_speed < -PARALLEL * np.sqrt(
+            (side_x * side_x + side_y * side_y) * (east * east + north * north)
+        ):
             return False
     return True
 
 
 @internal
-def _is_on_rim(falls, facets, count, row, col):
+def _is_on_rim(is_cut_nw_se, facets, count, row, col):
     """Return whether a position on a node or between two nodes lies on the rim of the ground.
 
     There a quad round it is missing, or the other half of a quad on whose diagonal it lies.
@@ -232,7 +234,7 @@ def _is_on_rim(falls, facets, count, row, col):
             continue
         quads += 1
         is_paired = k + 1 < count and r == facets[k + 1, 0] and c == facets[k + 1, 1]
-        diagonal_distance = (col - c) - (row - r) if falls[r, c] else 1.0 - (row - r) - (col - c)
+        diagonal_distance = (col - c) - (row - r) if is_cut_nw_se[r, c] else 1.0 - (row - r) - (col - c)
         if not is_paired and abs(diagonal_distance) <= EDGE_TOLERANCE:
             return True
     expected_quads = (2 if abs(row - np.rint(row)) <= EDGE_TOLERANCE else 1) * (
@@ -242,25 +244,25 @@ def _is_on_rim(falls, facets, count, row, col):
 
 
 @internal
-def _is_parallel_to_side(nodes, falls, facets, count, p, axes, east, north):
+def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, north):
     """Return whether a ray from a point is parallel, in plan, to a side of one of its facets."""
     for k in range(count):
         r, c, half = facets[k]
-        for down, right in facet_corners(falls[r, c], half):
+        for down, right in facet_corners(is_cut_nw_se[r, c], half):
             x, y = _plan_offset(nodes[r + down, c + right], p, axes)
-            ahead = x * east + y * north
-            if ahead > 0.0 and abs(x * north - y * east) <= PARALLEL * ahead:
+            forward = x * east + y * north
+            if forward > 0.0 and abs(x * north - y * east) <= PARALLEL * forward:
                 return True
     return False
 
 
 @internal
-def _inward_direction(nodes, falls, facets, count, p, axes):
+def _inward_direction(nodes, is_cut_nw_se, facets, count, p, axes):
     """Return the horizontal unit vector from a point to the middle of its facets."""
     east, north = 0.0, 0.0
     for k in range(count):
         r, c, half = facets[k]
-        for down, right in facet_corners(falls[r, c], half):
+        for down, right in facet_corners(is_cut_nw_se[r, c], half):
             x, y = _plan_offset(nodes[r + down, c + right], p, axes)
             east, north = east + x, north + y
     length = np.sqrt(east * east + north * north)

@@ -22,11 +22,11 @@ def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, pixel_ma
     ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError``.
     """
     row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
-    columns, seen = find_columns(surface, row, col, frame)
-    valid = seen.valid if pixel_mask is None else seen.valid & pixel_mask
+    columns, tops = find_columns(surface, row, col, frame)
+    valid = tops.valid if pixel_mask is None else tops.valid & pixel_mask
     kind = np.where(valid, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     return GeometryBuffer(
-        view, frame, valid, seen.position_frame_m, seen.height_m, seen.up_frame, seen.up_frame.copy(),
+        view, frame, valid, tops.position_frame_m, tops.height_m, tops.up_frame, tops.up_frame.copy(),
         np.zeros(valid.shape, np.float32), kind, columns=columns,
     )  # fmt: skip
 

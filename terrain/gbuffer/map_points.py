@@ -15,7 +15,7 @@ EDGE_TOLERANCE = 1e-6
 
 
 @compiled
-def map_points(position, height, shown, falls, faces, smooth, row, col, pixel_mask):
+def map_points(position, height, node_valid, is_cut_nw_se, faces, smooth_normals, row, col, pixel_mask):
     """Return the points at fractional rows and columns of a sheet of nodes, with the other arrays of a geometry buffer.
 
     A wanted pixel shows a surface if the nearest node does and the pixel lies on a triangle. Half-way between nodes, one of the
@@ -24,37 +24,37 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, pixel_ma
     rows, cols = row.size, col.size
     valid = np.empty((rows, cols), np.bool_)
     point, point_height = np.empty((rows, cols, 3)), np.empty((rows, cols), np.float32)
-    normal, shading = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols, 3), np.float32)
+    normal, shading_normal = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols, 3), np.float32)
     crease, triangle = np.empty((rows, cols), np.float32), np.empty((rows, cols, 3), np.int32)
     facets = np.empty((8, 3), np.int64)
     for i in range(rows):
         for j in range(cols):
             valid[i, j], point_height[i, j], crease[i, j] = False, np.nan, 0.0
             for k in range(3):
-                point[i, j, k], normal[i, j, k], shading[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
-            if not (pixel_mask[i, j] and _is_nearest_shown(shown, row[i], col[j])):
+                point[i, j, k], normal[i, j, k], shading_normal[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
+            if not (pixel_mask[i, j] and _is_nearest_shown(node_valid, row[i], col[j])):
                 continue
-            count = facets_at(faces, falls, row[i], col[j], facets)
+            count = facets_at(faces, is_cut_nw_se, row[i], col[j], facets)
             if count == 0:
                 continue
             valid[i, j] = True
             r, c, half = facets[0]
             triangle[i, j, 0], triangle[i, j, 1], triangle[i, j, 2] = r, c, half
-            (o0, o1), (a0, a1), (b0, b1) = facet_corners(falls[r, c], half)
-            u, v = _barycentric(falls[r, c], half, row[i] - r, col[j] - c)
+            (o0, o1), (a0, a1), (b0, b1) = facet_corners(is_cut_nw_se[r, c], half)
+            u, v = _barycentric(is_cut_nw_se[r, c], half, row[i] - r, col[j] - c)
             for k in range(3):
                 o = position[r + o0, c + o1, k]
                 point[i, j, k] = o + u * (position[r + a0, c + a1, k] - o) + v * (position[r + b0, c + b1, k] - o)
             h = np.float64(height[r + o0, c + o1])
             point_height[i, j] = h + u * (height[r + a0, c + a1] - h) + v * (height[r + b0, c + b1] - h)
             _mean_normal(faces, facets, count, normal[i, j])
-            crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
-            _smooth_normal(smooth, row[i], col[j], normal[i, j], shading[i, j])
-    return valid, point, point_height, normal, shading, crease, triangle
+            crease[i, j] = crease_at(faces, is_cut_nw_se, row[i], col[j], normal[i, j])
+            _smooth_normal(smooth_normals, row[i], col[j], normal[i, j], shading_normal[i, j])
+    return valid, point, point_height, normal, shading_normal, crease, triangle
 
 
 @compiled
-def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle, reach):
+def map_lifts(position, is_cut_nw_se, faces, smooth_normals, centre, row, col, point, triangle, reach):
     """Return the height of the smooth ground above ``map_points``, float32 (rows, cols), metres.
 
     The smooth ground passes through the corners of a point's facet. Single facets are too small to estimate it where the sheet is
@@ -64,7 +64,7 @@ def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle,
     """
     rows, cols = row.size, col.size
     out = np.empty((rows, cols), np.float32)
-    up, place, across = np.empty(3), np.empty(3), np.empty(3)
+    up, neighbour, neighbour_normal = np.empty(3), np.empty(3), np.empty(3)
     for i in range(rows):
         for j in range(cols):
             r, c, half = triangle[i, j]
@@ -78,21 +78,25 @@ def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle,
                 for k in range(4):
                     a = row[i] + (0.5 * reach if k // 2 else -0.5 * reach)
                     b = col[j] + (0.5 * reach if k % 2 else -0.5 * reach)
-                    _interpolate(position, a, b, place)
-                    _interpolate(smooth, a, b, across)
-                    lift += 0.5 * lift_distance(place, across, point[i, j], up) if is_smooth(face, across) else np.nan
+                    _interpolate(position, a, b, neighbour)
+                    _interpolate(smooth_normals, a, b, neighbour_normal)
+                    lift += (
+                        0.5 * lift_distance(neighbour, neighbour_normal, point[i, j], up)
+                        if is_smooth(face, neighbour_normal)
+                        else np.nan
+                    )
                 out[i, j] = lift
             elif abs(row[i] - np.rint(row[i])) <= EDGE_TOLERANCE and abs(col[j] - np.rint(col[j])) <= EDGE_TOLERANCE:
                 out[i, j] = np.nan
             else:
-                u, v = _barycentric(falls[r, c], half, row[i] - r, col[j] - c)
+                u, v = _barycentric(is_cut_nw_se[r, c], half, row[i] - r, col[j] - c)
                 weights = (1.0 - u - v, u, v)
-                corners = facet_corners(falls[r, c], half)
+                corners = facet_corners(is_cut_nw_se[r, c], half)
                 lift = 0.0
                 for k in range(3):
                     a, b = r + corners[k][0], c + corners[k][1]
-                    bulge = lift_distance(position[a, b], smooth[a, b], point[i, j], up)
-                    lift += weights[k] * bulge if is_smooth(face, smooth[a, b]) else np.nan
+                    bulge = lift_distance(position[a, b], smooth_normals[a, b], point[i, j], up)
+                    lift += weights[k] * bulge if is_smooth(face, smooth_normals[a, b]) else np.nan
                 out[i, j] = lift
     return out
 
@@ -112,7 +116,7 @@ def _interpolate(values, row, col, out):
 
 
 @internal
-def facets_at(faces, falls, row, col, facets):
+def facets_at(faces, is_cut_nw_se, row, col, facets):
     """Return the number of facets that a position on a sheet lies on, and write them to ``facets`` (8, 3).
 
     A facet is the row and the column of its quad, and 0 or 1: ``faces`` (rows, cols, 2, 3) holds its normal, NaN if a corner is
@@ -127,7 +131,7 @@ def facets_at(faces, falls, row, col, facets):
             continue
         r, c, fr, fc = r0 - up, c0 - left, fr0 + up, fc0 + left
         for half in range(2):
-            side_distance = fc - fr if falls[r, c] else 1.0 - fr - fc  # from the diagonal towards the north side
+            side_distance = fc - fr if is_cut_nw_se[r, c] else 1.0 - fr - fc  # from the diagonal towards the north side
             if (side_distance >= -EDGE_TOLERANCE if half == 0 else side_distance <= EDGE_TOLERANCE) and np.isfinite(
                 faces[r, c, half, 2]
             ):
@@ -137,32 +141,32 @@ def facets_at(faces, falls, row, col, facets):
 
 
 @internal
-def crease_at(faces, falls, row, col, normal):
+def crease_at(faces, is_cut_nw_se, row, col, normal):
     """Return the largest distance between a unit normal (3,) and those of the facets round the nearest node.
 
     Half-way between nodes, the facets round each of the nearest nodes count.
     """
     first_r, last_r, first_c, last_c = _nearest(row, col)
-    widest = _crease_round(faces, falls, first_r, first_c, normal)
+    widest = _crease_round(faces, is_cut_nw_se, first_r, first_c, normal)
     if last_r > first_r:
-        widest = max(widest, _crease_round(faces, falls, last_r, first_c, normal))
+        widest = max(widest, _crease_round(faces, is_cut_nw_se, last_r, first_c, normal))
     if last_c > first_c:
-        widest = max(widest, _crease_round(faces, falls, first_r, last_c, normal))
+        widest = max(widest, _crease_round(faces, is_cut_nw_se, first_r, last_c, normal))
     if last_r > first_r and last_c > first_c:
-        widest = max(widest, _crease_round(faces, falls, last_r, last_c, normal))
+        widest = max(widest, _crease_round(faces, is_cut_nw_se, last_r, last_c, normal))
     return widest
 
 
 @internal
-def _crease_round(faces, falls, near_r, near_c, normal):
+def _crease_round(faces, is_cut_nw_se, near_r, near_c, normal):
     """Return the largest distance between a unit normal (3,) and those of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
         down, right, half = k // 4, k // 2 % 2, k % 2
         r, c = near_r - 1 + down, near_c - 1 + right
         # Only one facet of the quad has the node as a corner, unless the diagonal ends there.
-        ends_here = (down == right) == falls[r, c]
-        if not ends_here and half != 1 - down:
+        diagonal_ends_here = (down == right) == is_cut_nw_se[r, c]
+        if not diagonal_ends_here and half != 1 - down:
             continue
         squared_distance = 0.0
         for m in range(3):
@@ -182,33 +186,33 @@ def _nearest(row, col):
 
 
 @internal
-def _is_nearest_shown(shown, row, col):
+def _is_nearest_shown(node_valid, row, col):
     low_r, high_r, low_c, high_c = _nearest(row, col)
-    return shown[low_r, low_c] or shown[low_r, high_c] or shown[high_r, low_c] or shown[high_r, high_c]
+    return node_valid[low_r, low_c] or node_valid[low_r, high_c] or node_valid[high_r, low_c] or node_valid[high_r, high_c]
 
 
 @internal
-def facet_corners(falls, half):
+def facet_corners(is_cut_nw_se, half):
     """Return row and column offsets, from a quad's north-west corner, of a facet's three corners.
 
     The corner off the diagonal comes first, then the next ones counter-clockwise.
     """
-    if falls:
+    if is_cut_nw_se:
         return ((0, 1), (0, 0), (1, 1)) if half == 0 else ((1, 0), (1, 1), (0, 0))
     return ((0, 0), (1, 0), (0, 1)) if half == 0 else ((1, 1), (0, 1), (1, 0))
 
 
 @internal
-def _barycentric(falls, half, fr, fc):
+def _barycentric(is_cut_nw_se, half, fr, fc):
     """Return barycentric coordinates of a position in a quad: the weights of the second and third of ``facet_corners``."""
-    if falls:
+    if is_cut_nw_se:
         return (1.0 - fc, fr) if half == 0 else (fc, 1.0 - fr)
     return (fr, fc) if half == 0 else (1.0 - fr, 1.0 - fc)
 
 
 @internal
-def _is_same_quad(facets, n, m):
-    return facets[n, 0] == facets[m, 0] and facets[n, 1] == facets[m, 1]
+def _is_same_quad(facets, first, second):
+    return facets[first, 0] == facets[second, 0] and facets[first, 1] == facets[second, 1]
 
 
 @internal
@@ -232,7 +236,7 @@ def _mean_normal(faces, facets, count, out):
 
 
 @internal
-def _smooth_normal(smooth, row, col, normal, out):
+def _smooth_normal(smooth_normals, row, col, normal, out):
     """Write the bilinear smooth normal of the nodes that have one; the facets' own normal if none has."""
     r0, c0 = int(np.floor(row)), int(np.floor(col))
     fr, fc = row - r0, col - c0
@@ -240,7 +244,7 @@ def _smooth_normal(smooth, row, col, normal, out):
     for m in range(4):
         w = (fr if m // 2 else 1.0 - fr) * (fc if m % 2 else 1.0 - fc)
         if w > 0.0:
-            s = smooth[r0 + m // 2, c0 + m % 2]
+            s = smooth_normals[r0 + m // 2, c0 + m % 2]
             if np.isfinite(s[2]):
                 x, y, z = x + w * s[0], y + w * s[1], z + w * s[2]
     length = np.sqrt(x * x + y * y + z * z)

@@ -36,7 +36,7 @@ class ResolvedPoints(NamedTuple):
     position: np.ndarray
     height: np.ndarray
     normal: np.ndarray
-    shading: np.ndarray
+    shading_normal: np.ndarray
     crease: np.ndarray
     kind: np.ndarray
     albedo: np.ndarray
@@ -137,7 +137,7 @@ class TreesInPerspective(NamedTuple):
     base_frame_m: np.ndarray
     base_height_m: np.ndarray
     shape: np.ndarray
-    turn: np.ndarray
+    yaw_cos_sin: np.ndarray
     curvature: float
 
 
@@ -146,7 +146,7 @@ class TreesInMap(NamedTuple):
 
     Attributes
     ----------
-    base_frame_m, shape, turn, curvature
+    base_frame_m, shape, yaw_cos_sin, curvature
         As in ``skugga.terrain.gbuffer.tree_instances.TreeInstances``.
     px
         (n, 3), columns, rows and heights of the trees' feet.
@@ -157,7 +157,7 @@ class TreesInMap(NamedTuple):
     base_frame_m: np.ndarray
     px: np.ndarray
     shape: np.ndarray
-    turn: np.ndarray
+    yaw_cos_sin: np.ndarray
     curvature: float
     px_from_m: np.ndarray
 
@@ -191,13 +191,16 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
     tangents, finer_tangents, finer_row, finer_col, picture_rows, eye, frame_from_camera = camera
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
-    tree_base, tree_height, tree_shape, tree_turn, curvature = trees
-    valid, point, surface_height, normal, shading, crease, kind, albedo, corners, cells, lift = points
+    tree_base, tree_height, tree_shape, tree_yaw, curvature = trees
+    valid, point, surface_height, normal, shading_normal, crease, kind, albedo, corners, cells, lift = points
     cols = number.shape[1]
-    ground, solid = len(ground_triangles), len(solid_triangles)
+    ground_count, solid_count = len(ground_triangles), len(solid_triangles)
     p, face = np.empty((3, 3)), np.empty(3, np.float32)
     ray, to_eye = np.empty(3), np.empty(3)
-    last_triangle, smooth = np.int64(-1), False  # the triangle of p, face and smooth: neighbouring pixels mostly show the same one
+    last_triangle, has_smooth_normals = (
+        np.int64(-1),
+        False,
+    )  # the triangle of p, face and smooth: neighbouring pixels mostly show the same one
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
@@ -210,7 +213,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
             if t < 0:
                 surface_height[i, j] = np.nan
                 for k in range(3):
-                    point[i, j, k] = normal[i, j, k] = shading[i, j, k] = np.nan
+                    point[i, j, k] = normal[i, j, k] = shading_normal[i, j, k] = np.nan
                 for k in range(9):
                     corners[i, j, k] = 0.0
                 continue
@@ -223,42 +226,44 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
                 ray[k] = frame_from_camera[k, 0] * x + frame_from_camera[k, 1] * y + frame_from_camera[k, 2]
             if t != last_triangle:
                 last_triangle = t
-                if t < ground:
+                if t < ground_count:
                     for c in range(3):
                         for k in range(3):
                             p[c, k] = ground_position[ground_triangles[t, c], k]
-                elif t < ground + solid:
+                elif t < ground_count + solid_count:
                     for c in range(3):
                         for k in range(3):
-                            p[c, k] = solid_position[solid_triangles[t - ground, c], k]
+                            p[c, k] = solid_position[solid_triangles[t - ground_count, c], k]
                 else:
-                    tree, part = (t - ground - solid) // 6, (t - ground - solid) % 6
-                    _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, part)
+                    tree, part = (t - ground_count - solid_count) // 6, (t - ground_count - solid_count) % 6
+                    _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, part)
                 _face_normal(p, face)
-                smooth = False
-                if t < ground:
+                has_smooth_normals = False
+                if t < ground_count:
                     a, b, c = ground_triangles[t, 0], ground_triangles[t, 1], ground_triangles[t, 2]
-                    smooth = is_smooth(face, ground_normal[a]) and is_smooth(face, ground_normal[b])
-                    smooth = smooth and is_smooth(face, ground_normal[c])
-            kind[i, j] = RELIEF if t < ground else MESHES if t < ground + solid else FOREST
+                    has_smooth_normals = is_smooth(face, ground_normal[a]) and is_smooth(face, ground_normal[b])
+                    has_smooth_normals = has_smooth_normals and is_smooth(face, ground_normal[c])
+            kind[i, j] = RELIEF if t < ground_count else MESHES if t < ground_count + solid_count else FOREST
             u, v = _barycentric_on_ray(p, eye, ray)
             for k in range(3):
                 point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
                 normal[i, j, k] = face[k]
                 for c in range(3):
                     corners[i, j, 3 * c + k] = p[c, k]
-            if t < ground:
+            if t < ground_count:
                 a, b, c = ground_triangles[t, 0], ground_triangles[t, 1], ground_triangles[t, 2]
                 surface_height[i, j] = (1.0 - u - v) * ground_height[a] + u * ground_height[b] + v * ground_height[c]
                 for k in range(3):
-                    shading[i, j, k] = (1.0 - u - v) * ground_normal[a, k] + u * ground_normal[b, k] + v * ground_normal[c, k]
+                    shading_normal[i, j, k] = (
+                        (1.0 - u - v) * ground_normal[a, k] + u * ground_normal[b, k] + v * ground_normal[c, k]
+                    )
                 crease[i, j] = ground_crease[t]
                 length = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
                 for k in range(3):
                     to_eye[k] = -ray[k] / length
                 lift[i, j] = np.nan
                 seen_from_above = face[0] * to_eye[0] + face[1] * to_eye[1] + face[2] * to_eye[2] > 0.0
-                if seen_from_above and smooth:
+                if seen_from_above and has_smooth_normals:
                     lift[i, j] = (
                         (1.0 - u - v) * lift_distance(p[0], ground_normal[a], point[i, j], to_eye)
                         + u * lift_distance(p[1], ground_normal[b], point[i, j], to_eye)
@@ -267,24 +272,26 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
                 if len(ground_cells):
                     for k in range(2):
                         cells[i, j, k] = (1.0 - u - v) * ground_cells[a, k] + u * ground_cells[b, k] + v * ground_cells[c, k]
-            elif t < ground + solid:
-                s = t - ground
+            elif t < ground_count + solid_count:
+                s = t - ground_count
                 a, b, c = solid_triangles[s, 0], solid_triangles[s, 1], solid_triangles[s, 2]
                 surface_height[i, j] = (1.0 - u - v) * solid_height[a] + u * solid_height[b] + v * solid_height[c]
                 n = solid_normals[s]
                 for k in range(3):
-                    shading[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
+                    shading_normal[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
                     albedo[i, j, k] = solid_albedo[s, k]
                 crease[i, j] = solid_crease[s]
                 if normal[i, j, 0] * ray[0] + normal[i, j, 1] * ray[1] + normal[i, j, 2] * ray[2] > 0.0:
                     for k in range(3):  # the back side of an open mesh
                         normal[i, j, k] = -normal[i, j, k]
-                        shading[i, j, k] = -shading[i, j, k]
+                        shading_normal[i, j, k] = -shading_normal[i, j, k]
             else:
-                tree = (t - ground - solid) // 6
-                _shade_leaf(point[i, j], ray, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading[i, j], albedo[i, j])
+                tree = (t - ground_count - solid_count) // 6
+                _shade_leaf(
+                    point[i, j], ray, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading_normal[i, j], albedo[i, j]
+                )
                 surface_height[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
-            _unit(shading[i, j])
+            _unit(shading_normal[i, j])
 
 
 @compiled
@@ -294,10 +301,10 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
     ``number`` (rows, cols) counts triangles from 1: first those of ``SolidsInMap``, then those of ``TreesInMap``.
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
-    tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m = trees
-    valid, point, surface_height, normal, shading, crease, kind, albedo, corners, _, _ = points
+    tree_base, tree_px, tree_shape, tree_yaw, curvature, px_from_m = trees
+    valid, point, surface_height, normal, shading_normal, crease, kind, albedo, corners, _, _ = points
     rows, cols = number.shape
-    solid = len(solid_triangles)
+    solid_count = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))
     down = np.array([0.0, 0.0, -1.0])
     for i in range(rows):
@@ -305,14 +312,14 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
             t = np.int64(number[i, j]) - 1
             if t < 0:
                 continue
-            tree = (t - solid) // 6
-            if t < solid:
+            tree = (t - solid_count) // 6
+            if t < solid_count:
                 for c in range(3):
                     for k in range(3):
                         p[c, k] = solid_position[solid_triangles[t, c], k]
                         q[c, k] = solid_px[solid_triangles[t, c], k]
             else:
-                _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, (t - solid) % 6)
+                _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, (t - solid_count) % 6)
                 for c in range(3):
                     east, north = p[c, 0] - tree_base[tree, 0], p[c, 1] - tree_base[tree, 1]
                     q[c, 0] = tree_px[tree, 0] + px_from_m[0, 0] * east + px_from_m[0, 1] * north
@@ -330,29 +337,31 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
                     corners[i, j, 3 * c + k] = p[c, k]
             _face_normal(p, normal[i, j])
             crease[i, j] = 0.0
-            if t < solid:
+            if t < solid_count:
                 kind[i, j] = MESHES
                 crease[i, j] = solid_crease[t]
                 n = solid_normals[t]
                 for k in range(3):
-                    shading[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
+                    shading_normal[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
                     albedo[i, j, k] = solid_albedo[t, k]
                 if normal[i, j, 2] < 0.0:
                     for k in range(3):
                         normal[i, j, k] = -normal[i, j, k]
-                        shading[i, j, k] = -shading[i, j, k]
+                        shading_normal[i, j, k] = -shading_normal[i, j, k]
             else:
                 kind[i, j] = FOREST
-                _shade_leaf(point[i, j], down, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading[i, j], albedo[i, j])
-            _unit(shading[i, j])
+                _shade_leaf(
+                    point[i, j], down, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading_normal[i, j], albedo[i, j]
+                )
+            _unit(shading_normal[i, j])
 
 
 @internal
-def _tree_triangle(p, base, shape, turn, curvature, part):
+def _tree_triangle(p, base, shape, yaw_cos_sin, curvature, part):
     quad, second = part // 2, part % 2
     for c in range(3):
         corner = c if second == 0 or c == 0 else c + 1
-        x, y, z = tree_corner(base, shape, turn, curvature, quad, corner)
+        x, y, z = tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner)
         p[c, 0], p[c, 1], p[c, 2] = x, y, z
 
 
@@ -403,25 +412,29 @@ def _face_normal(p, out):
 
 
 @compiled
-def _shade_leaf(point, ray, base, shape, root, shading, albedo):
+def _shade_leaf(point, ray, base, shape, sqrt_albedo, shading_normal, albedo):
     """Set the normal of a rounded crown and the leaf's albedo.
 
     The normal is that of the crown's ellipsoid where the ray to the point meets it, or passes nearest to it. It is the same on each
     of the crossed quads, so that the quads do not show. It leans upwards a little, as leaves do.
     """
-    wide, high = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF * shape[2], 1e-3)
-    qx, qy, qz = (point[0] - base[0]) / wide, (point[1] - base[1]) / wide, (point[2] - base[2] - CROWN_MIDDLE * shape[2]) / high
-    dx, dy, dz = ray[0] / wide, ray[1] / wide, ray[2] / high
+    half_width, half_height = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF * shape[2], 1e-3)
+    qx, qy, qz = (
+        (point[0] - base[0]) / half_width,
+        (point[1] - base[1]) / half_width,
+        (point[2] - base[2] - CROWN_MIDDLE * shape[2]) / half_height,
+    )
+    dx, dy, dz = ray[0] / half_width, ray[1] / half_width, ray[2] / half_height
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx / length, dy / length, dz / length
-    along = qx * dx + qy * dy + qz * dz
-    qx, qy, qz = qx - along * dx, qy - along * dy, qz - along * dz
-    inside = np.sqrt(max(1.0 - (qx * qx + qy * qy + qz * qz), 0.0))
-    x, y, z = (qx - inside * dx) / wide, (qy - inside * dy) / wide, (qz - inside * dz) / high
+    projection = qx * dx + qy * dy + qz * dz
+    qx, qy, qz = qx - projection * dx, qy - projection * dy, qz - projection * dz
+    depth_inside = np.sqrt(max(1.0 - (qx * qx + qy * qy + qz * qz), 0.0))
+    x, y, z = (qx - depth_inside * dx) / half_width, (qy - depth_inside * dy) / half_width, (qz - depth_inside * dz) / half_height
     length = np.sqrt(x * x + y * y + z * z)
-    shading[0], shading[1], shading[2] = x / length, y / length, z / length + CROWN_LEAN
+    shading_normal[0], shading_normal[1], shading_normal[2] = x / length, y / length, z / length + CROWN_LEAN
     for k in range(3):
-        albedo[k] = (root[k] / 255.0) ** 2
+        albedo[k] = (sqrt_albedo[k] / 255.0) ** 2
 
 
 @internal

@@ -30,12 +30,12 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
     in_map = isinstance(buffer.view, MapView)
     if isinstance(buffer.view, MapView):
         assert buffer.surface is not None
-        from_frame_m = buffer.surface.centre_frame_m
+        origin_frame_m = buffer.surface.centre_frame_m
     else:
-        from_frame_m = buffer.view.in_frame(buffer.frame)[0]
+        origin_frame_m = buffer.view.in_frame(buffer.frame)[0]
     run_in_chunks(
         len(lifted), _move_lifted_points, buffer.position_frame_m, buffer.corners_frame_m, lifted, buffer.lift_m,
-        from_frame_m, in_map, position,
+        origin_frame_m, in_map, position,
         corners,
     )  # fmt: skip
     return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=lifted)

@@ -64,8 +64,8 @@ def subdivision_level(scene: Scene, view: MapView) -> int:
     block = ground_pixels(scene, view)
     count = max(int(np.rint(np.log2(pixel_m / max(cell_m, scene.elevation.resolution_m or 0.0)))), 0)
     while count > 0:
-        narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
-        if 4.0**count * block <= (MAX_BARE_NODES if narrow and is_terrain_only(scene) else MAX_NODES):
+        is_narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
+        if 4.0**count * block <= (MAX_BARE_NODES if is_narrow and is_terrain_only(scene) else MAX_NODES):
             break
         count -= 1
     return count
@@ -73,8 +73,8 @@ def subdivision_level(scene: Scene, view: MapView) -> int:
 
 def subpixel_grid(view: MapView, count: int) -> Grid:
     """Return the grid whose nodes are the centres of a map's sub-pixels after halving pixels ``count`` times."""
-    own = np.log2(np.sqrt(view.row_step * view.col_step))  # a view's pixels may be larger than its grid's step
-    return view.grid.subdivided(max(int(np.rint(count - own)), 0))
+    view_halvings = np.log2(np.sqrt(view.row_step * view.col_step))  # a view's pixels may be larger than its grid's step
+    return view.grid.subdivided(max(int(np.rint(count - view_halvings)), 0))
 
 
 def covered_nodes(view: MapView, grid: Grid) -> MapView:
@@ -178,7 +178,7 @@ def _means(values, valid, row, col):
 def _means_of_bool(values, valid, down, row_weights, right, col_weights, rows, cols):
     """Return ``_means`` of bool values, where all pixels cover squares alike (``_uniform_weights``), in integer arithmetic."""
     out = np.empty((rows, cols), np.float32)
-    wide = valid.shape[1]
+    node_cols = valid.shape[1]
     down_weight, right_weight = 0, 0
     for k in range(row_weights.size):
         down_weight += row_weights[k]
@@ -188,10 +188,10 @@ def _means_of_bool(values, valid, down, row_weights, right, col_weights, rows, c
     quotients = np.empty(full_weight + 1, np.float32)  # the means of pixels whose nodes are all valid
     for n in range(full_weight + 1):
         quotients[n] = np.float64(n) / np.float64(full_weight)
-    valid_weight, total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # sums down a row of pixels
+    valid_weight, total = np.empty(node_cols, np.int32), np.empty(node_cols, np.int32)  # sums down a row of pixels
     pixel_valid_weight, pixel_total = (
-        np.empty(wide, np.int32),
-        np.empty(wide, np.int32),
+        np.empty(node_cols, np.int32),
+        np.empty(node_cols, np.int32),
     )  # sums of the pixel that begins at each square
     for i in range(rows):
         total[:] = 0

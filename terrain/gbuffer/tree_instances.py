@@ -47,7 +47,7 @@ class TreeInstances:
     shape
         float32 (n, 4), metres: half the width of the upright quads, half the width of the level quad, the tree's height, and
         the height of the level quad.
-    turn
+    yaw_cos_sin
         float32 (n, 2), cosine and sine of the rotation about the stem.
     variant
         int32 (n,), index in ``TREE_VARIANTS``.
@@ -59,18 +59,18 @@ class TreeInstances:
     base_frame_m: np.ndarray
     base_height_m: np.ndarray
     shape: np.ndarray
-    turn: np.ndarray
+    yaw_cos_sin: np.ndarray
     variant: np.ndarray
     curvature: float
 
     def __len__(self) -> int:
         return len(self.variant)
 
-    def select(self, which: np.ndarray) -> TreeInstances:
+    def select(self, selection: np.ndarray) -> TreeInstances:
         """Return the trees that indices or a mask select."""
         return TreeInstances(
-            self.number[which], self.base_frame_m[which], self.base_height_m[which], self.shape[which], self.turn[which],
-            self.variant[which], self.curvature,
+            self.number[selection], self.base_frame_m[selection], self.base_height_m[selection], self.shape[selection], self.yaw_cos_sin[selection],
+            self.variant[selection], self.curvature,
         )  # fmt: skip
 
     def in_box(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -78,29 +78,29 @@ class TreeInstances:
 
         ``low`` and ``high`` (3,) bound the box in the axes ``rotation @ point + translation``.
         """
-        found = np.empty(len(self), np.bool_)
-        run_in_chunks(len(self), _reaching, self.base_frame_m, self.shape, rotation, translation, low, high, found)
-        return np.flatnonzero(found)
+        is_inside = np.empty(len(self), np.bool_)
+        run_in_chunks(len(self), _mark_trees_in_box, self.base_frame_m, self.shape, rotation, translation, low, high, is_inside)
+        return np.flatnonzero(is_inside)
 
     def in_frustum(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
         """Return the indices of the trees whose bounding spheres intersect a viewing pyramid.
 
         The apex is ``eye``, the axis the third row of ``rotation``; ``tangents`` are the minimum and maximum of x / z and of y / z.
         """
-        found = np.empty(len(self), np.bool_)
-        run_in_chunks(len(self), _in_frustum, self.base_frame_m, self.shape, eye, rotation, tangents, found)
-        return np.flatnonzero(found)
+        is_inside = np.empty(len(self), np.bool_)
+        run_in_chunks(len(self), _mark_trees_in_frustum, self.base_frame_m, self.shape, eye, rotation, tangents, is_inside)
+        return np.flatnonzero(is_inside)
 
-    def front_to_back(self, which: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-        """Return the indices ``which`` sorted front to back along a direction (3,).
+    def front_to_back(self, indices: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Return the indices ``indices`` sorted front to back along a direction (3,).
 
         A rasteriser need not colour what earlier trees hide.
         """
-        return which[np.argsort(self.base_frame_m[which] @ ahead, kind="stable")]
+        return indices[np.argsort(self.base_frame_m[indices] @ direction, kind="stable")]
 
     def corners(self) -> np.ndarray:
         """Return the quads' corners (n, 3, 4, 3) float64 in the frame: two upright quads, then the level one."""
-        return tree_corners(self.base_frame_m, self.shape, self.turn, self.curvature)
+        return tree_corners(self.base_frame_m, self.shape, self.yaw_cos_sin, self.curvature)
 
     def outlines(self) -> np.ndarray:
         """Return the corners (n, 3, k, 3) in the frame of convex polygons on the quads that contain all leaves."""
@@ -110,16 +110,16 @@ class TreeInstances:
         return corners[:, :, :1] + uv[..., :1] * right[:, :, None] + uv[..., 1:] * up[:, :, None]
 
 
-def _cache_key(objects: SceneObjects, *more: object) -> tuple[object, ...]:
+def _cache_key(objects: SceneObjects, *key_parts: object) -> tuple[object, ...]:
     """Return the cache key. It leaves out meshes: trees stand still while meshes move."""
-    return objects.elevation, objects.trees, *more
+    return objects.elevation, objects.trees, *key_parts
 
 
 @cached("scene", 512 * MIB, key=_cache_key)
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
     """Return the trees of a map, also beyond its rim; ``None`` without trees."""
     trees = objects.trees
-    return None if trees is None else _stand(objects, trees, frame, trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))
+    return None if trees is None else _drawn_trees(objects, trees, frame, trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))
 
 
 def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
@@ -137,33 +137,33 @@ def tree_instances_in_perspective(
         return None
     size = np.empty(len(trees.rank))
     run_in_chunks(len(size), _write_relative_sizes, trees.base_earth_m, np.array(eye_earth_m), trees.height_m * focal_px, size)
-    return _stand(objects, trees, frame, size)
+    return _drawn_trees(objects, trees, frame, size)
 
 
-def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
+def _drawn_trees(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
     """Return the drawn trees. ``size`` (n,) is each tree's size over the size from which all trees are drawn."""
     share = _drawn_share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
     base = _bases(objects, frame)[number]
     half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
-    crown_height = np.array([variant.crown_height for variant in TREE_VARIANTS], np.float32)[trees.variant[number]]
+    crown_quad_height = np.array([variant.crown_quad_height for variant in TREE_VARIANTS], np.float32)[trees.variant[number]]
     return TreeInstances(
         number=number,
         base_frame_m=base,
         base_height_m=objects.tree_heights_m[number],
-        shape=(np.stack([half, half, height, height * crown_height], axis=1) / np.sqrt(share)[:, None]).astype(np.float32),
-        turn=_turns(trees)[number],
+        shape=(np.stack([half, half, height, height * crown_quad_height], axis=1) / np.sqrt(share)[:, None]).astype(np.float32),
+        yaw_cos_sin=_yaws(trees)[number],
         variant=trees.variant[number].astype(np.int32),
         curvature=objects.world.curvature,
     )
 
 
 @cached("scene", 64 * MIB)
-def _turns(trees: Trees) -> np.ndarray:
+def _yaws(trees: Trees) -> np.ndarray:
     """Return cosine and sine (n, 2) float32 of the rotation of all trees."""
-    turn = np.radians(trees.turn_deg.astype(np.float64))
-    return np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32)
+    yaw_rad = np.radians(trees.yaw_deg.astype(np.float64))
+    return np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1).astype(np.float32)
 
 
 @cached("scene", 256 * MIB, key=_cache_key)
@@ -189,23 +189,23 @@ def _drawn_share(size: np.ndarray) -> np.ndarray:
 
 
 @internal
-def tree_corner(base, shape, turn, curvature, quad, corner):
+def tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner):
     """Return one corner (x, y, z) of one quad of a tree. Its texture coordinate u is 0 at corners 0 and 3, else 1."""
-    cosine, sine = np.float64(turn[0]), np.float64(turn[1])
+    cosine, sine = np.float64(yaw_cos_sin[0]), np.float64(yaw_cos_sin[1])
     x, y = base[0] * curvature, base[1] * curvature
     scale = 1.0 / np.sqrt(1.0 + x * x + y * y)
     side = -1.0 if corner == 0 or corner == 3 else 1.0
     high = 1.0 if corner >= 2 else 0.0
     if quad == 0:
-        along, across, up = side * shape[0], 0.0, high * shape[2]
+        local_x, local_y, up = side * shape[0], 0.0, high * shape[2]
     elif quad == 1:
-        along, across, up = 0.0, side * shape[0], high * shape[2]
+        local_x, local_y, up = 0.0, side * shape[0], high * shape[2]
     else:
-        along, across, up = side * shape[1], (2.0 * high - 1.0) * shape[1], np.float64(shape[3])
+        local_x, local_y, up = side * shape[1], (2.0 * high - 1.0) * shape[1], np.float64(shape[3])
     up *= scale
     return (
-        base[0] + along * cosine - across * sine + up * x,
-        base[1] + along * sine + across * cosine + up * y,
+        base[0] + local_x * cosine - local_y * sine + up * x,
+        base[1] + local_x * sine + local_y * cosine + up * y,
         base[2] + up,
     )
 
@@ -213,12 +213,12 @@ def tree_corner(base, shape, turn, curvature, quad, corner):
 @internal
 def tree_radius(shape):
     """Return the radius of a bounding sphere of a tree's quads round the middle of its stem."""
-    across = max(shape[0], 1.4143 * shape[1])
-    return np.sqrt(across * across + 0.25 * shape[2] * shape[2])
+    half_width = max(shape[0], 1.4143 * shape[1])
+    return np.sqrt(half_width * half_width + 0.25 * shape[2] * shape[2])
 
 
 @compiled
-def _reaching(first, last, base, shape, rotation, translation, low, high, found):
+def _mark_trees_in_box(first, last, base, shape, rotation, translation, low, high, is_inside):
     for n in range(first, last):
         radius = tree_radius(shape[n])
         inside = True
@@ -228,33 +228,33 @@ def _reaching(first, last, base, shape, rotation, translation, low, high, found)
                 + translation[k]
             )  # fmt: skip
             inside = inside and v + radius >= low[k] and v - radius <= high[k]
-        found[n] = inside
+        is_inside[n] = inside
 
 
 @compiled
-def _in_frustum(first, last, base, shape, eye, rotation, tangents, found):
-    at = np.empty(3)
+def _mark_trees_in_frustum(first, last, base, shape, eye, rotation, tangents, is_inside):
+    in_camera = np.empty(3)
     for n in range(first, last):
         radius = tree_radius(shape[n])
         for k in range(3):
-            at[k] = (
+            in_camera[k] = (
                 rotation[k, 0] * (base[n, 0] - eye[0]) + rotation[k, 1] * (base[n, 1] - eye[1])
                 + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2] - eye[2])
             )  # fmt: skip
-        inside = at[2] > -radius
+        intersects = in_camera[2] > -radius
         for axis in range(2):
             low, high = tangents[axis, 0], tangents[axis, 1]
-            inside = inside and at[axis] - low * at[2] > -radius * np.sqrt(1.0 + low * low)
-            inside = inside and high * at[2] - at[axis] > -radius * np.sqrt(1.0 + high * high)
-        found[n] = inside
+            intersects = intersects and in_camera[axis] - low * in_camera[2] > -radius * np.sqrt(1.0 + low * low)
+            intersects = intersects and high * in_camera[2] - in_camera[axis] > -radius * np.sqrt(1.0 + high * high)
+        is_inside[n] = intersects
 
 
 @compiled
-def tree_corners(base, shape, turn, curvature):
+def tree_corners(base, shape, yaw_cos_sin, curvature):
     out = np.empty((len(base), 3, 4, 3))
     for n in range(len(base)):
         for quad in range(3):
             for corner in range(4):
-                x, y, z = tree_corner(base[n], shape[n], turn[n], curvature, quad, corner)
+                x, y, z = tree_corner(base[n], shape[n], yaw_cos_sin[n], curvature, quad, corner)
                 out[n, quad, corner, 0], out[n, quad, corner, 1], out[n, quad, corner, 2] = x, y, z
     return out

@@ -47,7 +47,7 @@ _NO_FACES = Faces(
 )  # fmt: skip
 _NO_CELLS = np.zeros((0, 0, 2), np.float32)
 _NO_LIFT = np.zeros((0, 0), np.float32)
-_NO_SHAPE, _NO_TURN = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
+_NO_SHAPE, _NO_YAW = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
 
 
 def view_frame(scene: Scene, view: MapView | PerspectiveView) -> LocalFrame:
@@ -97,7 +97,7 @@ class RasterisedTriangles(Protocol):
     def solids(self) -> np.ndarray | None: ...
 
     @property
-    def seen(self) -> IdBuffer: ...
+    def id_buffer(self) -> IdBuffer: ...
 
     @property
     def tree_instances(self) -> TreeInstances | None: ...
@@ -122,8 +122,8 @@ class RasterisedView:
             self.tree_instances = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
         self.solids = solid_vertices(scene.objects, frame)
         solids = scene.objects.solids
-        drawn = None if self.solids is None or solids is None else (self.solids, solids.triangles)
-        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.tree_instances, pixel_mask)
+        solid_mesh = None if self.solids is None or solids is None else (self.solids, solids.triangles)
+        self.id_buffer: IdBuffer = rasterise_perspective(view, frame, self.ground, solid_mesh, self.tree_instances, pixel_mask)
 
 
 PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.ndarray]]
@@ -137,12 +137,14 @@ def resolve_buffer(
 
     ``samples`` adds rows of pixels of a finer view of the same camera below the view's own rows.
     """
-    number, root = visible.seen.number, visible.seen.sqrt_albedo
+    number, sqrt_albedo = visible.id_buffer.number, visible.id_buffer.sqrt_albedo
     finer, (row, col) = view, (np.zeros((0, view.cols), np.int64), np.zeros((0, view.cols), np.int64))
     if samples is not None:
-        finer, seen, (row, col) = samples
-        number = np.concatenate([number, seen.seen.number[row, col]])
-        root = np.concatenate([root, seen.seen.sqrt_albedo[row, col]]) if root.size else root
+        finer, finer_visible, (row, col) = samples
+        number = np.concatenate([number, finer_visible.id_buffer.number[row, col]])
+        sqrt_albedo = (
+            np.concatenate([sqrt_albedo, finer_visible.id_buffer.sqrt_albedo[row, col]]) if sqrt_albedo.size else sqrt_albedo
+        )
     eye, camera_from_frame = view.in_frame(visible.frame)
     tangents, finer_tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
     ground, trees, solids = visible.ground, visible.tree_instances, scene.objects.solids
@@ -157,12 +159,12 @@ def resolve_buffer(
         SolidsInPerspective(_NO_POINTS, np.zeros(0), _NO_FACES)
         if solids is None or visible.solids is None
         else SolidsInPerspective(
-            visible.solids, scene.objects.solids_on(scene.map_crs)[:, 2], _solid_faces(scene.objects, visible.frame)
+            visible.solids, scene.objects.solids_in_crs(scene.map_crs)[:, 2], _solid_faces(scene.objects, visible.frame)
         ),
-        TreesInPerspective(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN, scene.world.curvature)
+        TreesInPerspective(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_YAW, scene.world.curvature)
         if trees is None
-        else TreesInPerspective(trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn, scene.world.curvature),
-        root,
+        else TreesInPerspective(trees.base_frame_m, trees.base_height_m, trees.shape, trees.yaw_cos_sin, scene.world.curvature),
+        sqrt_albedo,
     )  # fmt: skip
     albedo = points.albedo
     if image is not None:
@@ -170,10 +172,10 @@ def resolve_buffer(
         draped = image.albedo(points.cells, np.nan_to_num(cells_per_pixel, nan=1.0))
         albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
-        view, visible.frame, points.valid, points.position, points.height, points.normal, points.shading, points.crease,
+        view, visible.frame, points.valid, points.position, points.height, points.normal, points.shading_normal, points.crease,
         points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
         solids_frame_m=visible.solids,
-        samples_from=None if samples is None else view.rows, sample_pixels=None if samples is None else (row, col),
+        first_sample_row=None if samples is None else view.rows, sample_pixels=None if samples is None else (row, col),
         lift_m=points.lift_m,
     )  # fmt: skip
 
@@ -188,38 +190,38 @@ def _map_buffer(
         buffer = map_geometry(surface, view, frame, pixel_mask, nodes)
     image = ground_imagery(scene)
     if image is not None:
-        buffer = replace(buffer, albedo=_draped(scene, image, view))
+        buffer = replace(buffer, albedo=_draped_albedo(scene, image, view))
     pixel_m = map_pixel_m(scene.world, view)
     solids, trees = scene.objects.solids, tree_instances_in_map(scene.objects, frame, pixel_m)
     if solids is None and trees is None:
         return buffer
     crs = view.grid.crs
     solid_points = solid_vertices(scene.objects, frame)
-    solid_px = None if solids is None else _pixels(view, scene.objects.solids_on(crs))
-    tree_px = None if trees is None else _pixels(view, scene.objects.trees_on(crs)[trees.number])
+    solid_px = None if solids is None else _pixels(view, scene.objects.solids_in_crs(crs))
+    tree_px = None if trees is None else _pixels(view, scene.objects.trees_in_crs(crs)[trees.number])
     px_from_m = _px_from_m(scene, view, frame)
     low, high = scene.height_range_m
     heights = low - 100.0, high + scene.objects.tallest_m + 100.0
-    drawn = None if solids is None or solid_px is None else (solid_px, solids.triangles)
-    seen = rasterise_map(view, drawn, trees, tree_px, px_from_m, heights)
+    solid_mesh = None if solids is None or solid_px is None else (solid_px, solids.triangles)
+    id_buffer = rasterise_map(view, solid_mesh, trees, tree_px, px_from_m, heights)
     albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.valid.shape, 3), np.nan, np.float32)
     corners = np.zeros((*buffer.valid.shape, 9), np.float32)
     solid_parts = SolidsInMap(_NO_POINTS, _NO_POINTS, _NO_FACES)
     if solid_points is not None and solid_px is not None:
         solid_parts = SolidsInMap(solid_points, solid_px, _solid_faces(scene.objects, frame))
     curvature = scene.world.curvature
-    tree_parts = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN, curvature, px_from_m)
+    tree_parts = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_YAW, curvature, px_from_m)
     if trees is not None and tree_px is not None:
-        tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.shape, trees.turn, curvature, px_from_m)
+        tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.shape, trees.yaw_cos_sin, curvature, px_from_m)
     points = ResolvedPoints(
         buffer.valid, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
         buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
     resolve_map(
-        seen.number if pixel_mask is None else np.where(pixel_mask, seen.number, 0),
+        id_buffer.number if pixel_mask is None else np.where(pixel_mask, id_buffer.number, 0),
         solid_parts,
         tree_parts,
-        seen.sqrt_albedo,
+        id_buffer.sqrt_albedo,
         points,
     )
     return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=trees, solids_frame_m=solid_points)
@@ -240,17 +242,17 @@ def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
     return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, objects.solid_crease)
 
 
-def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
+def _pixels(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
     """Return columns and rows from the corner of a view's first pixel, and heights (n, 3), of map positions and heights (n, 3).
 
     Longitudes are unwrapped to the turn nearest to the view's middle: columns continue beyond the antimeridian.
     """
-    grid, x = view.grid, at[:, 0]
+    grid, x = view.grid, map_xyz[:, 0]
     if grid.crs.is_geographic:
         x = x + 360.0 * np.rint((view.centre[0] - x) / 360.0)
     col = (grid.col(x) - view.col0) / view.col_step + 0.5
-    row = (grid.row(at[:, 1]) - view.row0) / view.row_step + 0.5
-    return np.stack([col, row, at[:, 2]], axis=-1)
+    row = (grid.row(map_xyz[:, 1]) - view.row0) / view.row_step + 0.5
+    return np.stack([col, row, map_xyz[:, 2]], axis=-1)
 
 
 def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
@@ -287,7 +289,7 @@ def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
     return image.cells(ground.grid.crs, ground.x, ground.y)
 
 
-def _draped(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
+def _draped_albedo(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     """Return the imagery's albedo (rows, cols, 3) on a map's ground.
 
     Positions in the imagery are exact on every 16th pixel and bilinear between.

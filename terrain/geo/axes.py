@@ -80,14 +80,14 @@ def axes_of(crs: CRS) -> Axes:
         return Axes()
     if directions == ["north", "east"]:  # GDAL puts the second one first
         axes, directions = axes[::-1], directions[::-1]
-    (along, first), (beside, second) = (_COMPASS[direction] for direction in directions)
-    if along == beside:  # along meridians
+    (first_is_x, first), (second_is_x, second) = (_COMPASS[direction] for direction in directions)
+    if first_is_x == second_is_x:  # along meridians
         return Axes()
     if crs.is_geographic:
         units = [float(np.degrees(axis.unit_conversion_factor)) for axis in axes]
         units = [1.0 if abs(unit - 1.0) < 1e-9 else unit for unit in units]  # a degree's factor is rounded
         first, second = first * units[0], second * units[1]
-    return Axes(False, first, second) if along else Axes(True, second, first)
+    return Axes(False, first, second) if first_is_x else Axes(True, second, first)
 
 
 def check_axes(name: str, crs: CRS) -> None:
@@ -98,5 +98,5 @@ def check_axes(name: str, crs: CRS) -> None:
     if axes_of(crs).are_standard:
         return
     first, second = crs.axis_info[:2]
-    found = f"the axes of '{crs.name}' run {first.direction} and {second.direction}, in the unit {first.unit_name}"
-    raise InputError(name, Problem(found), "Use a CRS whose axes run east and north, in degrees or a unit of length")
+    problem = f"the axes of '{crs.name}' run {first.direction} and {second.direction}, in the unit {first.unit_name}"
+    raise InputError(name, Problem(problem), "Use a CRS whose axes run east and north, in degrees or a unit of length")

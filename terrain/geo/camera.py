@@ -14,7 +14,7 @@ import numpy as np
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.world import LocalFrame, World
 
-FRAME_SHARE = 1 / 16
+FRAME_PITCH_SHARE = 1 / 16
 """Pitch of the frames of perspective views as a share of the maps' pitch: near the eye float32 steps stay below 0.1 mm."""
 
 
@@ -73,8 +73,8 @@ class PerspectiveView:
     def finer(self, side: int) -> PerspectiveView:
         """Return the view with ``side`` x ``side`` evenly spaced pixels in each pixel."""
         first = (1.0 / side - 1.0) / 2.0
-        fine = self.shifted(first, first)
-        return replace(fine, step=self.step / side, rows=self.rows * side, cols=self.cols * side)
+        shifted_view = self.shifted(first, first)
+        return replace(shifted_view, step=self.step / side, rows=self.rows * side, cols=self.cols * side)
 
     def in_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         """Return the eye (3,) in a frame, in metres, and the rotation (3, 3) from the frame to the camera."""
@@ -85,7 +85,7 @@ class PerspectiveView:
 
     def frame(self, world: World) -> LocalFrame:
         """Return the lattice's frame nearest to the eye."""
-        return world.frame_near_earth(self.eye_earth_m, FRAME_SHARE)
+        return world.frame_near_earth(self.eye_earth_m, FRAME_PITCH_SHARE)
 
 
 def look_at(

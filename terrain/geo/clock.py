@@ -60,12 +60,12 @@ def parse_clock(parameter: str, text: str) -> Clock:
 def _similar_zones(name: str, zones: dict[str, str]) -> list[str]:
     """Return the zones of a city, or those with a spelling similar to a name. ``zones`` maps names in lower case."""
     city = re.sub(r"\s+", "_", name.rpartition("/")[2])
-    found = [zone for zone in sorted(zones) if zone.rpartition("/")[2] == city and "/" in zone]
-    if not found and len(name) >= MIN_LETTERS:
+    matches = [zone for zone in sorted(zones) if zone.rpartition("/")[2] == city and "/" in zone]
+    if not matches and len(name) >= MIN_LETTERS:
         by_city = {zone.rpartition("/")[2]: zone for zone in sorted(zones, reverse=True)}
-        found = difflib.get_close_matches(name, zones, MAX_SUGGESTIONS, cutoff=0.8)
-        found += [by_city[each] for each in difflib.get_close_matches(city, by_city, 1, cutoff=0.8)]
-    return [zones[zone] for zone in dict.fromkeys(found)][:MAX_SUGGESTIONS]
+        matches = difflib.get_close_matches(name, zones, MAX_SUGGESTIONS, cutoff=0.8)
+        matches += [by_city[similar_city] for similar_city in difflib.get_close_matches(city, by_city, 1, cutoff=0.8)]
+    return [zones[zone] for zone in dict.fromkeys(matches)][:MAX_SUGGESTIONS]
 
 
 def day_bounds(day: date, clock: tzinfo, parameter: str = "date") -> tuple[datetime, datetime]:

@@ -78,8 +78,8 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
         readings = f"{clock_text(first_min)}-{clock_text(last_min)}"
         raise InputError("window", readings, f"times that occur in {clock} on {day.isoformat()}, whose clocks skip these")
     before, after = _offset_min(start, clock), _offset_min(end - timedelta(seconds=1), clock)
-    reading = datetime.combine(day, time(), UTC)
-    clock_min = (start - reading) / timedelta(minutes=1) + before
+    midnight = datetime.combine(day, time(), UTC)
+    clock_min = (start - midnight) / timedelta(minutes=1) + before
     if before == after:
         return DailyWindow(day, start, minutes, clock_min)
     return DailyWindow(day, start, minutes, clock_min, _change_min(start, minutes, clock), after - before)
@@ -142,10 +142,10 @@ def _has_window(day: date, first_min: float, last_min: float, zone: tzinfo) -> b
 def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:
     """Return the moment of a clock time. A skipped clock time counts from the time before the change (PEP 495, ``fold``)."""
     days, rest_min = divmod(minutes, DAY_MIN)
-    reading = datetime.combine(day, time()) + timedelta(days=days, minutes=rest_min)
-    moment = reading.replace(tzinfo=zone, fold=fold).astimezone(UTC)
-    if moment.astimezone(zone).replace(tzinfo=None) != reading:  # skipped by the clock
-        moment = reading.replace(tzinfo=zone, fold=0).astimezone(UTC)
+    wall_time = datetime.combine(day, time()) + timedelta(days=days, minutes=rest_min)
+    moment = wall_time.replace(tzinfo=zone, fold=fold).astimezone(UTC)
+    if moment.astimezone(zone).replace(tzinfo=None) != wall_time:  # skipped by the clock
+        moment = wall_time.replace(tzinfo=zone, fold=0).astimezone(UTC)
     return moment
 
 

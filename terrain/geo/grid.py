@@ -34,7 +34,7 @@ TILE_PX = 256
 MAX_WINDOW_NODES = 8192
 """Maximum number of nodes along a block. Pixels are at most four times as long as wide, less in small pictures."""
 
-TILE_LADDERS = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
+MATRIX_SET_NAMES = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
 """CRSs whose maps share the grids of a tile matrix set."""
 
 
@@ -68,7 +68,7 @@ class Grid:
         Distance of neighbouring nodes in x, in CRS units.
     stretch
         The step in y over that in x. It is 1 except for rasters' own cells.
-    refines
+    refinement_count
         How many times the grid was refined (``refined``). A refined grid has the same surface as the coarse one, since its nodes
         lie on the coarse one's quads.
     """
@@ -78,10 +78,10 @@ class Grid:
     y0: float
     step: float
     stretch: float = 1.0
-    refines: int = 0
+    refinement_count: int = 0
 
     def __hash__(self) -> int:
-        return hash((self.x0, self.y0, self.step, self.stretch, self.refines))  # without the CRS, whose hash is slow
+        return hash((self.x0, self.y0, self.step, self.stretch, self.refinement_count))  # without the CRS, whose hash is slow
 
     def x(self, col: FloatOrArray) -> FloatOrArray:
         """Return x of a (fractional) column, in CRS units."""
@@ -99,24 +99,24 @@ class Grid:
         """Return the (fractional) row of y."""
         return (self.y0 - y) / (self.step * self.stretch)
 
-    def coarser(self, level: int) -> Grid:
+    def coarser(self, lod: int) -> Grid:
         """Return the grid of every 2**level-th node."""
-        return replace(self, step=self.step * 2**level, refines=max(self.refines - level, 0))
+        return replace(self, step=self.step * 2**lod, refinement_count=max(self.refinement_count - lod, 0))
 
-    def finer(self, level: int) -> Grid:
+    def finer(self, halvings: int) -> Grid:
         """Return the grid with 2**level times as many nodes per side. It contains this grid's nodes."""
-        return replace(self, step=self.step / 2**level)
+        return replace(self, step=self.step / 2**halvings)
 
     def refined(self) -> Grid:
         """Return the grid of the same surface with twice as many nodes per side. It contains this grid's nodes."""
-        return replace(self, step=self.step / 2, refines=self.refines + 1)
+        return replace(self, step=self.step / 2, refinement_count=self.refinement_count + 1)
 
-    def subdivided(self, level: int) -> Grid:
+    def subdivided(self, halvings: int) -> Grid:
         """Return the grid whose pixels divide each of this grid's pixels into 2**level per side.
 
-        For a tile matrix this is the grid of the matrix ``level`` zooms further in.
+        For a tile matrix this is the grid of the matrix ``halvings`` zooms further in.
         """
-        step, side = self.step / 2**level, self.step * self.stretch
+        step, side = self.step / 2**halvings, self.step * self.stretch
         y0 = self.y0 + side / 2 - step * self.stretch / 2
         return Grid(self.crs, self.x0 - self.step / 2 + step / 2, y0, step, self.stretch)
 
@@ -198,9 +198,9 @@ class MapView:
     def finer(self, side: int) -> MapView:
         """Return the view on the same grid with ``side`` x ``side`` evenly spaced pixels in each pixel."""
         first = (1.0 / side - 1.0) / 2.0
-        fine = self.shifted(first, first)
+        shifted_view = self.shifted(first, first)
         return replace(
-            fine, row_step=self.row_step / side, col_step=self.col_step / side, rows=self.rows * side, cols=self.cols * side
+            shifted_view, row_step=self.row_step / side, col_step=self.col_step / side, rows=self.rows * side, cols=self.cols * side
         )
 
 
@@ -209,7 +209,7 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
 
     Its resolution is the largest power of two that is not above ``resolution`` (CRS units).
     """
-    name = None if world.flat else TILE_LADDERS.get(epsg_of(crs) or 0)
+    name = None if world.flat else MATRIX_SET_NAMES.get(epsg_of(crs) or 0)
     if name is not None:
         from morecantile import tms as matrix_sets  # imported here: takes 0.2 s, and maps in other CRSs do not need it
 

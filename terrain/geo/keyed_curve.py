@@ -107,12 +107,12 @@ class KeyedCurve:
                 np.r_[durations_s[-1:], durations_s, durations_s[:1]],
                 np.r_[velocity[-1:], velocity, velocity[:1]],
             )
-        before_s, after_s, into, out = durations_s[:-1], durations_s[1:], velocity[:-1], velocity[1:]
-        speed_in, speed_out = (np.linalg.norm(way, axis=1) for way in (into, out))
+        before_s, after_s, velocity_in, velocity_out = durations_s[:-1], durations_s[1:], velocity[:-1], velocity[1:]
+        speed_in, speed_out = (np.linalg.norm(velocities, axis=1) for velocities in (velocity_in, velocity_out))
         is_moving = (speed_in > 0.0) & (speed_out > 0.0)
         weight_in, weight_out = 2.0 * after_s + before_s, after_s + 2.0 * before_s
         with np.errstate(divide="ignore", invalid="ignore"):
             speed = (weight_in + weight_out) / (weight_in / speed_in + weight_out / speed_out)
-            direction = (into / speed_in[:, None] + out / speed_out[:, None]) / 2.0
+            direction = (velocity_in / speed_in[:, None] + velocity_out / speed_out[:, None]) / 2.0
         at_keys = np.where(is_moving[:, None], speed[:, None] * direction, 0.0)
         return at_keys if self.loop else np.pad(at_keys, ((1, 1), (0, 0)))

@@ -54,8 +54,8 @@ def light_space(world: World, sun: Sun) -> LightSpace:
     azimuth = np.radians(sun.azimuth_deg)
     right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
     up = -direction_enu(sun.azimuth_deg, sun.altitude_deg - 90.0)
-    away = -direction_enu(sun.azimuth_deg, sun.altitude_deg)
-    return LightSpace(np.array([right, up, away]) @ world.earth_from_anchor.T, world.anchor_earth_m, sun.altitude_deg)
+    away_from_sun = -direction_enu(sun.azimuth_deg, sun.altitude_deg)
+    return LightSpace(np.array([right, up, away_from_sun]) @ world.earth_from_anchor.T, world.anchor_earth_m, sun.altitude_deg)
 
 
 def light_bounds(

@@ -19,7 +19,7 @@ from skugga.terrain.geo.world import AxesTransformer, transformer
 from skugga.terrain.level.data_files import check_geodata
 from skugga.terrain.level.linked_files import is_remote
 
-MAX_EDGE = {True: 0.01, False: 1000.0}
+MAX_EDGE_LENGTH = {True: 0.01, False: 1000.0}
 """Maximum length of an edge when it is projected, by whether the CRS is geographic: degrees, else the CRS's units.
 
 Longer edges are divided first, since a projection bends straight lines. The remaining bend is a few centimetres.
@@ -37,7 +37,7 @@ MAX_COORDINATES = 50_000_000
 MAX_CROSSINGS = 200_000
 """Maximum number of crossings of edges in a file's invalid polygons. Repairing so many takes some ten seconds."""
 
-_EDGES_AT_ONCE = 64
+_EDGE_BATCH = 64
 
 _POINT, _POLYGON = 0, 3  # shapely's type ids
 
@@ -48,7 +48,7 @@ SINGLE_LAYER_SUFFIXES = (".geojson", ".shp", ".fgb")
 INSPECTED_FEATURES, MAX_INSPECTED_LAYERS = 100, 100
 """Features that determine a layer's kind of geometry, and the maximum number of layers that are inspected."""
 
-HOLE_OUTSIDE = "Hole lies outside shell"
+HOLE_OUTSIDE_MESSAGE = "Hole lies outside shell"
 """GEOS's message for such a polygon, before the coordinates."""
 
 
@@ -142,14 +142,14 @@ def vector_layer(
             return VectorLayer(name)
         if len(names) < 2:
             return VectorLayer()
-        dimensions_by_layer = {each: _dimensions_of(source, each) for each in names[:MAX_INSPECTED_LAYERS]}
-    candidates = [each for each in dimensions_by_layer if dimensions_by_layer[each] & set(dimensions)]
+        dimensions_by_layer = {layer_name: _dimensions_of(source, layer_name) for layer_name in names[:MAX_INSPECTED_LAYERS]}
+    candidates = [layer_name for layer_name in dimensions_by_layer if dimensions_by_layer[layer_name] & set(dimensions)]
     if not candidates:  # reading the layer reports its geometries
-        return VectorLayer(next((each for each in dimensions_by_layer if dimensions_by_layer[each]), names[0]))
+        return VectorLayer(next((layer_name for layer_name in dimensions_by_layer if dimensions_by_layer[layer_name]), names[0]))
     chosen = candidates[0]
     if accepts_attributes is not None and len(candidates) > 1:
-        chosen = next((each for each in candidates if accepts_attributes(attribute_names(source, each))), chosen)
-    return VectorLayer(chosen, tuple(each for each in candidates if each != chosen))
+        chosen = next((layer_name for layer_name in candidates if accepts_attributes(attribute_names(source, layer_name))), chosen)
+    return VectorLayer(chosen, tuple(layer_name for layer_name in candidates if layer_name != chosen))
 
 
 def _dimensions_of(source: str, layer: str) -> set[int]:
@@ -266,13 +266,13 @@ def numeric_attribute(features: Features, attribute: str, number_of: Callable[[s
     return result
 
 
-def transformer_between(source: str, file_crs: CRS, crs: CRS, back: bool = False) -> Transformer | AxesTransformer:
-    """Return the transformation from a file's CRS to another one, or the reverse one with ``back``.
+def transformer_between(source: str, file_crs: CRS, crs: CRS, inverse: bool = False) -> Transformer | AxesTransformer:
+    """Return the transformation from a file's CRS to another one, or the reverse one with ``inverse``.
 
     Raises ``SourceError`` if none exists.
     """
     try:
-        return transformer(crs, file_crs) if back else transformer(file_crs, crs)
+        return transformer(crs, file_crs) if inverse else transformer(file_crs, crs)
     except ProjError:
         problem = f"its CRS '{file_crs.name}' cannot be transformed into '{crs.name}'"
         raise SourceError(source, problem, "Use a file in another CRS") from None
@@ -300,8 +300,8 @@ def _crs(source: str, text: str | None, target: CRS) -> CRS:
 def _projected(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:
     source, geometry = features.name, features.geometry
     edged = shapely.get_dimensions(geometry) > 0
-    check_divided_size(source, geometry[edged], MAX_EDGE[file_crs.is_geographic])
-    geometry[edged] = shapely.segmentize(geometry[edged], MAX_EDGE[file_crs.is_geographic])
+    check_divided_size(source, geometry[edged], MAX_EDGE_LENGTH[file_crs.is_geographic])
+    geometry[edged] = shapely.segmentize(geometry[edged], MAX_EDGE_LENGTH[file_crs.is_geographic])
     before, index = shapely.get_coordinates(geometry, return_index=True)
     after = np.column_stack(transformer_between(source, file_crs, crs).transform(before[:, 0], before[:, 1]))
     _check_coordinates(features, file_crs, crs, before, index, after)
@@ -317,12 +317,12 @@ def _check_coordinates(
     in_degrees = file_crs.is_geographic and file_crs.axis_info[0].unit_name == "degree"
     limits = MAX_COORDINATE[file_crs.is_geographic], MAX_LATITUDE if in_degrees else MAX_COORDINATE[file_crs.is_geographic]
     valid = np.abs(before) <= limits if after is None else np.isfinite(after)
-    bad = np.flatnonzero(~valid.all(axis=1))
-    if len(bad):
-        place = ", ".join(f"{v:.10g}" for v in before[bad[0]])
+    invalid_rows = np.flatnonzero(~valid.all(axis=1))
+    if len(invalid_rows):
+        coordinates_text = ", ".join(f"{v:.10g}" for v in before[invalid_rows[0]])
         raise SourceError(
             features.name,
-            f"{features.label(index[bad[0]])}: the coordinates {place} of '{file_crs.name}' cannot be transformed "
+            f"{features.label(index[invalid_rows[0]])}: the coordinates {coordinates_text} of '{file_crs.name}' cannot be transformed "
             f"into '{crs.name}'",
             "Correct the coordinates or the file's CRS",
         )  # fmt: skip
@@ -332,8 +332,8 @@ def check_divided_size(source: str, geometry: np.ndarray, longest: float) -> Non
     """Raise ``SourceError`` for lines and outlines with too many points after edges longer than ``longest`` are divided."""
     count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / longest)))
     if count > MAX_COORDINATES:
-        given, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MAX_COORDINATES:.3g}"
-        raise SourceError.over_limit(source, given, limit, "Use shorter lines")
+        excess_text, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MAX_COORDINATES:.3g}"
+        raise SourceError.over_limit(source, excess_text, limit, "Use shorter lines")
 
 
 def _check_crossings(source: str, polygons: np.ndarray) -> None:
@@ -344,8 +344,8 @@ def _check_crossings(source: str, polygons: np.ndarray) -> None:
         is_edge = ring[1:] == ring[:-1]
         edges = shapely.linestrings(np.stack([xy[:-1][is_edge], xy[1:][is_edge]], axis=1))
         tree = shapely.STRtree(edges)
-        for first in range(0, len(edges), _EDGES_AT_ONCE):
-            count += tree.query(edges[first : first + _EDGES_AT_ONCE], predicate="crosses").shape[1] / 2
+        for first in range(0, len(edges), _EDGE_BATCH):
+            count += tree.query(edges[first : first + _EDGE_BATCH], predicate="crosses").shape[1] / 2
             if count > MAX_CROSSINGS:
                 problem = f"polygons that cross themselves more than {MAX_CROSSINGS} times"
                 raise SourceError(source, problem, "Use valid polygons")
@@ -355,8 +355,8 @@ def _check_holes(features: Features) -> None:
     """Raise ``SourceError`` for a polygon with a hole outside of it. Repairing would turn the hole into a second polygon."""
     invalid = np.flatnonzero((shapely.get_dimensions(features.geometry) == 2) & ~shapely.is_valid(features.geometry))
     for row, reason in zip(invalid, shapely.is_valid_reason(features.geometry[invalid]), strict=True):
-        if reason.startswith(HOLE_OUTSIDE):
-            place = ", ".join(reason.removeprefix(HOLE_OUTSIDE).strip("[]").split())
+        if reason.startswith(HOLE_OUTSIDE_MESSAGE):
+            place = ", ".join(reason.removeprefix(HOLE_OUTSIDE_MESSAGE).strip("[]").split())
             problem = f"{features.label(row)}: a hole outside of its polygon, at {place}"
             raise SourceError(
                 features.name, problem, "Keep holes within their polygons, and use a multi-polygon for several buildings"

@@ -231,8 +231,8 @@ class World:
         if is_longitude_latitude(crs):
             return np.asarray(x, np.float64), np.asarray(y, np.float64)
         lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-        bad = ~(np.isfinite(lon) & np.isfinite(lat))
-        return np.where(bad, np.nan, lon), np.where(bad, np.nan, lat)
+        is_invalid = ~(np.isfinite(lon) & np.isfinite(lat))
+        return np.where(is_invalid, np.nan, lon), np.where(is_invalid, np.nan, lat)
 
     def earth_from_enu(self, point_earth: np.ndarray, up_earth: np.ndarray, polar_lon_deg: float = 0.0) -> np.ndarray:
         """Return the rotation (3, 3) whose columns are east, north and up at an earth-fixed point.

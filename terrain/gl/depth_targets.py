@@ -43,7 +43,7 @@ class DepthTargets:
 
     def __len__(self) -> int:
         """Return the number of cached contents."""
-        return sum(each.content is not None for each in self._targets)
+        return sum(target.content is not None for target in self._targets)
 
     @property
     def count(self) -> int:
@@ -53,7 +53,7 @@ class DepthTargets:
     @property
     def nbytes(self) -> int:
         """Bytes of the texels of all framebuffers in the pool."""
-        return sum(depth_bytes(*each.shape) for each in self._targets)
+        return sum(depth_bytes(*target.shape) for target in self._targets)
 
     def acquire(self, width: int, height: int, bits: int) -> Framebuffer:
         """Return a framebuffer to draw in.
@@ -62,41 +62,43 @@ class DepthTargets:
         any shape, and longer while the pool has room.
         """
         shape = width, height, bits
-        same_shape = [each for each in self._targets if each.shape == shape]
-        found = next((each for each in same_shape if each.content is None), None)
-        if found is None:
-            self._make_room(shape, [each for each in self._targets[:-1] if each.content is None])
+        same_shape = [candidate for candidate in self._targets if candidate.shape == shape]
+        target = next((candidate for candidate in same_shape if candidate.content is None), None)
+        if target is None:
+            self._make_room(shape, [candidate for candidate in self._targets[:-1] if candidate.content is None])
             if not self._has_room(shape):
                 # Prefer the least recently used target of this shape to older ones of other shapes: allocating a framebuffer
                 # costs more than redrawing its content.
-                found = next((each for each in same_shape if each is not self._targets[-1]), None)
-        if found is None:
+                target = next((candidate for candidate in same_shape if candidate is not self._targets[-1]), None)
+        if target is None:
             self._make_room(shape, self._targets[:-1])
         else:
-            self._targets.remove(found)
-        framebuffer = self._make(*shape) if found is None else found.framebuffer
+            self._targets.remove(target)
+        framebuffer = self._make(*shape) if target is None else target.framebuffer
         self._targets.append(_Target(framebuffer, shape))
         return framebuffer
 
     def keep(self, framebuffer: Framebuffer, content: Hashable) -> None:
         """Cache the content of a framebuffer under a key, while the pool has room."""
-        for each in self._targets:
-            if each.framebuffer is framebuffer:
-                each.content = content
+        for target in self._targets:
+            if target.framebuffer is framebuffer:
+                target.content = content
 
-    def kept(self, content: Hashable) -> Framebuffer | None:
+    def get(self, content: Hashable) -> Framebuffer | None:
         """Return the framebuffer with a cached content and mark it as used, or ``None`` if it was evicted."""
-        found = next((each for each in self._targets if each.content is not None and each.content == content), None)
-        if found is None:
+        target = next(
+            (candidate for candidate in self._targets if candidate.content is not None and candidate.content == content), None
+        )
+        if target is None:
             return None
-        self._targets.remove(found)
-        self._targets.append(found)
-        return found.framebuffer
+        self._targets.remove(target)
+        self._targets.append(target)
+        return target.framebuffer
 
     def clear(self) -> None:
         """Invalidate all cached contents. The framebuffers stay for reuse."""
-        for each in self._targets:
-            each.content = None
+        for target in self._targets:
+            target.content = None
 
     def evict_owned_by(self, owner: object) -> None:
         """Invalidate all cached contents, of any owner. Other scenes redraw theirs once."""
@@ -104,11 +106,11 @@ class DepthTargets:
 
     def _make_room(self, shape: tuple[int, int, int], evictable: list[_Target]) -> None:
         """Evict the given targets, in their order, until another one of a shape fits."""
-        for each in evictable:
+        for target in evictable:
             if self._has_room(shape):
                 return
-            self._targets.remove(each)
-            self._release(each.framebuffer)
+            self._targets.remove(target)
+            self._release(target.framebuffer)
 
     def _has_room(self, shape: tuple[int, int, int]) -> bool:
         return self.count < MAX_TARGETS and self.nbytes + depth_bytes(*shape) <= MAX_TARGET_BYTES

@@ -36,7 +36,7 @@ _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 _TEXTURE_2D_ARRAY = 0x8C1A
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
-VISIBLE_TARGETS = 2
+MAX_VISIBILITY_BUFFERS = 2
 """Visibility framebuffers in the pool: one for a view's pixels, and one for its supersamples."""
 
 PROGRAM_BYTES = 64 * KIB
@@ -63,7 +63,7 @@ class Device:
             self._make_depth_target, lambda target: self._release_target(target, target.depth_attachment)
         )
         self._float_target: moderngl.Framebuffer | None = None
-        self._visible_targets: list[moderngl.Framebuffer] = []  # least recently used first
+        self._visibility_buffers: list[moderngl.Framebuffer] = []  # least recently used first
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._idle_target.use())
         self._read_memory: dict[np.dtype[Any], np.ndarray] = {}  # read-back memory by texel dtype
         self._layers: Cache[moderngl.TextureArray] = Cache(
@@ -79,11 +79,11 @@ class Device:
                 "OpenGL: the context is not current in this thread. Use the device only in the process and thread that created it."
             )
 
-    def check(self, where: str) -> None:
+    def check(self, operation: str) -> None:
         """Raise ``GraphicsError`` if a call since the last check left an error behind."""
         error = self.ctx.error
         if error != "GL_NO_ERROR":
-            raise GraphicsError(f"OpenGL: error {error} in {where}.")
+            raise GraphicsError(f"OpenGL: error {error} in {operation}.")
 
     def program(self, vertex: str, fragment: str, constants: dict[str, bool | int] | None = None) -> moderngl.Program:
         """Return the program of two shader sources, compiled once and cached.
@@ -97,13 +97,13 @@ class Device:
         key = (vertex, fragment, tuple((constants or {}).items()))
         program = self._programs.get(*key)
         if isinstance(program, Missing):
-            text, made = specialize_shader(fragment, constants or {})
+            text, replacements = specialize_shader(fragment, constants or {})
             try:
                 program = self.ctx.program(vertex_shader=vertex, fragment_shader=text)
             except moderngl.Error as error:
                 _ = self.ctx.error  # clear the error of the failed program: it is reported here
                 raise GraphicsError(f"OpenGL: a shader does not compile: {' '.join(str(error).split())}") from None
-            program.extra = describe_program(program, (vertex, fragment), made)
+            program.extra = describe_program(program, (vertex, fragment), replacements)
             self._programs.put(*key, value=program)
         return program
 
@@ -187,24 +187,24 @@ class Device:
             self.ctx.disable(moderngl.CULL_FACE)
             self.ctx.front_face, self.ctx.cull_face = "ccw", "back"
 
-    def visible_target(self, width: int, height: int) -> moderngl.Framebuffer:
+    def visibility_buffer_target(self, width: int, height: int) -> moderngl.Framebuffer:
         """Return a visibility framebuffer: uint32 primitive numbers, RGBA8 albedo and float32 depth. The last ones are kept."""
         self.require_current()
-        found = next((each for each in self._visible_targets if each.size == (width, height)), None)
-        if found is not None:
-            self._visible_targets.remove(found)
+        target = next((candidate for candidate in self._visibility_buffers if candidate.size == (width, height)), None)
+        if target is not None:
+            self._visibility_buffers.remove(target)
         else:
-            while len(self._visible_targets) >= VISIBLE_TARGETS:
-                old = self._visible_targets.pop(0)
+            while len(self._visibility_buffers) >= MAX_VISIBILITY_BUFFERS:
+                old = self._visibility_buffers.pop(0)
                 self._release_target(old, *old.color_attachments, old.depth_attachment)
             colors = [self.ctx.texture((width, height), 1, dtype="u4"), self.ctx.texture((width, height), 4)]
-            found = self.ctx.framebuffer(colors, self._depth_texture(width, height, 32))
-            self.check("visible_target")
-        self._visible_targets.append(found)
-        return found
+            target = self.ctx.framebuffer(colors, self._depth_texture(width, height, 32))
+            self.check("visibility_buffer_target")
+        self._visibility_buffers.append(target)
+        return target
 
     @contextmanager
-    def visible_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
+    def visibility_buffer_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
         """Set the state of a visibility pass: the nearest surface wins, with reversed depth from 1 (near) to 0 (infinity).
 
         Reversed float depth keeps the depth steps even over all distances.
@@ -310,15 +310,17 @@ class Device:
         count = len(instances[0][1])
         if not count:
             return 0
-        held = [self.ctx.buffer(np.ascontiguousarray(data, np.float32)) for _, data in instances]
+        buffers = [self.ctx.buffer(np.ascontiguousarray(data, np.float32)) for _, data in instances]
         content = [
-            (buffer, f"{data.shape[1]}f/i", name) for buffer, (name, data) in zip(held, instances, strict=True) if name in program
+            (buffer, f"{data.shape[1]}f/i", name)
+            for buffer, (name, data) in zip(buffers, instances, strict=True)
+            if name in program
         ]
-        held.append(self.ctx.buffer(np.ascontiguousarray(triangles, np.int32)))
-        array = self.ctx.vertex_array(program, content, index_buffer=held[-1])
+        buffers.append(self.ctx.buffer(np.ascontiguousarray(triangles, np.int32)))
+        array = self.ctx.vertex_array(program, content, index_buffer=buffers[-1])
         self.render(array, instances=count)
         array.release()
-        for buffer in held:
+        for buffer in buffers:
             buffer.release()
         return count * len(triangles)
 

@@ -35,7 +35,7 @@ OPENGL_VERSION = 430
 NO_OPENGL = "no OpenGL"
 """The renderer's name on a machine without OpenGL."""
 
-PROBE_LIMIT_S = 60.0
+PROBE_TIMEOUT_S = 60.0
 """Timeout of a device probe."""
 
 _EXTENSIONS, _DRM_DEVICE_FILE, _RENDERER = 0x3055, 0x3233, 0x335F
@@ -103,9 +103,9 @@ def egl_devices() -> tuple[EglDevice, ...]:
     if not query_devices(count, handles, ctypes.byref(count)) or not count.value:
         raise no_opengl_error("EGL finds no driver")
 
-    def text(handle: int | None, what: int) -> str:
-        found = None if query_string is None else query_string(handle, what)
-        return "" if found is None else found.decode(errors="replace")
+    def text(handle: int | None, attribute: int) -> str:
+        value = None if query_string is None else query_string(handle, attribute)
+        return "" if value is None else value.decode(errors="replace")
 
     devices = []
     for index, handle in enumerate(handles[: count.value]):
@@ -121,10 +121,10 @@ def _function(egl: ctypes.CDLL, name: bytes, result: Any, *arguments: Any) -> Ca
     return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
 
 
-def no_opengl_error(why: str) -> NoOpenGLError:
+def no_opengl_error(reason: str) -> NoOpenGLError:
     """Return the error of a machine without OpenGL."""
     return NoOpenGLError(
-        f"OpenGL: no OpenGL 4.3 context through EGL ({why}). Without it only terrain without objects can be drawn, under the sun. "
+        f"OpenGL: no OpenGL 4.3 context through EGL ({reason}). Without it only terrain without objects can be drawn, under the sun. "
         "Run 'skugga doctor' to see what is missing"
     )
 
@@ -171,10 +171,10 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], process_number: int
         cards = [device for device in devices if not device.software]
         return [*_round_robin(cards, process_number, probe), *(device for device in devices if device.software)]
     if setting == SOFTWARE_DEVICE:
-        found = [device for device in devices if device.software]
-        if not found:
+        software_devices = [device for device in devices if device.software]
+        if not software_devices:
             raise _no_such_device_error(value, devices)
-        return found
+        return software_devices
     assert not isinstance(setting, str)
     if max(setting) >= len(devices):
         raise _no_such_device_error(value, devices)
@@ -224,7 +224,7 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
     faults = []
     for device in devices_to_try(value, devices, _process_number, probed_device):
         try:
-            context = context_of(device.index)
+            context = create_egl_context(device.index)
         except Exception as error:  # glcontext raises bare exceptions of several kinds
             faults.append(f"device {device}: {' '.join(str(error).split())}")
             continue
@@ -238,17 +238,17 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
     raise no_opengl_error("; ".join(faults))
 
 
-def context_of(index: int) -> moderngl.Context:
+def create_egl_context(index: int) -> moderngl.Context:
     """Create a context of one device, current in this thread. Raises glcontext's exceptions, which are of several types."""
     import moderngl
 
     settings: dict[str, Any] = {"backend": "egl", "libgl": LIBGL, "libegl": LIBEGL, "device_index": index}
-    with _set_nan(_GLCONTEXT_VARIABLE):  # glcontext prefers this variable to its argument; Skugga has one setting
+    with _unset_variable(_GLCONTEXT_VARIABLE):  # glcontext prefers this variable to its argument; Skugga has one setting
         return moderngl.create_context(standalone=True, require=OPENGL_VERSION, **settings)
 
 
 @contextmanager
-def _set_nan(variable: str) -> Iterator[None]:
+def _unset_variable(variable: str) -> Iterator[None]:
     value = os.environ.pop(variable, None)
     try:
         yield
@@ -261,12 +261,12 @@ def probed_device(index: int) -> ProbedDevice:
     """Probe a device in a subprocess, which takes a fraction of a second."""
     code = f"from skugga.terrain.gl.egl_devices import answer_probe; answer_probe({index})"
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PROBE_LIMIT_S
+        process = subprocess.run(
+            [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S
         )
-        return ProbedDevice(**json.loads(done.stdout))
+        return ProbedDevice(**json.loads(process.stdout))
     except subprocess.TimeoutExpired:
-        return ProbedDevice(fault=f"no answer within {PROBE_LIMIT_S:g} s")
+        return ProbedDevice(fault=f"no answer within {PROBE_TIMEOUT_S:g} s")
     except (OSError, ValueError, TypeError):
         return ProbedDevice(fault="its driver ended the probe process")
 
@@ -274,7 +274,7 @@ def probed_device(index: int) -> ProbedDevice:
 def answer_probe(index: int) -> None:
     """Print the probe of a device as JSON: the main function of the subprocess."""
     try:
-        context = context_of(index)
+        context = create_egl_context(index)
     except Exception as error:
         answer = {"fault": " ".join(str(error).split())}
     else:

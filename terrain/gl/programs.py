@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import moderngl
 
-_PART = "// part: "
+_PART_COMMENT = "// part: "
 _SAMPLER_TYPES = frozenset(
     number
     for first, last in ((0x8B5D, 0x8B64), (0x8DC0, 0x8DC5), (0x8DC9, 0x8DD8), (0x900C, 0x900F), (0x9108, 0x910D))
@@ -63,7 +63,7 @@ def record_draw(program: LinkedProgram) -> None:
 
 def join_shader_parts(parts: Mapping[str, str]) -> str:
     """Return the source of a shader that concatenates named parts. A comment before each part names it."""
-    return "#version 430\n" + "".join(f"{_PART}{name}\n{text}" for name, text in parts.items())
+    return "#version 430\n" + "".join(f"{_PART_COMMENT}{name}\n{text}" for name, text in parts.items())
 
 
 def specialize_shader(fragment: str, constants: Mapping[str, bool | int]) -> tuple[str, list[str]]:
@@ -71,20 +71,20 @@ def specialize_shader(fragment: str, constants: Mapping[str, bool | int]) -> tup
 
     Constants whose uniform the shader lacks are ignored.
     """
-    made = []
+    replacements = []
     for name, value in constants.items():
         word = str(value).lower()
-        fragment, found = re.subn(rf"^uniform (\w+) {name};", rf"const \1 {name} = {word};", fragment, flags=re.MULTILINE)
-        if found:
-            made.append(f"{name}={word}")
-    return fragment, made
+        fragment, replaced_count = re.subn(rf"^uniform (\w+) {name};", rf"const \1 {name} = {word};", fragment, flags=re.MULTILINE)
+        if replaced_count:
+            replacements.append(f"{name}={word}")
+    return fragment, replacements
 
 
 def describe_program(program: moderngl.Program, texts: tuple[str, str], constants: list[str]) -> LinkedProgram:
     """Return the description of a linked program. Its textures are the samplers that the linker left active."""
     import moderngl
 
-    parts = [line.removeprefix(_PART) for text in texts for line in text.splitlines() if line.startswith(_PART)]
+    parts = [line.removeprefix(_PART_COMMENT) for text in texts for line in text.splitlines() if line.startswith(_PART_COMMENT)]
     members = {name: program[name] for name in program}
     uniforms = {name: member for name, member in members.items() if isinstance(member, moderngl.Uniform)}
     textures = [

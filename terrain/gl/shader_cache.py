@@ -26,7 +26,7 @@ log = logging.getLogger("skugga")
 @contextmanager
 def safe_shader_cache() -> Iterator[None]:
     """Guard the creation of an OpenGL context: allocate the blocks of Mesa's cache index, or disable the cache on a full disk."""
-    index = _index()
+    index = _index_path()
     if not _has_room(index):
         os.environ[DISABLE_VARIABLE] = "true"
         log.warning("%s: the disk is full. Compiled shaders are not cached.", index.parent)
@@ -35,7 +35,7 @@ def safe_shader_cache() -> Iterator[None]:
         _fill_holes(index)
 
 
-def _index() -> Path:
+def _index_path() -> Path:
     """Return the path of the index file that Mesa maps into memory. Other forms of Mesa's cache have no such file."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return Path(os.environ.get("MESA_SHADER_CACHE_DIR") or home) / "mesa_shader_cache" / "index"

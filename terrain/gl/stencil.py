@@ -26,14 +26,14 @@ STENCIL_CACHE_BYTES, PIXEL_BYTES = 128 * MIB, 12
 MARK_BIT = 0x80
 """The bit that marks pixels. Marked pixels count to 127, all others to 255."""
 
-GRID_STEPS = 1.0
+SLOPE_OFFSET_STEPS = 1.0
 """Slope offset of faces, in steps of the rasteriser's grid (1/256 pixel).
 
 It moves faces away from the eye, so that a face that starts at a surface at a grazing angle does not count as in front of it.
 Rounding moves a corner by half a step along either axis, which moves the plane at a pixel by at most a step of its steeper slope.
 """
 
-Counting = Literal["z_pass", "z_fail", "faces", "seen"]
+CountMode = Literal["z_pass", "z_fail", "faces", "seen"]
 """How faces change the stencil.
 
 - ``z_pass``: in front of the point, front faces add one and back faces subtract one.
@@ -71,7 +71,7 @@ class Stencil:
             "skugga.terrain.gl.stencil",
             "process",
             STENCIL_CACHE_BYTES,
-            lambda held: PIXEL_BYTES * held[0].width * held[0].height,
+            lambda entry: PIXEL_BYTES * entry[0].width * entry[0].height,
             self._release_target,
         )
 
@@ -80,9 +80,9 @@ class Stencil:
         from OpenGL import GL
 
         self._require_current()
-        found = self._targets.get(width, height)
-        if not isinstance(found, Missing):
-            target = found[0]
+        entry = self._targets.get(width, height)
+        if not isinstance(entry, Missing):
+            target = entry[0]
         else:
             target = self._ctx.framebuffer([self._ctx.renderbuffer((width, height), 1)])  # moderngl requires a colour
             target.color_mask, target.depth_mask = (False,) * 4, True  # moderngl knows no depth attachment: enable it
@@ -99,12 +99,12 @@ class Stencil:
         GL.glClearBufferfi(GL.GL_DEPTH_STENCIL, 0, 0.0, 0)
         return target
 
-    def _release_target(self, held: tuple[moderngl.Framebuffer, int]) -> None:
+    def _release_target(self, entry: tuple[moderngl.Framebuffer, int]) -> None:
         from OpenGL import GL
 
-        old, storage = held
+        target, storage = entry
         self._bind_idle_target()  # moderngl rebinds the current framebuffer, even a released one
-        for item in (old, *old.color_attachments):
+        for item in (target, *target.color_attachments):
             item.release()
         GL.glDeleteRenderbuffers(1, [storage])
 
@@ -119,8 +119,8 @@ class Stencil:
         GL.glStencilMask(0xFF)
 
     @contextmanager
-    def once_pass(self, target: moderngl.Framebuffer, held: int, clip_distances: int = 0) -> Iterator[None]:
-        """Set the state of a pass that increments pixels of stencil value ``held`` once, without depth test.
+    def once_pass(self, target: moderngl.Framebuffer, stencil_value: int, clip_distances: int = 0) -> Iterator[None]:
+        """Set the state of a pass that increments pixels of stencil value ``stencil_value`` once, without depth test.
 
         Further fragments of a pixel do not increment it again. ``clip_distances`` is the number of clip distances that the vertex
         shaders write.
@@ -128,7 +128,7 @@ class Stencil:
         with self._stencil_test(target, depth=False):
             from OpenGL import GL
 
-            GL.glStencilFunc(GL.GL_EQUAL, held, 0xFF)
+            GL.glStencilFunc(GL.GL_EQUAL, stencil_value, 0xFF)
             GL.glStencilOp(GL.GL_KEEP, GL.GL_KEEP, GL.GL_INCR)
             for number in range(clip_distances):
                 self._ctx.enable_direct(_CLIP_DISTANCE0 + number)
@@ -149,14 +149,14 @@ class Stencil:
             yield
 
     @contextmanager
-    def depth_pass(self, target: moderngl.Framebuffer, always: bool = False) -> Iterator[None]:
-        """Set the state of a pass that writes depths and no stencil: the nearest wins, or with ``always`` the last."""
+    def depth_pass(self, target: moderngl.Framebuffer, overwrite: bool = False) -> Iterator[None]:
+        """Set the state of a pass that writes depths and no stencil: the nearest wins, or with ``overwrite`` the last."""
         from OpenGL import GL
 
         self._require_current()
         target.use()
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        self._ctx.depth_func = "1" if always else ">"
+        self._ctx.depth_func = "1" if overwrite else ">"
         GL.glClipControl(_LOWER_LEFT, _ZERO_TO_ONE)
         try:
             yield
@@ -169,9 +169,9 @@ class Stencil:
     def count_pass(
         self,
         target: moderngl.Framebuffer,
-        counting: Counting,
+        counting: CountMode,
         side: Side = "both",
-        marked: bool = False,
+        marked_only: bool = False,
         clamped: bool = False,
         offset_steps: float = 0.0,
     ) -> Iterator[None]:
@@ -187,20 +187,20 @@ class Stencil:
             How faces change the stencil.
         side
             The faces to draw.
-        marked
+        marked_only
             Whether only marked pixels count.
         clamped
             Whether to clamp depths instead of clipping at the near and far planes.
         offset_steps
-            Depth offset away from the eye in float32 depth steps, besides ``GRID_STEPS``.
+            Depth offset away from the eye in float32 depth steps, besides ``SLOPE_OFFSET_STEPS``.
         """
         with self._stencil_test(target, depth=True):
             from OpenGL import GL
 
             target.depth_mask = False
             GL.glClipControl(_LOWER_LEFT, _ZERO_TO_ONE)
-            GL.glStencilFunc(*((GL.GL_EQUAL, MARK_BIT, MARK_BIT) if marked else (GL.GL_ALWAYS, 0xFF, 0xFF)))
-            GL.glStencilMask(0x7F if marked else 0xFF)
+            GL.glStencilFunc(*((GL.GL_EQUAL, MARK_BIT, MARK_BIT) if marked_only else (GL.GL_ALWAYS, 0xFF, 0xFF)))
+            GL.glStencilMask(0x7F if marked_only else 0xFF)
             self._ctx.depth_func = ">"
             up, down, keep = GL.GL_INCR_WRAP, GL.GL_DECR_WRAP, GL.GL_KEEP
             if counting == "z_pass":
@@ -212,7 +212,7 @@ class Stencil:
             else:
                 GL.glStencilOp(keep, keep, GL.GL_INCR if counting == "faces" else GL.GL_REPLACE)
                 self._ctx.depth_func = ">="
-            self._ctx.polygon_offset = -GRID_STEPS / 256.0, -offset_steps
+            self._ctx.polygon_offset = -SLOPE_OFFSET_STEPS / 256.0, -offset_steps
             self._ctx.front_face = "cw"
             if side != "both":
                 self._ctx.cull_face = "back" if side == "front" else "front"

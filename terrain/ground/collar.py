@@ -5,15 +5,16 @@ The height step at the edge tells them apart. At a shore the ground comes down t
 much as they do one cell farther inland. A collar cuts through ground of any height: heights change far more across its rim, and
 the cut ground stands about as high above the value as all ground does. A value counts as a collar if all these hold:
 
-* It fills at least ``BORDER_SHARE`` of the border's cells (``HIGH_BORDER_SHARE`` if it lies above the ground, as no sea does).
-* At most ``BEYOND_SHARE`` of the ground lies on its far side. The ground is mostly one piece, and not an object on a plain.
-* At least ``CLIFF_SHARE`` of the rim is a cliff: ``CLIFF_M`` high, and ``CLIFF_STEPS`` times the step behind it.
-* Those cliffs are at least ``CUT_SHARE`` of the usual height of the ground above the value. No quay or dam is.
+* It fills at least ``MIN_BORDER_SHARE`` of the border's cells (``MIN_HIGH_BORDER_SHARE`` if it lies above the ground, as no sea
+  does).
+* At most ``MAX_FAR_SIDE_SHARE`` of the ground lies on its far side. The ground is mostly one piece, and not an object on a plain.
+* At least ``MIN_CLIFF_SHARE`` of the rim is a cliff: ``MIN_CLIFF_M`` high, and ``MIN_CLIFF_RATIO`` times the step behind it.
+* Those cliffs are at least ``MIN_CLIFF_HEIGHT_SHARE`` of the usual height of the ground above the value. No quay or dam is.
 
 The rule comes from measurements. Of collars made round nine real rasters (plains, hills, coastal towns, mountains) 31 to 100 % of
 the rim was cliff. Of coasts (cells of 7 m to 1 degree), lakes and rivers at most 15 % was.
 
-Known limits: the rule misses collars less than ``CLIFF_M`` below the ground, rasters with nearly all ground at the rim at sea
+Known limits: the rule misses collars less than ``MIN_CLIFF_M`` below the ground, rasters with nearly all ground at the rim at sea
 level, and rasters that are mostly collar. It mistakes a long ice front or a coast that is mostly cliffs for a collar.
 """
 
@@ -27,19 +28,19 @@ import numpy as np
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.level_source import remedy
 
-BORDER_SHARE, HIGH_BORDER_SHARE = 0.05, 0.25
-BEYOND_SHARE = 0.05
-MIN_DATA = 0.2
+MIN_BORDER_SHARE, MIN_HIGH_BORDER_SHARE = 0.05, 0.25
+MAX_FAR_SIDE_SHARE = 0.05
+MIN_GROUND_SHARE = 0.2
 """Minimum share of the cells that is ground."""
 
-CLIFF_M, CLIFF_STEPS = 10.0, 8.0
-CLIFF_SHARE = 0.25
-CUT_SHARE = 0.4
+MIN_CLIFF_M, MIN_CLIFF_RATIO = 10.0, 8.0
+MIN_CLIFF_SHARE = 0.25
+MIN_CLIFF_HEIGHT_SHARE = 0.4
 
-MIN_RIM = 16
+MIN_RIM_CELLS = 16
 """Minimum number of rim positions that a decision needs."""
 
-RIM_WINDOWS = 64
+MAX_RIM_WINDOWS = 64
 """Number of full-resolution windows along the rim that are read of a raster larger than its overview."""
 
 BORDER_CELLS = 32
@@ -48,8 +49,8 @@ BORDER_CELLS = 32
 BORDER_SAMPLES = 4096
 """Maximum number of samples along a strip."""
 
-_CANDIDATES = 2
-_EIGHT = np.ones((3, 3), bool)
+_MAX_CANDIDATES = 2
+_EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
 
 
 @dataclass(frozen=True)
@@ -128,23 +129,23 @@ def detect_collar(elevation: Elevation) -> Collar | None:
 
     Reads the cells at the overview's resolution, and the border and the rim at full resolution.
     """
-    factor = 2**elevation.overview.level
+    factor = 2**elevation.overview.lod
     shape = max(elevation.rows // factor, 1), max(elevation.cols // factor, 1)
     all_cells = slice(0, elevation.rows), slice(0, elevation.cols)
-    coarse = _StoredCells(*elevation.stored(*all_cells, shape))
+    overview_cells = _StoredCells(*elevation.stored(*all_cells, shape))
     unit_m = elevation.metres_per_stored_unit
-    for value, region in _candidates(coarse):
-        across, behind = _steps(coarse.values, region.cells, region.ground, value)
+    for value, region in _candidates(overview_cells):
+        rim_steps, inner_steps = _height_steps(overview_cells.values, region.cells, region.ground, value)
         if factor > 1:
-            across, behind = _steps_at_full_detail(elevation, region, value, factor)
-        if collar := _collar_from_steps(coarse, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
+            rim_steps, inner_steps = _full_resolution_steps(elevation, region, value, factor)
+        if collar := _collar_from_steps(overview_cells, region, value, rim_steps * abs(unit_m), inner_steps * abs(unit_m), unit_m):
             return collar
     if factor == 1:
         return None
     for strip in _strips(elevation):
         for value, region in _candidates(strip):
-            across, behind = _steps(strip.values, region.cells, region.ground, value)
-            if collar := _collar_from_steps(strip, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
+            rim_steps, inner_steps = _height_steps(strip.values, region.cells, region.ground, value)
+            if collar := _collar_from_steps(strip, region, value, rim_steps * abs(unit_m), inner_steps * abs(unit_m), unit_m):
                 return collar
     return None
 
@@ -153,12 +154,12 @@ def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]
     """Yield the most common values of the border, each with its cells that are connected to the border."""
     border = cells_read.border(cells_read.values)[cells_read.border(cells_read.has_height)]
     values, count = np.unique(border, return_counts=True)
-    for index in np.argsort(count)[::-1][:_CANDIDATES]:
-        if count[index] < BORDER_SHARE * max(len(cells_read.border(cells_read.has_height)), 1):
+    for index in np.argsort(count)[::-1][:_MAX_CANDIDATES]:
+        if count[index] < MIN_BORDER_SHARE * max(len(cells_read.border(cells_read.has_height)), 1):
             return
         from scipy.ndimage import label  # here: the import takes 0.25 s, and most rasters have no candidate
 
-        parts, _ = label(cells_read.has_height & (cells_read.values == values[index]), _EIGHT)
+        parts, _ = label(cells_read.has_height & (cells_read.values == values[index]), _EIGHT_NEIGHBOURS)
         at_border = cells_read.border(parts)
         cells = np.isin(parts, np.unique(at_border[at_border > 0]))
         pieces, number = label(cells_read.has_height & ~cells)
@@ -166,75 +167,75 @@ def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]
             continue
         sizes = np.bincount(pieces.ravel())[1:]
         ground = pieces == sizes.argmax() + 1
-        if sizes.max() >= sizes.sum() / 2 and sizes.max() >= MIN_DATA * pieces.size:
+        if sizes.max() >= sizes.sum() / 2 and sizes.max() >= MIN_GROUND_SHARE * pieces.size:
             yield values[index], _Region(cells, ground, float((at_border > 0).mean()))
 
 
 def _collar_from_steps(
-    cells_read: _StoredCells, region: _Region, value: np.generic, across_m: np.ndarray, behind_m: np.ndarray, unit_m: float
+    cells_read: _StoredCells, region: _Region, value: np.generic, rim_steps_m: np.ndarray, inner_steps_m: np.ndarray, unit_m: float
 ) -> Collar | None:
     """Return the collar if the steps (n,) across a region's rim and behind it are those of a collar, else ``None``."""
-    if len(across_m) < MIN_RIM:
+    if len(rim_steps_m) < MIN_RIM_CELLS:
         return None
     above_m = (cells_read.values[region.ground].astype(np.float64) - float(value)) * unit_m
-    below = bool(np.mean(above_m < 0.0) <= BEYOND_SHARE)
-    if not below and (np.mean(above_m > 0.0) > BEYOND_SHARE or region.border_share < HIGH_BORDER_SHARE):
+    below = bool(np.mean(above_m < 0.0) <= MAX_FAR_SIDE_SHARE)
+    if not below and (np.mean(above_m > 0.0) > MAX_FAR_SIDE_SHARE or region.border_share < MIN_HIGH_BORDER_SHARE):
         return None
-    cliff = (across_m >= CLIFF_M) & (across_m >= CLIFF_STEPS * behind_m)
-    if cliff.mean() < CLIFF_SHARE:
+    cliff = (rim_steps_m >= MIN_CLIFF_M) & (rim_steps_m >= MIN_CLIFF_RATIO * inner_steps_m)
+    if cliff.mean() < MIN_CLIFF_SHARE:
         return None
-    height_m = float(np.median(across_m[cliff]))
-    if height_m < CUT_SHARE * np.median(np.abs(above_m)):
+    height_m = float(np.median(rim_steps_m[cliff]))
+    if height_m < MIN_CLIFF_HEIGHT_SHARE * np.median(np.abs(above_m)):
         return None
     return Collar(float(value), region.border_share, height_m)
 
 
-def _steps(values: np.ndarray, cells: np.ndarray, ground: np.ndarray, value: np.generic) -> tuple[np.ndarray, np.ndarray]:
+def _height_steps(values: np.ndarray, cells: np.ndarray, ground: np.ndarray, value: np.generic) -> tuple[np.ndarray, np.ndarray]:
     """Return the steps (n,) of the stored values across a region's rim, and those (n,) from the first ground cell to the second.
 
     Both cover all four directions.
     """
-    across, behind = [], []
-    for turns in range(4):
-        heights, inside, outside = (np.rot90(array, turns) for array in (values, cells, ground))
+    rim_steps, inner_steps = [], []
+    for quarter_turns in range(4):
+        heights, inside, outside = (np.rot90(array, quarter_turns) for array in (values, cells, ground))
         rim = inside[:-2] & outside[1:-1] & outside[2:]
         first, second = heights[1:-1][rim].astype(np.float64), heights[2:][rim].astype(np.float64)
-        across.append(np.abs(first - float(value)))
-        behind.append(np.abs(second - first))
-    return np.concatenate(across), np.concatenate(behind)
+        rim_steps.append(np.abs(first - float(value)))
+        inner_steps.append(np.abs(second - first))
+    return np.concatenate(rim_steps), np.concatenate(inner_steps)
 
 
-def _steps_at_full_detail(elevation: Elevation, region: _Region, value: np.generic, factor: int) -> tuple[np.ndarray, np.ndarray]:
+def _full_resolution_steps(elevation: Elevation, region: _Region, value: np.generic, factor: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the same steps, read in full-resolution windows along a rim found in cells of ``factor`` raster cells a side."""
     rows, cols = region.cells.shape
-    beside = np.zeros_like(region.cells)
+    is_beside_ground = np.zeros_like(region.cells)
     for axis in (0, 1):
         for step in (1, -1):
-            beside |= np.roll(region.ground, step, axis)
-    rim_cells = np.argwhere(region.cells & beside)
-    across, behind = [np.empty(0)], [np.empty(0)]
-    for row, col in rim_cells[:: max(len(rim_cells) // RIM_WINDOWS, 1)]:
+            is_beside_ground |= np.roll(region.ground, step, axis)
+    rim_cells = np.argwhere(region.cells & is_beside_ground)
+    rim_steps, inner_steps = [np.empty(0)], [np.empty(0)]
+    for row, col in rim_cells[:: max(len(rim_cells) // MAX_RIM_WINDOWS, 1)]:
         window = (
             slice(max(int(row) - 1, 0) * factor, min((int(row) + 2) * factor, elevation.rows)),
             slice(max(int(col) - 1, 0) * factor, min((int(col) + 2) * factor, elevation.cols)),
         )
         values, has_height = elevation.stored(*window)
         cells = has_height & (values == value)
-        steps = _steps(values, cells, has_height & ~cells, value)
-        across.append(steps[0])
-        behind.append(steps[1])
-    return np.concatenate(across), np.concatenate(behind)
+        steps = _height_steps(values, cells, has_height & ~cells, value)
+        rim_steps.append(steps[0])
+        inner_steps.append(steps[1])
+    return np.concatenate(rim_steps), np.concatenate(inner_steps)
 
 
 def _strips(elevation: Elevation) -> Iterator[_StoredCells]:
     """Yield the cells along the four sides, at full resolution across the strip."""
     rows, cols = elevation.shape
-    deep, wide = min(BORDER_CELLS, rows), min(BORDER_CELLS, cols)
+    strip_rows, strip_cols = min(BORDER_CELLS, rows), min(BORDER_CELLS, cols)
     along_row, along_col = min(cols, BORDER_SAMPLES), min(rows, BORDER_SAMPLES)
     for ends, row, col, shape in (
-        ((True, False, False, False), slice(0, deep), slice(0, cols), (deep, along_row)),
-        ((False, True, False, False), slice(rows - deep, rows), slice(0, cols), (deep, along_row)),
-        ((False, False, True, False), slice(0, rows), slice(0, wide), (along_col, wide)),
-        ((False, False, False, True), slice(0, rows), slice(cols - wide, cols), (along_col, wide)),
+        ((True, False, False, False), slice(0, strip_rows), slice(0, cols), (strip_rows, along_row)),
+        ((False, True, False, False), slice(rows - strip_rows, rows), slice(0, cols), (strip_rows, along_row)),
+        ((False, False, True, False), slice(0, rows), slice(0, strip_cols), (along_col, strip_cols)),
+        ((False, False, False, True), slice(0, rows), slice(cols - strip_cols, cols), (along_col, strip_cols)),
     ):
         yield _StoredCells(*elevation.stored(row, col, shape), ends)

@@ -48,7 +48,7 @@ class ColumnMesh(Sheet):
     @cached_property
     def triangles(self) -> np.ndarray:
         """Node indices (n, 3) int32 as in ``Sheet``, without triangles of zero area: walls between equal heights, and corners."""
-        return sheet_triangles(self.falls)[np.repeat(self.has_area.ravel(), 2)]
+        return sheet_triangles(self.is_cut_nw_se)[np.repeat(self.has_area.ravel(), 2)]
 
     @cached_property
     def has_area(self) -> np.ndarray:
@@ -106,24 +106,24 @@ class Columns:
         The world that the raster lies in.
     elevation
         The raster.
-    level
+    lod
         Level of detail: a column is 2**level raster cells a side.
     """
 
     world: World
     elevation: Elevation
-    level: int
+    lod: int
 
     @cached_property
     def grid(self) -> Grid:
         """The grid of the cells' centres."""
-        side, middle = 2**self.level, (2**self.level - 1) / 2
+        side, middle = 2**self.lod, (2**self.lod - 1) / 2
         (x0, x1), (y0, y1) = self.elevation.xy(np.array([middle, middle + 1.0]), np.array([middle, middle + 1.0]))
         return Grid(self.elevation.crs, float(x0), float(y0), float(x1 - x0) * side, float((y0 - y1) / (x1 - x0)))
 
-    def coarser(self, level: int) -> Columns:
+    def coarser(self, lod: int) -> Columns:
         """Return the columns of cells that are 2**level times as large."""
-        return replace(self, level=self.level + level)
+        return replace(self, lod=self.lod + lod)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> ColumnWindow:
         """Return the columns of a window, in a frame."""
@@ -131,9 +131,9 @@ class Columns:
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the heights of a window's cells, metres, float32 (rows, cols), and their valid mask."""
-        side = 2**self.level
+        side = 2**self.lod
         row, col = ((np.arange(first, first + count) + 0.5) * side - 0.5 for first, count in ((row0, rows), (col0, cols)))
-        return self.elevation.heights_at(self.level, *np.meshgrid(row, col, indexing="ij"))
+        return self.elevation.heights_at(self.lod, *np.meshgrid(row, col, indexing="ij"))
 
     def corners(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> np.ndarray:
         """Return frame points of height 0 and unit up vectors (rows + 1, cols + 1, 6) at the corners of a window's cells."""
@@ -206,9 +206,9 @@ def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loca
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, *shape, stride)
         cell = surface.cells_of(x, y, everywhere=True)
         assert cell is not None
-    placed = _interpolate_at(np.stack(cell, axis=-1), exact_row, exact_col, stride, row, col)
-    columns = Columns(surface.world, surface.elevation, surface.level)
-    cell_row, cell_col = ((placed[..., k] + 0.5) / 2**columns.level - 0.5 for k in (0, 1))
+    cells = _interpolate_at(np.stack(cell, axis=-1), exact_row, exact_col, stride, row, col)
+    columns = Columns(surface.world, surface.elevation, surface.lod)
+    cell_row, cell_col = ((cells[..., k] + 0.5) / 2**columns.lod - 0.5 for k in (0, 1))
     window = _enclosing_window(columns, cell_row, cell_col, frame)
     rows, cols = window.height_m.shape
     centres = columns.ground(columns.grid, window.row0, window.col0, rows, cols, frame)
@@ -220,45 +220,52 @@ def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loca
 
 def _enclosing_window(columns: Columns, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> ColumnWindow:
     """Return the window that contains all positions, with a rim of one cell, clipped to the raster."""
-    known = np.isfinite(row) & np.isfinite(col)
+    is_located = np.isfinite(row) & np.isfinite(col)
     ends = []
     for values, cells in ((row, columns.elevation.rows), (col, columns.elevation.cols)):
-        low, high = (np.floor([values[known].min(), values[known].max()]) if known.any() else (0.0, 0.0)) + np.array([-1.0, 2.0])
+        low, high = (np.floor([values[is_located].min(), values[is_located].max()]) if is_located.any() else (0.0, 0.0)) + np.array(
+            [-1.0, 2.0]
+        )
         if values is row or not columns.elevation.crs.is_geographic:  # longitudes wrap
-            low, high = max(low, -2.0), min(high, cells / 2**columns.level + 2.0)
+            low, high = max(low, -2.0), min(high, cells / 2**columns.lod + 2.0)
         ends.append((int(low), max(int(high - low) + 1, 2)))
     (row0, rows), (col0, cols) = ends
     if rows * cols > MAX_WINDOW_CELLS:
-        allowed = f"a block of this map has {rows * cols} columns under it, more than the limit of {MAX_WINDOW_CELLS}"
-        raise UnsupportedError("terrain.surface", "blocks", allowed)
+        problem = f"a block of this map has {rows * cols} columns under it, more than the limit of {MAX_WINDOW_CELLS}"
+        raise UnsupportedError("terrain.surface", "blocks", problem)
     return columns.window(row0, col0, rows, cols, frame)
 
 
 @compiled
 def _interpolate_at(exact, first_row, first_col, stride, row, col):
     """Interpolate as ``skugga.terrain.ground.surface.interpolated`` does, at fractional rows and columns: float64 (n, m, k)."""
-    kinds = exact.shape[2]
-    out = np.empty((row.size, col.size, kinds))
-    along = np.empty((exact.shape[1], kinds))
+    components = exact.shape[2]
+    out = np.empty((row.size, col.size, components))
+    row_values = np.empty((exact.shape[1], components))
     for i in range(row.size):
-        coarse = int(np.floor(row[i] / stride))
-        w, m = cubic_weights((row[i] - coarse * stride) / stride), coarse - first_row
+        exact_index = int(np.floor(row[i] / stride))
+        w, m = cubic_weights((row[i] - exact_index * stride) / stride), exact_index - first_row
         for n in range(exact.shape[1]):
-            for k in range(kinds):
+            for k in range(components):
                 if w[1] == 1.0:  # an exact row: zero weights must not carry a neighbour's NaN
-                    along[n, k] = exact[m, n, k]
+                    row_values[n, k] = exact[m, n, k]
                 else:
-                    along[n, k] = (
+                    row_values[n, k] = (
                         w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
                     )
         for j in range(col.size):
-            coarse = int(np.floor(col[j] / stride))
-            v, n = cubic_weights((col[j] - coarse * stride) / stride), coarse - first_col
-            for k in range(kinds):
+            exact_index = int(np.floor(col[j] / stride))
+            v, n = cubic_weights((col[j] - exact_index * stride) / stride), exact_index - first_col
+            for k in range(components):
                 if v[1] == 1.0:
-                    out[i, j, k] = along[n, k]
+                    out[i, j, k] = row_values[n, k]
                 else:
-                    out[i, j, k] = v[0] * along[n - 1, k] + v[1] * along[n, k] + v[2] * along[n + 1, k] + v[3] * along[n + 2, k]
+                    out[i, j, k] = (
+                        v[0] * row_values[n - 1, k]
+                        + v[1] * row_values[n, k]
+                        + v[2] * row_values[n + 1, k]
+                        + v[3] * row_values[n + 2, k]
+                    )
     return out
 
 
@@ -271,7 +278,7 @@ def _find_tops(height, top_valid, centres, row, col):
     cell_row, cell_col = np.full(row.shape, -1, np.int32), np.full(row.shape, -1, np.int32)
     valid = np.zeros(row.shape, np.bool_)
     point = np.full((row.shape[0], row.shape[1], 3), np.nan)
-    level = np.full(row.shape, np.nan, np.float32)
+    top_height = np.full(row.shape, np.nan, np.float32)
     up = np.full((row.shape[0], row.shape[1], 3), np.nan, np.float32)
     for i in range(row.shape[0]):
         for j in range(row.shape[1]):
@@ -280,11 +287,11 @@ def _find_tops(height, top_valid, centres, row, col):
                 continue
             valid[i, j] = True
             cell_row[i, j], cell_col[i, j] = r, c
-            level[i, j] = height[r, c]
+            top_height[i, j] = height[r, c]
             for k in range(3):
                 point[i, j, k] = centres[r, c, k] + np.float64(height[r, c]) * centres[r, c, k + 3]
                 up[i, j, k] = centres[r, c, k + 3]
-    return cell_row, cell_col, valid, point, level, up
+    return cell_row, cell_col, valid, point, top_height, up
 
 
 @compiled
@@ -306,8 +313,8 @@ def _has_area(height):
     out = np.zeros((2 * rows - 1, 2 * cols - 1), np.bool_)
     for i in range(2 * rows - 1):
         for j in range(2 * cols - 1):
-            one, other = height[i // 2, j // 2], height[(i + 1) // 2, (j + 1) // 2]
-            if np.isfinite(one) and np.isfinite(other):
+            first_height, second_height = height[i // 2, j // 2], height[(i + 1) // 2, (j + 1) // 2]
+            if np.isfinite(first_height) and np.isfinite(second_height):
                 top, corner = i % 2 == 0 and j % 2 == 0, i % 2 == 1 and j % 2 == 1
-                out[i, j] = top or (one != other and not corner)
+                out[i, j] = top or (first_height != second_height and not corner)
     return out

@@ -173,8 +173,8 @@ def _fill_errors(height, bulge_m, error, parts, first_row, first_col, stride, do
             ends_there = np.isfinite(height[row - down, col - right]) and np.isfinite(height[row + down, col + right])
             both_parts, is_needed = 0, False
             for side in range(2):
-                turn = 2 * side - 1 if right > 0 else 1 - 2 * side
-                apex_row, apex_col = row + turn * right, col - turn * down
+                rotation_sign = 2 * side - 1 if right > 0 else 1 - 2 * side
+                apex_row, apex_col = row + rotation_sign * right, col - rotation_sign * down
                 if 0 <= apex_row < rows and 0 <= apex_col < cols:
                     part = _parts_of_halves(height, parts, row, col, down, right, apex_row, apex_col)
                     # A triangle with three present corners is drawn, so one whose parts are all absent must be halved.
@@ -309,19 +309,19 @@ def _propagate(limit):
         half = step // 2
         for row in range(0, rows if half else 0, step):
             for col in range(step * (1 - row // step % 2), cols, 2 * step):
-                north = max(_at(limit, row - half, col - half), _at(limit, row - half, col + half))
-                south = max(_at(limit, row + half, col - half), _at(limit, row + half, col + half))
+                north = max(_limit_at(limit, row - half, col - half), _limit_at(limit, row - half, col + half))
+                south = max(_limit_at(limit, row + half, col - half), _limit_at(limit, row + half, col + half))
                 limit[row, col] = max(limit[row, col], north, south)
         for row in range(step, rows, 2 * step):
             for col in range(step, cols, 2 * step):
-                north_south = max(limit[row - step, col], _at(limit, row + step, col))
-                west_east = max(limit[row, col - step], _at(limit, row, col + step))
+                north_south = max(limit[row - step, col], _limit_at(limit, row + step, col))
+                west_east = max(limit[row, col - step], _limit_at(limit, row, col + step))
                 limit[row, col] = max(limit[row, col], north_south, west_east)
         step *= 2
 
 
 @internal
-def _at(limit, row, col):
+def _limit_at(limit, row, col):
     inside = 0 <= row < limit.shape[0] and 0 <= col < limit.shape[1]
     return limit[row, col] if inside else np.float32(0.0)
 
@@ -379,15 +379,15 @@ def _bisect(limit, height, tolerance, count):
     while top > 0:
         top -= 1
         ar, ac, br, bc, cr, cc = stack[top]
-        beyond = max(ar, br, cr) >= rows or max(ac, bc, cc) >= cols
-        if beyond and (min(ar, br, cr) >= rows - 1 or min(ac, bc, cc) >= cols - 1):
+        exceeds_grid = max(ar, br, cr) >= rows or max(ac, bc, cc) >= cols
+        if exceeds_grid and (min(ar, br, cr) >= rows - 1 or min(ac, bc, cc) >= cols - 1):
             continue
         smallest = (br + cr) % 2 == 1 or (bc + cc) % 2 == 1
         mr, mc = (br + cr) // 2, (bc + cc) // 2
-        if not smallest and (beyond or limit[mr, mc] > tolerance):
+        if not smallest and (exceeds_grid or limit[mr, mc] > tolerance):
             stack[top], stack[top + 1] = (mr, mc, ar, ac, br, bc), (mr, mc, cr, cc, ar, ac)
             top += 2
-        elif not beyond and np.isfinite(height[ar, ac]) and np.isfinite(height[br, bc]) and np.isfinite(height[cr, cc]):
+        elif not exceeds_grid and np.isfinite(height[ar, ac]) and np.isfinite(height[br, bc]) and np.isfinite(height[cr, cc]):
             for corner, (row, col) in enumerate(((ar, ac), (br, bc), (cr, cc))):
                 if index[row, col] == 0:
                     nodes[node_count] = row, col

@@ -35,7 +35,7 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_ear
 from skugga.terrain.ground.georeference import checked_crs
 from skugga.terrain.ground.open_raster import impossible_nodata, open_height_raster
 from skugga.terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
-from skugga.terrain.ground.unmarked_cells import UnmarkedCells
+from skugga.terrain.ground.unmarked_cells import UndeclaredNodata
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.gdal_guard import cap_caches
@@ -48,7 +48,7 @@ FILL_CELLS = 64
 PLAUSIBLE_M = (-11500.0, 9500.0)
 """Lowest and highest height on earth, metres; anything else (infinities, undeclared sentinels such as -32768) is a hole."""
 
-PLAUSIBLE_ELSEWHERE_M = (-32000.0, 32000.0)
+PLAUSIBLE_OFF_EARTH_M = (-32000.0, 32000.0)
 """Lowest and highest height on other celestial bodies, metres.
 
 Olympus Mons on Mars is 21 km high, the basin Rheasilvia on Vesta 19 km deep.
@@ -89,7 +89,7 @@ class Elevation:
     ----------
     vertical
         Unit and direction of the file's numbers, as used.
-    unmarked
+    undeclared_nodata
         Counts of the cells that cannot be heights although nothing declares them empty.
 
     Raises
@@ -138,14 +138,14 @@ class Elevation:
         self._transform = axes_of(self.crs).affine @ dataset.transform
         self._cell_from_crs = ~self._transform
         x_cell = abs(self._transform.a)
-        self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
-        self._resampling, self._is_settled, self.unmarked = Resampling.nearest, False, UnmarkedCells()
+        self._wrap_period = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
+        self._resampling, self._is_settled, self.undeclared_nodata = Resampling.nearest, False, UndeclaredNodata()
         self.overview = self._read_overview()
         if not np.isfinite(self.overview.heights_m).any():
-            if not self.unmarked.beyond:
+            if not self.undeclared_nodata.implausible_count:
                 raise SourceError(source, "no height in any cell (all nodata)", "Give a raster with heights")
-            beyond = f"no plausible height on earth in any cell ({self.unmarked.implausible_range(self.vertical)})"
-            raise SourceError(source, beyond, f"State the unit of its heights: {remedy('units', 'UNIT')}")
+            problem = f"no plausible height on earth in any cell ({self.undeclared_nodata.implausible_range(self.vertical)})"
+            raise SourceError(source, problem, f"State the unit of its heights: {remedy('units', 'UNIT')}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -187,8 +187,8 @@ class Elevation:
         A smaller ``shape`` decimates them by nearest neighbour.
         """
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
-        stored, _, marked, plausible = self._cells(window, shape, Resampling.nearest)
-        return stored, plausible & ~marked
+        stored, _, is_nodata, plausible = self._cells(window, shape, Resampling.nearest)
+        return stored, plausible & ~is_nodata
 
     @property
     def metres_per_stored_unit(self) -> float:
@@ -230,7 +230,7 @@ class Elevation:
         """Return whether coordinates in the raster's CRS lie on the raster, with longitudes wrapped."""
         row, col = self.cell_of(self._wrap_longitudes(x), y)
         inside = (row >= -0.5) & (row <= self.rows - 0.5)
-        return inside if self._wrap else inside & (col >= -0.5) & (col <= self.cols - 0.5)
+        return inside if self._wrap_period else inside & (col >= -0.5) & (col <= self.cols - 0.5)
 
     def ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """Return heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface.
@@ -288,77 +288,77 @@ class Elevation:
             return float(np.sqrt(width * height))
         return float(np.sqrt(abs(self._transform.determinant))) * metres_per_unit
 
-    def heights_at(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def heights_at(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights in metres (float32) at (fractional) cells of level 0, and the valid mask (bool).
 
-        Heights are bilinear between cells of ``level`` (2**level raster cells a side), or those of the cells themselves if
+        Heights are bilinear between cells of ``lod`` (2**level raster cells a side), or those of the cells themselves if
         ``surface`` is blocks. NaN means no data nearby.
         """
-        row, col, ends = self._on_level(level, row, col)
-        return self._heights_on_level(level, row, col, ends)
+        row, col, ends = self._positions_at_lod(lod, row, col)
+        return self._heights_at_lod(lod, row, col, ends)
 
-    def heights_with_rim(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def heights_with_rim(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return heights, valid mask and rim mask of the inner nodes of a grid (rows + 2, cols + 2).
 
         Rim nodes lie off the raster, next to a node on it along a row, a column or a diagonal. They have the height of the raster's
         border and are not valid. Casters must end with the cells and not with their centres: a ray that passes just beside the
         outermost centre is still above a cell.
         """
-        on_row, on_col, ends = self._on_level(level, row, col)
+        on_row, on_col, ends = self._positions_at_lod(lod, row, col)
         if not np.isfinite(ends).all():
             inner = row.shape[0] - 2, row.shape[1] - 2
             return np.full(inner, np.nan, np.float32), np.zeros(inner, bool), np.zeros(inner, bool)
         on_raster = np.isfinite(on_row)
-        place = np.nonzero(_dilated(on_raster) & ~on_raster)
-        rim_row, rim_col = self._clamped(level, row[place], col[place])
-        on_row[place], on_col[place] = rim_row, rim_col
+        rim_index = np.nonzero(_dilated(on_raster) & ~on_raster)
+        rim_row, rim_col = self._clamped_positions(lod, row[rim_index], col[rim_index])
+        on_row[rim_index], on_col[rim_index] = rim_row, rim_col
         if np.isfinite(rim_row).any():
             rim_ends = np.array([[np.nanmin(axis), np.nanmax(axis)] for axis in (rim_row, rim_col)])
             ends = np.stack([np.minimum(ends, rim_ends)[:, 0], np.maximum(ends, rim_ends)[:, 1]], axis=1)
-        height, valid = self._heights_on_level(level, on_row, on_col, ends)
+        height, valid = self._heights_at_lod(lod, on_row, on_col, ends)
         valid &= on_raster
         rim = np.isfinite(height) & ~on_raster
         return height[1:-1, 1:-1].copy(), valid[1:-1, 1:-1].copy(), rim[1:-1, 1:-1].copy()
 
-    def holds(self, level: int, row: np.ndarray, col: np.ndarray) -> bool:
+    def covers_cells(self, lod: int, row: np.ndarray, col: np.ndarray) -> bool:
         """Return whether all (fractional) cells of level 0 lie on the cells of a level."""
-        rows, cols = (count * 2**level for count in self._level_shape(level))
+        rows, cols = (count * 2**lod for count in self._lod_shape(lod))
         inside = (row >= -0.5) & (row <= rows - 0.5) & np.isfinite(col)
-        return bool((inside if self._wrap else inside & (col >= -0.5) & (col <= cols - 0.5)).all())
+        return bool((inside if self._wrap_period else inside & (col >= -0.5) & (col <= cols - 0.5)).all())
 
-    def _on_level(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _positions_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return rows and columns on a level for those of level 0, NaN off it, and the minimum and maximum of both (2, 2)."""
-        from skugga.terrain.ground.elevation_loops import to_level  # here: who asks for no height needs no compiler
+        from skugga.terrain.ground.elevation_loops import to_lod  # here: who asks for no height needs no compiler
 
-        rows, cols = self._level_shape(level)
+        rows, cols = self._lod_shape(lod)
         row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # what is broadcast numba does not take
-        if self._wrap:
-            return to_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
-        return to_level(row, col, 2.0**level, rows, np.float64(cols))
+        if self._wrap_period:
+            return to_lod(row, self._columns_at_lod(lod, col), 2.0**lod, rows, np.inf)
+        return to_lod(row, col, 2.0**lod, rows, np.float64(cols))
 
-    def _clamped(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _clamped_positions(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the nearest rows and columns between a level's outermost centres for those (n,) of level 0; NaN beyond a pole."""
-        rows, cols = self._level_shape(level)
-        on_row = np.clip((row + 0.5) / 2**level - 0.5, 0.0, rows - 1.0)
-        on_col = self._columns_of_level(level, col) if self._wrap else np.clip((col + 0.5) / 2**level - 0.5, 0.0, cols - 1.0)
+        rows, cols = self._lod_shape(lod)
+        on_row = np.clip((row + 0.5) / 2**lod - 0.5, 0.0, rows - 1.0)
+        on_col = self._columns_at_lod(lod, col) if self._wrap_period else np.clip((col + 0.5) / 2**lod - 0.5, 0.0, cols - 1.0)
         is_position = np.isfinite(row) & np.isfinite(col)
         if self.crs.is_geographic:
             is_position &= np.abs(self.xy(row, col)[1]) <= 90.0
         return np.where(is_position, on_row, np.nan), np.where(is_position, on_col, np.nan)
 
-    def _heights_on_level(self, level: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _heights_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ``heights_at`` for rows and columns on a level whose minima and maxima are known."""
         from skugga.terrain.ground.cells import cell_heights
         from skugga.terrain.ground.elevation_loops import bilinear
 
         if not np.isfinite(ends).all():
             return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
-        rows, cols = self._level_shape(level)
+        rows, cols = self._lod_shape(lod)
         (row0, row1), (col0, col1) = ((int(np.floor(low)), int(np.floor(high)) + 2) for low, high in ends)
         row0, row1 = max(row0, 0), min(row1, rows)
-        if not self._wrap:
+        if not self._wrap_period:
             col0, col1 = max(col0, 0), min(col1, cols)
-        values, valid = self._filled(level, row0, row1, col0, col1)
+        values, valid = self._filled(lod, row0, row1, col0, col1)
         if self.surface == "blocks":
             height, valid = cell_heights(values, valid, row - row0, col - col0)
         else:
@@ -369,52 +369,54 @@ class Elevation:
         """Return the surface over ground, float32: water where it is higher, NaN where the ground is missing."""
         return height_m if self.water_m == -np.inf else np.maximum(height_m, np.float32(self.water_m))
 
-    def _filled(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
+    def _filled(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the cells of a window with holes filled, and which cells are valid.
 
         The fill reads a rim of ``FILL_CELLS``, so it is the same in every window.
         """
-        values = self._read(level, row0, row1, col0, col1)
+        values = self._read(lod, row0, row1, col0, col1)
         valid = np.isfinite(values)
         if valid.all():
             return values, valid
-        rows, cols = self._level_shape(level)
+        rows, cols = self._lod_shape(lod)
         top, bottom = max(row0 - FILL_CELLS - 1, 0), min(row1 + FILL_CELLS + 1, rows)
         left, right = col0 - FILL_CELLS - 1, col1 + FILL_CELLS + 1
-        if not self._wrap:  # where columns wrap, a hole's rim continues beyond the last one
+        if not self._wrap_period:  # where columns wrap, a hole's rim continues beyond the last one
             left, right = max(left, 0), min(right, cols)
-        wide = self._read(level, top, bottom, left, right)
-        if np.isfinite(wide).any():
-            wide = fillnodata(wide, mask=np.isfinite(wide), max_search_distance=FILL_CELLS, smoothing_iterations=0)
-        return wide[row0 - top : row1 - top, col0 - left : col1 - left], valid
+        padded_values = self._read(lod, top, bottom, left, right)
+        if np.isfinite(padded_values).any():
+            padded_values = fillnodata(
+                padded_values, mask=np.isfinite(padded_values), max_search_distance=FILL_CELLS, smoothing_iterations=0
+            )
+        return padded_values[row0 - top : row1 - top, col0 - left : col1 - left], valid
 
-    def _read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+    def _read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
         """Return heights in metres of a window of cells of a level, float32, NaN in holes."""
-        if not self._wrap:
-            return self._read_inside(level, row0, row1, col0, col1)
-        period, (_, cols) = self._columns_per_turn(level), self._level_shape(level)
+        if not self._wrap_period:
+            return self._read_inside(lod, row0, row1, col0, col1)
+        period, (_, cols) = self._columns_per_turn(lod), self._lod_shape(lod)
         parts, col = [], col0
         while col < col1:
-            turn = col // period
-            end = min(col1, (turn + 1) * period)
-            part, first = np.full((row1 - row0, end - col), np.nan, np.float32), col - turn * period
-            known = min(end - col, cols - first)  # a raster may end one column before it wraps
-            if known > 0:
-                part[:, :known] = self._read_inside(level, row0, row1, first, first + known)
+            revolution = col // period
+            end = min(col1, (revolution + 1) * period)
+            part, first = np.full((row1 - row0, end - col), np.nan, np.float32), col - revolution * period
+            col_count = min(end - col, cols - first)  # a raster may end one column before it wraps
+            if col_count > 0:
+                part[:, :col_count] = self._read_inside(lod, row0, row1, first, first + col_count)
             parts.append(part)
             col = end
         return np.concatenate(parts, axis=1)
 
-    def _read_inside(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        factor = 2**level
+    def _read_inside(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+        factor = 2**lod
         window = Window(
             col0 * factor, row0 * factor, min(col1 * factor, self.cols) - col0 * factor,
             min(row1 * factor, self.rows) - row0 * factor,
         )  # fmt: skip
-        stored, height_m, marked, plausible = self._cells(window, (row1 - row0, col1 - col0), self._resampling)
+        stored, height_m, is_nodata, plausible = self._cells(window, (row1 - row0, col1 - col0), self._resampling)
         if not self._is_settled:
-            self.unmarked.add(stored, height_m, marked, plausible)
-        height_m[marked | ~plausible] = np.nan
+            self.undeclared_nodata.add(stored, height_m, is_nodata, plausible)
+        height_m[is_nodata | ~plausible] = np.nan
         return height_m.astype(np.float32)
 
     def _cells(self, window: Window, shape: tuple[int, int] | None, resampling: Resampling) -> tuple[np.ndarray, ...]:
@@ -428,44 +430,44 @@ class Elevation:
             plausible = (height_m >= self._limits[0]) & (height_m <= self._limits[1])
         return data.data, height_m, np.ma.getmaskarray(data), plausible
 
-    def _columns_per_turn(self, level: int) -> int:
+    def _columns_per_turn(self, lod: int) -> int:
         """Return the number of cells of a level in one turn round the earth, for a raster that wraps."""
-        return max(self._wrap // 2**level, 1)
+        return max(self._wrap_period // 2**lod, 1)
 
-    def _columns_of_level(self, level: int, col: np.ndarray) -> np.ndarray:
+    def _columns_at_lod(self, lod: int, col: np.ndarray) -> np.ndarray:
         """Return (fractional) columns of a level from columns of level 0, for a raster that wraps round the earth.
 
         Less than one cell of the level may be left over at the end of a turn. Columns between the last cell's centre and the first
         one's are stretched over that remainder. So a position has the same column, up to whole turns, from whichever side it is
         reached.
         """
-        factor, whole = 2**level, self._columns_per_turn(level)
+        factor, cols_per_turn = 2**lod, self._columns_per_turn(lod)
         col = (col + 0.5) / factor - 0.5
-        if whole * factor == self._wrap:
+        if cols_per_turn * factor == self._wrap_period:
             return col
-        round_the_earth = self._wrap / factor
-        turn = np.floor((col + 0.5) / round_the_earth)
-        col = col - turn * round_the_earth
-        to_first = round_the_earth - (whole - 1)
-        before_first, after_last = col / to_first, whole - 1 + (col - (whole - 1)) / to_first
-        return turn * whole + np.where(col < 0, before_first, np.where(col > whole - 1, after_last, col))
+        round_the_earth = self._wrap_period / factor
+        revolution = np.floor((col + 0.5) / round_the_earth)
+        col = col - revolution * round_the_earth
+        to_first = round_the_earth - (cols_per_turn - 1)
+        before_first, after_last = col / to_first, cols_per_turn - 1 + (col - (cols_per_turn - 1)) / to_first
+        return revolution * cols_per_turn + np.where(col < 0, before_first, np.where(col > cols_per_turn - 1, after_last, col))
 
-    def _level_shape(self, level: int) -> tuple[int, int]:
-        return max(self.rows // 2**level, 1), max(self.cols // 2**level, 1)
+    def _lod_shape(self, lod: int) -> tuple[int, int]:
+        return max(self.rows // 2**lod, 1), max(self.cols // 2**lod, 1)
 
     def _read_overview(self) -> Overview:
         factors = self._dataset.overviews(1)
         check_overviews(self.name, self.rows, self.cols, factors)
         self.lacks_overviews = lacks_overviews(self.rows, self.cols, factors)
-        overview = read_overview(_GroundLevels(self), self.rows, self.cols)
-        fine = None if overview.fine_high_m is None else self._above_water(overview.fine_high_m)
+        overview = read_overview(_GroundReader(self), self.rows, self.cols)
+        fine_maxima_m = None if overview.fine_high_m is None else self._above_water(overview.fine_high_m)
         return replace(
-            overview, heights_m=self._above_water(overview.heights_m), high_m=self._above_water(overview.high_m), fine_high_m=fine
+            overview, heights_m=self._above_water(overview.heights_m), high_m=self._above_water(overview.high_m), fine_high_m=fine_maxima_m
         )  # fmt: skip
 
     def _settle_resampling(self) -> None:
         """Switch from nearest cells to averages, unless the cells read so far contain an undeclared sentinel."""
-        self._resampling = Resampling.nearest if self.unmarked.has_implausible else Resampling.average
+        self._resampling = Resampling.nearest if self.undeclared_nodata.has_implausible else Resampling.average
         self._is_settled = True
 
 
@@ -473,31 +475,31 @@ def plausible_m(crs: CRS) -> tuple[float, float]:
     """Return the lowest and highest plausible height of ground in a CRS, metres; nearly unlimited in an engineering CRS."""
     if crs.is_engineering:
         return -1e6, 1e6
-    return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_ELSEWHERE_M
+    return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_OFF_EARTH_M
 
 
 def _dilated(mask: np.ndarray) -> np.ndarray:
     """Return a mask (rows, cols) dilated by one cell in all eight directions."""
-    tall = mask.copy()
-    tall[1:] |= mask[:-1]
-    tall[:-1] |= mask[1:]
-    grown = tall.copy()
-    grown[:, 1:] |= tall[:, :-1]
-    grown[:, :-1] |= tall[:, 1:]
-    return grown
+    row_dilated = mask.copy()
+    row_dilated[1:] |= mask[:-1]
+    row_dilated[:-1] |= mask[1:]
+    dilated = row_dilated.copy()
+    dilated[:, 1:] |= row_dilated[:, :-1]
+    dilated[:, :-1] |= row_dilated[:, 1:]
+    return dilated
 
 
 @dataclass(frozen=True, eq=False)
-class _GroundLevels:
+class _GroundReader:
     """Adapter of an ``Elevation`` for ``read_overview``: the ground without water (the public methods return the surface)."""
 
     of: Elevation
 
-    def level_shape(self, level: int) -> tuple[int, int]:
-        return self.of._level_shape(level)
+    def lod_shape(self, lod: int) -> tuple[int, int]:
+        return self.of._lod_shape(lod)
 
-    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        return self.of._read_inside(level, row0, row1, col0, col1)
+    def read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+        return self.of._read_inside(lod, row0, row1, col0, col1)
 
     def settle(self) -> None:
         self.of._settle_resampling()

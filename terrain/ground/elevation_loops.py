@@ -9,7 +9,7 @@ from skugga.terrain.ground.extremes import widen
 
 
 @compiled
-def to_level(row, col, factor, rows, cols):
+def to_lod(row, col, factor, rows, cols):
     """Transform rows and columns of level 0 to a level of ``rows`` x ``cols`` cells.
 
     Returns rows and columns, NaN off the raster, and the minimum and maximum of both (2, 2), infinite if no position is on it. If
@@ -19,7 +19,7 @@ def to_level(row, col, factor, rows, cols):
     ends = np.empty((4, row.shape[1]))  # minima and maxima by column
     ends[0], ends[1], ends[2], ends[3] = np.inf, -np.inf, np.inf, -np.inf
     for i in range(row.shape[0]):
-        _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
+        _row_at_lod(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
         widen(out_row[i], ends[0], ends[1])
         widen(out_col[i], ends[2], ends[3])
     bounds = np.empty((2, 2))
@@ -35,7 +35,7 @@ def to_level(row, col, factor, rows, cols):
 
 
 @internal
-def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
+def _row_at_lod(row, col, factor, rows, cols, out_row, out_col):
     wraps = cols == np.inf
     for j in range(out_row.size):
         r, c = (row[j] + 0.5) / factor - 0.5, col[j] if wraps else (col[j] + 0.5) / factor - 0.5
@@ -53,12 +53,12 @@ def bilinear(values, cell_valid, all_valid, row, col, row0, col0):
     out = np.empty(row.shape, np.float32)
     valid = np.empty(row.shape, np.bool_)
     corner, nearest = np.empty((2, row.shape[1]), np.int32), np.empty((2, row.shape[1]), np.int32)
-    fraction, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
+    fraction, corner_values = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
     for i in range(row.shape[0]):
         _locate_cells(row[i], row0, rows, corner[0], nearest[0], fraction[0])
         _locate_cells(col[i], col0, cols, corner[1], nearest[1], fraction[1])
-        _look_up(values, corner[0], corner[1], four)
-        _interpolate(four[0], four[1], four[2], four[3], fraction[0], fraction[1], out[i])
+        _look_up(values, corner[0], corner[1], corner_values)
+        _interpolate(corner_values[0], corner_values[1], corner_values[2], corner_values[3], fraction[0], fraction[1], out[i])
         if all_valid:
             for j in range(row.shape[1]):
                 valid[i, j] = not np.isnan(row[i, j])
@@ -76,11 +76,11 @@ def _locate_cells(at, first, count, previous, nearest, fraction):
     """
     last = max(count - 2.0, 0.0)
     for j in range(at.size):
-        place = at[j] - first
-        inside = min(max(place if place == place else 0.0, 0.0), count - 1.0)
-        previous[j] = np.int32(min(inside, last))
-        nearest[j] = np.int32(min(inside + 0.5, count - 1.0))
-        fraction[j] = (inside if place == place else np.nan) - previous[j]
+        offset = at[j] - first
+        clamped_offset = min(max(offset if offset == offset else 0.0, 0.0), count - 1.0)
+        previous[j] = np.int32(min(clamped_offset, last))
+        nearest[j] = np.int32(min(clamped_offset + 0.5, count - 1.0))
+        fraction[j] = (clamped_offset if offset == offset else np.nan) - previous[j]
 
 
 @internal
@@ -94,12 +94,12 @@ def _look_up(values, row, col, out):
 
 
 @internal
-def _interpolate(north_west, north_east, south_west, south_east, down, across, out):
+def _interpolate(north_west, north_east, south_west, south_east, row_fraction, col_fraction, out):
     """Interpolate between four cells. A neighbour of weight 0 is ignored, even if it is NaN."""
     for j in range(out.size):
         north, south = np.float64(north_west[j]), np.float64(south_west[j])
-        east, south_of_it = np.float64(north_east[j]), np.float64(south_east[j])
-        north = north + (east - north) * across[j] if across[j] > 0.0 else north
-        south = south + (south_of_it - south) * across[j] if across[j] > 0.0 else south
-        height = north + (south - north) * down[j] if down[j] > 0.0 else north
-        out[j] = height if down[j] == down[j] else np.nan
+        north_east_m, south_east_m = np.float64(north_east[j]), np.float64(south_east[j])
+        north = north + (north_east_m - north) * col_fraction[j] if col_fraction[j] > 0.0 else north
+        south = south + (south_east_m - south) * col_fraction[j] if col_fraction[j] > 0.0 else south
+        height = north + (south - north) * row_fraction[j] if row_fraction[j] > 0.0 else north
+        out[j] = height if row_fraction[j] == row_fraction[j] else np.nan

@@ -19,7 +19,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.ground.noise import fractal_at
 from skugga.terrain.interpolation_loops import cell_interval, lerp_corners
 
-TIME_STEPS = (40, 20, 12, 8, 6)
+STEPS_PER_REFINEMENT = (40, 20, 12, 8, 6)
 """Time steps on the coarsest grid and on each finer one; the last number holds for all further grids."""
 
 TIME_STEP = 0.25
@@ -45,11 +45,11 @@ def erode(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np
     ``halvings`` times: n nodes a side become 2 n - 1. The rim keeps its height: rivers leave the ground there.
     """
     height, side = start.copy(), max(start.shape) - 1.0
-    for level in range(halvings + 1):
-        if level:
-            height, uplift = _refine(height, SHIFT_CELLS, seed + 2 * level), _refine(uplift, 0.0, 0)
+    for refinement in range(halvings + 1):
+        if refinement:
+            height, uplift = _refine(height, SHIFT_CELLS, seed + 2 * refinement), _refine(uplift, 0.0, 0)
             side *= 2.0
-        for _ in range(TIME_STEPS[min(level, len(TIME_STEPS) - 1)]):
+        for _ in range(STEPS_PER_REFINEMENT[min(refinement, len(STEPS_PER_REFINEMENT) - 1)]):
             order, receiver = drainage(height)
             _incise(height, uplift, order, receiver, 1.0 / side)
             _creep(height)
@@ -67,7 +67,7 @@ def drainage(height):
     rows, cols = height.shape
     order = np.empty(rows * cols, np.int64)
     receiver = np.full(rows * cols, -1, np.int64)
-    done = np.zeros((rows, cols), np.bool_)
+    is_visited = np.zeros((rows, cols), np.bool_)
     heap = [(height[0, 0], 0)]
     receiver[0] = 0
     for i in range(rows):
@@ -77,22 +77,22 @@ def drainage(height):
                 receiver[i * cols + j] = i * cols + j
     count = 0
     while len(heap) > 0:
-        level, cell = heapq.heappop(heap)
+        spill_height, cell = heapq.heappop(heap)
         i, j = cell // cols, cell % cols
-        done[i, j] = True
+        is_visited[i, j] = True
         order[count] = cell
         count += 1
         steepest = 0.0
         for a in range(max(i - 1, 0), min(i + 2, rows)):
             for b in range(max(j - 1, 0), min(j + 2, cols)):
-                near = a * cols + b
-                if receiver[near] < 0:
-                    receiver[near] = cell
-                    heapq.heappush(heap, (max(height[a, b], level), near))
-                elif done[a, b] and near != cell and receiver[cell] != cell:
+                neighbour = a * cols + b
+                if receiver[neighbour] < 0:
+                    receiver[neighbour] = cell
+                    heapq.heappush(heap, (max(height[a, b], spill_height), neighbour))
+                elif is_visited[a, b] and neighbour != cell and receiver[cell] != cell:
                     drop = (height[i, j] - height[a, b]) / np.sqrt(float((a - i) ** 2 + (b - j) ** 2))
                     if drop > steepest:
-                        steepest, receiver[cell] = drop, near
+                        steepest, receiver[cell] = drop, neighbour
     return order, receiver
 
 
@@ -107,8 +107,8 @@ def _incise(height, uplift, order, receiver, cell):
     for k in range(order.shape[0]):
         c, r = order[k], receiver[order[k]]
         if r != c:
-            away = cell * np.sqrt(float((c // cols - r // cols) ** 2 + (c % cols - r % cols) ** 2))
-            incision = TIME_STEP * np.sqrt(area[c] + HILLSIDE_AREA) / away
+            distance = cell * np.sqrt(float((c // cols - r // cols) ** 2 + (c % cols - r % cols) ** 2))
+            incision = TIME_STEP * np.sqrt(area[c] + HILLSIDE_AREA) / distance
             flat[c] = (flat[c] + TIME_STEP * lift[c] + incision * flat[r]) / (1.0 + incision)
 
 
@@ -123,23 +123,25 @@ def _creep(height):
 
 
 @compiled
-def _refine(coarse, shift, seed):
+def _refine(coarse_grid, shift, seed):
     """Return a grid of (2 m - 1, 2 n - 1) nodes, interpolated bilinearly in (m, n) nodes at positions displaced by noise.
 
     The rim is not displaced.
     """
-    rows, cols = coarse.shape
-    fine = np.empty((2 * rows - 1, 2 * cols - 1))
+    rows, cols = coarse_grid.shape
+    fine_grid = np.empty((2 * rows - 1, 2 * cols - 1))
     for i in range(2 * rows - 1):
         for j in range(2 * cols - 1):
             y, x = 0.5 * i, 0.5 * j
             if shift > 0.0:
                 u, v = x / SHIFT_WAVE_CELLS, y / SHIFT_WAVE_CELLS
-                here = shift * min(1.0, 0.25 * min(min(x, y), min(cols - 1 - x, rows - 1 - y)))
-                x += here * fractal_at(u, v, 2, seed)
-                y += here * fractal_at(u + 31.7, v + 47.1, 2, seed + 1)
+                displacement = shift * min(1.0, 0.25 * min(min(x, y), min(cols - 1 - x, rows - 1 - y)))
+                x += displacement * fractal_at(u, v, 2, seed)
+                y += displacement * fractal_at(u + 31.7, v + 47.1, 2, seed + 1)
             x, y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)
-            a, b, down = cell_interval(y, rows)
-            c, d, across = cell_interval(x, cols)
-            fine[i, j] = lerp_corners(coarse[a, c], coarse[a, d], coarse[b, c], coarse[b, d], down, across)
-    return fine
+            a, b, row_fraction = cell_interval(y, rows)
+            c, d, col_fraction = cell_interval(x, cols)
+            fine_grid[i, j] = lerp_corners(
+                coarse_grid[a, c], coarse_grid[a, d], coarse_grid[b, c], coarse_grid[b, d], row_fraction, col_fraction
+            )
+    return fine_grid

@@ -37,7 +37,7 @@ MAX_HALVINGS = 4
 Rivers reach down to cells of 1/768 of the side of the generated ground. Finer slopes get their roughness from noise.
 """
 
-SURROUNDINGS = 1.5
+SURROUNDINGS_FACTOR = 1.5
 """Side of the generated ground as a multiple of the part shown: valleys lead out of the image."""
 
 WINDING_CELLS, WINDING_WAVE_CELLS = 1.1, 7.3
@@ -120,13 +120,13 @@ def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndar
     ``uplift`` is a function of columns x (n,) and rows y (m,), in units of the longest side of the part shown.
     """
     longest = max(rows, cols)
-    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS / COARSEST_CELLS)), 0, MAX_HALVINGS))
+    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS_FACTOR / COARSEST_CELLS)), 0, MAX_HALVINGS))
     # The shorter side gets cells in proportion, but enough for a valley.
     nodes_y, nodes_x = (max(round(COARSEST_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
-    x, y = (np.arange(n) * (SURROUNDINGS / COARSEST_CELLS) for n in (nodes_x, nodes_y))
+    x, y = (np.arange(n) * (SURROUNDINGS_FACTOR / COARSEST_CELLS) for n in (nodes_x, nodes_y))
     start = 0.02 * fractal(6.0 * x, 6.0 * y, 3, seed + 10)
     eroded = erode(start, uplift(x, y), halvings, seed + 20)
-    scale = COARSEST_CELLS * 2**halvings / (SURROUNDINGS * longest)  # eroded cells per cell
+    scale = COARSEST_CELLS * 2**halvings / (SURROUNDINGS_FACTOR * longest)  # eroded cells per cell
     first_row, first_col = ((n - 1 - cells * scale) / 2 for n, cells in zip(eroded.shape, (rows, cols), strict=True))
     octaves = max(int(np.log2(GULLY_CELLS / scale)), 0)  # down to wavelengths of two cells
     return _fill_strips(_add_roughness, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)
@@ -150,7 +150,7 @@ def _cubic(a, b, c, d, t):
 def _add_roughness(out, row0, eroded, first_row, first_col, scale, octaves, seed):
     """Fill ``out`` with eroded ground between its nodes, with gullies and knolls of ridged noise on steep slopes."""
     rows, cols = eroded.shape
-    line, slant = np.empty(4), np.empty(4)
+    row_heights, row_slopes = np.empty(4), np.empty(4)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             y, x = first_row + (row0 + i) * scale, first_col + j * scale
@@ -162,11 +162,11 @@ def _add_roughness(out, row0, eroded, first_row, first_col, scale, octaves, seed
             left, right = max(c - 1, 0), min(c + 2, cols - 1)
             for k in range(4):
                 n = min(max(r - 1 + k, 0), rows - 1)
-                line[k], slant[k] = _cubic(eroded[n, left], eroded[n, c], eroded[n, c + 1], eroded[n, right], x - c)
-            height, down = _cubic(line[0], line[1], line[2], line[3], y - r)
-            across, _ = _cubic(slant[0], slant[1], slant[2], slant[3], y - r)
+                row_heights[k], row_slopes[k] = _cubic(eroded[n, left], eroded[n, c], eroded[n, c + 1], eroded[n, right], x - c)
+            height, slope_y = _cubic(row_heights[0], row_heights[1], row_heights[2], row_heights[3], y - r)
+            slope_x, _ = _cubic(row_slopes[0], row_slopes[1], row_slopes[2], row_slopes[3], y - r)
             if octaves > 0:
-                steep = np.sqrt(down * down + across * across)
+                slope = np.sqrt(slope_y * slope_y + slope_x * slope_x)
                 gullies = ridged_at(x / GULLY_CELLS, y / GULLY_CELLS, octaves, seed + 6) - 0.85
-                height += GULLY_SHARE * GULLY_CELLS * steep * gullies
+                height += GULLY_SHARE * GULLY_CELLS * slope * gullies
             out[i, j] = height

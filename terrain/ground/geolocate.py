@@ -56,14 +56,14 @@ class Geolocator:
             bounds = (bounds - np.tile([self.world.anchor_x, self.world.anchor_y], 2)) * self.world.metres_per_unit
         return bounds_text(bounds, self.elevation.crs)
 
-    def above_ground(self, position: tuple[float, float, float], where: str) -> tuple[np.ndarray, np.ndarray]:
+    def above_ground(self, position: tuple[float, float, float], name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the earth-fixed point (3,) at a position and a height above the ground, and the unit up vector there.
 
-        Raises ``LevelError`` with the name ``where`` off the ground's data.
+        Raises ``LevelError`` with the name ``name`` off the ground's data.
         """
         ground_m = self.ground_m(position[:2])
         if not np.isfinite(ground_m):
-            raise LevelError(where, position, "a position on the terrain's data")
+            raise LevelError(name, position, "a position on the terrain's data")
         return self.at_height(position[:2], ground_m + position[2])
 
 

@@ -16,7 +16,7 @@ MAX_LATITUDE_DEG = 91.0
 
 MAX_LONGITUDE_DEG = 540.0
 
-DEGREES_CELL = 0.02
+MAX_DEGREE_CELL = 0.02
 """Cell size, in units of a projected CRS, below which coordinates in the range of degrees are probably degrees."""
 
 MAX_CELL_M = 50_000.0
@@ -30,15 +30,15 @@ def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
     if not dataset.transform.is_identity:
         return
     points = len(dataset.gcps[0])
-    ways = {
+    locators = {
         f"{points} ground control points": (points, ""),
         "rational polynomials (RPCs)": (dataset.rpcs is not None, " -rpc"),
         "arrays of coordinates": (dataset.tags(ns="GEOLOCATION"), " -geoloc"),
     }
-    for way, (is_present, option) in ways.items():
+    for locator, (is_present, option) in locators.items():
         if is_present:
-            needed = f"Give a raster with a geotransform ('gdalwarp{option} -t_srs EPSG:CODE {source} OUT.tif' makes one)"
-            raise SourceError(source, f"it has {way} and no geotransform", needed)
+            advice = f"Give a raster with a geotransform ('gdalwarp{option} -t_srs EPSG:CODE {source} OUT.tif' makes one)"
+            raise SourceError(source, f"it has {locator} and no geotransform", advice)
 
 
 def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
@@ -63,10 +63,12 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
     looks_like_degrees = (
         -MAX_LONGITUDE_DEG <= west <= east <= MAX_LONGITUDE_DEG and -MAX_LATITUDE_DEG <= south <= north <= MAX_LATITUDE_DEG
     )
-    small = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < DEGREES_CELL
-    where = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
+    has_small_cells = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < MAX_DEGREE_CELL
+    extent_text = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
     if dataset.crs is None:
-        guess = "; its coordinates may be degrees: EPSG:4326" if looks_like_degrees and small and not gt.is_identity else ""
+        guess = (
+            "; its coordinates may be degrees: EPSG:4326" if looks_like_degrees and has_small_cells and not gt.is_identity else ""
+        )
         raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({STATE_CRS_HINT}{guess})")
     try:
         crs = CRS.from_user_input(dataset.crs.to_wkt())
@@ -74,24 +76,24 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
         raise SourceError(source, "PROJ does not know its CRS", "Give a raster with a CRS that PROJ knows") from None
     first_axis = crs.axis_info[0].name.lower() if crs.axis_info else ""
     if crs.is_geocentric or crs.type_name == "Vertical CRS" or not first_axis or "planetocentric" in first_axis:
-        needed = "Give a raster in a projected, geographic or engineering CRS with geodetic latitudes"
-        raise SourceError(source, f"its CRS {crs.name} is of an unsupported kind", needed)
+        advice = "Give a raster in a projected, geographic or engineering CRS with geodetic latitudes"
+        raise SourceError(source, f"its CRS {crs.name} is of an unsupported kind", advice)
     if gt.is_identity and not crs.is_engineering:
         raise SourceError(source, "it is not georeferenced", "Give a raster with a geotransform")
     check_cells(source, dataset)
     west, south, east, north = axes_of(crs).bounds_xy((west, south, east, north))
     if crs.is_geographic and not (max(-west, east) <= MAX_LONGITUDE_DEG and max(-south, north) <= MAX_LATITUDE_DEG):
         unit = crs.axis_info[0].unit_name
-        whole = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
+        expected_text = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
         raise SourceError(
-            source, f"its coordinates ({where}) lie outside its CRS {crs.name}",
-            f"Give {whole}, or state the CRS of these coordinates, such as a UTM zone for metres ({STATE_CRS_HINT})",
+            source, f"its coordinates ({extent_text}) lie outside its CRS {crs.name}",
+            f"Give {expected_text}, or state the CRS of these coordinates, such as a UTM zone for metres ({STATE_CRS_HINT})",
         )  # fmt: skip
-    if crs.is_projected and looks_like_degrees and small:
+    if crs.is_projected and looks_like_degrees and has_small_cells:
         unit = crs.axis_info[0].unit_name
         raise SourceError(
             source,
-            f"its coordinates ({where}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit})) look like degrees, not {crs.name}",
+            f"its coordinates ({extent_text}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit})) look like degrees, not {crs.name}",
             f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({STATE_CRS_HINT})",
         )  # fmt: skip
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0)

@@ -26,7 +26,7 @@ TimedPosition = tuple[float, tuple[float, float, float]]
 """A time of the clock in seconds, and the position at that time."""
 
 
-class Standpoint(NamedTuple):
+class GroundPosition(NamedTuple):
     """Position of an object that stands still.
 
     Attributes
@@ -53,25 +53,25 @@ class GroundPath:
 
     Attributes
     ----------
-    place
+    geolocator
         Locates positions on the level's ground.
-    plan
+    horizontal_curve
         Curve in space through earth-fixed points of height 0 at the keys. Only its projection onto the earth counts.
-    heights
-        Curve of heights, metres, above the reference ``above``.
-    above
+    height_curve
+        Curve of heights, metres, above the reference ``height_reference``.
+    height_reference
         Reference of the heights: the ground with holes filled, or sea level.
     """
 
-    place: Geolocator
-    plan: KeyedCurve
-    heights: KeyedCurve
-    above: HeightReference
+    geolocator: Geolocator
+    horizontal_curve: KeyedCurve
+    height_curve: KeyedCurve
+    height_reference: HeightReference
 
-    def at_second(self, seconds: float) -> Standpoint:
+    def at_second(self, seconds: float) -> GroundPosition:
         """Return the position at a time of the clock, in seconds."""
         point, up, height_m, ground_m = (values[0] for values in self._at(np.array([seconds])))
-        return Standpoint(point + height_m * up, up, float(height_m - ground_m))
+        return GroundPosition(point + height_m * up, up, float(height_m - ground_m))
 
     def points_earth_m(self, seconds: np.ndarray) -> np.ndarray:
         """Return earth-fixed points (n, 3), metres, at times (n,) of the clock, in seconds."""
@@ -81,7 +81,7 @@ class GroundPath:
     def azimuth_deg(self, seconds: float) -> float:
         """Return the direction of travel seen from above, degrees clockwise from north (from grid north in a flat world)."""
         point, up, _, _ = self._at(np.array([seconds]))
-        east, north, _ = self.plan.direction_at(seconds) @ self.place.world.earth_from_enu(point[0], up[0])
+        east, north, _ = self.horizontal_curve.direction_at(seconds) @ self.geolocator.world.earth_from_enu(point[0], up[0])
         return float(np.degrees(np.arctan2(east, north)))
 
     def check(self, name: str, may_be_under_ground: bool = False) -> None:
@@ -89,11 +89,13 @@ class GroundPath:
         seconds = self.sample_times_s()
         _, _, height_m, ground_m = self._at(seconds)
         if not np.isfinite(ground_m).all():
-            off = seconds[~np.isfinite(ground_m)][0]
-            raise LevelError(name, Problem(f"leaves the terrain at second {off:.6g}"), "Keep all of the path over the terrain")
-        under = height_m < ground_m - UNDER_GROUND_M
-        if under.any() and not may_be_under_ground:
-            first = int(np.argmax(under))
+            off_terrain_s = seconds[~np.isfinite(ground_m)][0]
+            raise LevelError(
+                name, Problem(f"leaves the terrain at second {off_terrain_s:.6g}"), "Keep all of the path over the terrain"
+            )
+        is_under_ground = height_m < ground_m - UNDER_GROUND_M
+        if is_under_ground.any() and not may_be_under_ground:
+            first = int(np.argmax(is_under_ground))
             fault = (
                 f"at {height_m[first]:.2f} m at second {seconds[first]:.6g}, under the ground, which is at {ground_m[first]:.2f} m"
             )
@@ -104,34 +106,36 @@ class GroundPath:
 
         Samples are farther apart where more than ``MAX_SAMPLES`` would result.
         """
-        elevation, times_s = self.place.elevation, self.plan.times_s
-        step_m = 0.5 * elevation.cell_size_m(self.place.world.metres_per_unit)
-        samples = np.linalg.norm(np.diff(self.plan.values, axis=0), axis=1) / step_m
+        elevation, times_s = self.geolocator.elevation, self.horizontal_curve.times_s
+        step_m = 0.5 * elevation.cell_size_m(self.geolocator.world.metres_per_unit)
+        samples = np.linalg.norm(np.diff(self.horizontal_curve.values, axis=0), axis=1) / step_m
         samples = np.maximum(samples * min(1.0, MAX_SAMPLES / max(float(samples.sum()), 1.0)), MIN_SAMPLES)
         knots = np.concatenate([[0.0], np.cumsum(np.ceil(samples))])
         return np.interp(np.arange(knots[-1] + 1.0), knots, times_s)
 
     def _at(self, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return earth-fixed points (n, 3) of height 0, up vectors (n, 3), and heights (n,) of path and ground, metres."""
-        world, elevation = self.place.world, self.place.elevation
-        x, y, _ = world.map_position(elevation.crs, self.plan.at(seconds))
+        world, elevation = self.geolocator.world, self.geolocator.elevation
+        x, y, _ = world.map_position(elevation.crs, self.horizontal_curve.at(seconds))
         point, up = world.ground(elevation.crs, x, y)
         ground_m = elevation.filled_ground_m(x, y)
-        own_m = self.heights.at(seconds)[:, 0]
-        return point, up, own_m + ground_m if self.above == "ground" else own_m, ground_m
+        curve_height_m = self.height_curve.at(seconds)[:, 0]
+        return point, up, curve_height_m + ground_m if self.height_reference == "ground" else curve_height_m, ground_m
 
 
 def path_over_ground(
-    keys: Sequence[TimedPosition], loop: bool, above: HeightReference, place: Geolocator, name: str, key: str
+    keys: Sequence[TimedPosition], loop: bool, height_reference: HeightReference, geolocator: Geolocator, name: str, key: str
 ) -> GroundPath:
     """Return the path through keys. Raises ``LevelError`` with the name ``NAME.NUMBER.KEY`` for a key off the terrain."""
-    world, elevation = place.world, place.elevation
+    world, elevation = geolocator.world, geolocator.elevation
     points = []
     for number, (_, position) in enumerate(keys):
-        x, y = place.xy(position[:2])
+        x, y = geolocator.xy(position[:2])
         if not (np.isfinite([x, y]).all() and np.isfinite(elevation.filled_ground_m(x, y))):
-            raise LevelError(f"{name}.{number}.{key}", position, f"a position on the terrain: within {place.extent}")
+            raise LevelError(f"{name}.{number}.{key}", position, f"a position on the terrain: within {geolocator.extent}")
         points.append(world.ground(elevation.crs, np.float64(x), np.float64(y))[0])
     times_s = np.array([seconds for seconds, _ in keys], np.float64)
-    heights = np.array([[position[2]] for _, position in keys], np.float64)
-    return GroundPath(place, KeyedCurve(times_s, np.array(points), loop), KeyedCurve(times_s, heights, loop), above)
+    heights_m = np.array([[position[2]] for _, position in keys], np.float64)
+    return GroundPath(
+        geolocator, KeyedCurve(times_s, np.array(points), loop), KeyedCurve(times_s, heights_m, loop), height_reference
+    )

@@ -34,8 +34,8 @@ class Imagery:
             with open_masked_raster(source, (1, 2, 3)) as dataset:
                 check_geotransform(source, dataset)
                 if dataset.count < 3 or dataset.crs is None:
-                    had = f"it has {dataset.count} bands" if dataset.count < 3 else "it has no coordinate reference system"
-                    raise SourceError(source, had, "Give a raster with a CRS and red, green and blue as its first bands")
+                    problem = f"it has {dataset.count} bands" if dataset.count < 3 else "it has no coordinate reference system"
+                    raise SourceError(source, problem, "Give a raster with a CRS and red, green and blue as its first bands")
                 check_cells(source, dataset)
                 factor = max(int(np.ceil(max(dataset.width, dataset.height) / MAX_SIDE)), 1)
                 shape = max(dataset.height // factor, 1), max(dataset.width // factor, 1)
@@ -43,8 +43,8 @@ class Imagery:
                 valid = dataset.dataset_mask(out_shape=shape) > 0
                 self.crs = CRS.from_user_input(dataset.crs.to_wkt())
                 gt = axes_of(self.crs).affine @ dataset.transform
-                across, down = dataset.width / shape[1], dataset.height / shape[0]
-                self._cell_from_crs = ~Affine(gt.a * across, gt.b * down, gt.c, gt.d * across, gt.e * down, gt.f)
+                x_factor, y_factor = dataset.width / shape[1], dataset.height / shape[0]
+                self._cell_from_crs = ~Affine(gt.a * x_factor, gt.b * y_factor, gt.c, gt.d * x_factor, gt.e * y_factor, gt.f)
         except (RasterioError, CRSError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             raise SourceError(source, reason or "it cannot be opened", "Give an RGB raster that GDAL reads") from None
@@ -82,11 +82,11 @@ class Imagery:
 
         NaN off the imagery and where it has no data.
         """
-        level = np.clip(np.floor(np.log2(np.maximum(cells_per_pixel, 1.0)) + 0.5), 0, len(self._levels) - 1).astype(np.int64)
+        mip = np.clip(np.floor(np.log2(np.maximum(cells_per_pixel, 1.0)) + 0.5), 0, len(self._levels) - 1).astype(np.int64)
         out = np.full((*cells.shape[:2], 3), np.nan, np.float32)
-        level = np.broadcast_to(level, cells.shape[:2])
-        for number in np.unique(level):
-            _sample(self._levels[number], cells.astype(np.float64), level == number, float(2**number), out)
+        mip = np.broadcast_to(mip, cells.shape[:2])
+        for number in np.unique(mip):
+            _sample(self._levels[number], cells.astype(np.float64), mip == number, float(2**number), out)
         return out
 
 
@@ -117,19 +117,19 @@ def _mip_levels(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
 
 
 @compiled
-def _sample(colors, cells, where, factor, out):
+def _sample(colors, cells, mask, factor, out):
     rows, cols, _ = colors.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            if not where[i, j]:
+            if not mask[i, j]:
                 continue
             r, c = (cells[i, j, 0] + 0.5) / factor - 0.5, (cells[i, j, 1] + 0.5) / factor - 0.5
             if not (r >= -0.5 and c >= -0.5 and r <= rows - 0.5 and c <= cols - 0.5):
                 continue
             r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), cols - 1.0)
-            r0, r1, down = cell_interval(r, rows)
-            c0, c1, across = cell_interval(c, cols)
+            r0, r1, row_fraction = cell_interval(r, rows)
+            c0, c1, col_fraction = cell_interval(c, cols)
             for k in range(3):
                 out[i, j, k] = blend_corners(
-                    colors[r0, c0, k], colors[r0, c1, k], colors[r1, c0, k], colors[r1, c1, k], down, across
+                    colors[r0, c0, k], colors[r0, c1, k], colors[r1, c0, k], colors[r1, c1, k], row_fraction, col_fraction
                 )

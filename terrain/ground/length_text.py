@@ -20,17 +20,17 @@ def unit_m(word: str) -> float | None:
     return None if unit is None else METRES_PER_UNIT[unit]
 
 
-def length_m(text: str, usual_m: float = 1.0) -> float:
+def length_m(text: str, default_unit_m: float = 1.0) -> float:
     """Return the length that a text states, metres: ``12``, ``12,5``, ``12 m``, ``40 ft`` or ``7'4"``.
 
-    A text without a unit is in units of ``usual_m`` metres. Raises ``ValueError`` for a text that is not a length.
+    A text without a unit is in units of ``default_unit_m`` metres. Raises ``ValueError`` for a text that is not a length.
     """
-    written = text.strip().lower()
-    feet = _FEET_INCHES.fullmatch(written)
+    normalized_text = text.strip().lower()
+    feet = _FEET_INCHES.fullmatch(normalized_text)
     if feet is not None:
         return float(feet[1]) * METRES_PER_UNIT["ft"] + _number(feet[2]) * INCH_M
-    length = _LENGTH.fullmatch(written)
-    per_unit = None if length is None else unit_m(length[2]) if length[2] else usual_m
+    length = _LENGTH.fullmatch(normalized_text)
+    per_unit = None if length is None else unit_m(length[2]) if length[2] else default_unit_m
     if length is None or per_unit is None:
         raise ValueError(text)
     return _number(length[1]) * per_unit

@@ -23,7 +23,7 @@ from rasterio.shutil import copy
 from skugga.terrain.errors import SourceError
 from skugga.terrain.level.rasters import open_raster
 
-EXACT_HIGH_CELLS = 32_000_000
+MAX_EXACT_MAXIMA_CELLS = 32_000_000
 """Maximum size of a raster whose maxima are read cell by cell, in strips, when it is opened.
 
 Such a raster is decimated from its cells, not from existing overviews of unknown origin.
@@ -87,7 +87,7 @@ def impossible_nodata(dataset: rasterio.DatasetReader) -> str | None:
 
 def _open(source: str) -> rasterio.DatasetReader:
     dataset = open_raster(source)
-    if dataset.width * dataset.height > EXACT_HIGH_CELLS or not (dataset.count and dataset.overviews(1)):
+    if dataset.width * dataset.height > MAX_EXACT_MAXIMA_CELLS or not (dataset.count and dataset.overviews(1)):
         return dataset
     dataset.close()
     return open_raster(source, OVERVIEW_LEVEL="NONE")
@@ -110,7 +110,7 @@ def _apply_all_masks(dataset: rasterio.DatasetReader, bands: Sequence[int], noda
         return dataset
     with dataset:
         if not parts and MaskFlags.per_dataset not in flags:
-            is_small = dataset.width * dataset.height <= EXACT_HIGH_CELLS
+            is_small = dataset.width * dataset.height <= MAX_EXACT_MAXIMA_CELLS
             return rasterio.open(_vrt_of_values(dataset, bands, dataset.name, nodata, ignores_overviews=is_small))
         if nodata is not None:
             parts.append(_union_mask(dataset, _vrt_of_values(dataset, bands, dataset.name, nodata), bands))

@@ -19,7 +19,7 @@ def raster_warnings(elevation: Elevation) -> tuple[str, ...]:
     in_feet = any("foot" in (axis.unit_name or "").lower() for axis in elevation.crs.axis_info)
     return (
         *(() if collar is None else (collar.warning,)),
-        *elevation.unmarked.warnings(vertical, None if collar is None else collar.value),
+        *elevation.undeclared_nodata.warnings(vertical, None if collar is None else collar.value),
         *((_nodata_warning(elevation),) if elevation.impossible_nodata else ()),
         *((_overviews_warning(elevation),) if elevation.lacks_overviews else ()),
         *((FEET_WARNING,) if in_feet and vertical.unit_from is None else ()),

@@ -27,25 +27,25 @@ class Sheet:
     ----------
     position_frame_m
         float64 (rows, cols, 3), metres; NaN where a node is missing.
-    falls
+    is_cut_nw_se
         bool (rows - 1, cols - 1): whether a quad is cut from its north-west to its south-east corner (rows run south, columns
         east); otherwise it is cut from its south-west to its north-east corner.
     """
 
     position_frame_m: np.ndarray
-    falls: np.ndarray
+    is_cut_nw_se: np.ndarray
 
     @cached_property
     def triangles(self) -> np.ndarray:
         """Node indices (n, 3) int32, row by row, of the triangles without a missing corner; counter-clockwise from above."""
-        triangles = sheet_triangles(self.falls)
-        known = np.isfinite(self.position_frame_m[..., 2]).ravel()
-        return triangles if known.all() else _with_corners(triangles, known)
+        triangles = sheet_triangles(self.is_cut_nw_se)
+        is_valid = np.isfinite(self.position_frame_m[..., 2]).ravel()
+        return triangles if is_valid.all() else _triangles_with_valid_corners(triangles, is_valid)
 
     @cached_property
     def normals_frame(self) -> np.ndarray:
         """Unit normals (rows - 1, cols - 1, 2, 3) float32 of each quad's triangles; NaN where a corner is missing."""
-        return _normals(self.position_frame_m, self.falls)
+        return _normals(self.position_frame_m, self.is_cut_nw_se)
 
 
 def sheet_of(position_frame_m: np.ndarray, height_m: np.ndarray | None = None) -> Sheet:
@@ -70,19 +70,19 @@ def diagonal_cuts(height):
 
 
 @compiled
-def sheet_triangles(falls):
+def sheet_triangles(is_cut_nw_se):
     """Return node indices (2 quads, 3) int32 of a mesh's triangles: of each quad the one on its north side, then the other.
 
     Cut from south-west to north-east they are NW, SW, NE and SE, NE, SW; cut the other way NE, NW, SE and SW, SE, NW.
     """
-    rows, cols = falls.shape
+    rows, cols = is_cut_nw_se.shape
     out = np.empty((2 * rows * cols, 3), np.int32)
     for r in range(rows):
         for c in range(cols):
             n = 2 * (r * cols + c)
             nw = r * (cols + 1) + c
             ne, sw, se = nw + 1, nw + cols + 1, nw + cols + 2
-            if falls[r, c]:
+            if is_cut_nw_se[r, c]:
                 out[n, 0], out[n, 1], out[n, 2] = ne, nw, se
                 out[n + 1, 0], out[n + 1, 1], out[n + 1, 2] = sw, se, nw
             else:
@@ -92,14 +92,14 @@ def sheet_triangles(falls):
 
 
 @compiled
-def _normals(position, falls):
-    rows, cols = falls.shape
+def _normals(position, is_cut_nw_se):
+    rows, cols = is_cut_nw_se.shape
     out = np.empty((rows, cols, 2, 3), np.float32)
     for r in range(rows):
         for c in range(cols):
             nw, ne, sw, se = position[r, c], position[r, c + 1], position[r + 1, c], position[r + 1, c + 1]
             for half in range(2):
-                if falls[r, c]:
+                if is_cut_nw_se[r, c]:
                     o, a, b = (ne, nw, se) if half == 0 else (sw, se, nw)
                 else:
                     o, a, b = (nw, sw, ne) if half == 0 else (se, ne, sw)
@@ -112,12 +112,12 @@ def _normals(position, falls):
 
 
 @compiled
-def _with_corners(triangles, known):
-    """Return the triangles (n, 3) whose corners are all ``known``, in order."""
+def _triangles_with_valid_corners(triangles, is_valid):
+    """Return the triangles (n, 3) whose corners are all ``is_valid``, in order."""
     out = np.empty((triangles.shape[0], 3), np.int32)
     count = 0
     for i in range(triangles.shape[0]):
-        if known[triangles[i, 0]] and known[triangles[i, 1]] and known[triangles[i, 2]]:
+        if is_valid[triangles[i, 0]] and is_valid[triangles[i, 1]] and is_valid[triangles[i, 2]]:
             for k in range(3):
                 out[count, k] = triangles[i, k]
             count += 1

@@ -81,30 +81,30 @@ class SkyView:
 
     Attributes
     ----------
-    hidden
+    occlusion
         float32 (rows, cols) in [0, 1].
-    level
-        Level of the nodes: a node is the centre of ``2**level`` raster cells a side.
+    lod
+        Level of the nodes: a node is the centre of ``2**lod`` raster cells a side.
     node_m
         Spacing of the nodes, metres.
     finder
         Maps earth-fixed points to cells of the raster.
     """
 
-    hidden: np.ndarray
-    level: int
+    occlusion: np.ndarray
+    lod: int
     node_m: float
     finder: CellFinder
 
     @cached_property
     def means(self) -> tuple[np.ndarray, np.ndarray]:
         """Pyramid of means over 2 x 2 nodes, for ground seen from far away."""
-        return pyramid(self.hidden, np.mean)
+        return pyramid(self.occlusion, np.mean)
 
     @cached_property
     def highest(self) -> tuple[np.ndarray, np.ndarray]:
         """Pyramid of maxima over 2 x 2 nodes."""
-        return pyramid(self.hidden, np.max)
+        return pyramid(self.occlusion, np.max)
 
 
 @cached("scene", 256 * MIB)
@@ -115,64 +115,85 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
     """
     detail = np.log2(max(elevation.resolution_m or 0.0, 1e-9) / elevation.cell_size_m(world.metres_per_unit))
     longest = np.log2(max(elevation.shape))
-    level = max(int(np.ceil(longest - np.log2(MAX_SIDE_NODES))), int(np.rint(min(detail, longest))), 0)
-    side = 2**level
+    lod = max(int(np.ceil(longest - np.log2(MAX_SIDE_NODES))), int(np.rint(min(detail, longest))), 0)
+    side = 2**lod
     row, col = ((np.arange(max(count // side, 1)) + 0.5) * side - 0.5 for count in elevation.shape)
-    height_m, _ = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
+    height_m, _ = elevation.heights_at(lod, *np.meshgrid(row, col, indexing="ij"))
     half, middle = side / 2, (elevation.cols - 1) / 2
-    down_m = _distances_m(elevation, world, (row - half, middle), (row + half, middle))
-    across_m = np.maximum(_distances_m(elevation, world, (row, middle - half), (row, middle + half)), MIN_WIDTH_SHARE * down_m)
-    node_m = float(np.sqrt(across_m[len(row) // 2] * down_m[len(row) // 2]))
-    return SkyView(hidden_sky(height_m, across_m, down_m, world.curvature), level, node_m, _cell_finder(elevation, world))
+    row_spacing_m = _distances_m(elevation, world, (row - half, middle), (row + half, middle))
+    col_spacing_m = np.maximum(
+        _distances_m(elevation, world, (row, middle - half), (row, middle + half)), MIN_WIDTH_SHARE * row_spacing_m
+    )
+    node_m = float(np.sqrt(col_spacing_m[len(row) // 2] * row_spacing_m[len(row) // 2]))
+    return SkyView(
+        sky_occlusion(height_m, col_spacing_m, row_spacing_m, world.curvature), lod, node_m, _cell_finder(elevation, world)
+    )
 
 
 RowsAndCols = tuple[float | np.ndarray, float | np.ndarray]
 """Rows and columns of cells."""
 
 
-def _distances_m(elevation: Elevation, world: World, one: RowsAndCols, other: RowsAndCols) -> np.ndarray:
+def _distances_m(elevation: Elevation, world: World, start_cell: RowsAndCols, end_cell: RowsAndCols) -> np.ndarray:
     """Return distances (rows,) on the earth between pairs of cells, metres, or their median where the CRS has no position."""
-    points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (one, other)]
+    points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (start_cell, end_cell)]
     distance_m = np.linalg.norm(points[1] - points[0], axis=-1)
     return np.where(np.isfinite(distance_m), distance_m, np.nanmedian(distance_m))
 
 
-def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, curvature: float = 0.0) -> np.ndarray:
+def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m: np.ndarray, curvature: float = 0.0) -> np.ndarray:
     """Return the share of sky light that ground hides from each node of a heightfield: (rows, cols) float32 in [0, 1], 0 in holes.
 
-    ``height_m`` is (rows, cols), NaN in holes. ``across_m`` and ``down_m`` (rows,) float64 are the distances of neighbouring nodes
-    along a row and from row to row. ``curvature`` is 1 over the earth's radius, per metre.
+    ``height_m`` is (rows, cols), NaN in holes. ``col_spacing_m`` and ``row_spacing_m`` (rows,) float64 are the distances of
+    neighbouring nodes along a row and from row to row. ``curvature`` is 1 over the earth's radius, per metre.
     """
     height_m = np.ascontiguousarray(height_m, np.float64)
-    slope = _slopes(height_m, across_m, down_m)
-    turned = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
-    hidden, hidden_turned = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
+    slope = _slopes(height_m, col_spacing_m, row_spacing_m)
+    transposed = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
+    occlusion, transposed_occlusion = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
     for direction in (1, -1):
-        for aside in (-2, -1, 0, 1, 2):
+        for half_rows_per_col in (-2, -1, 0, 1, 2):
             _sweep_lines(
-                height_m, slope, across_m, down_m, True, _sector(aside, down_m / across_m), aside, direction, curvature, hidden
+                height_m,
+                slope,
+                col_spacing_m,
+                row_spacing_m,
+                True,
+                _sector_width(half_rows_per_col, row_spacing_m / col_spacing_m),
+                half_rows_per_col,
+                direction,
+                curvature,
+                occlusion,
             )
-        for aside in (-1, 0, 1):
+        for half_rows_per_col in (-1, 0, 1):
             _sweep_lines(
-                *turned, down_m, across_m, False, _sector(aside, across_m / down_m), aside, direction, curvature, hidden_turned
+                *transposed,
+                row_spacing_m,
+                col_spacing_m,
+                False,
+                _sector_width(half_rows_per_col, col_spacing_m / row_spacing_m),
+                half_rows_per_col,
+                direction,
+                curvature,
+                transposed_occlusion,
             )
-    return np.clip(hidden + hidden_turned.T, 0.0, 1.0).astype(np.float32)
+    return np.clip(occlusion + transposed_occlusion.T, 0.0, 1.0).astype(np.float32)
 
 
-def _sector(aside: int, spacing_ratio: np.ndarray) -> np.ndarray:
+def _sector_width(half_rows_per_col: int, spacing_ratio: np.ndarray) -> np.ndarray:
     """Return the widths (rows,), in radians, of the sector of azimuths that a line represents: half-way to the neighbouring lines.
 
-    The line goes ``aside`` half-nodes sideways for each node ahead. ``spacing_ratio`` (rows,) is the sideways spacing of nodes over
-    the spacing ahead.
+    The line goes ``half_rows_per_col`` half-nodes sideways for each node ahead. ``spacing_ratio`` (rows,) is the sideways spacing
+    of nodes over the spacing ahead.
     """
     angles = {0: np.arctan(spacing_ratio / 2), 1: np.arctan(spacing_ratio) / 2}
-    if abs(aside) < 2:
-        return angles[abs(aside)]
+    if abs(half_rows_per_col) < 2:
+        return angles[abs(half_rows_per_col)]
     return (np.arctan(spacing_ratio * 2) - np.arctan(spacing_ratio / 2)) / 2
 
 
 @compiled
-def _slopes(height, across_m, down_m):
+def _slopes(height, col_spacing_m, row_spacing_m):
     """Return the rise per metre (rows, cols, 2) along rows and from row to row.
 
     Differences are central, and one-sided beside holes and at borders.
@@ -189,14 +210,14 @@ def _slopes(height, across_m, down_m):
             north = 1 if r > 0 and np.isfinite(height[r - 1, c]) else 0
             south = 1 if r < rows - 1 and np.isfinite(height[r + 1, c]) else 0
             if west + east > 0:
-                out[r, c, 0] = (height[r, c + east] - height[r, c - west]) / (across_m[r] * (west + east))
+                out[r, c, 0] = (height[r, c + east] - height[r, c - west]) / (col_spacing_m[r] * (west + east))
             if north + south > 0:
-                out[r, c, 1] = (height[r + south, c] - height[r - north, c]) / (down_m[r] * (north + south))
+                out[r, c, 1] = (height[r + south, c] - height[r - north, c]) / (row_spacing_m[r] * (north + south))
     return out
 
 
 @internal
-def _light(tangent, rise):
+def _sector_light(tangent, rise):
     """Return the light of a sky sector above the horizon ``tangent`` on a plane that rises by ``rise`` towards it.
 
     This is Dozier and Frew's integrand over the cosine of the plane's slope, ``sin^2 H - rise (H - sin H cos H)``, with the horizon
@@ -207,47 +228,55 @@ def _light(tangent, rise):
 
 
 @compiled
-def _sweep_lines(height, slope, ahead_m, aside_m, by_row, sector, aside, direction, curvature, out):
-    """Add the light that the ground passed hides, along all lines that go ``aside`` half-rows for each column.
+def _sweep_lines(
+    height, slope, forward_spacing_m, sideways_spacing_m, by_row, sector, half_rows_per_col, direction, curvature, out
+):
+    """Add the light that the ground passed hides, along all lines that go ``half_rows_per_col`` half-rows for each column.
 
     ``direction`` is the direction, 1 or -1. ``by_row`` is whether the distances, which are per raster row, belong to this array's
     rows or to its columns.
     """
     rows, cols = height.shape
-    low, high = min(0, -aside * (cols - 1)), 2 * (rows - 1) + max(0, -aside * (cols - 1))
-    hull_m, hull_level = np.empty(cols), np.empty(cols)
-    for line in range(low, high + 1, 1 if aside % 2 else 2):  # with even ``aside`` every other line has no node
-        hull_size, at_m = 0, 0.0
+    low, high = min(0, -half_rows_per_col * (cols - 1)), 2 * (rows - 1) + max(0, -half_rows_per_col * (cols - 1))
+    hull_distance_m, hull_height = np.empty(cols), np.empty(cols)
+    for line in range(
+        low, high + 1, 1 if half_rows_per_col % 2 else 2
+    ):  # with even ``half_rows_per_col`` every other line has no node
+        hull_size, distance_m = 0, 0.0
         for n in range(cols):
             c = n if direction > 0 else cols - 1 - n
-            half = line + aside * c
+            half = line + half_rows_per_col * c
             if half < 0 or half > 2 * (rows - 1):
                 continue
             r, on_node = half // 2, half % 2 == 0
-            here = r if by_row else c
-            ahead, beside = ahead_m[here], 0.5 * aside * aside_m[here]
-            length = np.sqrt(ahead * ahead + beside * beside)
-            at_m += length
-            level = height[r, c] if on_node else 0.5 * (height[r, c] + height[r + 1, c])
-            if not np.isfinite(level):
+            spacing_index = r if by_row else c
+            forward_m, sideways_m = forward_spacing_m[spacing_index], 0.5 * half_rows_per_col * sideways_spacing_m[spacing_index]
+            length = np.sqrt(forward_m * forward_m + sideways_m * sideways_m)
+            distance_m += length
+            node_height = height[r, c] if on_node else 0.5 * (height[r, c] + height[r + 1, c])
+            if not np.isfinite(node_height):
                 continue
-            level -= 0.5 * curvature * at_m * at_m
+            node_height -= 0.5 * curvature * distance_m * distance_m
             while hull_size >= 2:
                 last, before = hull_size - 1, hull_size - 2
-                if (hull_level[before] - level) / (at_m - hull_m[before]) < (hull_level[last] - level) / (at_m - hull_m[last]):
+                if (hull_height[before] - node_height) / (distance_m - hull_distance_m[before]) < (
+                    hull_height[last] - node_height
+                ) / (distance_m - hull_distance_m[last]):
                     break
                 hull_size -= 1
             if on_node and hull_size > 0:
                 # Curvature tilts the ground by the distance from the line's start; subtract that tilt.
-                tangent = (hull_level[hull_size - 1] - level) / (at_m - hull_m[hull_size - 1]) - curvature * at_m
+                tangent = (hull_height[hull_size - 1] - node_height) / (
+                    distance_m - hull_distance_m[hull_size - 1]
+                ) - curvature * distance_m
                 east, south = slope[r, c, 0], slope[r, c, 1]
-                rise = -direction * (east * ahead + south * beside) / length
-                own = max(rise, 0.0)
-                if tangent > own:
+                rise = -direction * (east * forward_m + south * sideways_m) / length
+                plane_tangent = max(rise, 0.0)
+                if tangent > plane_tangent:
                     cosine = 1.0 / np.sqrt(1.0 + east * east + south * south)
-                    lost = _light(own, rise) - _light(tangent, rise)
-                    out[r, c] += sector[here] * lost * cosine / (np.pi * (1.0 + cosine))
-            hull_m[hull_size], hull_level[hull_size] = at_m, level
+                    hidden_light = _sector_light(plane_tangent, rise) - _sector_light(tangent, rise)
+                    out[r, c] += sector[spacing_index] * hidden_light * cosine / (np.pi * (1.0 + cosine))
+            hull_distance_m[hull_size], hull_height[hull_size] = distance_m, node_height
             hull_size += 1
     return out
 
@@ -257,13 +286,13 @@ def pyramid(values: np.ndarray, reduce_four: Callable[..., np.ndarray]) -> tuple
 
     Each level joins 2 x 2 nodes of the previous one, down to one node. An odd last row or column is joined with itself.
     """
-    levels = [values]
-    while levels[-1].size > 1:
-        last = np.pad(levels[-1], [(0, n % 2) for n in levels[-1].shape], mode="edge")
-        levels.append(reduce_four(last.reshape(last.shape[0] // 2, 2, last.shape[1] // 2, 2), axis=(1, 3)))
-    begins = np.cumsum([0, *(level.size for level in levels[:-1])])
-    table = np.array([(begin, *level.shape) for begin, level in zip(begins, levels, strict=True)], np.int64)
-    return np.concatenate([level.ravel() for level in levels]).astype(np.float32), table
+    mips = [values]
+    while mips[-1].size > 1:
+        last = np.pad(mips[-1], [(0, n % 2) for n in mips[-1].shape], mode="edge")
+        mips.append(reduce_four(last.reshape(last.shape[0] // 2, 2, last.shape[1] // 2, 2), axis=(1, 3)))
+    begins = np.cumsum([0, *(mip.size for mip in mips[:-1])])
+    table = np.array([(begin, *mip.shape) for begin, mip in zip(begins, mips, strict=True)], np.int64)
+    return np.concatenate([mip.ravel() for mip in mips]).astype(np.float32), table
 
 
 def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
@@ -278,8 +307,8 @@ def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
     else:
         plane, count = STEREOGRAPHIC, LATTICE_NODES
         _, up = world.ground(elevation.crs, x, y)
-        east, north, away = np.moveaxis(up @ axes.T, -1, 0)
-        x, y = east / (1.0 + away), north / (1.0 + away)
+        east, north, upward = np.moveaxis(up @ axes.T, -1, 0)
+        x, y = east / (1.0 + upward), north / (1.0 + upward)
     first = np.array([np.nanmin(x), np.nanmin(y)])
     step = (np.array([np.nanmax(x), np.nanmax(y)]) - first) / (count - 1)
     nodes = np.meshgrid(*(first[k] + np.arange(count) * step[k] for k in (0, 1)))
@@ -311,7 +340,7 @@ def _cells_at(
 
 
 def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Return rows and columns (..., 2) float64, in the grid ``hidden``, of the ground below frame points (..., 3).
+    """Return rows and columns (..., 2) float64, in the grid ``occlusion``, of the ground below frame points (..., 3).
 
     ``height_m`` (...) are the points' heights, metres.
     """
@@ -319,7 +348,7 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
     cells = np.empty((height_m.size, 2))
     run_in_chunks(
         len(cells), _cells, position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth, frame.origin_earth_m,
-        finder.plane, finder.axes, finder.first, finder.step, finder.cells, 2.0**view.level, cells,
+        finder.plane, finder.axes, finder.first, finder.step, finder.cells, 2.0**view.lod, cells,
     )  # fmt: skip
     return cells.reshape(*height_m.shape, 2)
 
@@ -357,15 +386,15 @@ def project_to_plane(x, y, z, height, plane, axes, first, step):
     east = axes[0][0] * x + axes[0][1] * y + axes[0][2] * z
     north = axes[1][0] * x + axes[1][1] * y + axes[1][2] * z
     up = axes[2][0] * x + axes[2][1] * y + axes[2][2] * z
-    away = np.sqrt(x * x + y * y + z * z) + up
-    return east / away, north / away
+    denominator = np.sqrt(x * x + y * y + z * z) + up
+    return east / denominator, north / denominator
 
 
 @internal
 def cell_in_plane(x, y, first, step, lattice):
     """Return row and column in the raster of a position in a finder's plane; NaN where it has none."""
-    across, down, j, i = lattice_square(x, y, first, step, lattice.shape[0], lattice.shape[1])
-    return cell_in_square(square_corners(lattice, i, j), across - j, down - i)
+    lattice_x, lattice_y, j, i = lattice_square(x, y, first, step, lattice.shape[0], lattice.shape[1])
+    return cell_in_square(square_corners(lattice, i, j), lattice_x - j, lattice_y - i)
 
 
 @internal
@@ -374,11 +403,11 @@ def lattice_square(x, y, first, step, rows, cols):
 
     The distances are NaN for a position that is not finite. The square is the nearest one for a position off the lattice.
     """
-    across, down = (x - first[0]) / step[0], (y - first[1]) / step[1]
-    known = np.isfinite(across) & np.isfinite(down)
-    j = np.int32(min(max(across if known else 0.0, 0.0), cols - 2.0))
-    i = np.int32(min(max(down if known else 0.0, 0.0), rows - 2.0))
-    return across if known else np.nan, down if known else np.nan, j, i
+    lattice_x, lattice_y = (x - first[0]) / step[0], (y - first[1]) / step[1]
+    is_finite = np.isfinite(lattice_x) & np.isfinite(lattice_y)
+    j = np.int32(min(max(lattice_x if is_finite else 0.0, 0.0), cols - 2.0))
+    i = np.int32(min(max(lattice_y if is_finite else 0.0, 0.0), rows - 2.0))
+    return lattice_x if is_finite else np.nan, lattice_y if is_finite else np.nan, j, i
 
 
 @internal
@@ -394,13 +423,13 @@ def square_corners(lattice, i, j):
 def cell_in_square(corners, u, v):
     """Return row and column in the raster at fractions across and down a square."""
     r0, r1, r2, r3, c0, c1, c2, c3 = corners
-    one, other = r0 + u * (r1 - r0), r2 + u * (r3 - r2)
-    row = one + v * (other - one)
-    one, other = c0 + u * (c1 - c0), c2 + u * (c3 - c2)
-    return row, one + v * (other - one)
+    upper, lower = r0 + u * (r1 - r0), r2 + u * (r3 - r2)
+    row = upper + v * (lower - upper)
+    upper, lower = c0 + u * (c1 - c0), c2 + u * (c3 - c2)
+    return row, upper + v * (lower - upper)
 
 
-class PyramidLevel(NamedTuple):
+class MipPair(NamedTuple):
     """The two levels of a pyramid between which a footprint interpolates.
 
     Attributes
@@ -411,7 +440,7 @@ class PyramidLevel(NamedTuple):
         Factor from the finest level's nodes to this level's.
     next_begin, next_rows, next_cols, next_scale
         The same of the coarser level.
-    coarser
+    coarser_weight
         Weight of the coarser level, in [0, 1].
     """
 
@@ -423,52 +452,52 @@ class PyramidLevel(NamedTuple):
     next_rows: int
     next_cols: int
     next_scale: float
-    coarser: float
+    coarser_weight: float
 
 
 @compiled
-def pyramid_level(table, wide):
-    """Return the levels of a pyramid for a footprint that is ``wide`` nodes of the finest level wide."""
-    number, coarser = 0, 0.0
-    if wide > 1.0 and len(table) > 1:
-        halved = min(np.log2(wide), len(table) - 1.0)
-        number = min(int(halved), len(table) - 2)
-        coarser = halved - number
-    other = min(number + 1, len(table) - 1)
-    return PyramidLevel(
+def mip_pair(table, width_nodes):
+    """Return the levels of a pyramid for a footprint that is ``width_nodes`` nodes of the finest level wide."""
+    number, coarser_weight = 0, 0.0
+    if width_nodes > 1.0 and len(table) > 1:
+        lod = min(np.log2(width_nodes), len(table) - 1.0)
+        number = min(int(lod), len(table) - 2)
+        coarser_weight = lod - number
+    next_number = min(number + 1, len(table) - 1)
+    return MipPair(
         table[number, 0], table[number, 1], table[number, 2], 1.0 / (1 << number),
-        table[other, 0], table[other, 1], table[other, 2], 1.0 / (1 << other), coarser,
+        table[next_number, 0], table[next_number, 1], table[next_number, 2], 1.0 / (1 << next_number), coarser_weight,
     )  # fmt: skip
 
 
 @internal
-def hidden_on(values, level, row, col):
-    """Return the share of the sky that ground hides at a row and column of ``hidden``, averaged over the level's footprint."""
-    hidden = _bilinear(values, level.begin, level.rows, level.cols, row, col, level.scale)
-    if level.coarser > 0.0:
-        coarse = _bilinear(values, level.next_begin, level.next_rows, level.next_cols, row, col, level.next_scale)
-        hidden += level.coarser * (coarse - hidden)
-    return hidden
+def sky_occlusion_at(values, mips, row, col):
+    """Return the share of the sky that ground hides at a row and column of ``occlusion``, averaged over the level's footprint."""
+    occlusion = _bilinear(values, mips.begin, mips.rows, mips.cols, row, col, mips.scale)
+    if mips.coarser_weight > 0.0:
+        coarser_occlusion = _bilinear(values, mips.next_begin, mips.next_rows, mips.next_cols, row, col, mips.next_scale)
+        occlusion += mips.coarser_weight * (coarser_occlusion - occlusion)
+    return occlusion
 
 
 @internal
-def hidden_on_row(values, level, row, col, out):
-    """Fill ``out`` with ``hidden_on`` at many rows and columns (n,)."""
-    _bilinear_row(values, level.begin, level.rows, level.cols, row, col, level.scale, out)
-    if level.coarser > 0.0:
-        coarse = np.empty(out.size)
-        _bilinear_row(values, level.next_begin, level.next_rows, level.next_cols, row, col, level.next_scale, coarse)
+def sky_occlusion_row(values, mips, row, col, out):
+    """Fill ``out`` with ``sky_occlusion_at`` at many rows and columns (n,)."""
+    _bilinear_row(values, mips.begin, mips.rows, mips.cols, row, col, mips.scale, out)
+    if mips.coarser_weight > 0.0:
+        coarser_occlusion = np.empty(out.size)
+        _bilinear_row(values, mips.next_begin, mips.next_rows, mips.next_cols, row, col, mips.next_scale, coarser_occlusion)
         for n in range(out.size):
-            out[n] += level.coarser * (coarse[n] - out[n])
+            out[n] += mips.coarser_weight * (coarser_occlusion[n] - out[n])
 
 
 @internal
 def _bilinear(values, begin, rows, cols, row, col, scale):
     """Return a level's value at a position in nodes of the finest level, clamped beyond the outermost centres."""
-    r0, c0, down, across = _corner(rows, cols, row, col, scale)
+    r0, c0, row_fraction, col_fraction = _corner(rows, cols, row, col, scale)
     right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
     at = begin + r0 * cols + c0
-    return lerp_corners(values[at], values[at + right], values[at + below], values[at + below + right], down, across)
+    return lerp_corners(values[at], values[at + right], values[at + below], values[at + below + right], row_fraction, col_fraction)
 
 
 @internal
@@ -478,9 +507,9 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
     The lookups stand between loops that compile to vector instructions.
     """
     r0, c0 = np.empty(out.size, np.int32), np.empty(out.size, np.int32)
-    down, across = np.empty(out.size), np.empty(out.size)
+    row_fraction, col_fraction = np.empty(out.size), np.empty(out.size)
     for n in range(out.size):
-        r0[n], c0[n], down[n], across[n] = _corner(rows, cols, row[n], col[n], scale)
+        r0[n], c0[n], row_fraction[n], col_fraction[n] = _corner(rows, cols, row[n], col[n], scale)
     upper, lower = np.empty((2, out.size), np.float32), np.empty((2, out.size), np.float32)
     for n in range(out.size):
         right, below = min(c0[n] + 1, cols - 1) - c0[n], (min(r0[n] + 1, rows - 1) - r0[n]) * cols
@@ -493,7 +522,7 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
         )
     west, east, south_west, south_east = upper[0], upper[1], lower[0], lower[1]
     for n in range(out.size):
-        out[n] = lerp_corners(west[n], east[n], south_west[n], south_east[n], down[n], across[n])
+        out[n] = lerp_corners(west[n], east[n], south_west[n], south_east[n], row_fraction[n], col_fraction[n])
 
 
 @internal

@@ -100,21 +100,21 @@ class SurfaceWindow(HeightWindow):
         (3,): the point that up vectors point away from: the earth's centre, or in a flat world one infinitely far below.
     rim
         The nodes beyond the raster that cast and are not visible; ``None`` without any.
-    falls
+    is_cut_nw_se
         The diagonal cuts of the quads (``Sheet``); ``None``: those that the heights give.
     """
 
     position_frame_m: np.ndarray
     centre_frame_m: np.ndarray
     rim: RimNodes | None = None
-    falls: np.ndarray | None = None
+    is_cut_nw_se: np.ndarray | None = None
 
     @cached_property
     def sheet(self) -> Sheet:
         """The nodes as a grid mesh."""
-        if self.falls is None:
+        if self.is_cut_nw_se is None:
             return sheet_of(self.position_frame_m, self.height_m)
-        return Sheet(self.position_frame_m, self.falls)
+        return Sheet(self.position_frame_m, self.is_cut_nw_se)
 
     @cached_property
     def casting(self) -> SurfaceWindow:
@@ -128,8 +128,8 @@ class SurfaceWindow(HeightWindow):
         height[at], position[at] = self.rim.height_m, self.rim.position_frame_m
         has_height = np.isfinite(self.height_m).astype(np.uint8)
         is_visible = has_height[:-1, :-1] + has_height[:-1, 1:] + has_height[1:, :-1] + has_height[1:, 1:] >= 3
-        falls = np.where(is_visible, self.sheet.falls, sheet_of(position, height).falls)
-        return replace(self, height_m=height, position_frame_m=position, rim=None, falls=falls)
+        is_cut_nw_se = np.where(is_visible, self.sheet.is_cut_nw_se, sheet_of(position, height).is_cut_nw_se)
+        return replace(self, height_m=height, position_frame_m=position, rim=None, is_cut_nw_se=is_cut_nw_se)
 
 
 class RimNodes(NamedTuple):
@@ -165,7 +165,7 @@ class Surface:
         The grid.
     step_m
         Distance between neighbouring nodes at the anchor, metres.
-    level
+    lod
         Level of the raster's cells that heights are read from.
     cells_per_step
         Raster cells per distance between nodes.
@@ -177,13 +177,13 @@ class Surface:
     elevation: Elevation
     grid: Grid
     step_m: float = field(init=False)
-    level: int = field(init=False)
+    lod: int = field(init=False)
     cells_per_step: float = field(init=False)
     stride: int = field(init=False)
 
     def __post_init__(self) -> None:
         steps = _resolve_steps(self.world, self.elevation, self.grid)
-        for name, value in zip(("step_m", "level", "cells_per_step", "stride"), steps, strict=True):
+        for name, value in zip(("step_m", "lod", "cells_per_step", "stride"), steps, strict=True):
             object.__setattr__(self, name, value)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
@@ -214,7 +214,7 @@ class Surface:
 
         ``rim`` includes the nodes beyond the raster that cast; else the window holds visible ground.
         """
-        if self.grid.refines:
+        if self.grid.refinement_count:
             coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
             window = coarser.height_window(*_coarser_window(row0, col0, rows, cols), rim)
             if isinstance(window, RefinedWindow):
@@ -244,7 +244,9 @@ class Surface:
         rows, cols = height_m.shape
         return _positions(*self.exact_verticals(row0, col0, rows, cols, frame), self.stride, row0, col0, height_m)
 
-    def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
+    def write_axis_coordinates(
+        self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, windows: list[NodeHeights], out: list[np.ndarray]
+    ) -> None:
         """Write the coordinates of windows' nodes along an earth-fixed unit axis, metres, into float32 arrays.
 
         ``out`` are views (rows, cols) of any memory order. The nodes include their heights.
@@ -258,7 +260,7 @@ class Surface:
         for window, array in zip(windows, out, strict=True):
             refined = isinstance(window, RefinedWindow)
             height = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
-            _along(
+            _write_axis_coordinates(
                 foot, per_metre, first_row, first_col, self.stride, window.row0, window.col0, *window.shape, height, refined,
                 *_memory_layout(array),
             )  # fmt: skip
@@ -272,7 +274,7 @@ class Surface:
 
     def _heights_and_rim(self, row0: int, col0: int, rows: int, cols: int) -> HeightsAndRim:
         """Return the same with the rim of nodes that only cast, and the mask of these; ``None`` without any."""
-        if self.grid.refines:
+        if self.grid.refinement_count:
             coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
             height, valid, is_rim = coarser._heights_and_rim(*window)
             refined = row0 % 2, col0 % 2, rows, cols
@@ -283,20 +285,20 @@ class Surface:
             visible = _refined(height, *refined)
             is_refined_rim = np.isfinite(with_rim) & ~np.isfinite(visible)
             return np.where(is_refined_rim, with_rim, visible), _refined_valid(valid, *refined), is_refined_rim
-        stride, around = self.stride, (row0 - 1, col0 - 1, rows + 2, cols + 2)
-        exact_rows, exact_cols, x, y = self.exact_nodes(*around, stride)
+        stride, padded_window = self.stride, (row0 - 1, col0 - 1, rows + 2, cols + 2)
+        exact_rows, exact_cols, x, y = self.exact_nodes(*padded_window, stride)
         cell = self.cells_of(x, y)
         if cell is None:  # the raster's longitudes break inside: no smooth mapping to interpolate
             stride = 1
-            exact_rows, exact_cols, x, y = self.exact_nodes(*around, stride)
+            exact_rows, exact_cols, x, y = self.exact_nodes(*padded_window, stride)
             cell = self.cells_of(x, y, everywhere=True)
             assert cell is not None
         exact = np.stack(cell, axis=-1)
-        if self.elevation.surface == "blocks" or self.elevation.holds(self.level, *cell):
-            located = interpolated(exact, exact_rows, exact_cols, stride, row0, col0, rows, cols)
-            return *self.elevation.heights_at(self.level, located[0], located[1]), None
-        located = interpolated(exact, exact_rows, exact_cols, stride, *around)
-        height, valid, is_rim = self.elevation.heights_with_rim(self.level, located[0], located[1])
+        if self.elevation.surface == "blocks" or self.elevation.covers_cells(self.lod, *cell):
+            cells = interpolated(exact, exact_rows, exact_cols, stride, row0, col0, rows, cols)
+            return *self.elevation.heights_at(self.lod, cells[0], cells[1]), None
+        cells = interpolated(exact, exact_rows, exact_cols, stride, *padded_window)
+        height, valid, is_rim = self.elevation.heights_with_rim(self.lod, cells[0], cells[1])
         return height, valid, is_rim if is_rim.any() else None
 
     def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
@@ -343,7 +345,7 @@ def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, in
 
 @cached("scene", MIB, size_of=lambda _: 512)
 def _resolve_steps(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
-    """Return ``step_m``, ``level``, ``cells_per_step`` and ``stride`` of a surface.
+    """Return ``step_m``, ``lod``, ``cells_per_step`` and ``stride`` of a surface.
 
     The result is cached, as every patch of ground makes a new ``Surface``.
     """
@@ -396,8 +398,8 @@ def refined_row(height, row, col0, out):
 
 
 @internal
-def _middle(one, other):
-    return np.float32(0.5 * (np.float64(one) + np.float64(other)))
+def _middle(a, b):
+    return np.float32(0.5 * (np.float64(a) + np.float64(b)))
 
 
 @internal
@@ -446,28 +448,28 @@ def cubic_weights(t):
 @compiled
 def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
     """Interpolate a window (k, rows, cols) from exact values (m, n, k) at every ``stride``-th node, with sums in a fixed order."""
-    kinds = exact.shape[2]
-    out = np.empty((kinds, rows, cols))
-    along = np.empty(exact.shape[1])
+    components = exact.shape[2]
+    out = np.empty((components, rows, cols))
+    row_values = np.empty(exact.shape[1])
     weights = np.empty((4, stride))  # for the nodes between two exact ones
     for n in range(stride):
         weights[0, n], weights[1, n], weights[2, n], weights[3, n] = cubic_weights(n / stride)
     for i in range(rows):
-        coarse = (row0 + i) // stride
-        m, share = coarse - first_row, (row0 + i - coarse * stride) / stride
-        for k in range(kinds):
-            _interpolate_row(exact[:, :, k], m, share, along)
-            for coarse in range(col0 // stride, (col0 + cols - 1) // stride + 1):
-                n, at = coarse - first_col, coarse * stride - col0
+        exact_index = (row0 + i) // stride
+        m, share = exact_index - first_row, (row0 + i - exact_index * stride) / stride
+        for k in range(components):
+            _interpolate_row(exact[:, :, k], m, share, row_values)
+            for exact_index in range(col0 // stride, (col0 + cols - 1) // stride + 1):
+                n, at = exact_index - first_col, exact_index * stride - col0
                 begin, end = max(at, 0), min(at + stride, cols)
-                _interpolate_between(along, n - 1, weights, begin - at, out[k, i, begin:end])
+                _interpolate_between(row_values, n - 1, weights, begin - at, out[k, i, begin:end])
                 if begin == at:  # an exact column: zero weights must not carry a neighbour's NaN
-                    out[k, i, at] = along[n]
+                    out[k, i, at] = row_values[n]
     return out
 
 
-ALONG_ROWS = 64
-"""Rows that ``_along`` processes at a time, so it writes a column-major array as fast."""
+AXIS_STRIP_ROWS = 64
+"""Rows that ``_write_axis_coordinates`` processes at a time, so it writes a column-major array as fast."""
 
 
 def _memory_layout(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
@@ -481,45 +483,47 @@ def _memory_layout(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
     return owner.reshape(-1), start, array.strides[0] // array.itemsize, array.strides[1] // array.itemsize
 
 
-PUT_COLUMNS = 8
+COLUMN_BLOCK = 8
 """Columns written at a time into a column-major array."""
 
 
 @compiled
-def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, down, right):
+def _write_axis_coordinates(
+    foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, down, right
+):
     """Write coordinates (rows, cols) at the tops of heights into an array described by ``_memory_layout``.
 
     ``foot`` (m, n) are exact coordinates at height 0 and ``per_metre`` (m, n) their change per metre of height. Sums follow the
     order of ``interpolated``. ``height`` belongs to the nodes or, if ``refined``, to those of the grid that theirs refines.
     """
-    between = np.empty(cols, np.float32)
+    refined_heights = np.empty(cols, np.float32)
     feet, slopes = np.empty(foot.shape[1]), np.empty(foot.shape[1])
-    ends = np.empty((ALONG_ROWS, cols), np.float32)
+    tops = np.empty((AXIS_STRIP_ROWS, cols), np.float32)
     weights = np.empty((4, stride))
     for n in range(stride):
         weights[0, n], weights[1, n], weights[2, n], weights[3, n] = cubic_weights(n / stride)
-    for top in range(0, rows, ALONG_ROWS):
-        count = min(ALONG_ROWS, rows - top)
+    for top in range(0, rows, AXIS_STRIP_ROWS):
+        count = min(AXIS_STRIP_ROWS, rows - top)
         for i in range(count):
-            coarse = (row0 + top + i) // stride
-            m, share = coarse - first_row, (row0 + top + i - coarse * stride) / stride
+            exact_row = (row0 + top + i) // stride
+            m, share = exact_row - first_row, (row0 + top + i - exact_row * stride) / stride
             _interpolate_row(foot, m, share, feet)
             _interpolate_row(per_metre, m, share, slopes)
             if refined:
-                refined_row(height, row0 % 2 + top + i, col0 % 2, between)
-            heights, own_ends = between if refined else height[top + i], ends[i]
+                refined_row(height, row0 % 2 + top + i, col0 % 2, refined_heights)
+            heights, row_tops = refined_heights if refined else height[top + i], tops[i]
             for first in range(col0 // stride * stride, col0 + cols, stride):
                 n = first // stride - first_col
                 begin, end = max(first, col0) - first, min(first + stride, col0 + cols) - first
                 at = first + begin - col0
-                _write_tops(feet, slopes, n - 1, weights, begin, heights, at, own_ends, end - begin)
+                _write_tops(feet, slopes, n - 1, weights, begin, heights, at, row_tops, end - begin)
                 if begin == 0:  # an exact column: zero weights must not carry a neighbour's NaN
-                    own_ends[at] = feet[n] + np.float64(heights[at]) * slopes[n]
+                    row_tops[at] = feet[n] + np.float64(heights[at]) * slopes[n]
         if abs(right) == 1:
             for i in range(count):
-                _write_contiguous(ends[i], flat, start + (top + i) * down, right)
+                _write_contiguous(tops[i], flat, start + (top + i) * down, right)
         else:
-            _write_columns(ends, count, flat, start + top * down, down, right)
+            _write_columns(tops, count, flat, start + top * down, down, right)
 
 
 @internal
@@ -567,9 +571,9 @@ def between_columns(exact, first_col, stride, col0, cols):
     """Interpolate values (m, cols) of columns between exact ones (m, n)."""
     out = np.empty((exact.shape[0], cols))
     for j in range(cols):
-        coarse = (col0 + j) // stride
-        w = cubic_weights((col0 + j - coarse * stride) / stride)
-        n = coarse - first_col
+        exact_col = (col0 + j) // stride
+        w = cubic_weights((col0 + j - exact_col * stride) / stride)
+        n = exact_col - first_col
         for m in range(exact.shape[0]):
             if w[1] == 1.0:
                 out[m, j] = exact[m, n]
@@ -581,15 +585,15 @@ def between_columns(exact, first_col, stride, col0, cols):
 @internal
 def between_rows(exact, m, share, out):
     """Interpolate a row (cols,) after the exact row ``m`` (rows, cols), at the fraction ``share`` of the way to the next."""
-    here = exact[m]
+    current = exact[m]
     if share == 0.0:  # an exact row
         for j in range(out.size):
-            out[j] = here[j]
+            out[j] = current[j]
     else:
         w0, w1, w2, w3 = cubic_weights(share)
-        before, after, beyond = exact[m - 1], exact[m + 1], exact[m + 2]
+        previous, next_row, second_next = exact[m - 1], exact[m + 1], exact[m + 2]
         for j in range(out.size):
-            out[j] = w0 * before[j] + w1 * here[j] + w2 * after[j] + w3 * beyond[j]
+            out[j] = w0 * previous[j] + w1 * current[j] + w2 * next_row[j] + w3 * second_next[j]
 
 
 @internal
@@ -616,8 +620,8 @@ def _write_contiguous(values, flat, start, step):
 @internal
 def _write_columns(values, count, flat, start, down, right):
     """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines."""
-    for first in range(0, values.shape[1], PUT_COLUMNS):
-        last = min(first + PUT_COLUMNS, values.shape[1])
+    for first in range(0, values.shape[1], COLUMN_BLOCK):
+        last = min(first + COLUMN_BLOCK, values.shape[1])
         for i in range(count):
             at = start + i * down + first * right
             for j in range(first, last):
@@ -629,13 +633,13 @@ def _write_columns(values, count, flat, start, down, right):
 def _positions(exact, first_row, first_col, stride, row0, col0, height):
     """Return frame points (rows, cols, 3): the ground at height 0 plus the height along the up vector there."""
     rows, cols = height.shape
-    placed = interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols)
+    verticals = interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols)
     out = np.empty((rows, cols, 3))
     for i in range(rows):
         for j in range(cols):
             h = np.float64(height[i, j])
             for k in range(3):
-                out[i, j, k] = placed[k, i, j] + h * placed[k + 3, i, j]
+                out[i, j, k] = verticals[k, i, j] + h * verticals[k + 3, i, j]
     return out
 
 

@@ -31,7 +31,7 @@ MIN_NEAR_DISTANCE_M = 50.0
 
 
 @dataclass
-class UnmarkedCells:
+class UndeclaredNodata:
     """Counts of implausible and sentinel cells of a raster, each cell read once.
 
     Attributes
@@ -40,7 +40,7 @@ class UnmarkedCells:
         Number of cells read.
     has_implausible
         Whether any undeclared cell cannot be a height, including cells that are not finite.
-    beyond
+    implausible_count
         Number of undeclared finite cells that are neither plausible heights nor known sentinels.
     low_m, high_m
         Minimum and maximum of these, metres.
@@ -48,67 +48,69 @@ class UnmarkedCells:
 
     cells: int = 0
     has_implausible: bool = False
-    beyond: int = 0
+    implausible_count: int = 0
     low_m: float = np.inf
     high_m: float = -np.inf
-    _sentinels: Counter[float] = field(default_factory=Counter)
-    _cells_alike: Counter[float] = field(default_factory=Counter)
-    _cells_near: Counter[float] = field(default_factory=Counter)
-    _value_beyond: float = np.nan
+    _implausible_sentinels: Counter[float] = field(default_factory=Counter)
+    _plausible_sentinels: Counter[float] = field(default_factory=Counter)
+    _near_counts: Counter[float] = field(default_factory=Counter)
+    _implausible_value: float = np.nan
 
-    def add(self, stored: np.ndarray, height_m: np.ndarray, marked: np.ndarray, plausible: np.ndarray) -> None:
+    def add(self, stored: np.ndarray, height_m: np.ndarray, is_nodata: np.ndarray, plausible: np.ndarray) -> None:
         """Count cells, given as stored values, heights in metres, and two masks: declared empty, and plausible as heights."""
         self.cells += stored.size
-        has_height = plausible & ~marked
-        if not (marked | plausible).all():
+        has_height = plausible & ~is_nodata
+        if not (is_nodata | plausible).all():
             self.has_implausible = True
-            self._add_beyond(stored, height_m, ~marked & ~plausible & np.isfinite(height_m))
+            self._add_implausible(stored, height_m, ~is_nodata & ~plausible & np.isfinite(height_m))
         if has_height.any():
             heights = stored if has_height.all() else stored[has_height]
             for end in {float(heights.min()), float(heights.max())} & set(SENTINELS):
-                self._add_alike(end, stored, height_m, has_height)
+                self._add_sentinel(end, stored, height_m, has_height)
 
-    def _add_beyond(self, stored: np.ndarray, height_m: np.ndarray, beyond: np.ndarray) -> None:
-        values = stored[beyond]
+    def _add_implausible(self, stored: np.ndarray, height_m: np.ndarray, is_implausible: np.ndarray) -> None:
+        values = stored[is_implausible]
         is_sentinel = np.isin(values, SENTINELS) | (np.abs(values.astype(np.float64)) >= MIN_SENTINEL)
         for value, count in zip(*np.unique(values[is_sentinel], return_counts=True), strict=True):
-            self._sentinels[float(value)] += int(count)
-        others_m = height_m[beyond][~is_sentinel]
+            self._implausible_sentinels[float(value)] += int(count)
+        others_m = height_m[is_implausible][~is_sentinel]
         if others_m.size:
-            self.beyond += others_m.size
+            self.implausible_count += others_m.size
             self.low_m, self.high_m = min(self.low_m, float(others_m.min())), max(self.high_m, float(others_m.max()))
-            self._value_beyond = float(values[~is_sentinel][0])
+            self._implausible_value = float(values[~is_sentinel][0])
 
-    def _add_alike(self, value: float, stored: np.ndarray, height_m: np.ndarray, has_height: np.ndarray) -> None:
-        alike = has_height & (stored == value)
-        others_m = height_m[has_height & ~alike]
-        self._cells_alike[value] += int(alike.sum())
+    def _add_sentinel(self, value: float, stored: np.ndarray, height_m: np.ndarray, has_height: np.ndarray) -> None:
+        is_sentinel = has_height & (stored == value)
+        others_m = height_m[has_height & ~is_sentinel]
+        self._plausible_sentinels[value] += int(is_sentinel.sum())
         if others_m.size:
-            own_m = float(height_m[alike][0])
-            near_m = max(NEAR_SHARE * abs(float(others_m.mean()) - own_m), MIN_NEAR_DISTANCE_M)
-            self._cells_near[value] += int((np.abs(others_m - own_m) < near_m).sum())
+            sentinel_m = float(height_m[is_sentinel][0])
+            near_m = max(NEAR_SHARE * abs(float(others_m.mean()) - sentinel_m), MIN_NEAR_DISTANCE_M)
+            self._near_counts[value] += int((np.abs(others_m - sentinel_m) < near_m).sum())
 
     @property
     def sentinels(self) -> dict[float, int]:
         """Undeclared values that appear to mean "no height", with the number of their cells."""
-        within = {value: n for value, n in self._cells_alike.items() if self._cells_near[value] < n < self.cells}
-        return {**within, **self._sentinels}
+        within = {value: n for value, n in self._plausible_sentinels.items() if self._near_counts[value] < n < self.cells}
+        return {**within, **self._implausible_sentinels}
 
     def warnings(self, axis: VerticalAxis, except_value: float | None = None) -> tuple[str, ...]:
         """Return the warnings, each with its remedy. ``except_value`` is a value that another warning covers."""
-        said = [self._sentinel_warning(value, count) for value, count in sorted(self.sentinels.items()) if value != except_value]
-        if self.beyond:
-            means = (
-                f"mean no data, {remedy('nodata', _shortest_text(self._value_beyond))}; if they "
+        messages = [
+            self._sentinel_warning(value, count) for value, count in sorted(self.sentinels.items()) if value != except_value
+        ]
+        if self.implausible_count:
+            nodata_advice = (
+                f"mean no data, {remedy('nodata', _shortest_text(self._implausible_value))}; if they "
                 if self.low_m == self.high_m
                 else ""
             )
-            said.append(
-                f"{_share(self.beyond, self.cells)} of the raster's cells are no heights on earth and left out as holes: "
-                f"{self.implausible_range(axis)}. If they {means}are in another unit, {remedy('units', 'UNIT')}. UNIT is one of "
+            messages.append(
+                f"{_percent_text(self.implausible_count, self.cells)} of the raster's cells are no heights on earth and left out as holes: "
+                f"{self.implausible_range(axis)}. If they {nodata_advice}are in another unit, {remedy('units', 'UNIT')}. UNIT is one of "
                 f"{', '.join(METRES_PER_UNIT)}"
             )
-        return tuple(said)
+        return tuple(messages)
 
     def implausible_range(self, axis: VerticalAxis) -> str:
         """Return the range of the implausible heights and how they were read, as a phrase."""
@@ -116,13 +118,13 @@ class UnmarkedCells:
         return f"{' to '.join(ends)}, read as {axis.statement}"
 
     def _sentinel_warning(self, value: float, count: int) -> str:
-        effect = "far from all other heights" if value in self._cells_alike else "no height on earth, and left out as holes"
-        stated = _shortest_text(value)
-        what = f"{_share(count, self.cells)} of the raster's cells are {stated}, {effect}"
-        return f"{what}. If that means no data, {remedy('nodata', stated)}"
+        effect = "far from all other heights" if value in self._plausible_sentinels else "no height on earth, and left out as holes"
+        value_text = _shortest_text(value)
+        problem = f"{_percent_text(count, self.cells)} of the raster's cells are {value_text}, {effect}"
+        return f"{problem}. If that means no data, {remedy('nodata', value_text)}"
 
 
-def _share(count: int, cells: int) -> str:
+def _percent_text(count: int, cells: int) -> str:
     return f"{100 * count / max(cells, 1):.3g} %"
 
 

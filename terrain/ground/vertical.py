@@ -19,7 +19,7 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.level.level_source import remedy
 from skugga.terrain.level.parts import METRES_PER_UNIT, Positive, Units
 
-_WORDS: dict[Units, str] = {
+_UNIT_SYNONYMS: dict[Units, str] = {
     "m": "m metre meter metres meters mtr masl mamsl",
     "ft": "ft foot feet fti ftint intft internationalfoot internationalfeet footinternational footint",
     "us-ft": (
@@ -33,7 +33,7 @@ _WORDS: dict[Units, str] = {
     "yd": "yd yds ydi yard yards",
     "fathom": "fathom fathoms fath fth fthi ftm fm",
 }
-UNIT_WORDS: dict[str, Units] = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+UNIT_WORDS: dict[str, Units] = {word: unit for unit, words in _UNIT_SYNONYMS.items() for word in words.split()}
 """Names of units in files, in lower case and without other signs."""
 
 NO_UNIT_WORDS = ("", "1", "unknown", "undefined", "unspecified", "unitless", "none", "na")
@@ -44,8 +44,8 @@ FOOT_MARKS = ("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}")
 _PLACEHOLDERS = " \t-_./?*"
 """Signs that stand for an unknown unit."""
 
-_LEVEL_OF_REFERENCE = re.compile(r"\s*(\(.*\)|\[.*\]|a\.?m?\.?s\.?l\.?|above\b.*)\s*$", re.IGNORECASE)
-_SAME_UNIT = 1e-7
+_DATUM_SUFFIX = re.compile(r"\s*(\(.*\)|\[.*\]|a\.?m?\.?s\.?l\.?|above\b.*)\s*$", re.IGNORECASE)
+_UNIT_TOLERANCE = 1e-7
 """Relative tolerance within which units are equal: a foot and a US survey foot differ by 2e-6."""
 
 _DEPTH_NAMES = ("depth", "sea_floor_depth")
@@ -116,21 +116,23 @@ def axis_of_band(
     ``units`` and ``positive`` are a level's settings. Raises ``SourceError`` for an unknown unit.
     """
     of_crs = _axis_of_crs(crs)
-    stated = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
+    from_setting = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
     band_unit = _unit_of_band(source, unit_word, of_crs.unit_name) if units is None else None
-    of_band = None if band_unit is None else (band_unit, METRES_PER_UNIT[band_unit], "by its band")
-    by_crs = None if of_crs.unit_m is None else (_unit_name(of_crs.unit_m), of_crs.unit_m, of_crs.source_text)
-    name, unit_m, unit_from = stated or of_band or by_crs or ("m", 1.0, None)
-    differs = of_band is not None and by_crs is not None and abs(by_crs[1] / unit_m - 1.0) > _SAME_UNIT
+    from_band = None if band_unit is None else (band_unit, METRES_PER_UNIT[band_unit], "by its band")
+    from_crs = None if of_crs.unit_m is None else (_unit_name(of_crs.unit_m), of_crs.unit_m, of_crs.source_text)
+    name, unit_m, unit_from = from_setting or from_band or from_crs or ("m", 1.0, None)
+    differs = from_band is not None and from_crs is not None and abs(from_crs[1] / unit_m - 1.0) > _UNIT_TOLERANCE
     directions: list[tuple[Positive | None, str | None]]
     directions = [
         (positive, "by terrain.positive"),
         (_positive_of_band(tags), "by its band"),
         (of_crs.positive, of_crs.source_text),
     ]
-    direction, positive_from = next(((way, source_text) for way, source_text in directions if way is not None), ("up", None))
-    other = f"in {by_crs[0]} {of_crs.source_text}" if by_crs is not None and differs else None
-    return VerticalAxis(name, unit_m, unit_from, "down" if direction == "down" else "up", positive_from, other)
+    direction, positive_from = next(
+        ((candidate, source_text) for candidate, source_text in directions if candidate is not None), ("up", None)
+    )
+    conflict = f"in {from_crs[0]} {of_crs.source_text}" if from_crs is not None and differs else None
+    return VerticalAxis(name, unit_m, unit_from, "down" if direction == "down" else "up", positive_from, conflict)
 
 
 @dataclass(frozen=True)
@@ -176,8 +178,8 @@ def _unit_of_band(source: str, word: str, crs_word: str | None) -> Units | None:
     """
     unit = unit_of_word(word)
     if unit is None and not _states_no_unit(word) and word != crs_word:
-        known = f"Use one of {', '.join(METRES_PER_UNIT)} or their long names; for ground, {remedy('units', 'UNIT')}"
-        raise SourceError(source, f"the unit {word} of its band is unknown", known)
+        advice = f"Use one of {', '.join(METRES_PER_UNIT)} or their long names; for ground, {remedy('units', 'UNIT')}"
+        raise SourceError(source, f"the unit {word} of its band is unknown", advice)
     return unit
 
 
@@ -185,27 +187,29 @@ def unit_of_word(word: str) -> Units | None:
     """Return the unit that a word in a file means; ``None`` for an unknown word."""
     if word.strip() in FOOT_MARKS:
         return "ft"
-    return next((UNIT_WORDS[plain] for plain in _plain_words(word) if plain in UNIT_WORDS), None)
+    return next((UNIT_WORDS[plain] for plain in _normalized_words(word) if plain in UNIT_WORDS), None)
 
 
 def _states_no_unit(word: str) -> bool:
-    plain = _plain_words(word)[0]
+    plain = _normalized_words(word)[0]
     return plain in NO_UNIT_WORDS if plain else not word.strip(_PLACEHOLDERS)
 
 
-def _plain_words(word: str) -> tuple[str, str]:
+def _normalized_words(word: str) -> tuple[str, str]:
     """Return the lower-case letters and digits of a unit's word, with and without the reference level of the heights."""
-    whole, alone = (re.sub(r"[\W_]+", "", text).casefold() for text in (word, _LEVEL_OF_REFERENCE.sub("", word)))
-    return whole, alone
+    with_datum, without_datum = (re.sub(r"[\W_]+", "", text).casefold() for text in (word, _DATUM_SUFFIX.sub("", word)))
+    return with_datum, without_datum
 
 
 def _unit_name(unit_m: float) -> str:
     """Return the name of a unit of the given length, or the length as text."""
-    return next((name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _SAME_UNIT), f"{unit_m:.9g} m")
+    return next(
+        (name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _UNIT_TOLERANCE), f"{unit_m:.9g} m"
+    )
 
 
 def _positive_of_band(tags: Mapping[str, object]) -> Positive | None:
-    stated = str(tags.get("positive", "")).strip().lower()
-    if stated in ("up", "down"):
-        return "down" if stated == "down" else "up"
+    tag = str(tags.get("positive", "")).strip().lower()
+    if tag in ("up", "down"):
+        return "down" if tag == "down" else "up"
     return "down" if str(tags.get("standard_name", "")).startswith(_DEPTH_NAMES) else None

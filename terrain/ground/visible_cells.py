@@ -37,15 +37,15 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
     all_cells = full_cell_range(elevation)
     if view.on_nodes:
         return all_cells
-    across = np.linspace(-0.5, 0.5, EXTENT_SAMPLES)
-    rows, cols = (first + step * ((count - 1) / 2 + across * count) for first, step, count in _axes(view))
+    offsets = np.linspace(-0.5, 0.5, EXTENT_SAMPLES)
+    rows, cols = (first + step * ((count - 1) / 2 + offsets * count) for first, step, count in _axes(view))
     x, y = np.meshgrid(view.grid.x(cols), view.grid.y(rows))
     if view.grid.crs != elevation.crs:
         x, y = transformer(view.grid.crs, elevation.crs).transform(x, y)
     if elevation.crs.is_geographic:
         middle = (elevation.bounds[0] + elevation.bounds[2]) / 2
         x = x + 360.0 * np.rint((middle - x) / 360.0)
-    found = []
+    ranges = []
     for cells, (first, last) in zip(elevation.cell_of(x, y), all_cells, strict=True):
         if not np.isfinite(cells).all():
             return all_cells
@@ -55,8 +55,8 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
         low, high = max(float(cells.min() - margin), first), min(float(cells.max() + margin), last)
         if low > high:
             return None
-        found.append((low, high))
-    return found[0], found[1]
+        ranges.append((low, high))
+    return ranges[0], ranges[1]
 
 
 def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, int]]:

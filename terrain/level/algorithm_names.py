@@ -35,8 +35,8 @@ class _RegisteredName:
 
 def _check_registered(name: str) -> str:
     if name not in ALGORITHM_NAMES:
-        *others, last = (f"'{each}'" for each in ALGORITHM_NAMES)
-        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
+        *earlier_names, last = (f"'{registered_name}'" for registered_name in ALGORITHM_NAMES)
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(earlier_names)} or {last}"})
     return name
 
 

@@ -31,7 +31,7 @@ MAX_FILE_CHARACTERS = 2**20
 ALLOWED_KEY_TIMES = "a time since the first frame, such as 0s, 90s or 10m, or an ISO 8601 time with an offset"
 """The allowed times of a key, for messages."""
 
-_READABLE = "Use a readable YAML file of camera keys"
+_READABLE_REMEDY = "Use a readable YAML file of camera keys"
 
 
 def _validate_time(value: Any) -> Any:
@@ -126,21 +126,21 @@ class CameraPathSpec(Model):
 def load_camera_path(path: Path) -> CameraPathSpec:
     """Read and validate a camera file. Raises ``LevelError``, with one line for each wrong key."""
     if (kind := special_file_kind(path)) is not None:
-        raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
+        raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE_REMEDY)
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MAX_FILE_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
-        raise LevelError(str(path), Problem(reason), _READABLE) from None
+        raise LevelError(str(path), Problem(reason), _READABLE_REMEDY) from None
     if len(text) > MAX_FILE_CHARACTERS:
         raise LevelError(str(path), Problem(f"more than {MAX_FILE_CHARACTERS} characters"), "Use a shorter file")
     try:
         data = parse_level_text(text)
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        where = f"{path}: line {mark.line + 1}" if mark else str(path)
-        raise LevelError(where, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
+        location = f"{path}: line {mark.line + 1}" if mark else str(path)
+        raise LevelError(location, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
     except (ValueError, RecursionError) as error:  # an impossible date, or too deeply nested brackets
         raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):

@@ -14,12 +14,12 @@ from skugga.terrain.level.linked_files import is_remote, linked_files, vrt_eleme
 
 FOLDER = "a folder"
 
-_KINDS = (
+_SPECIAL_FILE_KINDS = (
     (stat.S_ISDIR, FOLDER), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
     (stat.S_ISSOCK, "a socket"),
 )  # fmt: skip
 
-_ALLOWED = "Use a regular file"
+_REMEDY = "Use a regular file"
 
 
 def special_file_kind(path: Path | str) -> str | None:
@@ -31,14 +31,14 @@ def special_file_kind(path: Path | str) -> str | None:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):
         return None
-    return next((words for is_kind, words in _KINDS if is_kind(mode)), None)
+    return next((words for is_kind, words in _SPECIAL_FILE_KINDS if is_kind(mode)), None)
 
 
 def check_file(source: str) -> None:
     """Raise ``SourceError`` if a file, or a file that it refers to, exists but is not a regular file."""
-    for each in (source, *linked_files(source)):
-        if not is_remote(each) and (kind := special_file_kind(each)) is not None:
-            raise SourceError(source, f"{kind}, not a regular file" if each == source else f"refers to {each}, {kind}", _ALLOWED)
+    for file in (source, *linked_files(source)):
+        if not is_remote(file) and (kind := special_file_kind(file)) is not None:
+            raise SourceError(source, f"{kind}, not a regular file" if file == source else f"refers to {file}, {kind}", _REMEDY)
 
 
 def check_geodata(source: str) -> None:
@@ -47,19 +47,19 @@ def check_geodata(source: str) -> None:
     A source and the files that it refers to must be regular files or folders, since some formats are folders. A virtual raster
     (VRT) must not read the raw bytes of a file as cells, contain another VRT as text, or contain Python code.
     """
-    for each in (source, *linked_files(source)):
-        if is_remote(each):
+    for file in (source, *linked_files(source)):
+        if is_remote(file):
             continue
-        if each.startswith("<"):
+        if file.startswith("<"):
             raise SourceError(source, "it contains another virtual file as text", "Use a virtual file that names its parts")
-        kind = special_file_kind(each)
+        kind = special_file_kind(file)
         if kind not in (None, FOLDER):
-            raise SourceError(source, f"{kind}, not a regular file" if each == source else f"refers to {each}, {kind}", _ALLOWED)
-        root = None if kind == FOLDER else vrt_elements(Path(each))
+            raise SourceError(source, f"{kind}, not a regular file" if file == source else f"refers to {file}, {kind}", _REMEDY)
+        root = None if kind == FOLDER else vrt_elements(Path(file))
         for element in () if root is None else root.iter():
             if element.get("subClass") == "VRTRawRasterBand":
                 raise SourceError(
-                    source, f"{Path(each).name} has a band that reads raw bytes", "Use a virtual raster whose parts are rasters"
+                    source, f"{Path(file).name} has a band that reads raw bytes", "Use a virtual raster whose parts are rasters"
                 )
             if element.tag == "PixelFunctionLanguage" and (element.text or "").strip().lower() == "python":
-                raise SourceError(source, f"{Path(each).name} has a band with Python code", "Use a virtual raster without code")
+                raise SourceError(source, f"{Path(file).name} has a band with Python code", "Use a virtual raster without code")

@@ -48,11 +48,11 @@ class DataRoots:
         local = _local_path(file) if is_remote(file) else file
         if local is None or local.startswith("<"):  # a VRT as text is never opened
             return
-        real = self._real(local)
+        real = self._resolve_links(local)
         if not any(real == root or real.startswith(root.rstrip(os.sep) + os.sep) for root in self._roots):
-            where = file if real == os.path.abspath(local) else f"{file}, which resolves to {real},"
+            file_text = file if real == os.path.abspath(local) else f"{file}, which resolves to {real},"
             raise LevelError(
-                str(level), Problem(f"{where} lies outside the folders of levels and data"),
+                str(level), Problem(f"{file_text} lies outside the folders of levels and data"),
                 f"Move it into one of {', '.join(self._roots)}, or add its folder to SKUGGA_DATA_ROOTS",
             )  # fmt: skip
         if os.path.isdir(real):
@@ -75,7 +75,7 @@ class DataRoots:
 
         This finds references that ``linked_files`` does not know, since formats write them in many ways.
         """
-        checked = dict.fromkeys(each for each in loaded.linked_sources if not is_remote(each))
+        checked = dict.fromkeys(source for source in loaded.linked_sources if not is_remote(source))
         queue = list(checked)
         while queue:
             for file in _files_opened_by_gdal(queue.pop()):
@@ -88,7 +88,7 @@ class DataRoots:
                     checked[file] = None
                     queue.append(file)
 
-    def _real(self, file: str) -> str:
+    def _resolve_links(self, file: str) -> str:
         folder, name = os.path.split(file)
         if name in ("", ".", ".."):
             return os.path.realpath(file)
@@ -106,8 +106,8 @@ def _local_path(address: str) -> str | None:
         return address
     if path.startswith("/vsi"):
         return None if _REMOTE_VSI.match(path) else path
-    scheme, found, _ = path.partition("://")
-    if found:
+    scheme, separator, _ = path.partition("://")
+    if separator:
         return None if scheme.lower().rpartition("+")[2] in _SCHEMES else address
     return address if "{" in path else path
 

@@ -15,7 +15,7 @@ REMOTE_DRIVERS = (
 )  # fmt: skip
 """GDAL drivers with which a file can refer to a network service or run a program."""
 
-NO_CODE = {"GDAL_VRT_ENABLE_PYTHON": "NO"}
+NO_PYTHON_CODE = {"GDAL_VRT_ENABLE_PYTHON": "NO"}
 
 NO_REMOTE_READS = {
     "GDAL_SKIP": ",".join(REMOTE_DRIVERS),
@@ -47,7 +47,7 @@ def cap_caches() -> None:
 
 def forbid_code() -> None:
     """Forbid Python code in virtual rasters."""
-    os.environ.update(NO_CODE)
+    os.environ.update(NO_PYTHON_CODE)
 
 
 def forbid_remote_reads() -> None:

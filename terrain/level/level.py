@@ -70,12 +70,12 @@ class ShadowSettings(Model):
     """
 
     algorithm: Annotated[
-        Literal["auto"] | AlgorithmName | dict[str, Any], RequestOptions(spelt=Annotated[str, Field(max_length=200)])
+        Literal["auto"] | AlgorithmName | dict[str, Any], RequestOptions(request_type=Annotated[str, Field(max_length=200)])
     ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.", examples=["auto"])
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
         default="auto", description="Size of a shadow map: texels per side.", examples=[1024]
     )
-    cascades: Annotated[Literal["auto", 1, 2, 3, 4], RequestOptions(take=("render", "select", "plans"))] = Field(
+    cascades: Annotated[Literal["auto", 1, 2, 3, 4], RequestOptions(front_ends=("render", "select", "plans"))] = Field(
         default="auto", description="Number of cascades: shadow maps of a perspective view, each for a range of distances."
     )
     depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of depth of a shadow map.")
@@ -83,7 +83,7 @@ class ShadowSettings(Model):
         default="auto",
         description="Shadow filter: taps per side in a map, or `sun` for the penumbra of the sun's disc or of a lamp's radius.",
     )
-    fit: Annotated[Literal["auto", "stable", "tight"], RequestOptions(take=("render", "select"))] = Field(
+    fit: Annotated[Literal["auto", "stable", "tight"], RequestOptions(front_ends=("render", "select"))] = Field(
         default="auto", description="Fit of a shadow map: on a lattice fixed to the ground, or tight around the view."
     )
     bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = Field(
@@ -113,10 +113,10 @@ class ShadowSettings(Model):
 class Shadows(ShadowSettings):
     """Requested shadows: their settings, and the error and time limits for the choices of the selector."""
 
-    max_error: Annotated[FiniteFloat, RequestOptions(take=("select", "plans"))] = Field(
+    max_error: Annotated[FiniteFloat, RequestOptions(front_ends=("select", "plans"))] = Field(
         default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong.", examples=[0.03]
     )
-    max_ms: Annotated[FiniteFloat | None, RequestOptions(take=("select", "plans"))] = Field(
+    max_ms: Annotated[FiniteFloat | None, RequestOptions(front_ends=("select", "plans"))] = Field(
         default=None,
         gt=0,
         description="Time limit: milliseconds for the shadows of a frame (of a map: of a block of 1024 x 1024 pixels).",
@@ -215,25 +215,25 @@ class Level(Model):
     @model_validator(mode="after")
     def _check_pins(self) -> Level:
         """Check that each pin names an existing view and existing lights, and that earlier pins do not cover it completely."""
-        pins, views, wrong = self.shadows.pins, {"map": None, **self.views}, []
+        pins, views, error_details = self.shadows.pins, {"map": None, **self.views}, []
         for number, pin in enumerate(pins):
             if pin.view is not None and pin.view not in views:
                 problem = PydanticCustomError("pin", "one of the level's views: {views}", {"views": ", ".join(views)})
-                wrong.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number, "view"), input=pin.view))
+                error_details.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number, "view"), input=pin.view))
             try:
                 expand_override(pin.algorithm, self.light_names)
             except PydanticCustomError as error:
-                where = ("shadows", "pins", number, "algorithm")
-                wrong.append(InitErrorDetails(type=error, loc=where, input=pin.algorithm))
-        if not wrong:
+                location = ("shadows", "pins", number, "algorithm")
+                error_details.append(InitErrorDetails(type=error, loc=location, input=pin.algorithm))
+        if not error_details:
             for number, earlier in covered_pins(pins, views, self.sun == "none"):
-                before = " and ".join(f"shadows.pins.{each} ({pins[each].where})" for each in earlier)
+                before = " and ".join(f"shadows.pins.{index} ({pins[index].scope_text})" for index in earlier)
                 problem = PydanticCustomError(
                     "pin", "a view or sun altitudes that earlier pins do not cover: {before}", {"before": before}
                 )
-                wrong.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number), input=pins[number].where))
-        if wrong:
-            raise ValidationError.from_exception_data("Level", wrong)
+                error_details.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number), input=pins[number].scope_text))
+        if error_details:
+            raise ValidationError.from_exception_data("Level", error_details)
         return self
 
     @model_validator(mode="after")
@@ -287,21 +287,21 @@ class LoadedLevel(BaseModel):
         from skugga.terrain.level.bundled import BUNDLED
 
         level = self.level
-        named = [level.terrain.source, level.terrain.imagery, *(stand.source for stand in level.forest)]
+        names = [level.terrain.source, level.terrain.imagery, *(forest_spec.source for forest_spec in level.forest)]
         for mesh in level.meshes:
-            named += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
-        return tuple(self.resolve(name) for name in named if name is not None and name not in BUNDLED)
+            names += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
+        return tuple(self.resolve(name) for name in names if name is not None and name not in BUNDLED)
 
     @property
     def archives(self) -> tuple[Path, ...]:
         """Absolute paths of the tile archives that the level names. They are not ``sources``, since no picture depends on them."""
-        named = self.level.archive
-        return tuple(Path(self.resolve(name)) for name in ((named,) if isinstance(named, str) else named))
+        names = self.level.archive
+        return tuple(Path(self.resolve(name)) for name in ((names,) if isinstance(names, str) else names))
 
     @property
     def linked_sources(self) -> tuple[str, ...]:
         """``sources`` and all files that they refer to: parts of virtual rasters, materials and textures of models, addresses."""
-        return tuple(dict.fromkeys(each for source in self.sources for each in (source, *linked_files(source))))
+        return tuple(dict.fromkeys(file for source in self.sources for file in (source, *linked_files(source))))
 
     def resolve(self, source: str) -> str:
         """Return the absolute path of a path relative to the level file. Addresses and GDAL's own paths stay as they are."""
@@ -373,7 +373,7 @@ def parse_algorithm(text: str, parameter: str = "algorithm", names: Sequence[str
     return value
 
 
-def spelt(algorithm: str | dict[str, Any]) -> str:
+def override_text(algorithm: str | dict[str, Any]) -> str:
     """Return an override as text that ``parse_algorithm`` reads."""
     if isinstance(algorithm, str):
         return algorithm
@@ -439,7 +439,7 @@ TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
 
 _NOT_A_LEVEL = "neither a level file nor a raster that GDAL reads"
 _LEVEL_REMEDY = "Use a raster of heights, or a YAML file that starts with 'version: 1'"
-_READABLE = "Use a readable YAML file, or a raster that GDAL reads"
+_READABLE_REMEDY = "Use a readable YAML file, or a raster that GDAL reads"
 
 
 def load_level(source: Path | str | LevelSource) -> LoadedLevel:
@@ -474,13 +474,13 @@ def _load(source: LevelSource) -> LoadedLevel:
             f"Write {LEVEL_KEYS_BY_OPTION[name]} in the level file",
         )
     if (kind := special_file_kind(path)) is not None:
-        raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
+        raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE_REMEDY)
     try:
         with path.open(encoding="utf-8") as level_file:
             text = level_file.read(MAX_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
-        raise LevelError(str(path), Problem(reason), _READABLE) from None
+        raise LevelError(str(path), Problem(reason), _READABLE_REMEDY) from None
     if len(text) > MAX_CHARACTERS:
         raise LevelError(str(path), Problem(f"more than {MAX_CHARACTERS} characters"), "Use a shorter file")
     try:
@@ -491,8 +491,8 @@ def _load(source: LevelSource) -> LoadedLevel:
         if not isinstance(error, YAMLError):
             raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
         mark = getattr(error, "problem_mark", None)
-        where = f"{path}: line {mark.line + 1}" if mark else str(path)
-        raise LevelError(where, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
+        location = f"{path}: line {mark.line + 1}" if mark else str(path)
+        raise LevelError(location, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):
         if path.suffix.lower() not in TEXT_SUFFIXES:
             raise LevelError(str(path), Problem(_NOT_A_LEVEL), _LEVEL_REMEDY)

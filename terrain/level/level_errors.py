@@ -67,28 +67,28 @@ def _drop_unlikely_branches(data: Any, errors: list[ErrorDetails]) -> list[Error
 
 def _branches(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str]]:
     """Return the union branches around an error: the keys of each union, and pydantic's name of the branch."""
-    return [(keys, step) for keys, step in _steps(data, error) if step is not None]
+    return [(keys, step) for keys, step in _location_steps(data, error) if step is not None]
 
 
 def _key_error(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
     """Return the error of one key from all pydantic errors of that key."""
-    where, first, last = f"{path}: {'.'.join(keys)}", errors[0], errors[-1]
+    location, first, last = f"{path}: {'.'.join(keys)}", errors[0], errors[-1]
     if first["type"] == "union_tag_invalid":
         return LevelError(
-            f"{where}.{first['ctx']['discriminator'].strip(chr(39))}", first["ctx"]["tag"], first["ctx"]["expected_tags"]
+            f"{location}.{first['ctx']['discriminator'].strip(chr(39))}", first["ctx"]["tag"], first["ctx"]["expected_tags"]
         )
     if first["type"] == UNKNOWN_KEY:
-        known = first["ctx"]["known"]
-        near = get_close_matches(keys[-1], known.split(", "), 1)
-        suggestion = f"Did you mean '{near[0]}'? " if near else ""
-        return LevelError(where, Problem("unknown key"), f"{suggestion}Allowed keys: {known}")
+        allowed_keys = first["ctx"]["known"]
+        matches = get_close_matches(keys[-1], allowed_keys.split(", "), 1)
+        suggestion = f"Did you mean '{matches[0]}'? " if matches else ""
+        return LevelError(location, Problem("unknown key"), f"{suggestion}Allowed keys: {allowed_keys}")
     if last["type"] == "missing" and isinstance(items := last["loc"][-1], int):  # a list that is too short
-        return LevelError(where, last["input"], f"a list of {items + 1} items")
+        return LevelError(location, last["input"], f"a list of {items + 1} items")
     if first["type"] == "missing":
-        return LevelError.missing(where, "This key is required")
+        return LevelError.missing(location, "This key is required")
     allowed = " or ".join(dict.fromkeys(_phrase(error["msg"]) for error in errors))
     allowed = re.sub("a valid dictionary( or instance of [A-Za-z]+)?", "a mapping of keys", allowed)
-    return LevelError(where, first["input"], allowed.replace("input should be ", ""))
+    return LevelError(location, first["input"], allowed.replace("input should be ", ""))
 
 
 def _phrase(message: str) -> str:
@@ -101,11 +101,11 @@ def _phrase(message: str) -> str:
 
 def _keys(data: Any, error: ErrorDetails) -> _Keys:
     """Return the keys of a file that lead to an error: pydantic's location without its names of union branches."""
-    *_, (keys, _) = [((), None), *_steps(data, error)]
+    *_, (keys, _) = [((), None), *_location_steps(data, error)]
     return (*keys, error["ctx"]["key"]) if error["type"] == UNKNOWN_KEY else keys
 
 
-def _steps(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str | None]]:
+def _location_steps(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str | None]]:
     """Return the steps of an error's location: the keys up to the step, and the branch's name if the step enters a union."""
     steps: list[tuple[_Keys, str | None]] = []
     keys: _Keys = ()

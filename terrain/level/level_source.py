@@ -28,10 +28,10 @@ def remedy(option: str, value: str) -> str:
 
 def parse_units(parameter: str, name: str | None) -> Units | None:
     """Return the unit of heights with a name. Raises ``InputError``, which names the parameter."""
-    found = next((unit for unit in METRES_PER_UNIT if unit == name), None)
-    if name is not None and found is None:
+    units = next((unit for unit in METRES_PER_UNIT if unit == name), None)
+    if name is not None and units is None:
         raise InputError(parameter, name, ", ".join(METRES_PER_UNIT))
-    return found
+    return units
 
 
 def parse_positive(parameter: str, name: str | None) -> Positive | None:
@@ -91,11 +91,11 @@ class LevelSource(BaseModel):
     def level_keys(self) -> dict[str, Any]:
         """The keys and values of an equivalent level file."""
         names = "nodata", "units", "positive"
-        stated = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        raster_keys = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return {
             "version": 1,
             "title": printable(self.path.stem),
-            "terrain": {"source": self.path.name, **stated},
+            "terrain": {"source": self.path.name, **raster_keys},
             **({} if self.canopy is None else {"forest": [{"source": str(self.canopy.resolve())}]}),
             **({} if self.buildings is None else {"meshes": [{"source": str(self.buildings.resolve())}]}),
         }

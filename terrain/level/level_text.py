@@ -52,8 +52,8 @@ class _BoundedComposer(Composer):
             raise MarkedYAMLError(problem=f"more than {MAX_VALUES} values", problem_mark=mark)
         node = super().compose_node(parent, index)
         self._depth -= 1
-        if isinstance(node, ScalarNode) and (found := _CONTROL_CHARACTERS.search(node.value)):
-            raise MarkedYAMLError(problem=f"the control character {ascii(found[0])}", problem_mark=mark)
+        if isinstance(node, ScalarNode) and (match := _CONTROL_CHARACTERS.search(node.value)):
+            raise MarkedYAMLError(problem=f"the control character {ascii(match[0])}", problem_mark=mark)
         return node
 
 
@@ -77,7 +77,7 @@ def _expanded_size(node: Node, sizes: dict[int, tuple[int, int] | None]) -> tupl
             raise MarkedYAMLError(problem="an alias of a list or mapping that contains it", problem_mark=node.start_mark)
         return size
     sizes[id(node)] = None
-    parts = [each for pair in node.value for each in pair] if isinstance(node, MappingNode) else node.value
+    parts = [child for pair in node.value for child in pair] if isinstance(node, MappingNode) else node.value
     counts, depths = zip(*(_expanded_size(part, sizes) for part in parts), strict=True) if parts else ((), ())
     count, depth = 1 + sum(counts), 1 + max(depths, default=0)
     if depth > MAX_DEPTH:

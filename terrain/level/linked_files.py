@@ -51,7 +51,7 @@ _FILE_ELEMENTS = (
 )
 _FILE_ITEMS = ("X_DATASET", "Y_DATASET", "RPC_DEM", "RPC_DEM_FILE", "OVERVIEW_FILE", "DEM")
 _MODEL_LINK = re.compile(rb"^[ \t]*(?:mtllib|comment[ \t]+TextureFile)[ \t]+([^\r\n]+)", re.MULTILINE)
-_PIPELINE = b"gdal_streamed_alg"  # key of a file that GDAL runs as a command
+_GDAL_PIPELINE_KEY = b"gdal_streamed_alg"  # key of a file that GDAL runs as a command
 _LINKED_CRS = re.compile(rb"""(?i)"link"|\\u00[0-7]""")
 _ADDRESS = re.compile(r"""[A-Za-z][\w+.-]*://[^\s<>"']+|/vsi\w+/[^\s<>"']+""")
 _SOURCE_IN_SQL = re.compile(r"""['"]([^'"]+)['"]\s*\.""")  # FROM 'FILE'.table
@@ -115,10 +115,10 @@ def _direct_links(source: str) -> Iterator[str]:
         names = [*_file_names_in(path)]
     except (OSError, ValueError):
         return
-    for name, from_folder in names:
+    for name, is_relative in names:
         if name.startswith("data:") or "\0" in name:
             continue
-        yield name if is_remote(name) or name.startswith(("/", "<")) or not from_folder else str((path.parent / name).resolve())
+        yield name if is_remote(name) or name.startswith(("/", "<")) or not is_relative else str((path.parent / name).resolve())
         if path.suffix.lower() in MODEL_FILE_SUFFIXES and (sidecar := path.parent / Path(name).name).is_file():
             yield str(sidecar.resolve())  # readers of models look in their own folder, too
 
@@ -127,20 +127,20 @@ def _file_names_in(path: Path) -> Iterator[tuple[str, bool]]:
     """Yield the file names in a file, each with whether it is relative to the file's folder."""
     suffix = path.suffix.lower()
     if suffix in (".obj", ".ply"):
-        yield from ((name, True) for name in _matches(_MODEL_LINK, path))
+        yield from ((name, True) for name in _link_matches(_MODEL_LINK, path))
     elif suffix == ".mtl":
-        yield from ((name, True) for name in _matches(_TEXTURE_LINK, path))
+        yield from ((name, True) for name in _link_matches(_TEXTURE_LINK, path))
     elif suffix in (".gltf", ".glb"):
         yield from ((uri, True) for uri in _gltf_addresses(path))
     elif suffix in _GEOJSON_SUFFIXES:
         yield from ((address, True) for address in _linked_crs(path))
     elif (root := vrt_elements(path)) is not None:
         for element in root.iter():
-            stated = (element.text or "").strip()
+            text = (element.text or "").strip()
             if element.tag == "SrcSQL":
-                yield from ((source, True) for source in _SOURCE_IN_SQL.findall(stated))
-            elif stated and (element.tag in _FILE_ELEMENTS or element.get("key") in _FILE_ITEMS):
-                yield stated, element.get("relativeToVRT", element.get("relativetoVRT", "0")) == "1" or not stated.startswith("/")
+                yield from ((source, True) for source in _SOURCE_IN_SQL.findall(text))
+            elif text and (element.tag in _FILE_ELEMENTS or element.get("key") in _FILE_ITEMS):
+                yield text, element.get("relativeToVRT", element.get("relativetoVRT", "0")) == "1" or not text.startswith("/")
     else:
         yield from ((address, False) for address in _service_addresses(path))
 
@@ -158,37 +158,37 @@ def _service_addresses(path: Path) -> Iterator[str]:
 def _linked_crs(path: Path) -> Iterator[str]:
     """Yield the addresses of linked CRSs in GeoJSON (GeoJSON 2008, section 3.2), in any object."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-        if text.find(_PIPELINE) >= 0:
+        if text.find(_GDAL_PIPELINE_KEY) >= 0:
             yield from _ADDRESS.findall(text[:].decode("utf-8", "replace"))
         if not _LINKED_CRS.search(text):
             return
-        found: list[str] = []
+        addresses: list[str] = []
 
         def collect(pairs: list[tuple[str, object]]) -> dict[str, object]:
-            each = dict(pairs)
-            crs = each.get("crs")
+            json_object = dict(pairs)
+            crs = json_object.get("crs")
             if isinstance(crs, dict) and str(crs.get("type")).lower() == "link":
-                found.append(str((crs.get("properties") or {}).get("href")))
-            return each
+                addresses.append(str((crs.get("properties") or {}).get("href")))
+            return json_object
 
         json.loads(text[:].decode("utf-8-sig"), object_pairs_hook=collect)
-    yield from found
+    yield from addresses
 
 
-def _matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
+def _link_matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
         for match in pattern.finditer(text):
-            stated = match[1].decode("utf-8", "replace").strip()
-            yield stated
-            if pattern is _TEXTURE_LINK and " " in stated:  # options may precede the name
-                yield stated.split()[-1]
+            link = match[1].decode("utf-8", "replace").strip()
+            yield link
+            if pattern is _TEXTURE_LINK and " " in link:  # options may precede the name
+                yield link.split()[-1]
 
 
 def _gltf_addresses(path: Path) -> Iterator[str]:
     for part in ("buffers", "images"):
-        for each in gltf_parts(path, part):
-            if isinstance(each.get("uri"), str):
-                yield each["uri"]
+        for item in gltf_parts(path, part):
+            if isinstance(item.get("uri"), str):
+                yield item["uri"]
 
 
 def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
@@ -200,5 +200,5 @@ def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
         else:
             text = head + file.read(MAX_XML_BYTES)
     data = json.loads(text)
-    stated = data.get(part) if isinstance(data, dict) else None
-    return [each for each in stated if isinstance(each, dict)] if isinstance(stated, list) else []
+    items = data.get(part) if isinstance(data, dict) else None
+    return [item for item in items if isinstance(item, dict)] if isinstance(items, list) else []

@@ -26,10 +26,10 @@ class Model(BaseModel):
         unknown = [key for key in data if key not in cls.model_fields] if isinstance(data, dict) else []
         if not unknown:
             return validate(data)
-        known = ", ".join(cls.model_fields)
+        allowed_keys = ", ".join(cls.model_fields)
         errors = [
             InitErrorDetails(
-                type=PydanticCustomError(UNKNOWN_KEY, "unknown key", {"key": str(key), "known": known}), input=data[key]
+                type=PydanticCustomError(UNKNOWN_KEY, "unknown key", {"key": str(key), "known": allowed_keys}), input=data[key]
             )
             for key in unknown
         ]
@@ -38,8 +38,10 @@ class Model(BaseModel):
         except ValidationError as error:
             errors += [
                 InitErrorDetails(
-                    type=PydanticCustomError(each["type"], each["msg"], each.get("ctx")), loc=each["loc"], input=each["input"]
+                    type=PydanticCustomError(detail["type"], detail["msg"], detail.get("ctx")),
+                    loc=detail["loc"],
+                    input=detail["input"],
                 )
-                for each in error.errors()
+                for detail in error.errors()
             ]
         raise ValidationError.from_exception_data(cls.__name__, errors)

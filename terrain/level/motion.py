@@ -30,11 +30,14 @@ KeyPath = tuple[str | int, ...]
 """Keys and list indices that lead to a nested part of a level file."""
 
 
-def parts_error(title: str, wrong: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
+def parts_error(title: str, problems: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
     """Return one error of several parts, each with its key path, its value and the allowed values."""
     return ValidationError.from_exception_data(
         title,
-        [InitErrorDetails(type=PydanticCustomError("part", words), loc=location, input=value) for location, value, words in wrong],
+        [
+            InitErrorDetails(type=PydanticCustomError("part", words), loc=location, input=value)
+            for location, value, words in problems
+        ],
     )
 
 
@@ -57,7 +60,7 @@ class PathKey(_Key):
         return value
 
     @property
-    def place(self) -> tuple[float, float, float]:
+    def position_3d(self) -> tuple[float, float, float]:
         """The position with its height, metres; 0 if the key has none."""
         return (*self.position[:2], self.position[2] if len(self.position) == 3 else 0.0)
 
@@ -90,18 +93,18 @@ def _key_errors(keys: Sequence[_Key], loop: bool) -> list[tuple[KeyPath, object,
     """Return the wrong keys of a path: their key paths, values and allowed values."""
     if len(keys) < 2:
         return [(("path",), [key.model_dump(exclude_none=True) for key in keys], "at least two keys")]
-    wrong: list[tuple[KeyPath, object, str]] = []
+    problems: list[tuple[KeyPath, object, str]] = []
     for number, (previous, following) in enumerate(pairwise(keys), start=1):
         if not following.seconds - previous.seconds >= MIN_KEY_STEP_S:
             allowed = f"seconds that increase by at least {MIN_KEY_STEP_S} from key to key: the previous has {previous.seconds:g}"
-            wrong.append((("path", number, "seconds"), following.seconds, allowed))
+            problems.append((("path", number, "seconds"), following.seconds, allowed))
     if loop:
         for name in ("position", "target"):
             first, last = (_with_height(getattr(key, name, None)) for key in (keys[0], keys[-1]))
             if first != last:
                 allowed = f"the {name} of the first key, {list(first or ())}: a loop ends where it begins"
-                wrong.append((("path", len(keys) - 1, name), getattr(keys[-1], name), allowed))
-    return wrong
+                problems.append((("path", len(keys) - 1, name), getattr(keys[-1], name), allowed))
+    return problems
 
 
 def _with_height(position: tuple[float, ...] | None) -> tuple[float, ...] | None:
@@ -121,18 +124,22 @@ class MeshMotion(_Path):
 
     @model_validator(mode="after")
     def _check_path(self) -> Self:
-        wrong: list[tuple[KeyPath, object, str]] = []
+        problems: list[tuple[KeyPath, object, str]] = []
         if self.path is None:
             path_keys = ("loop", "above", "face")
-            wrong = [((key,), getattr(self, key), "no value without a path") for key in path_keys if key in self.model_fields_set]
+            problems = [
+                ((key,), getattr(self, key), "no value without a path") for key in path_keys if key in self.model_fields_set
+            ]
         else:
-            wrong = _key_errors(self.path, self.loop)
+            problems = _key_errors(self.path, self.loop)
             if self.above == "sea":
                 for number, key in enumerate(self.path):
                     if len(key.position) == 2:
-                        wrong.append((("path", number, "position"), key.position, "three numbers, with the height above the sea"))
-        if wrong:
-            raise parts_error("motion", wrong)
+                        problems.append(
+                            (("path", number, "position"), key.position, "three numbers, with the height above the sea")
+                        )
+        if problems:
+            raise parts_error("motion", problems)
         return self
 
     @property
@@ -148,16 +155,16 @@ class LampMotion(_Path):
 
     @model_validator(mode="after")
     def _check_path(self) -> Self:
-        wrong = _key_errors(self.path, self.loop)
+        problems = _key_errors(self.path, self.loop)
         for number, key in enumerate(self.path):
-            if tuple(name for name in ("position", "target") if getattr(key, name) is not None) != self.moved:
-                allowed = f"the keys of the first one: seconds, {', '.join(self.moved)}"
-                wrong.append((("path", number), key.model_dump(exclude_none=True), allowed))
-        if wrong:
-            raise parts_error("motion", wrong)
+            if tuple(name for name in ("position", "target") if getattr(key, name) is not None) != self.moved_fields:
+                allowed = f"the keys of the first one: seconds, {', '.join(self.moved_fields)}"
+                problems.append((("path", number), key.model_dump(exclude_none=True), allowed))
+        if problems:
+            raise parts_error("motion", problems)
         return self
 
     @property
-    def moved(self) -> tuple[str, ...]:
+    def moved_fields(self) -> tuple[str, ...]:
         """Names of the fields that the path moves: ``position``, ``target`` or both."""
         return tuple(name for name in ("position", "target") if getattr(self.path[0], name) is not None) if self.path else ()

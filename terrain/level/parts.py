@@ -260,7 +260,7 @@ class MeshSpec(Model):
         return self.motion is not None and self.motion.moves
 
     @property
-    def places(self) -> list[MapPosition]:
+    def positions(self) -> list[MapPosition]:
         """The positions of the mesh; empty if the file gives none."""
         if self.at is None:
             return []
@@ -329,13 +329,13 @@ class LightSpec(Model):
 
     @model_validator(mode="after")
     def _check_target(self) -> LightSpec:
-        moved = () if self.motion is None else self.motion.moved
-        duplicates = [name for name in moved if getattr(self, name) is not None]
+        moved_fields = () if self.motion is None else self.motion.moved_fields
+        duplicates = [name for name in moved_fields if getattr(self, name) is not None]
         if duplicates:
             raise parts_error("light", [((name,), getattr(self, name), EXCLUDED_BY_PATH) for name in duplicates])
-        if self.position is None and "position" not in moved:
+        if self.position is None and "position" not in moved_fields:
             raise ValidationError.from_exception_data("light", [InitErrorDetails(type="missing", loc=("position",), input=None)])
-        if (self.kind == "spot") != (self.target is not None or "target" in moved):
+        if (self.kind == "spot") != (self.target is not None or "target" in moved_fields):
             raise PydanticCustomError("target", "a target for a spot, none for an omni light")
         if self.target is not None and self.target == self.position:
             raise PydanticCustomError("target", "a target other than the position")

@@ -13,7 +13,7 @@ from skugga.terrain.level.model import Model
 Degrees = Annotated[float, Field(ge=-90, le=90)]
 Range = tuple[float, float]
 
-ALL_SUNS: Range = (-90.0, 90.0)
+ALL_ALTITUDES: Range = (-90.0, 90.0)
 
 
 class PinScope(Model):
@@ -34,7 +34,7 @@ class PinScope(Model):
         return value
 
     @property
-    def where(self) -> str:
+    def scope_text(self) -> str:
         """The scope in words, such as ``view village, sun 5 to 20 degrees high``."""
         parts = ["all views" if self.view is None else f"view {self.view}"]
         if self.sun_altitude_deg is not None:
@@ -56,10 +56,10 @@ def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> l
     scope = scopes[number]
     if scope.view not in (None, view):
         return []
-    uncovered = [scope.sun_altitude_deg or ALL_SUNS]
+    uncovered = [scope.sun_altitude_deg or ALL_ALTITUDES]
     for earlier in scopes[:number]:
         if earlier.view in (None, view):
-            low, high = earlier.sun_altitude_deg or ALL_SUNS
+            low, high = earlier.sun_altitude_deg or ALL_ALTITUDES
             uncovered = [part for a, b in uncovered for part in ((a, min(b, low)), (max(a, high), b)) if part[0] < part[1]]
     return uncovered
 
@@ -70,11 +70,15 @@ def covered_pins(scopes: Sequence[PinScope], views: Collection[str], sunless: bo
     ``sunless`` says whether the level may have no sun.
     """
     for number, scope in enumerate(scopes):
-        own = [view for view in views if scope.view in (None, view)]
+        scope_views = [view for view in views if scope.view in (None, view)]
         earlier_pins = [
-            each for each, earlier in enumerate(scopes[:number]) if scope.view is None or earlier.view in (None, scope.view)
+            earlier_number
+            for earlier_number, earlier in enumerate(scopes[:number])
+            if scope.view is None or earlier.view in (None, scope.view)
         ]
-        sunless_views = [view for view in own if sunless and scope.sun_altitude_deg is None]
-        applies_without_sun = any(not any(scopes[each].holds(view, None) for each in earlier_pins) for view in sunless_views)
-        if not applies_without_sun and not any(uncovered_altitudes(scopes, number, view) for view in own):
+        sunless_views = [view for view in scope_views if sunless and scope.sun_altitude_deg is None]
+        applies_without_sun = any(
+            not any(scopes[earlier_number].holds(view, None) for earlier_number in earlier_pins) for view in sunless_views
+        )
+        if not applies_without_sun and not any(uncovered_altitudes(scopes, number, view) for view in scope_views):
             yield number, earlier_pins

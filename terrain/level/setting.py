@@ -18,7 +18,7 @@ FrontEnd = Literal["render", "select", "pictures", "plans"]
 AUTO = "auto"
 """Value that leaves a setting to the selector. Requests omit the setting instead."""
 
-_FORMS: dict[str, Any] = {"Literal": Literal, "Annotated": Annotated}
+_TYPE_CONSTRUCTORS: dict[str, Any] = {"Literal": Literal, "Annotated": Annotated}
 """Type constructors that are subscripted at run time, which type checkers reject in direct use."""
 
 
@@ -28,16 +28,16 @@ class RequestOptions:
 
     Attributes
     ----------
-    take
+    front_ends
         Front ends that accept the field.
-    spelt
+    request_type
         Type of the field in requests, if a level file allows more forms than a request; ``None``: the same type.
     auto
         Whether a request may set ``auto``.
     """
 
-    take: tuple[FrontEnd, ...] = get_args(FrontEnd)
-    spelt: Any = None
+    front_ends: tuple[FrontEnd, ...] = get_args(FrontEnd)
+    request_type: Any = None
     auto: bool = False
 
 
@@ -75,34 +75,34 @@ class Setting:
     @property
     def plain_type(self) -> type:
         """``int``, ``float`` or ``str``: the type for a command line, which has no unions."""
-        found = {type(word) for word in self.words}
-        found |= {_unannotated(part) for part in _union_parts(self.type) if get_origin(part) is not Literal}
-        return found.pop() if len(found) == 1 else str
+        types = {type(word) for word in self.words}
+        types |= {_unannotated(part) for part in _union_parts(self.type) if get_origin(part) is not Literal}
+        return types.pop() if len(types) == 1 else str
 
     @property
     def allowed(self) -> str:
         """The allowed values in words, such as ``16, 24 or 32`` or ``64 to 8192``; empty if all are."""
-        *most, last = (*map(str, self.words), *filter(None, map(_limits_text, _union_parts(self.type)))) or ("",)
-        return f"{', '.join(most)} or {last}" if most else last
+        *earlier_texts, last = (*map(str, self.words), *filter(None, map(_limits_text, _union_parts(self.type)))) or ("",)
+        return f"{', '.join(earlier_texts)} or {last}" if earlier_texts else last
 
 
 def settings_of(model: type[BaseModel], front_end: FrontEnd) -> list[Setting]:
     """Return the settings that a front end accepts, in the order of their fields."""
-    found = []
+    settings = []
     for name, field in model.model_fields.items():
-        requests = next((each for each in field.metadata if isinstance(each, RequestOptions)), RequestOptions())
-        if front_end in requests.take:
-            found.append(Setting(name, field.description or "", _request_type(field, requests), tuple(field.examples or ())))
-    return found
+        options = next((item for item in field.metadata if isinstance(item, RequestOptions)), RequestOptions())
+        if front_end in options.front_ends:
+            settings.append(Setting(name, field.description or "", _request_type(field, options), tuple(field.examples or ())))
+    return settings
 
 
-def _request_type(field: FieldInfo, requests: RequestOptions) -> Any:
+def _request_type(field: FieldInfo, options: RequestOptions) -> Any:
     """Return a field's type without ``auto`` and ``None``, with its limits."""
-    if requests.spelt is not None:
-        return requests.spelt
-    request_type = field.annotation if requests.auto else reduce(or_, _without_auto(field.annotation))
-    limits = [each for each in field.metadata if not isinstance(each, RequestOptions)]
-    return _FORMS["Annotated"][(request_type, *limits)] if limits else request_type
+    if options.request_type is not None:
+        return options.request_type
+    request_type = field.annotation if options.auto else reduce(or_, _without_auto(field.annotation))
+    limits = [item for item in field.metadata if not isinstance(item, RequestOptions)]
+    return _TYPE_CONSTRUCTORS["Annotated"][(request_type, *limits)] if limits else request_type
 
 
 def _without_auto(annotation: Any) -> Iterator[Any]:
@@ -111,7 +111,7 @@ def _without_auto(annotation: Any) -> Iterator[Any]:
         if get_origin(part) is Literal:
             words = tuple(word for word in get_args(part) if word != AUTO)
             if words:
-                yield _FORMS["Literal"][words]
+                yield _TYPE_CONSTRUCTORS["Literal"][words]
         elif part is not NoneType:
             yield part
 
@@ -132,16 +132,16 @@ def _unannotated(annotation: Any) -> Any:
 def _limits_text(annotation: Any) -> str:
     """Return the limits of a number in words; empty if it has none."""
     limits: dict[str, Any] = {}
-    for each in _limits(get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()):
-        limits |= {name: getattr(each, name) for name in ("ge", "le", "gt") if hasattr(each, name)}
+    for limit in _limits(get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()):
+        limits |= {name: getattr(limit, name) for name in ("ge", "le", "gt") if hasattr(limit, name)}
     if "ge" in limits and "le" in limits:
         return f"{limits['ge']:g} to {limits['le']:g}"
     return f"more than {limits['gt']:g}" if "gt" in limits else ""
 
 
 def _limits(metadata: tuple[Any, ...]) -> Iterator[Any]:
-    for each in metadata:
-        if isinstance(each, FieldInfo):
-            yield from each.metadata
+    for item in metadata:
+        if isinstance(item, FieldInfo):
+            yield from item.metadata
         else:
-            yield each
+            yield item

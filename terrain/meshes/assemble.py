@@ -15,7 +15,7 @@ from skugga.terrain.ground.ground_path import path_over_ground
 from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.model import MapPosition
 from skugga.terrain.level.parts import MeshSpec
-from skugga.terrain.meshes.body import Body, BodyMotion, PlacedBody, srgb_albedo, transformed, turn_about_up
+from skugga.terrain.meshes.body import Body, BodyMotion, PlacedBody, rotation_about_up, srgb_albedo, transformed
 from skugga.terrain.meshes.buildings import buildings
 from skugga.terrain.meshes.models import is_model, read_model
 from skugga.terrain.meshes.solids import Solids
@@ -33,11 +33,11 @@ class Placement:
 
     Attributes
     ----------
-    seen
+    visible
         The visible bodies.
     casting
         The casting bodies: the visible ones, or their stand-ins.
-    casting_buildings
+    casting_is_building
         For each casting body whether it is a building, which is an extruded footprint.
     notes
         Data read from the files of footprints, in words.
@@ -45,9 +45,9 @@ class Placement:
         Data of these files that was not used, in words.
     """
 
-    seen: tuple[PlacedBody, ...]
+    visible: tuple[PlacedBody, ...]
     casting: tuple[PlacedBody, ...]
-    casting_buildings: tuple[bool, ...] = ()
+    casting_is_building: tuple[bool, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -66,32 +66,32 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
     Raises ``LevelError`` for a key that does not apply, a position off the terrain or a path under the ground, ``SourceError`` for
     an unusable file.
     """
-    seen: list[PlacedBody] = []
+    visible: list[PlacedBody] = []
     casting: list[PlacedBody] = []
     are_buildings: list[bool] = []
     notes: list[str] = []
     warnings: list[str] = []
-    place = Geolocator(world, elevation)
+    geolocator = Geolocator(world, elevation)
     for number, spec in enumerate(loaded.level.meshes):
-        where = f"{loaded.path}: meshes.{number}"
+        key_path = f"{loaded.path}: meshes.{number}"
         from_footprints = spec.source is not None and not is_model(spec.source)
         if from_footprints:
-            _reject_keys(spec, MODEL_KEYS, where, "does not apply to footprints, whose file holds their positions")
-            placed_buildings = buildings(spec, where, loaded, world, elevation)
+            _reject_keys(spec, MODEL_KEYS, key_path, "does not apply to footprints, whose file holds their positions")
+            placed_buildings = buildings(spec, key_path, loaded, world, elevation)
             placed = stand_ins = placed_buildings.bodies
             notes += [f"{spec.source}: {note}" for note in placed_buildings.notes]
             warnings += [f"{spec.source}: {warning}" for warning in placed_buildings.warnings]
         else:
-            _reject_keys(spec, FOOTPRINT_KEYS, where, "applies to footprints only")
-            motion = _motion(spec, where, place)
-            poses = _poses(spec, motion, where, place)
+            _reject_keys(spec, FOOTPRINT_KEYS, key_path, "applies to footprints only")
+            motion = _motion(spec, key_path, geolocator)
+            poses = _poses(spec, motion, key_path, geolocator)
             placed = stand_ins = _place_bodies(_bodies(spec, loaded), spec, poses, motion)
             if spec.caster is not None:
                 stand_ins = _place_bodies([read_model(loaded.resolve(spec.caster))], spec, poses, motion)
-        seen += placed
+        visible += placed
         casting += stand_ins
         are_buildings += [from_footprints] * len(stand_ins)
-    visible_bodies = tuple(seen)
+    visible_bodies = tuple(visible)
     casting_bodies = visible_bodies if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting)
     return Placement(visible_bodies, casting_bodies, tuple(are_buildings), tuple(notes), tuple(warnings))
 
@@ -99,20 +99,20 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
 def solids(placement: Placement, seconds: float) -> Solids:
     """Return the triangles of placed bodies at a time of the clock."""
     pose_cache: dict[int, _Pose] = {}
-    seen = [_pose(placed, seconds, pose_cache) for placed in placement.seen]
-    vertices, triangles = _concatenate(seen)
-    shares_casters = placement.casting is placement.seen
-    casting = seen if shares_casters else [_pose(placed, seconds, pose_cache) for placed in placement.casting]
+    visible = [_pose(placed, seconds, pose_cache) for placed in placement.visible]
+    vertices, triangles = _concatenate(visible)
+    shares_casters = placement.casting is placement.visible
+    casting = visible if shares_casters else [_pose(placed, seconds, pose_cache) for placed in placement.casting]
     caster_vertices, caster_triangles = (vertices, triangles) if shares_casters else _concatenate(casting)
-    counts = [len(body.triangles) for body, _ in seen]
-    normals = [body.corner_normals() @ pose.earth_from_enu.T.astype(np.float32) for body, pose in seen]
+    counts = [len(body.triangles) for body, _ in visible]
+    normals = [body.corner_normals() @ pose.earth_from_enu.T.astype(np.float32) for body, pose in visible]
     return Solids(
         vertices_earth_m=vertices,
         triangles=triangles,
-        albedo=np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body, _ in seen)]),
+        albedo=np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body, _ in visible)]),
         corner_normals_earth=np.concatenate([np.empty((0, 3, 3), np.float32), *normals]),
-        body=np.repeat(np.arange(len(seen), dtype=np.int32), counts),
-        closed=tuple(body.closed for body, _ in seen),
+        body=np.repeat(np.arange(len(visible), dtype=np.int32), counts),
+        closed=tuple(body.closed for body, _ in visible),
         caster_vertices_earth_m=caster_vertices,
         caster_triangles=caster_triangles,
     )
@@ -132,11 +132,11 @@ def _pose(placed: PlacedBody, seconds: float, pose_cache: dict[int, _Pose]) -> t
     if motion is None:
         return placed.body, _Pose(placed.origin_earth_m, placed.earth_from_body)
     if motion.path is None:
-        return placed.body, _Pose(placed.origin_earth_m, placed.earth_from_body @ turn_about_up(motion.turn_deg(seconds)))
+        return placed.body, _Pose(placed.origin_earth_m, placed.earth_from_body @ rotation_about_up(motion.yaw_deg(seconds)))
     pose = pose_cache.get(id(motion))
     if pose is None:
         point, up, _ = motion.path.at_second(seconds)
-        axes = motion.path.place.world.earth_from_enu(point, up) @ turn_about_up(motion.turn_deg(seconds))
+        axes = motion.path.geolocator.world.earth_from_enu(point, up) @ rotation_about_up(motion.yaw_deg(seconds))
         pose = pose_cache[id(motion)] = _Pose(point, axes)
     return placed.body, pose
 
@@ -156,46 +156,48 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
 
 def _place_bodies(bodies: list[Body], spec: MeshSpec, poses: list[_Pose], motion: BodyMotion | None) -> list[PlacedBody]:
     """Return the bodies placed at every spot. All copies of a body share one ``Body``."""
-    turned = [transformed(body, turn_deg=spec.turn, scale=spec.scale) for body in bodies]
-    return [PlacedBody(body, pose.point_earth_m, pose.earth_from_enu, motion) for pose in poses for body in turned]
+    rotated_bodies = [transformed(body, yaw_deg=spec.turn, scale=spec.scale) for body in bodies]
+    return [PlacedBody(body, pose.point_earth_m, pose.earth_from_enu, motion) for pose in poses for body in rotated_bodies]
 
 
-def _motion(spec: MeshSpec, where: str, place: Geolocator) -> BodyMotion | None:
+def _motion(spec: MeshSpec, key_path: str, geolocator: Geolocator) -> BodyMotion | None:
     """Return the motion of a level's mesh, if any. Raises ``LevelError`` for a path off the terrain or under the ground."""
     motion = spec.motion
     if motion is None or not motion.moves:
         return None
     if motion.path is None:
         return BodyMotion(motion.spin)
-    name = f"{where}.motion.path"
-    path = path_over_ground([(key.seconds, key.place) for key in motion.path], motion.loop, motion.above, place, name, "position")
+    name = f"{key_path}.motion.path"
+    path = path_over_ground(
+        [(key.seconds, key.position_3d) for key in motion.path], motion.loop, motion.above, geolocator, name, "position"
+    )
     path.check(name)
     return BodyMotion(motion.spin, path, motion.face == "along")
 
 
-def _poses(spec: MeshSpec, motion: BodyMotion | None, where: str, place: Geolocator) -> list[_Pose]:
+def _poses(spec: MeshSpec, motion: BodyMotion | None, key_path: str, geolocator: Geolocator) -> list[_Pose]:
     """Return the spots of a level's mesh before it moves; for a mesh on a path, that of its first key."""
     if motion is None or motion.path is None:
-        places: Sequence[MapPosition | None] = spec.places or [None]
-        return [_ground_pose(position, where, place) for position in places]
-    point, up, _ = motion.path.at_second(float(motion.path.plan.times_s[0]))
-    return [_Pose(point, place.world.earth_from_enu(point, up))]
+        positions: Sequence[MapPosition | None] = spec.positions or [None]
+        return [_ground_pose(position, key_path, geolocator) for position in positions]
+    point, up, _ = motion.path.at_second(float(motion.path.horizontal_curve.times_s[0]))
+    return [_Pose(point, geolocator.world.earth_from_enu(point, up))]
 
 
-def _ground_pose(at: MapPosition | None, where: str, place: Geolocator) -> _Pose:
+def _ground_pose(position: MapPosition | None, key_path: str, geolocator: Geolocator) -> _Pose:
     """Return the ground at a position of a level (``None``: the anchor). Raises ``LevelError`` off the terrain."""
-    world, elevation = place.world, place.elevation
-    x, y = (world.anchor_x, world.anchor_y) if at is None else place.xy(at)
+    world, elevation = geolocator.world, geolocator.elevation
+    x, y = (world.anchor_x, world.anchor_y) if position is None else geolocator.xy(position)
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
-        if at is None:
-            raise LevelError.missing(f"{where}.at", f"Set a position on the terrain: within {place.extent}")
-        raise LevelError(f"{where}.at", at, f"a position on the terrain: within {place.extent}")
+        if position is None:
+            raise LevelError.missing(f"{key_path}.at", f"Set a position on the terrain: within {geolocator.extent}")
+        raise LevelError(f"{key_path}.at", position, f"a position on the terrain: within {geolocator.extent}")
     point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
     return _Pose(point + height * up, world.earth_from_enu(point, up))
 
 
-def _reject_keys(spec: MeshSpec, keys: tuple[str, ...], where: str, problem: str) -> None:
+def _reject_keys(spec: MeshSpec, keys: tuple[str, ...], key_path: str, problem: str) -> None:
     for key in keys:
         if key in spec.model_fields_set:
-            raise LevelError(f"{where}.{key}", Problem(problem), "Remove this key")
+            raise LevelError(f"{key_path}.{key}", Problem(problem), "Remove this key")

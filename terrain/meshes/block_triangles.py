@@ -29,7 +29,7 @@ def sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
     block, _ = block_triangles(np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([4]))
     slopes = np.where(roof.triangles >= 4, roof.triangles + 4, roof.triangles).astype(np.int32)
     triangles = np.concatenate([slopes, block[2:]])
-    return triangles, np.arange(len(triangles)) < roof.covered
+    return triangles, np.arange(len(triangles)) < roof.roof_triangle_count
 
 
 def roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
@@ -58,19 +58,26 @@ def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np
             continue
         k = edges[a, b]
         c = next(corner for corner in corners[k] if corner not in (a, b))
-        along = xy[b] - xy[a]
-        nearby = np.array(sorted(tree.query_ball_point((xy[a] + xy[b]) / 2, 0.5 * np.hypot(*along) * (1 + 1e-9))))
-        off = xy[nearby] - xy[a]
-        share = off @ along / (along @ along)
-        distance = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) / (along @ along)
-        inner_corners = nearby[(distance < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9) & (nearby != c)].tolist()
+        edge_vector = xy[b] - xy[a]
+        nearby_corners = np.array(sorted(tree.query_ball_point((xy[a] + xy[b]) / 2, 0.5 * np.hypot(*edge_vector) * (1 + 1e-9))))
+        offset = xy[nearby_corners] - xy[a]
+        share = offset @ edge_vector / (edge_vector @ edge_vector)
+        distance = np.abs(edge_vector[0] * offset[:, 1] - edge_vector[1] * offset[:, 0]) / (edge_vector @ edge_vector)
+        inner_corners = nearby_corners[(distance < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9) & (nearby_corners != c)].tolist()
         if not inner_corners:
             continue
-        middle, new = inner_corners[0], len(corners)
+        middle, new_triangle = inner_corners[0], len(corners)
         del edges[a, b]
         corners[k] = [a, middle, c]
         corners.append([middle, b, c])
-        edges |= {(a, middle): k, (middle, c): k, (c, a): k, (middle, b): new, (b, c): new, (c, middle): new}
+        edges |= {
+            (a, middle): k,
+            (middle, c): k,
+            (c, a): k,
+            (middle, b): new_triangle,
+            (b, c): new_triangle,
+            (c, middle): new_triangle,
+        }
         queue += [(a, middle), (middle, b)]
         missing -= 1
     return np.array(corners, np.int32)
@@ -78,15 +85,15 @@ def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np
 
 def _next_corners(ring_ends: np.ndarray) -> np.ndarray:
     """Return the index (n,) of the next corner of the ring for each corner."""
-    following = np.arange(1, int(ring_ends[-1]) + 1)
-    following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
-    return following
+    next_corner = np.arange(1, int(ring_ends[-1]) + 1)
+    next_corner[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
+    return next_corner
 
 
 def _counter_clockwise(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
     """Return the triangles that have an area, all counter-clockwise."""
     a, b, c = np.moveaxis(xy[triangles], 1, 0)
     double_area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    turned = np.where(double_area[:, None] < 0, triangles[:, ::-1], triangles)
+    oriented = np.where(double_area[:, None] < 0, triangles[:, ::-1], triangles)
     longest = np.max([np.einsum("ij,ij->i", side, side) for side in (b - a, c - b, a - c)], axis=0)
-    return turned[np.abs(double_area) > 1e-12 * longest]
+    return oriented[np.abs(double_area) > 1e-12 * longest]

@@ -14,20 +14,20 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.ground.ground_path import GroundPath
 from skugga.terrain.srgb import linear_of_srgb
 
-NEUTRAL = (0.6, 0.6, 0.6)
+NEUTRAL_GRAY = (0.6, 0.6, 0.6)
 """Default sRGB colour: light gray."""
 
 CREASE_DEG = 30.0
 """Largest angle between two faces that are shaded as one curved surface."""
 
-MAX_SMOOTHED = 512
+MAX_SMOOTHED_CORNERS = 512
 """Maximum number of corners at a vertex whose normals are smoothed, since their faces are compared pair by pair.
 
 More corners meet in the middle of a large fan, or if faces coincide. Each face then has its own normal, because differences between
 such neighbours are invisible.
 """
 
-MERGE_SHARE = 1e-8
+MERGE_TOLERANCE = 1e-8
 """Tolerance for merging vertices, as a share of the body's size."""
 
 
@@ -70,10 +70,10 @@ class Body:
     def merged_triangles(self) -> np.ndarray:
         """The triangles (m, 3) int32 with one index for all vertices at the same position."""
         low, high = self.vertices_m.min(axis=0, initial=np.inf), self.vertices_m.max(axis=0, initial=-np.inf)
-        step = MERGE_SHARE * max(float(np.max(high - low, initial=0.0)), 1e-30)
+        step = MERGE_TOLERANCE * max(float(np.max(high - low, initial=0.0)), 1e-30)
         cells = np.rint((self.vertices_m - low) / step).astype(np.int64)
-        _, place = np.unique(cells, axis=0, return_inverse=True)
-        return place.reshape(-1).astype(np.int32)[self.triangles]
+        _, vertex_index = np.unique(cells, axis=0, return_inverse=True)
+        return vertex_index.reshape(-1).astype(np.int32)[self.triangles]
 
     @cached_property
     def closed(self) -> bool:
@@ -120,7 +120,7 @@ class BodyMotion:
     path: GroundPath | None = None
     faces_along_path: bool = False
 
-    def turn_deg(self, seconds: float) -> float:
+    def yaw_deg(self, seconds: float) -> float:
         """Return the body's rotation at a time of the clock, degrees counter-clockwise."""
         heading = 180.0 - self.path.azimuth_deg(seconds) if self.faces_along_path and self.path is not None else 0.0
         return heading + self.spin_deg_per_s * seconds
@@ -153,22 +153,22 @@ def box(size_m: VectorLike, centre_m: VectorLike = (0.0, 0.0, 0.0), albedo: Vect
     return _body_of_mesh(trimesh.creation.box(extents=size_m), centre_m, albedo)
 
 
-def transformed(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0) -> Body:
+def transformed(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), yaw_deg: float = 0.0, scale: float = 1.0) -> Body:
     """Return a body scaled, then turned counter-clockwise about the up axis through its origin, then moved."""
-    vertices = scale * body.vertices_m @ turn_about_up(turn_deg).T + np.asarray(offset_m, np.float64)
+    vertices = scale * body.vertices_m @ rotation_about_up(yaw_deg).T + np.asarray(offset_m, np.float64)
     return Body(vertices, body.triangles, body.albedo)
 
 
-def turn_about_up(turn_deg: float) -> np.ndarray:
+def rotation_about_up(yaw_deg: float) -> np.ndarray:
     """Return the rotation matrix (3, 3) of a counter-clockwise turn about the up axis."""
     # The remainder keeps precision, because the angle grows with the clock without bound.
-    turn = np.radians(np.remainder(turn_deg, 360.0))
-    c, s = np.cos(turn), np.sin(turn)
+    angle_rad = np.radians(np.remainder(yaw_deg, 360.0))
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _body_of_mesh(mesh: trimesh.Trimesh, centre_m: VectorLike, albedo: VectorLike | None) -> Body:
-    color = srgb_albedo(NEUTRAL) if albedo is None else np.asarray(albedo, np.float32)
+    color = srgb_albedo(NEUTRAL_GRAY) if albedo is None else np.asarray(albedo, np.float32)
     return Body(np.asarray(mesh.vertices) + np.asarray(centre_m, np.float64), np.asarray(mesh.faces), color)
 
 
@@ -182,19 +182,19 @@ def _has_area(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 @cached("scene", 256 * MIB)
 def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
-    places = body.merged_triangles
-    count = int(places.max(initial=-1)) + 1
-    corner_of_place = np.argsort(places.ravel(), kind="stable")
-    first = np.concatenate([[0], np.cumsum(np.bincount(places.ravel(), minlength=count))])
+    merged_triangles = body.merged_triangles
+    count = int(merged_triangles.max(initial=-1)) + 1
+    corners_by_vertex = np.argsort(merged_triangles.ravel(), kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(merged_triangles.ravel(), minlength=count))])
     # A tolerance, so that rounding does not separate faces at exactly the crease angle.
-    least_cos = np.cos(np.radians(min(crease_deg, 180.0))) - 1e-9
-    normals = _smoothed_normals(body.vertices_m[body.triangles], corner_of_place, first, least_cos, MAX_SMOOTHED)
+    min_cos = np.cos(np.radians(min(crease_deg, 180.0))) - 1e-9
+    normals = _smoothed_normals(body.vertices_m[body.triangles], corners_by_vertex, first, min_cos, MAX_SMOOTHED_CORNERS)
     normals.flags.writeable = False
     return normals
 
 
 @compiled
-def _smoothed_normals(corners, corner_of_place, first, least_cos, max_corners):
+def _smoothed_normals(corners, corners_by_vertex, first, min_cos, max_corners):
     """Return angle-weighted means of face normals within the crease angle, per corner (m, 3, 3).
 
     Corners at a vertex with more than ``max_corners`` corners get the normal of their own face.
@@ -211,17 +211,17 @@ def _smoothed_normals(corners, corner_of_place, first, least_cos, max_corners):
             n = np.cross(q - p, r - p)
             angle[t, k] = np.arctan2(np.sqrt((n * n).sum()), ((q - p) * (r - p)).sum())
     out = np.empty((count, 3, 3), np.float32)
-    for place in range(first.shape[0] - 1):
-        crowded = first[place + 1] - first[place] > max_corners
-        for i in range(first[place], first[place + 1]):
-            t, k = corner_of_place[i] // 3, corner_of_place[i] % 3
-            if crowded:
+    for vertex in range(first.shape[0] - 1):
+        is_crowded = first[vertex + 1] - first[vertex] > max_corners
+        for i in range(first[vertex], first[vertex + 1]):
+            t, k = corners_by_vertex[i] // 3, corners_by_vertex[i] % 3
+            if is_crowded:
                 out[t, k, 0], out[t, k, 1], out[t, k, 2] = normal[t, 0], normal[t, 1], normal[t, 2]
                 continue
             x, y, z = 0.0, 0.0, 0.0
-            for j in range(first[place], first[place + 1]):
-                s, w = corner_of_place[j] // 3, angle[corner_of_place[j] // 3, corner_of_place[j] % 3]
-                if normal[t, 0] * normal[s, 0] + normal[t, 1] * normal[s, 1] + normal[t, 2] * normal[s, 2] >= least_cos:
+            for j in range(first[vertex], first[vertex + 1]):
+                s, w = corners_by_vertex[j] // 3, angle[corners_by_vertex[j] // 3, corners_by_vertex[j] % 3]
+                if normal[t, 0] * normal[s, 0] + normal[t, 1] * normal[s, 1] + normal[t, 2] * normal[s, 2] >= min_cos:
                     x += w * normal[s, 0]
                     y += w * normal[s, 1]
                     z += w * normal[s, 2]

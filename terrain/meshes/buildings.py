@@ -46,19 +46,19 @@ OUTLINE_TOLERANCE_M = 0.001
 MAX_CORNERS = 20_000
 """Maximum number of corners of a footprint with its courtyards. Its roof then takes up to some ten seconds."""
 
-MAX_CORNERS_OF_ALL = 3_000_000
+MAX_TOTAL_CORNERS = 3_000_000
 """Maximum number of corners of all footprints of a file: twelve million triangles."""
 
-DEGREE_M = 111_320.0
+METRES_PER_DEGREE = 111_320.0
 
 ROOF_PERCENTILE = 90.0
 """Percentile of the surface in a footprint that is its roof: below chimneys and overhanging crowns, above light wells and
 blurred eaves."""
 
-MIN_MEASURED_M = 1.5
+MIN_MEASURED_HEIGHT_M = 1.5
 """Minimum height of a building in a surface raster. Lower ones are noise, a terrace, or demolished since."""
 
-MIN_KNOWN = 0.5
+MIN_VALID_SHARE = 0.5
 """Minimum share of a footprint with valid ground to be placed, or with a valid surface to be measured."""
 
 MAX_WRONG_FLOOR_SHARE = 0.5
@@ -70,9 +70,9 @@ MAX_SAMPLES_PER_SIDE = 256
 Transform = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Function from coordinates (x, y) in one CRS to those in another."""
 
-_POLYGON = 3  # shapely's type id
+_POLYGON_TYPE_ID = 3  # shapely's type id
 
-_AREA = 2  # dimensions
+_POLYGON_DIMENSIONS = 2  # dimensions
 
 WALL_COLORS = ((0.80, 0.76, 0.68), (0.77, 0.76, 0.73), (0.75, 0.66, 0.52), (0.58, 0.40, 0.32), (0.64, 0.63, 0.60))
 """sRGB: plaster, whitewash, ochre, brick, concrete."""
@@ -116,19 +116,19 @@ class Buildings:
     warnings: tuple[str, ...] = ()
 
 
-def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> Buildings:
+def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> Buildings:
     """Return closed blocks over the footprints of ``spec.source`` that lie on the terrain, one per polygon.
 
     Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else those
     of the attributes that ``height_attributes`` recognises. Omits a footprint whose height is unknown, not above 0, not above its
-    floor, or measured and below ``MIN_MEASURED_M``, and one without ground under most of it. ``where`` is the key's path.
+    floor, or measured and below ``MIN_MEASURED_HEIGHT_M``, and one without ground under most of it. ``key_path`` is the key's path.
 
     Raises ``SourceError`` for an unusable file, ``LevelError`` if no source of heights exists.
     """
     assert spec.source is not None
     source = loaded.resolve(spec.source)
-    layer = vector_layer(source, (_AREA,), spec.layer, lambda names: bool(height_attributes(names)))
-    tops, bases = _attributes(spec, where, source, layer)
+    layer = vector_layer(source, (_POLYGON_DIMENSIONS,), spec.layer, lambda names: bool(height_attributes(names)))
+    tops, bases = _height_attributes(spec, key_path, source, layer)
     features = read_features(source, elevation.crs, (*tops, *bases), layer=layer)
     polygons, feature = _outlines(features, world)
     attribute_heights = footprint_heights(features, tops, bases)
@@ -137,7 +137,7 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
     elif spec.height is not None:
         height = np.full(len(polygons), float(spec.height))
     else:
-        height = _surface_heights(polygons, elevation.crs, _raster(loaded, spec.surface), _raster(loaded, spec.ground))
+        height = _surface_heights(polygons, elevation.crs, _open_raster(loaded, spec.surface), _open_raster(loaded, spec.ground))
     for i in np.flatnonzero(height > MAX_BUILDING_HEIGHT_M)[:1]:
         raise SourceError.over_limit(
             source,
@@ -146,14 +146,14 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
             "Check its unit",
         )
     with np.errstate(invalid="ignore"):
-        has_height = height >= MIN_MEASURED_M if spec.surface else height > 0.0
+        has_height = height >= MIN_MEASURED_HEIGHT_M if spec.surface else height > 0.0
     if not has_height.any():
         named = " or ".join(f"'{name}'" for name in tops)
-        wanted = f"a height above 0 in the attribute {named}"
+        required_height = f"a height above 0 in the attribute {named}"
         if spec.surface:
-            wanted = f"{MIN_MEASURED_M} m of {spec.surface} above {spec.ground}"
-        raise SourceError(source, f"no footprint with {wanted}", "Check the heights and their unit")
-    base, floor_warnings = _floors(np.where(has_height, attribute_heights.base_m[feature], 0.0), height, features, feature)
+            required_height = f"{MIN_MEASURED_HEIGHT_M} m of {spec.surface} above {spec.ground}"
+        raise SourceError(source, f"no footprint with {required_height}", "Check the heights and their unit")
+    base, floor_warnings = _floor_heights(np.where(has_height, attribute_heights.base_m[feature], 0.0), height, features, feature)
     selected = has_height & ~(height <= base)
     key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[selected]]
     mean_m, lowest_m = _ground_along(polygons[selected], elevation)
@@ -167,53 +167,53 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
         (height - base)[selected][on_terrain],
     )  # fmt: skip
     bodies = _extrude(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color), spec.roof)
-    left_out = {
+    omitted_counts = {
         "without a height": np.count_nonzero(~has_height), "off the terrain": np.count_nonzero(~on_terrain),
         "without a geometry": features.omitted_count,
     }  # fmt: skip
     notes = [
         *layer.notes,
         *attribute_heights.notes,
-        *(f"{count} footprints left out: {why}" for why, count in left_out.items() if count),
+        *(f"{count} footprints left out: {reason}" for reason, count in omitted_counts.items() if count),
     ]
     return Buildings(bodies, tuple(notes), (*attribute_heights.warnings, *floor_warnings))
 
 
-def _floors(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def _floor_heights(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the heights (n,) of floors above the ground, metres, and a warning about those that are not below their roofs.
 
     Returns 0 for all if a share of more than ``MAX_WRONG_FLOOR_SHARE`` is wrong. Such heights have another reference, such as the
     sea.
     """
-    wrong = np.flatnonzero((base > 0.0) & (height <= base))
-    if not len(wrong):
+    wrong_rows = np.flatnonzero((base > 0.0) & (height <= base))
+    if not len(wrong_rows):
         return base, []
-    first, count = features.label(feature[wrong[0]]), np.count_nonzero(base)
-    if len(wrong) > MAX_WRONG_FLOOR_SHARE * count:
-        said = f"{len(wrong)} of {count} floors are not below their roofs, such as that of {first}"
-        return np.zeros_like(base), [f"{said}. All heights of floors are ignored, and the buildings stand on the ground"]
-    more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-    return base, [f"{first}{more} left out: the floor is not below the roof"]
+    first, count = features.label(feature[wrong_rows[0]]), np.count_nonzero(base)
+    if len(wrong_rows) > MAX_WRONG_FLOOR_SHARE * count:
+        problem = f"{len(wrong_rows)} of {count} floors are not below their roofs, such as that of {first}"
+        return np.zeros_like(base), [f"{problem}. All heights of floors are ignored, and the buildings stand on the ground"]
+    more_text = f", and {len(wrong_rows) - 1} more" if len(wrong_rows) > 1 else ""
+    return base, [f"{first}{more_text} left out: the floor is not below the roof"]
 
 
-def _attributes(spec: MeshSpec, where: str, source: str, layer: VectorLayer) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _height_attributes(spec: MeshSpec, key_path: str, source: str, layer: VectorLayer) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the attributes of heights (none if heights have another source) and the attributes of floor heights."""
     if spec.surface is not None and spec.height is not None:
-        raise LevelError.conflict(f"{where}.height", "surface and ground", "Use either height, or surface and ground")
-    known = attribute_names(source, layer.name or 0)
-    bases = base_attributes(known)
+        raise LevelError.conflict(f"{key_path}.height", "surface and ground", "Use either height, or surface and ground")
+    available_names = attribute_names(source, layer.name or 0)
+    bases = base_attributes(available_names)
     if isinstance(spec.height, str):
-        return (matching_attribute(spec.height, known),), bases
+        return (matching_attribute(spec.height, available_names),), bases
     if spec.height is not None or spec.surface is not None:
         return (), bases
-    tops = height_attributes(known)
+    tops = height_attributes(available_names)
     if tops:
         return tops, bases
-    attributes = f"an attribute of {source} ({', '.join(known) or 'it has none'})"
-    raise LevelError.missing(f"{where}.height", f"Set it to metres or to {attributes}, or set surface and ground rasters")
+    attributes = f"an attribute of {source} ({', '.join(available_names) or 'it has none'})"
+    raise LevelError.missing(f"{key_path}.height", f"Set it to metres or to {attributes}, or set surface and ground rasters")
 
 
-def _raster(loaded: LoadedLevel, source: str | None) -> Elevation:
+def _open_raster(loaded: LoadedLevel, source: str | None) -> Elevation:
     assert source is not None
     return Elevation(source if source in BUNDLED else loaded.resolve(source))
 
@@ -222,18 +222,18 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
     """Return the simplified polygons (n,) of all features, exterior rings counter-clockwise, and the features (n,) of them."""
     parts, feature = shapely.get_parts(features.geometry, return_index=True)
     parts, part = shapely.get_parts(parts, return_index=True)  # multi-polygons inside collections
-    is_polygon = shapely.get_type_id(parts) == _POLYGON
+    is_polygon = shapely.get_type_id(parts) == _POLYGON_TYPE_ID
     if not is_polygon.any():
         kind = parts[0].geom_type
         raise SourceError(features.name, f"{kind} geometries", "Use polygons, or a model: .obj, .ply, .glb or .gltf")
     parts, feature = parts[is_polygon], feature[part[is_polygon]]
-    unit_m = DEGREE_M if world.crs.is_geographic else world.metres_per_unit
+    unit_m = METRES_PER_DEGREE if world.crs.is_geographic else world.metres_per_unit
     # Normalized rings begin at an outermost point, which is a corner. Simplifying keeps the first point.
     parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
     corners = shapely.get_num_coordinates(parts)
-    for count, limit, what in ((corners.max(), MAX_CORNERS, "a footprint"), (corners.sum(), MAX_CORNERS_OF_ALL, "footprints")):
+    for count, limit, subject in ((corners.max(), MAX_CORNERS, "a footprint"), (corners.sum(), MAX_TOTAL_CORNERS, "footprints")):
         if count > limit:
-            raise SourceError.over_limit(features.name, f"{what} of {count} corners", str(limit), "Simplify the outlines")
+            raise SourceError.over_limit(features.name, f"{subject} of {count} corners", str(limit), "Simplify the outlines")
     has_area = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
     if not has_area.any():
         raise SourceError(features.name, "only polygons without an area", "Use footprints with an area")
@@ -249,9 +249,9 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
         to_surface = _transform(crs, surface)
         top = np.full(len(polygons), np.nan)
         for i, polygon in enumerate(polygons):
-            under = surface.ground_m(*_sample_cells(polygon, surface, to_surface))
-            if np.isfinite(under).mean() >= MIN_KNOWN:
-                top[i] = np.nanpercentile(under, ROOF_PERCENTILE)
+            sampled_heights = surface.ground_m(*_sample_cells(polygon, surface, to_surface))
+            if np.isfinite(sampled_heights).mean() >= MIN_VALID_SHARE:
+                top[i] = np.nanpercentile(sampled_heights, ROOF_PERCENTILE)
         outlines = shapely.transform(polygons, _transform(crs, ground), interleaved=False)
         valid = np.isfinite(top) & np.isfinite(shapely.bounds(outlines)).all(axis=1)
         heights = np.full(len(polygons), np.nan)
@@ -317,7 +317,7 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
     )
     mean = np.divide(total, total_length, out=np.full(len(polygons), np.nan), where=total_length > 0)
     for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # polygons whose outline leaves the valid ground
-        if np.isfinite(elevation.filled_ground_m(*_sample_cells(polygons[i], elevation, _identity))).mean() < MIN_KNOWN:
+        if np.isfinite(elevation.filled_ground_m(*_sample_cells(polygons[i], elevation, _identity))).mean() < MIN_VALID_SHARE:
             mean[i] = np.nan
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
 

@@ -26,7 +26,7 @@ class NodeFaces(NamedTuple):
 
 def node_faces(nodes: int, triangles: np.ndarray) -> NodeFaces:
     """Return the faces around each of ``nodes`` nodes of a mesh of triangles (m, 3)."""
-    return NodeFaces(*_faces_round(nodes, triangles))
+    return NodeFaces(*_adjacent_faces(nodes, triangles))
 
 
 def face_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -48,19 +48,19 @@ def _face_normals(first, last, position, triangles, out):
             out[t, 0], out[t, 1], out[t, 2] = x / length, y / length, z / length
 
 
-def smooth_normals(faces: np.ndarray, around: NodeFaces) -> np.ndarray:
+def smooth_normals(normals: np.ndarray, adjacency: NodeFaces) -> np.ndarray:
     """Return unit normals (n, 3) float32 at nodes: the mean of the normals (m, 3) of the faces around each."""
-    out = np.zeros((len(around.start) - 1, 3), np.float32)
-    run_in_chunks(len(out), _smooth_normals, faces, around, out)
+    out = np.zeros((len(adjacency.start) - 1, 3), np.float32)
+    run_in_chunks(len(out), _smooth_normals, normals, adjacency, out)
     return out
 
 
 @compiled
-def _smooth_normals(first, last, faces, around, out):
+def _smooth_normals(first, last, normals, adjacency, out):
     for n in range(first, last):
-        for i in range(around.start[n], around.start[n + 1]):
+        for i in range(adjacency.start[n], adjacency.start[n + 1]):
             for c in range(3):
-                out[n, c] += faces[around.faces[i], c]
+                out[n, c] += normals[adjacency.faces[i], c]
         length = np.sqrt(out[n, 0] ** 2 + out[n, 1] ** 2 + out[n, 2] ** 2)
         if length > 0.0:
             for c in range(3):
@@ -68,7 +68,7 @@ def _smooth_normals(first, last, faces, around, out):
 
 
 def creases(
-    position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, around: NodeFaces, limit: float, selected: np.ndarray
+    position: np.ndarray, normals: np.ndarray, triangles: np.ndarray, adjacency: NodeFaces, limit: float, selected: np.ndarray
 ) -> np.ndarray:
     """Return the upward bend (m,) float32 of a mesh around its faces; 0 for faces outside the mask ``selected`` (m,).
 
@@ -76,46 +76,54 @@ def creases(
     rise above its plane. A downward bend does not count: seen from the light it lies behind the plane, so it cannot occlude it.
     """
     out = np.zeros(len(triangles), np.float32)
-    run_in_chunks(len(triangles), _creases, position, faces, triangles, around, limit, selected, out)
+    run_in_chunks(len(triangles), _creases, position, normals, triangles, adjacency, limit, selected, out)
     return out
 
 
 @compiled
-def _faces_round(nodes, triangles):
+def _adjacent_faces(nodes, triangles):
     start = np.zeros(nodes + 1, np.int64)
     for t in range(len(triangles)):
         for k in range(3):
             start[triangles[t, k] + 1] += 1
     for n in range(nodes):
         start[n + 1] += start[n]
-    around = np.empty(3 * len(triangles), np.int32)
+    face_list = np.empty(3 * len(triangles), np.int32)
     filled = start[:-1].copy()
     for t in range(len(triangles)):
         for k in range(3):
             n = triangles[t, k]
-            around[filled[n]] = t
+            face_list[filled[n]] = t
             filled[n] += 1
-    return start, around
+    return start, face_list
 
 
 @compiled
-def _creases(first, last, position, faces, triangles, around, limit, selected, out):
+def _creases(first, last, position, normals, triangles, adjacency, limit, selected, out):
     for t in range(first, last):
         if not selected[t]:
             continue
-        worst = 0.0
+        max_square = 0.0
         for k in range(3):
             n = triangles[t, k]
-            for i in range(around.start[n], around.start[n + 1]):
-                u = around.faces[i]
-                d = (faces[t, 0] - faces[u, 0]) ** 2 + (faces[t, 1] - faces[u, 1]) ** 2 + (faces[t, 2] - faces[u, 2]) ** 2
-                if d > worst and d < limit * limit and _rises(position, triangles[u], position[triangles[t, 0]], faces[t]):
-                    worst = d
-        out[t] = np.sqrt(worst)
+            for i in range(adjacency.start[n], adjacency.start[n + 1]):
+                u = adjacency.faces[i]
+                d = (
+                    (normals[t, 0] - normals[u, 0]) ** 2
+                    + (normals[t, 1] - normals[u, 1]) ** 2
+                    + (normals[t, 2] - normals[u, 2]) ** 2
+                )
+                if (
+                    d > max_square
+                    and d < limit * limit
+                    and _is_above_plane(position, triangles[u], position[triangles[t, 0]], normals[t])
+                ):
+                    max_square = d
+        out[t] = np.sqrt(max_square)
 
 
 @internal
-def _rises(position, corners, point, normal):
+def _is_above_plane(position, corners, point, normal):
     """Return whether a corner of a triangle lies above a plane by more than rounding."""
     for k in range(3):
         x, y, z = (

@@ -30,7 +30,7 @@ def _normalized(name: str) -> str:
     return re.sub(r"[\W_]+", "", name.lower())
 
 
-_FACTORS = {
+_METRES_PER_UNIT_BY_NAME = {
     **{_normalized(name): 1.0 for name in (*HEIGHT_NAMES, *BASE_NAMES)},
     **{_normalized(name): METRES_PER_UNIT["ft"] for name in HEIGHT_FT_NAMES},
     **{_normalized(name): STOREY_M for name in (*STOREY_NAMES, *BASE_STOREY_NAMES)},
@@ -61,18 +61,18 @@ class FootprintHeights:
 
 def height_attributes(names: Sequence[str]) -> tuple[str, ...]:
     """Return the attributes of building heights: lengths first, then counts of storeys."""
-    return _matching(names, (*HEIGHT_NAMES, *HEIGHT_FT_NAMES, *STOREY_NAMES))
+    return _recognised_names(names, (*HEIGHT_NAMES, *HEIGHT_FT_NAMES, *STOREY_NAMES))
 
 
 def base_attributes(names: Sequence[str]) -> tuple[str, ...]:
     """Return the attributes of the base heights of buildings."""
-    return _matching(names, (*BASE_NAMES, *BASE_STOREY_NAMES))
+    return _recognised_names(names, (*BASE_NAMES, *BASE_STOREY_NAMES))
 
 
 def matching_attribute(name: str, names: Sequence[str]) -> str:
     """Return the attribute with a name, else the only one that differs just in case and punctuation, else the name itself."""
-    alike = _matching(names, (name,))
-    return alike[0] if name not in names and len(alike) == 1 else name
+    matches = _recognised_names(names, (name,))
+    return matches[0] if name not in names and len(matches) == 1 else name
 
 
 def footprint_heights(features: Features, tops: Sequence[str], bases: Sequence[str]) -> FootprintHeights:
@@ -85,7 +85,7 @@ def footprint_heights(features: Features, tops: Sequence[str], bases: Sequence[s
         raise SourceError(
             features.name, f"{top.invalid[0]}, which is not a length", "Use numbers, or lengths such as 12 m or 40 ft"
         )
-    warnings = [f"{text}{more}: ignored, not a length" for text, more in (*top.unread_summary, *base.unread_summary)]
+    warnings = [f"{text}{more_text}: ignored, not a length" for text, more_text in (*top.invalid_summary, *base.invalid_summary)]
     return FootprintHeights(top.values_m, np.nan_to_num(base.values_m), (*top.notes, *base.notes), tuple(warnings))
 
 
@@ -108,32 +108,32 @@ class _Lengths:
     invalid: list[str]
 
     @property
-    def unread_summary(self) -> list[tuple[str, str]]:
-        more = f", and {len(self.invalid) - 1} more" if len(self.invalid) > 1 else ""
-        return [(self.invalid[0], more)] if self.invalid else []
+    def invalid_summary(self) -> list[tuple[str, str]]:
+        more_text = f", and {len(self.invalid) - 1} more" if len(self.invalid) > 1 else ""
+        return [(self.invalid[0], more_text)] if self.invalid else []
 
 
-def _first_lengths(features: Features, attributes: Sequence[str], what: str) -> _Lengths:
+def _first_lengths(features: Features, attributes: Sequence[str], subject: str) -> _Lengths:
     lengths = _Lengths(np.full(len(features.geometry), np.nan), [], [])
     for attribute in attributes:
         values_m, invalid = _lengths_m(features, attribute)
         lengths.invalid.extend(f"{attribute} = {features.attributes[attribute][row]} at {features.label(row)}" for row in invalid)
-        new = np.isnan(lengths.values_m) & (values_m > 0.0)
-        lengths.values_m[new] = values_m[new]
-        if new.any():
-            lengths.notes.append(f"{what}: {new.sum()} of {len(new)} footprints from {_attribute_text(attribute)}")
+        is_new = np.isnan(lengths.values_m) & (values_m > 0.0)
+        lengths.values_m[is_new] = values_m[is_new]
+        if is_new.any():
+            lengths.notes.append(f"{subject}: {is_new.sum()} of {len(is_new)} footprints from {_attribute_text(attribute)}")
     return lengths
 
 
 def _attribute_text(attribute: str) -> str:
-    factor = _FACTORS.get(_normalized(attribute), 1.0)
+    factor = _METRES_PER_UNIT_BY_NAME.get(_normalized(attribute), 1.0)
     unit = {STOREY_M: f" ({STOREY_M:g} m a storey)", METRES_PER_UNIT["ft"]: " (feet)"}
     return f"the attribute '{attribute}'{unit.get(factor, '')}"
 
 
 def _lengths_m(features: Features, attribute: str) -> tuple[np.ndarray, list[int]]:
     """Return an attribute as metres, float64 (n,), NaN without a value, and the rows whose text is not a length."""
-    values, factor = features.attributes[attribute], _FACTORS.get(_normalized(attribute), 1.0)
+    values, factor = features.attributes[attribute], _METRES_PER_UNIT_BY_NAME.get(_normalized(attribute), 1.0)
     if values.dtype.kind in "iufb":
         return values.astype(np.float64) * factor, []
     lengths_m, invalid = np.full(len(values), np.nan), []
@@ -147,8 +147,8 @@ def _lengths_m(features: Features, attribute: str) -> tuple[np.ndarray, list[int
     return lengths_m, invalid
 
 
-def _matching(names: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Return the names that are known, in the order of ``known``."""
-    order = {_normalized(name): n for n, name in reversed(list(enumerate(known)))}
-    found = sorted((order[_normalized(name)], n) for n, name in enumerate(names) if _normalized(name) in order)
-    return tuple(names[n] for _, n in found)
+def _recognised_names(names: Sequence[str], recognised: Sequence[str]) -> tuple[str, ...]:
+    """Return the names that are known, in the order of ``recognised``."""
+    order = {_normalized(name): n for n, name in reversed(list(enumerate(recognised)))}
+    matches = sorted((order[_normalized(name)], n) for n, name in enumerate(names) if _normalized(name) in order)
+    return tuple(names[n] for _, n in matches)

@@ -19,7 +19,7 @@ from trimesh.visual.material import PBRMaterial
 from skugga.terrain.errors import SourceError
 from skugga.terrain.level.data_files import check_file
 from skugga.terrain.level.linked_files import gltf_parts
-from skugga.terrain.meshes.body import MAX_SMOOTHED, NEUTRAL, Body, srgb_albedo
+from skugga.terrain.meshes.body import MAX_SMOOTHED_CORNERS, NEUTRAL_GRAY, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
 
@@ -79,14 +79,18 @@ def _without_duplicates(body: Body) -> Body:
 
     Looks for them only if more corners meet at a vertex than on any usual surface.
     """
-    places = body.merged_triangles
-    if not len(places) or np.bincount(places.ravel()).max() <= MAX_SMOOTHED:
+    merged_triangles = body.merged_triangles
+    if not len(merged_triangles) or np.bincount(merged_triangles.ravel()).max() <= MAX_SMOOTHED_CORNERS:
         return body
-    first = places.argmin(axis=1)[:, None]
-    turned = np.take_along_axis(places, (first + np.arange(3)) % 3, axis=1)
-    _, kept = np.unique(turned, axis=0, return_index=True)
-    kept.sort()
-    return body if len(kept) == len(places) else Body(body.vertices_m, body.triangles[kept], body.albedo[kept])
+    first = merged_triangles.argmin(axis=1)[:, None]
+    rotated_triangles = np.take_along_axis(merged_triangles, (first + np.arange(3)) % 3, axis=1)
+    _, unique_rows = np.unique(rotated_triangles, axis=0, return_index=True)
+    unique_rows.sort()
+    return (
+        body
+        if len(unique_rows) == len(merged_triangles)
+        else Body(body.vertices_m, body.triangles[unique_rows], body.albedo[unique_rows])
+    )
 
 
 def _load_parts(source: str) -> list[trimesh.Trimesh]:
@@ -122,8 +126,8 @@ def _check_counts(source: str) -> None:
         accessors = gltf_parts(Path(source), "accessors")
     except (OSError, ValueError, RecursionError):
         return  # loading the file raises the error
-    for number, each in enumerate(accessors):
-        count = each.get("count")
+    for number, accessor in enumerate(accessors):
+        count = accessor.get("count")
         if not isinstance(count, int) or not 0 <= count <= 3 * MAX_MODEL_TRIANGLES:
             raise SourceError(source, f"accessor {number} has {count} elements", f"Use 0 to {3 * MAX_MODEL_TRIANGLES} elements")
 
@@ -152,14 +156,14 @@ def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
 
     In glTF files colour factors are linear and textures sRGB (glTF 2.0, section 3.9.2). In other files all colours are sRGB.
     """
-    decoded = _linear_from_bytes if linear else _linear_from_srgb_bytes
+    decode = _linear_from_bytes if linear else _linear_from_srgb_bytes
     faces, visual = np.asarray(part.faces), part.visual
     if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
-        return decoded(visual.vertex_colors)[faces].mean(axis=1)
+        return decode(visual.vertex_colors)[faces].mean(axis=1)
     if isinstance(visual, ColorVisuals) and visual.kind == "face":
-        return decoded(visual.face_colors)
+        return decode(visual.face_colors)
     if not isinstance(visual, TextureVisuals):
-        return np.broadcast_to(srgb_albedo(NEUTRAL), faces.shape)
+        return np.broadcast_to(srgb_albedo(NEUTRAL_GRAY), faces.shape)
     material = visual.material
     pbr = isinstance(material, PBRMaterial)
     if isinstance(material, PBRMaterial):
@@ -167,10 +171,10 @@ def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
     else:
         image, factor = material.image, material.diffuse
     if image is None or visual.uv is None or len(visual.uv) != len(part.vertices):
-        color = srgb_albedo(NEUTRAL) if factor is None else decoded(factor)
+        color = srgb_albedo(NEUTRAL_GRAY) if factor is None else decode(factor)
         return np.broadcast_to(color, faces.shape)
     texel = trimesh.visual.color.uv_to_color(np.asarray(visual.uv)[faces].mean(axis=1), image)
-    tint = decoded(factor) if pbr and factor is not None else np.ones(3, np.float32)
+    tint = decode(factor) if pbr and factor is not None else np.ones(3, np.float32)
     return _linear_from_srgb_bytes(texel) * tint
 
 

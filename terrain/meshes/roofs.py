@@ -15,16 +15,16 @@ import numpy as np
 
 from skugga.terrain.level.parts import RoofForm
 
-SLOPE = 0.7
+ROOF_SLOPE = 0.7
 """Rise over run of roofs: 35 degrees, usual for tiles."""
 
-MAX_RISE = 0.45
+MAX_RISE_SHARE = 0.45
 """Maximum share of a building's height that its roof takes."""
 
-MAX_OFF_SQUARE = 0.17
+MAX_CORNER_COSINE = 0.17
 """Maximum cosine between neighbouring sides of a nearly rectangular footprint: 10 degrees off a right angle."""
 
-MAX_OFF_EQUAL = 0.12
+MAX_SIDE_DIFFERENCE = 0.12
 """Maximum difference between its opposite sides, as a share of them."""
 
 HOUSE_WIDTH_M, HOUSE_LENGTH_M, HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
@@ -33,14 +33,14 @@ HOUSE_WIDTH_M, HOUSE_LENGTH_M, HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
 APEX_SHARE = 0.49
 """Share of the length from which on the start of a hipped roof's ridge makes the roof a tent, with an apex."""
 
-PITCHED = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5], [1, 2, 5], [3, 0, 4]])
+PITCHED_TRIANGLES = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5], [1, 2, 5], [3, 0, 4]])
 """Triangles of two slopes and two ends. Vertices 0 to 3 are the corners; 4 (between corners 3 and 0) and 5 are the ridge."""
 
-TENT = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+TENT_TRIANGLES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
 """Triangles of four slopes to an apex, vertex 4."""
 
 PITCHED_SLOPE_TRIANGLES = 4
-"""Number of triangles of ``PITCHED`` on its slopes. The others are gables or hips."""
+"""Number of triangles of ``PITCHED_TRIANGLES`` on its slopes. The others are gables or hips."""
 
 
 class Roof(NamedTuple):
@@ -54,7 +54,7 @@ class Roof(NamedTuple):
         float64 (k, 4): weights of the four corners in each of the one or two points of the ridge.
     triangles
         int (m, 3): indices of the corners, followed by the points of the ridge.
-    covered
+    roof_triangle_count
         Number of triangles that are roof, first in ``triangles``; the others are wall.
     rise_m
         Height of the ridge above the eaves, metres.
@@ -63,7 +63,7 @@ class Roof(NamedTuple):
     first: int
     weights: np.ndarray
     triangles: np.ndarray
-    covered: int
+    roof_triangle_count: int
     rise_m: float
 
 
@@ -77,20 +77,20 @@ def roof_over(corners_m: np.ndarray, height_m: float, form: RoofForm) -> Roof | 
         return None
     sides = np.roll(corners_m, -1, axis=0) - corners_m
     length = np.linalg.norm(sides, axis=1)
-    along = sides / np.maximum(length, 1e-12)[:, None]
-    off_square = np.abs(np.einsum("ij,ij->i", along, np.roll(along, -1, axis=0))).max()
-    off_equal = np.abs(length[:2] - length[2:]) / np.maximum(length[:2], length[2:])
-    if off_square > MAX_OFF_SQUARE or off_equal.max() > MAX_OFF_EQUAL:
+    side_directions = sides / np.maximum(length, 1e-12)[:, None]
+    max_corner_cosine = np.abs(np.einsum("ij,ij->i", side_directions, np.roll(side_directions, -1, axis=0))).max()
+    side_difference = np.abs(length[:2] - length[2:]) / np.maximum(length[:2], length[2:])
+    if max_corner_cosine > MAX_CORNER_COSINE or side_difference.max() > MAX_SIDE_DIFFERENCE:
         return None
     pairs = (length[:2] + length[2:]) / 2.0
     first, width, long = (0, pairs[1], pairs[0]) if pairs[0] >= pairs[1] else (1, pairs[0], pairs[1])
     is_house = HOUSE_WIDTH_M[0] <= width <= HOUSE_WIDTH_M[1] and long <= HOUSE_LENGTH_M and height_m <= HOUSE_HEIGHT_M
     if form == "auto" and not is_house:
         return None
-    rise_m = float(min(SLOPE * width / 2.0, MAX_RISE * height_m))
+    rise_m = float(min(ROOF_SLOPE * width / 2.0, MAX_RISE_SHARE * height_m))
     ridge_inset = 0.5 * width / long if form == "hipped" else 0.0
     if ridge_inset > APEX_SHARE:
-        return Roof(first, np.full((1, 4), 0.25), TENT, len(TENT), rise_m)
+        return Roof(first, np.full((1, 4), 0.25), TENT_TRIANGLES, len(TENT_TRIANGLES), rise_m)
     start, end = np.array([0.5, 0.0, 0.0, 0.5]), np.array([0.0, 0.5, 0.5, 0.0])
     weights = np.stack([start + (end - start) * ridge_inset, end + (start - end) * ridge_inset])
-    return Roof(first, weights, PITCHED, len(PITCHED) if form == "hipped" else PITCHED_SLOPE_TRIANGLES, rise_m)
+    return Roof(first, weights, PITCHED_TRIANGLES, len(PITCHED_TRIANGLES) if form == "hipped" else PITCHED_SLOPE_TRIANGLES, rise_m)

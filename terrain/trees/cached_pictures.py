@@ -30,15 +30,15 @@ def cached_pictures(
     for source in (*sources, Path(__file__)):
         digest.update(source.read_bytes())
     path = folder / f"{digest.hexdigest()}.npz"
-    kept = load_arrays(path)
-    if kept is not None:
-        return tuple(kept[f"arr_{number}"] for number in range(len(kept)))
+    stored_arrays = load_arrays(path)
+    if stored_arrays is not None:
+        return tuple(stored_arrays[f"arr_{number}"] for number in range(len(stored_arrays)))
     painted = paint()
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as part:
             np.savez(part, *painted)
-        for other in folder.glob("*.npz"):
-            if other != path:
-                other.unlink(missing_ok=True)
+        for old_path in folder.glob("*.npz"):
+            if old_path != path:
+                old_path.unlink(missing_ok=True)
     return painted

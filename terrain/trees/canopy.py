@@ -25,12 +25,12 @@ from skugga.terrain.ground.georeference import check_cells, check_geotransform
 from skugga.terrain.ground.open_raster import open_masked_raster
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
-from skugga.terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
+from skugga.terrain.trees.scatter import HECTARE_M2, TreePositions, pair_key, point_keys, scatter_trees
 
 MAX_DETECTION_CELL_M = 3.0
 """Largest cell in which single trees can be detected."""
 
-CROWN_CELLS = 1.3
+MIN_CROWN_CELLS = 1.3
 """Smallest usual crown diameter, in cells, of trees that can be detected. Smaller crowns give fewer tops than trees."""
 
 TREETOP_WINDOW_M: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "broadleaf": (0.5, 0.15)}
@@ -41,13 +41,13 @@ TREETOP_WINDOW_M: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "bro
   0.00895 h**2 / m. It deviates by at most 0.22 m from 8 m to 25 m, and does not grow as fast beyond.
 """
 
-NEIGHBOURS = 3
+CROWN_NEIGHBOURS = 3
 """Number of nearest treetops whose mean distance limits a crown."""
 
 MAX_CROWN_RATIO = 1.2
 """Upper bound of a crown's diameter, in mean distances to those neighbours."""
 
-PACKING = 2.0 / np.sqrt(3.0)
+HEXAGONAL_PACKING = 2.0 / np.sqrt(3.0)
 """Crowns per squared diameter in a closed canopy (hexagonal packing)."""
 
 _BLOCK = 1024
@@ -63,13 +63,13 @@ class CanopyTrees:
 
     Attributes
     ----------
-    places
+    positions
         Positions (n,) in the requested CRS.
     height_m
         Heights float64 (n,), metres.
     """
 
-    places: Places
+    positions: TreePositions
     height_m: np.ndarray
 
 
@@ -165,7 +165,7 @@ class Canopy:
     def cell_of(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return fractional rows and columns of coordinates in ``crs``; infinite where the raster's CRS is undefined."""
         if not same_coordinates(self.crs, crs):
-            x, y = transformer_between(self.name, self.crs, crs, back=True).transform(x, y)
+            x, y = transformer_between(self.name, self.crs, crs, inverse=True).transform(x, y)
         gt, inverse = self._transform, ~self._transform
         if self.crs.is_geographic:
             middle = gt.c + 0.5 * (gt.a * self.cols + gt.b * self.rows)
@@ -224,20 +224,20 @@ class Canopy:
             If the raster cannot be read, or its CRS cannot be transformed into ``crs``.
         """
         to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
-        shown_m = _detection_limit_m(cell_m, crown_of, self.min_height_m)
+        detection_limit_m = _detection_limit_m(cell_m, crown_of, self.min_height_m)
         if self.min_height_m < TREE_HEIGHT_M:
-            shown_m = max(shown_m, TREE_HEIGHT_M)  # hedges and vines have no single tops
-        if shown_m > self.min_height_m:
+            detection_limit_m = max(detection_limit_m, TREE_HEIGHT_M)  # hedges and vines have no single tops
+        if detection_limit_m > self.min_height_m:
             side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):
-                yield from self._scatter_low_trees(crs, unit_m, square, crown_of, shown_m, seed)
-        if np.isinf(shown_m):
+                yield from self._scatter_low_trees(crs, unit_m, square, crown_of, detection_limit_m, seed)
+        if np.isinf(detection_limit_m):
             return
         for row, col, height_m in self.tops(to_m, window, window_m):
             x, y = self.xy(crs, row, col)
-            valid = np.isfinite(x) & np.isfinite(y) & (height_m >= shown_m)
-            places = Places(x[valid], y[valid], point_keys(seed, x[valid] * unit_m, y[valid] * unit_m))
-            yield CanopyTrees(places, height_m[valid])
+            valid = np.isfinite(x) & np.isfinite(y) & (height_m >= detection_limit_m)
+            positions = TreePositions(x[valid], y[valid], point_keys(seed, x[valid] * unit_m, y[valid] * unit_m))
+            yield CanopyTrees(positions, height_m[valid])
 
     def tops(
         self, metres_from_cells: np.ndarray, window: CellWindow, window_m: tuple[float, float]
@@ -246,13 +246,13 @@ class Canopy:
 
         ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground.
         """
-        steps, distance_m = _steps(metres_from_cells, window_m[0] + window_m[1] * MAX_HEIGHT_M)
-        halo = int(np.abs(steps).max())
+        offsets, distance_m = _window_offsets(metres_from_cells, window_m[0] + window_m[1] * MAX_HEIGHT_M)
+        halo = int(np.abs(offsets).max())
         for top in range(window.row0, window.row1, _BLOCK):
             for left in range(window.col0, window.col1, _BLOCK):
                 rows, cols = min(_BLOCK, window.row1 - top), min(_BLOCK, window.col1 - left)
                 heights = self.heights_m(top - halo, left - halo, rows + 2 * halo, cols + 2 * halo)
-                is_top = _are_tops(heights, halo, top - halo, left - halo, steps, distance_m, *window_m)
+                is_top = _treetop_mask(heights, halo, top - halo, left - halo, offsets, distance_m, *window_m)
                 row, col = np.nonzero(is_top)
                 yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
 
@@ -328,16 +328,16 @@ class Canopy:
         origin, step, heights = self._linear_map(crs, square)
         heights = np.where(heights < below_m, heights, 0.0)
         edges_m = _height_classes(crown_of, self.min_height_m)
-        present = np.unique(np.searchsorted(edges_m, heights[heights > 0], side="right") - 1)
-        for number in present.tolist():
+        class_numbers = np.unique(np.searchsorted(edges_m, heights[heights > 0], side="right") - 1)
+        for number in class_numbers.tolist():
             low_m, high_m = edges_m[number : number + 2]
             crown_m = crown_of(np.sqrt([low_m * high_m]))[0]
-            p = scatter_trees(square, PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
+            p = scatter_trees(square, HEXAGONAL_PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
             row, col = np.rint(origin[:, None] + step @ np.stack([p.x - west, p.y - south])).astype(np.int64)
-            inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
-            height = np.where(inside, heights[np.where(inside, row, 0), np.where(inside, col, 0)], 0.0)
+            is_inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
+            height = np.where(is_inside, heights[np.where(is_inside, row, 0), np.where(is_inside, col, 0)], 0.0)
             in_class = (height >= low_m) & (height < high_m)
-            yield CanopyTrees(Places(p.x[in_class], p.y[in_class], p.key[in_class]), height[in_class])
+            yield CanopyTrees(TreePositions(p.x[in_class], p.y[in_class], p.key[in_class]), height[in_class])
 
     def _linear_map(self, crs: CRS, square: shapely.Polygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a linear map from a square to cells, and the heights of the window of these cells.
@@ -367,23 +367,25 @@ def border_cells(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
     return row * rows - 0.5, col * cols - 0.5
 
 
-def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
-    """Return the mean distance float64 (n,) in metres of each point to its ``NEIGHBOURS`` nearest; infinite if there are fewer."""
+def growing_space_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
+    """Return the mean distance float64 (n,) in metres of each point to its ``CROWN_NEIGHBOURS`` nearest; infinite if there are
+    fewer.
+    """
     from scipy.spatial import cKDTree
 
-    if len(x) <= NEIGHBOURS:
+    if len(x) <= CROWN_NEIGHBOURS:
         return np.full(len(x), np.inf)
     points = np.column_stack([x, y])
-    return cKDTree(points).query(points, k=NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
+    return cKDTree(points).query(points, k=CROWN_NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
 
 
 def _detection_limit_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
     """Return the minimum height of trees that can be detected in cells of a size: 0 for all trees, infinite for none."""
     heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
-    hidden = crown_of(heights) < CROWN_CELLS * cell_m
-    if cell_m > MAX_DETECTION_CELL_M or hidden.all():
+    is_too_small = crown_of(heights) < MIN_CROWN_CELLS * cell_m
+    if cell_m > MAX_DETECTION_CELL_M or is_too_small.all():
         return np.inf
-    return float(heights[hidden][-1]) if hidden.any() else 0.0
+    return float(heights[is_too_small][-1]) if is_too_small.any() else 0.0
 
 
 def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> np.ndarray:
@@ -394,22 +396,22 @@ def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: 
     return np.append(heights[first], np.nextafter(MAX_HEIGHT_M, np.inf))
 
 
-def _steps(metres_from_cells: np.ndarray, most_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _window_offsets(metres_from_cells: np.ndarray, max_distance_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return offsets (n, 2) in rows and columns within a distance, nearest first, and their lengths (n,) in metres.
 
     The eight neighbours have length 0.
     """
-    reach = np.ceil(most_m * np.linalg.norm(np.linalg.inv(metres_from_cells), axis=1)).astype(int) + 1
+    reach = np.ceil(max_distance_m * np.linalg.norm(np.linalg.inv(metres_from_cells), axis=1)).astype(int) + 1
     col, row = (v.ravel() for v in np.meshgrid(np.arange(-reach[0], reach[0] + 1), np.arange(-reach[1], reach[1] + 1)))
     distance = np.linalg.norm(metres_from_cells @ np.stack([col, row]), axis=0)
     distance[np.maximum(np.abs(row), np.abs(col)) == 1] = 0.0
     order = np.argsort(distance, kind="stable")
-    order = order[(distance[order] <= most_m) & ((row[order] != 0) | (col[order] != 0))]
+    order = order[(distance[order] <= max_distance_m) & ((row[order] != 0) | (col[order] != 0))]
     return np.column_stack([row, col])[order], distance[order]
 
 
 @compiled
-def _are_tops(heights, halo, row0, col0, steps, distance_m, radius_m, radius_per_m):
+def _treetop_mask(heights, halo, row0, col0, offsets, distance_m, radius_m, radius_per_m):
     """Return the mask (rows, cols) of cells, without the halo, that are the highest of their windows.
 
     ``row0`` and ``col0`` are the position of the halo's first cell in the raster.
@@ -422,15 +424,17 @@ def _are_tops(heights, halo, row0, col0, steps, distance_m, radius_m, radius_per
             height = heights[r, c]
             if height <= 0.0:
                 continue
-            reach = radius_m + radius_per_m * height
-            top = True
-            for n in range(steps.shape[0]):
-                if distance_m[n] > reach:
+            window_radius_m = radius_m + radius_per_m * height
+            is_top = True
+            for n in range(offsets.shape[0]):
+                if distance_m[n] > window_radius_m:
                     break
-                m, k = r + steps[n, 0], c + steps[n, 1]
-                other = heights[m, k]
-                if other > height or (other == height and pair_key(0, row0 + m, col0 + k) > pair_key(0, row0 + r, col0 + c)):
-                    top = False
+                m, k = r + offsets[n, 0], c + offsets[n, 1]
+                neighbour_height = heights[m, k]
+                if neighbour_height > height or (
+                    neighbour_height == height and pair_key(0, row0 + m, col0 + k) > pair_key(0, row0 + r, col0 + c)
+                ):
+                    is_top = False
                     break
-            out[i, j] = top
+            out[i, j] = is_top
     return out

@@ -42,64 +42,71 @@ MIN_CELLS = 20
 
 
 @dataclass(frozen=True)
-class CanopyCells:
+class HeightClassShares:
     """Shares of a canopy's cells by height class, in [0, 1].
 
     Attributes
     ----------
-    unknown
+    nodata_share
         Nodata.
-    bare
+    bare_share
         Lower than ``SHRUB_HEIGHT_M``.
-    low
+    shrub_share
         From ``SHRUB_HEIGHT_M`` to ``TREE_HEIGHT_M``.
-    tall
+    tree_share
         From ``TREE_HEIGHT_M`` to ``MAX_HEIGHT_M``.
-    absurd
+    implausible_share
         Higher than ``MAX_HEIGHT_M``.
-    giant
+    giant_share
         Higher than ``GIANT_HEIGHT_M``, absurd ones included.
     """
 
-    unknown: float
-    bare: float
-    low: float
-    tall: float
-    absurd: float
-    giant: float
+    nodata_share: float
+    bare_share: float
+    shrub_share: float
+    tree_share: float
+    implausible_share: float
+    giant_share: float
 
     @property
     def is_mostly_giant(self) -> bool:
         """Whether most cells with trees are giant: the heights are probably in another unit, such as decimetres."""
-        return self.giant > self.tall + self.absurd - self.giant
+        return self.giant_share > self.tree_share + self.implausible_share - self.giant_share
 
     @property
-    def is_low(self) -> bool:
+    def is_mostly_shrubs(self) -> bool:
         """Whether the canopy is mostly shrubs, not only undergrowth of trees."""
-        return self.low > LOW_SHARE * (self.low + self.tall)
+        return self.shrub_share > LOW_SHARE * (self.shrub_share + self.tree_share)
 
-    def left_out(self, min_height_m: float) -> str:
+    def omission_text(self, min_height_m: float) -> str:
         """Return a text that lists the shares of cells without trees."""
         shares = {
-            f"lower than {SHRUB_HEIGHT_M:g} m": self.bare,
-            f"of {SHRUB_HEIGHT_M:g} m to {TREE_HEIGHT_M:g} m (set least_height to include them)": self.low
+            f"lower than {SHRUB_HEIGHT_M:g} m": self.bare_share,
+            f"of {SHRUB_HEIGHT_M:g} m to {TREE_HEIGHT_M:g} m (set least_height to include them)": self.shrub_share
             if min_height_m == TREE_HEIGHT_M
             else 0.0,
-            "without a height": self.unknown,
-            f"higher than {MAX_HEIGHT_M:g} m": self.absurd,
+            "without a height": self.nodata_share,
+            f"higher than {MAX_HEIGHT_M:g} m": self.implausible_share,
         }
-        said = [f"{100.0 * share:.3g} % {why}" for why, share in shares.items() if share]
+        phrases = [f"{100.0 * share:.3g} % {condition}" for condition, share in shares.items() if share]
         return ", ".join(
-            [*said, *([] if min_height_m in (SHRUB_HEIGHT_M, TREE_HEIGHT_M) else [f"all lower than {min_height_m:g} m"])]
+            [*phrases, *([] if min_height_m in (SHRUB_HEIGHT_M, TREE_HEIGHT_M) else [f"all lower than {min_height_m:g} m"])]
         )
 
 
-def height_class_shares(heights_m: np.ndarray) -> CanopyCells:
+def height_class_shares(heights_m: np.ndarray) -> HeightClassShares:
     """Return the shares by height class of heights (n,), NaN for nodata."""
     edges = (heights_m < SHRUB_HEIGHT_M, heights_m < TREE_HEIGHT_M, heights_m <= MAX_HEIGHT_M, heights_m > MAX_HEIGHT_M)
-    unknown, *upto = (float(np.mean(each)) for each in (np.isnan(heights_m), *edges))
-    giant = float(np.mean(heights_m > GIANT_HEIGHT_M))
-    return CanopyCells(unknown, upto[0], upto[1] - upto[0], upto[2] - upto[1], upto[3], giant)
+    nodata_share, *cumulative_shares = (float(np.mean(mask)) for mask in (np.isnan(heights_m), *edges))
+    giant_share = float(np.mean(heights_m > GIANT_HEIGHT_M))
+    return HeightClassShares(
+        nodata_share,
+        cumulative_shares[0],
+        cumulative_shares[1] - cumulative_shares[0],
+        cumulative_shares[2] - cumulative_shares[1],
+        cumulative_shares[3],
+        giant_share,
+    )
 
 
 def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray) -> None:
@@ -114,10 +121,10 @@ def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray)
         return
     if np.std(ground_m) >= MIN_GROUND_STD_M:
         rise = np.cov(ground_m, heights_m)[0, 1] / np.var(ground_m, ddof=1)
-        above_sea = ABOVE_SEA_SLOPE[0] <= rise <= ABOVE_SEA_SLOPE[1]
+        is_above_sea = ABOVE_SEA_SLOPE[0] <= rise <= ABOVE_SEA_SLOPE[1]
     else:
-        above_sea = np.percentile(heights_m, 5.0) >= MIN_ABOVE_SEA_M
-    if above_sea:
-        low, high = np.percentile(above_m, [5.0, 95.0])
-        said = f"it has heights above the sea, {low:.0f} to {high:.0f} m above the terrain"
-        raise SourceError(source, said, "Use heights above ground: the canopy's surface minus the ground")
+        is_above_sea = np.percentile(heights_m, 5.0) >= MIN_ABOVE_SEA_M
+    if is_above_sea:
+        low_m, high_m = np.percentile(above_m, [5.0, 95.0])
+        problem = f"it has heights above the sea, {low_m:.0f} to {high_m:.0f} m above the terrain"
+        raise SourceError(source, problem, "Use heights above ground: the canopy's surface minus the ground")

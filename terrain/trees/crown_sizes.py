@@ -8,7 +8,7 @@ from skugga.terrain.level.parts import Species
 from skugga.terrain.trees.foliage import TREE_VARIANTS
 from skugga.terrain.trees.scatter import uniform_numbers
 
-HEIGHT, CROWN, SPECIES, VARIANT, TURN, SPREAD = range(6)
+HEIGHT_STREAM, CROWN_STREAM, SPECIES_STREAM, VARIANT_STREAM, YAW_STREAM, SPREAD_STREAM = range(6)
 """Streams of random numbers (``skugga.terrain.trees.scatter.uniform_numbers``)."""
 
 CROWN_M: dict[str, tuple[float, float]] = {"conifer": (1.0, 0.2), "broadleaf": (1.0, 0.3)}
@@ -27,11 +27,11 @@ def random_variants(key: np.ndarray, species: Species) -> np.ndarray:
     kinds = {
         kind: np.array([n for n, variant in enumerate(TREE_VARIANTS) if variant.species == kind], np.uint8) for kind in CROWN_M
     }
-    share = uniform_numbers(key, VARIANT)
-    drawn = {kind: looks[(share * len(looks)).astype(int)] for kind, looks in kinds.items()}
+    share = uniform_numbers(key, VARIANT_STREAM)
+    variants_by_kind = {kind: candidates[(share * len(candidates)).astype(int)] for kind, candidates in kinds.items()}
     if species != "mixed":
-        return drawn[species]
-    return np.where(uniform_numbers(key, SPECIES) < 0.5, drawn["conifer"], drawn["broadleaf"])
+        return variants_by_kind[species]
+    return np.where(uniform_numbers(key, SPECIES_STREAM) < 0.5, variants_by_kind["conifer"], variants_by_kind["broadleaf"])
 
 
 def species_line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[float, float]:

@@ -12,13 +12,13 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError
 from skugga.terrain.srgb import linear_of_srgb, srgb_of_linear
 from skugga.terrain.trees.cached_pictures import cached_pictures
-from skugga.terrain.trees.foliage_paint import Clumped, Whorled, paint
+from skugga.terrain.trees.foliage_paint import ClumpedTree, WhorledTree, paint
 
-THRESHOLD = 0.5  # alpha test: points with at least this alpha are opaque
+ALPHA_THRESHOLD = 0.5  # alpha test: points with at least this alpha are opaque
 TEXTURE_PX = 256
 SMALLEST_MIP_PX = 4
-SUBGRID = 4  # sampling points per texel and axis for measuring coverage
-DITHERS = (0.0, 0.125, 0.5, 2.0)  # amplitudes of the dither, relative to alpha, tried in this order
+COVERAGE_SAMPLES_PER_AXIS = 4  # sampling points per texel and axis for measuring coverage
+DITHER_AMPLITUDES = (0.0, 0.125, 0.5, 2.0)  # amplitudes of the dither, relative to alpha, tried in this order
 COVERAGE_TOLERANCE = 0.004  # accepted difference of coverage
 
 
@@ -32,7 +32,7 @@ class TreeVariant:
         Common name.
     species
         "conifer" or "broadleaf".
-    crown_height
+    crown_quad_height
         Height of the horizontal crown quad, as a share of the tree's height.
     crown_to_height
         Crown diameter over tree height in the painted pictures.
@@ -40,7 +40,7 @@ class TreeVariant:
 
     name: str
     species: str
-    crown_height: float
+    crown_quad_height: float
     crown_to_height: float
 
 
@@ -50,19 +50,19 @@ class Foliage:
 
     Attributes
     ----------
-    levels
+    mip_levels
         Mip levels, each uint8 (2 * variants, s, s, 4) with s = 256, 128 ... 4: sRGB albedo and alpha, not premultiplied. Layer
         2 * variant is the side view: row 0 at the tree's top, the stem's foot in the middle of the last row. Layer
         2 * variant + 1 is the top view. Clamp to the edge when sampling.
     """
 
-    levels: tuple[np.ndarray, ...]
+    mip_levels: tuple[np.ndarray, ...]
 
 
-_VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
+_VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("spruce", "conifer", 0.2, 0.3),
-        Whorled(
+        WhorledTree(
             radius=0.15,
             crown_base=0.07,
             whorls=40,
@@ -71,12 +71,12 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
             slope_high=0.7,
             sag=0.5,
             upturn=0.35,
-            hang=0.9,
-            gaps=0.12,
-            fullness=0.95,
+            twig_droop=0.9,
+            missing_share=0.12,
+            outline_exponent=0.95,
             twig=0.036,
-            spacing=0.0055,
-            thickness=0.0021,
+            twig_spacing=0.0055,
+            twig_half_width=0.0021,
             stem=0.009,
             needle_albedo=(0.06, 0.098, 0.044),
             bark_albedo=(0.11, 0.085, 0.065),
@@ -84,7 +84,7 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     ),
     (
         TreeVariant("fir", "conifer", 0.2, 0.36),
-        Whorled(
+        WhorledTree(
             radius=0.18,
             crown_base=0.04,
             whorls=36,
@@ -93,12 +93,12 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
             slope_high=0.45,
             sag=0.15,
             upturn=0.12,
-            hang=0.1,
-            gaps=0.06,
-            fullness=0.75,
+            twig_droop=0.1,
+            missing_share=0.06,
+            outline_exponent=0.75,
             twig=0.042,
-            spacing=0.0055,
-            thickness=0.0026,
+            twig_spacing=0.0055,
+            twig_half_width=0.0026,
             stem=0.0105,
             needle_albedo=(0.056, 0.097, 0.052),
             bark_albedo=(0.13, 0.12, 0.105),
@@ -106,7 +106,7 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     ),
     (
         TreeVariant("larch", "conifer", 0.25, 0.34),
-        Whorled(
+        WhorledTree(
             radius=0.17,
             crown_base=0.14,
             whorls=28,
@@ -115,12 +115,12 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
             slope_high=0.6,
             sag=0.5,
             upturn=0.4,
-            hang=0.9,
-            gaps=0.2,
-            fullness=0.75,
+            twig_droop=0.9,
+            missing_share=0.2,
+            outline_exponent=0.75,
             twig=0.034,
-            spacing=0.007,
-            thickness=0.0019,
+            twig_spacing=0.007,
+            twig_half_width=0.0019,
             stem=0.0095,
             needle_albedo=(0.08, 0.118, 0.045),
             bark_albedo=(0.13, 0.095, 0.075),
@@ -128,20 +128,20 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     ),
     (
         TreeVariant("pine", "conifer", 0.7, 0.4),
-        Clumped(
+        ClumpedTree(
             radius=0.2,
             crown_base=0.5,
-            widest=0.45,
-            squareness=2.0,
+            widest_height=0.45,
+            outline_exponent=2.0,
             clumps=34,
             clump_radius=0.06,
-            inside=0.3,
-            flat=0.5,
-            droop=0.0,
+            min_clump_distance=0.3,
+            clump_flatness=0.5,
+            sprig_droop=0.0,
             sprigs=20,
             leaves=22,
             leaf=(0.013, 0.0012),
-            fork=0.5,
+            lowest_limb_height=0.5,
             stem=0.011,
             leaf_albedo=(0.068, 0.106, 0.051),
             bark_albedo=(0.14, 0.1, 0.075),
@@ -150,20 +150,20 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     ),
     (
         TreeVariant("oak", "broadleaf", 0.5, 0.9),
-        Clumped(
+        ClumpedTree(
             radius=0.45,
             crown_base=0.16,
-            widest=0.42,
-            squareness=2.3,
+            widest_height=0.42,
+            outline_exponent=2.3,
             clumps=75,
             clump_radius=0.115,
-            inside=0.25,
-            flat=0.7,
-            droop=0.1,
+            min_clump_distance=0.25,
+            clump_flatness=0.7,
+            sprig_droop=0.1,
             sprigs=24,
             leaves=19,
             leaf=(0.011, 0.0034),
-            fork=0.17,
+            lowest_limb_height=0.17,
             stem=0.026,
             leaf_albedo=(0.073, 0.112, 0.04),
             bark_albedo=(0.12, 0.1, 0.08),
@@ -172,20 +172,20 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     ),
     (
         TreeVariant("beech", "broadleaf", 0.5, 0.62),
-        Clumped(
+        ClumpedTree(
             radius=0.31,
             crown_base=0.12,
-            widest=0.45,
-            squareness=2.0,
+            widest_height=0.45,
+            outline_exponent=2.0,
             clumps=80,
             clump_radius=0.095,
-            inside=0.2,
-            flat=0.6,
-            droop=0.15,
+            min_clump_distance=0.2,
+            clump_flatness=0.6,
+            sprig_droop=0.15,
             sprigs=24,
             leaves=14,
             leaf=(0.009, 0.003),
-            fork=0.16,
+            lowest_limb_height=0.16,
             stem=0.019,
             leaf_albedo=(0.07, 0.115, 0.04),
             bark_albedo=(0.17, 0.165, 0.15),
@@ -194,20 +194,20 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     ),
     (
         TreeVariant("birch", "broadleaf", 0.5, 0.42),
-        Clumped(
+        ClumpedTree(
             radius=0.21,
             crown_base=0.16,
-            widest=0.38,
-            squareness=1.8,
+            widest_height=0.38,
+            outline_exponent=1.8,
             clumps=80,
             clump_radius=0.06,
-            inside=0.2,
-            flat=0.9,
-            droop=0.9,
+            min_clump_distance=0.2,
+            clump_flatness=0.9,
+            sprig_droop=0.9,
             sprigs=20,
             leaves=12,
             leaf=(0.0075, 0.0022),
-            fork=0.22,
+            lowest_limb_height=0.22,
             stem=0.011,
             leaf_albedo=(0.08, 0.12, 0.042),
             bark_albedo=(0.5, 0.48, 0.44),
@@ -216,20 +216,20 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     ),
     (
         TreeVariant("maple", "broadleaf", 0.5, 0.72),
-        Clumped(
+        ClumpedTree(
             radius=0.36,
             crown_base=0.2,
-            widest=0.45,
-            squareness=2.1,
+            widest_height=0.45,
+            outline_exponent=2.1,
             clumps=70,
             clump_radius=0.1,
-            inside=0.2,
-            flat=0.8,
-            droop=0.05,
+            min_clump_distance=0.2,
+            clump_flatness=0.8,
+            sprig_droop=0.05,
             sprigs=24,
             leaves=13,
             leaf=(0.011, 0.004),
-            fork=0.2,
+            lowest_limb_height=0.2,
             stem=0.018,
             leaf_albedo=(0.077, 0.116, 0.038),
             bark_albedo=(0.12, 0.105, 0.09),
@@ -250,12 +250,12 @@ OUTLINE_CELLS = 16
 @cached("process", 256 * MIB)
 def foliage() -> Foliage:
     """Return the pictures of ``TREE_VARIANTS``, painted once. They are the same on each machine."""
-    return Foliage(cached_pictures(_painted, PAINTER_FILES))
+    return Foliage(cached_pictures(_paint_variants, PAINTER_FILES))
 
 
-def _painted() -> tuple[np.ndarray, ...]:
+def _paint_variants() -> tuple[np.ndarray, ...]:
     layers = [
-        coverage_mips(_texture(view, has_stem), THRESHOLD)
+        coverage_mips(_texture(view, has_stem), ALPHA_THRESHOLD)
         for seed, (_, model) in enumerate(_VARIANT_MODELS)
         for view, has_stem in zip(paint(model, seed, TEXTURE_PX), (True, False), strict=True)
     ]
@@ -271,17 +271,17 @@ def leaf_outlines() -> np.ndarray:
     """
     from scipy.spatial import ConvexHull
 
-    alpha = foliage().levels[0][..., 3]
+    alpha = foliage().mip_levels[0][..., 3]
     layers, side, _ = alpha.shape
-    cells = alpha.reshape(layers, OUTLINE_CELLS, side // OUTLINE_CELLS, OUTLINE_CELLS, -1).max(axis=(2, 4)) >= THRESHOLD * 255
+    cells = alpha.reshape(layers, OUTLINE_CELLS, side // OUTLINE_CELLS, OUTLINE_CELLS, -1).max(axis=(2, 4)) >= ALPHA_THRESHOLD * 255
     outlines = []
     for is_opaque in cells:
         row, col = np.nonzero(is_opaque)
-        ends = [(col + right, OUTLINE_CELLS - row - down) for right in (0, 1) for down in (0, 1)]
+        ends = [(col + dx, OUTLINE_CELLS - row - dy) for dx in (0, 1) for dy in (0, 1)]
         corners = np.concatenate([np.stack(end, axis=1) for end in ends]) / OUTLINE_CELLS
         outlines.append(corners[ConvexHull(corners).vertices])
-    most = max(map(len, outlines))
-    return np.stack([np.pad(outline, ((0, most - len(outline)), (0, 0)), mode="edge") for outline in outlines])
+    max_corners = max(map(len, outlines))
+    return np.stack([np.pad(outline, ((0, max_corners - len(outline)), (0, 0)), mode="edge") for outline in outlines])
 
 
 def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
@@ -324,7 +324,7 @@ def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
         light.append(_downsample(light[-1]))
     target_coverage = _coverage(rgba[..., 3], threshold * 255.0)
     alpha_levels = [rgba[..., 3]] + [_match_coverage(level, target_coverage, threshold) for level in alpha[1:]]
-    colours = (_bytes(srgb_of_linear(colour)) for colour in _fill_transparent(light, alpha))
+    colours = (_to_bytes(srgb_of_linear(colour)) for colour in _fill_transparent(light, alpha))
     return tuple(np.dstack([colour, level]) for colour, level in zip(colours, alpha_levels, strict=True))
 
 
@@ -336,21 +336,21 @@ def _texture(view: np.ndarray, has_stem: bool) -> np.ndarray:
     alpha[:, [0, -1]] = 0.0
     if has_stem:
         alpha[-1, 1:-1] = foot[1:-1]
-    return np.dstack([_bytes(srgb_of_linear(view[..., :3])), _bytes(alpha)])
+    return np.dstack([_to_bytes(srgb_of_linear(view[..., :3])), _to_bytes(alpha)])
 
 
 def _match_coverage(alpha: np.ndarray, target_coverage: float, threshold: float) -> np.ndarray:
     """Scale alpha, with a dither if needed, so that its coverage is nearest to ``target_coverage``. Return it as uint8."""
-    best, error = _bytes(alpha), np.inf
+    best, error = _to_bytes(alpha), np.inf
     row, column = np.indices(alpha.shape)
     # Ordered dither for any size: the R2 sequence (M. Roberts, 2018).
-    order = (0.7548776662466927 * column + 0.5698402909980532 * row) % 1.0 - 0.5
-    for dither in DITHERS:
-        uneven = alpha * np.maximum(1.0 + dither * order, 0.0)
+    dither_pattern = (0.7548776662466927 * column + 0.5698402909980532 * row) % 1.0 - 0.5
+    for dither in DITHER_AMPLITUDES:
+        dithered_alpha = alpha * np.maximum(1.0 + dither * dither_pattern, 0.0)
         low, high = -10.0, 10.0  # octaves of the scale
         for _ in range(18):
             middle = 0.5 * (low + high)
-            scaled = _bytes(np.minimum(uneven * 2.0**middle, 1.0))
+            scaled = _to_bytes(np.minimum(dithered_alpha * 2.0**middle, 1.0))
             share = _coverage(scaled, threshold * 255.0)
             if abs(share - target_coverage) < error:
                 best, error = scaled, abs(share - target_coverage)
@@ -365,21 +365,21 @@ def _coverage(alpha, threshold):
     """Return the share of points, SUBGRID x SUBGRID in each texel, at which bilinear alpha is at least ``threshold``."""
     height, width = alpha.shape
     covered = 0
-    for i in range(height * SUBGRID):
-        y = (i + 0.5) / SUBGRID - 0.5
+    for i in range(height * COVERAGE_SAMPLES_PER_AXIS):
+        y = (i + 0.5) / COVERAGE_SAMPLES_PER_AXIS - 0.5
         i0 = int(np.floor(y))
         v = y - i0
         above, below = alpha[max(i0, 0)], alpha[min(i0 + 1, height - 1)]
         for j in range(width):
-            for k in range(SUBGRID):
-                x = (k + 0.5) / SUBGRID - 0.5
+            for k in range(COVERAGE_SAMPLES_PER_AXIS):
+                x = (k + 0.5) / COVERAGE_SAMPLES_PER_AXIS - 0.5
                 j0 = j - 1 if x < 0.0 else j
                 u = x - (j0 - j)
                 a, b = max(j0, 0), min(j0 + 1, width - 1)
                 upper = above[a] + u * (float(above[b]) - above[a])
                 lower = below[a] + u * (float(below[b]) - below[a])
                 covered += upper + v * (lower - upper) >= threshold
-    return covered / (height * width * SUBGRID * SUBGRID)
+    return covered / (height * width * COVERAGE_SAMPLES_PER_AXIS * COVERAGE_SAMPLES_PER_AXIS)
 
 
 def _fill_transparent(light: list[np.ndarray], alpha: list[np.ndarray]) -> list[np.ndarray]:
@@ -399,5 +399,5 @@ def _downsample(values: np.ndarray) -> np.ndarray:
     return 0.25 * (values[::2, ::2] + values[1::2, ::2] + values[::2, 1::2] + values[1::2, 1::2])
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
+def _to_bytes(values: np.ndarray) -> np.ndarray:
     return np.round(values * 255.0).astype(np.uint8)

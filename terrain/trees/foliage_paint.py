@@ -14,8 +14,10 @@ import numpy as np
 from skugga.terrain.compiled import compiled
 
 SUPERSAMPLING = 3  # samples per texel and axis
-SNAP = 2.0**-20  # tree heights: rounding of strokes, so that last-bit differences of sines between machines change no picture
-OUTLIERS = (0.01, 0.001)  # share of stroke ends at the rim and at the top that may lie outside the picture
+COORDINATE_STEP = (
+    2.0**-20
+)  # tree heights: rounding of strokes, so that last-bit differences of sines between machines change no picture
+OUTLIER_SHARES = (0.01, 0.001)  # share of stroke ends at the rim and at the top that may lie outside the picture
 
 Colour = tuple[float, float, float]
 
@@ -41,7 +43,7 @@ class Strokes:
 
 
 @dataclass(frozen=True)
-class Whorled:
+class WhorledTree:
     """A conifer with whorls of branches on a straight stem; lengths in tree heights, slopes as rise over run.
 
     Attributes
@@ -56,13 +58,13 @@ class Whorled:
         Slopes of branches at the stem in the lowest and the highest whorl.
     sag, upturn
         Droop of a branch towards its tip, and rise of the tip itself.
-    hang
+    twig_droop
         Droop of twigs, relative to their length.
-    gaps
+    missing_share
         Share of missing branches.
-    fullness
+    outline_exponent
         Exponent of the outline: 1 is a cone, less makes it bulge.
-    twig, spacing, thickness
+    twig, twig_spacing, twig_half_width
         Length of the longest twig, distance between twigs, and half a twig's width with needles.
     stem
         Half the stem's width.
@@ -78,19 +80,19 @@ class Whorled:
     slope_high: float
     sag: float
     upturn: float
-    hang: float
-    gaps: float
-    fullness: float
+    twig_droop: float
+    missing_share: float
+    outline_exponent: float
     twig: float
-    spacing: float
-    thickness: float
+    twig_spacing: float
+    twig_half_width: float
     stem: float
     needle_albedo: Colour
     bark_albedo: Colour
 
 
 @dataclass(frozen=True)
-class Clumped:
+class ClumpedTree:
     """A tree whose limbs end in clumps of leaves or needles; lengths in tree heights.
 
     Attributes
@@ -99,23 +101,23 @@ class Clumped:
         Radius of the crown.
     crown_base
         Height of the crown's base.
-    widest
+    widest_height
         Height of the largest width, as a share of the crown's depth from below.
-    squareness
+    outline_exponent
         Exponent of the outline (2: an ellipse).
     clumps, clump_radius
         Number of clumps, and their mean radius.
-    inside
+    min_clump_distance
         Smallest distance of clumps from the stem, relative to the largest (before a power of 0.6).
-    flat
+    clump_flatness
         Height over width of clumps.
-    droop
+    sprig_droop
         Droop of sprigs.
     sprigs, leaves
         Number of sprigs in a clump, and of leaves in a sprig.
     leaf
         Length and half width of a leaf.
-    fork
+    lowest_limb_height
         Height of the lowest limb.
     stem
         Half the stem's width.
@@ -125,24 +127,24 @@ class Clumped:
 
     radius: float
     crown_base: float
-    widest: float
-    squareness: float
+    widest_height: float
+    outline_exponent: float
     clumps: int
     clump_radius: float
-    inside: float
-    flat: float
-    droop: float
+    min_clump_distance: float
+    clump_flatness: float
+    sprig_droop: float
     sprigs: int
     leaves: int
     leaf: tuple[float, float]
-    fork: float
+    lowest_limb_height: float
     stem: float
     leaf_albedo: Colour
     bark_albedo: Colour
     limb_albedo: Colour
 
 
-def paint(model: Whorled | Clumped, seed: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+def paint(model: WhorledTree | ClumpedTree, seed: int, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Paint the side view and the top view of a model tree.
 
     Returns
@@ -153,7 +155,7 @@ def paint(model: Whorled | Clumped, seed: int, size: int) -> tuple[np.ndarray, n
         and north up.
     """
     rng = np.random.default_rng(seed)
-    grown = _grow_whorled(model, rng) if isinstance(model, Whorled) else _grow_clumped(model, rng)
+    grown = _grow_whorled(model, rng) if isinstance(model, WhorledTree) else _grow_clumped(model, rng)
     tree = _darken_inside(_fit_to_box(grown, model.radius, size), model.radius)
     side = _paint_view(tree, (0, 2), (1, -1.0), (-model.radius, 0.0), (model.radius, 1.0), size)
     above = _paint_view(tree, (0, 1), (2, 1.0), (-model.radius, -model.radius), (model.radius, model.radius), size)
@@ -168,154 +170,164 @@ class _Branches:
     ----------
     foot
         Starting points (n, 3) on the stem.
-    ahead
+    direction
         Horizontal unit directions (n, 3).
     length, slope
         Length, and slope at the stem (n,).
-    low
+    crown_depth
         Position in the crown (n,): 1 at its base, 0 at its top.
     """
 
     foot: np.ndarray
-    ahead: np.ndarray
+    direction: np.ndarray
     length: np.ndarray
     slope: np.ndarray
-    low: np.ndarray
+    crown_depth: np.ndarray
 
 
-def _grow_whorled(model: Whorled, rng: np.random.Generator) -> Strokes:
+def _grow_whorled(model: WhorledTree, rng: np.random.Generator) -> Strokes:
     branches = _branches(model, rng)
     boughs, twigs = _boughs(model, branches), _twigs(model, branches, rng)
     shoots = rng.normal(0.0, 0.003, (7, 3)) + (0.0, 0.0, 0.03)
     leader = _needle_twigs(np.tile((0.0, 0.0, 0.965), (7, 1)), shoots, np.ones(7), model, rng)
-    return _joined(_stem(model.stem, 0.995, 0.0012, model.bark_albedo, model.bark_albedo, rng), boughs, twigs, leader)
+    return _concatenate_strokes(_stem(model.stem, 0.995, 0.0012, model.bark_albedo, model.bark_albedo, rng), boughs, twigs, leader)
 
 
-def _branches(model: Whorled, rng: np.random.Generator) -> _Branches:
+def _branches(model: WhorledTree, rng: np.random.Generator) -> _Branches:
     whorl = np.repeat(np.arange(model.whorls), model.branches)
-    whorl = whorl[rng.random(len(whorl)) >= model.gaps]
+    whorl = whorl[rng.random(len(whorl)) >= model.missing_share]
     n = len(whorl)
-    high = np.clip((whorl + rng.normal(0.0, 0.35, n)) / model.whorls, 0.0, 0.985)
+    height_share = np.clip((whorl + rng.normal(0.0, 0.35, n)) / model.whorls, 0.0, 0.985)
     # Each whorl is rotated against the last by the golden angle, as in phyllotaxis.
     azimuth = 2.0 * np.pi * (whorl * 0.382 + (np.arange(n) + rng.normal(0.0, 0.22, n)) / model.branches)
     # The lowest branches are shaded, old and slightly shorter than those above them.
-    outline = (1.0 - high) ** model.fullness * np.clip(0.78 + 3.0 * high, 0.0, 1.0)
+    outline = (1.0 - height_share) ** model.outline_exponent * np.clip(0.78 + 3.0 * height_share, 0.0, 1.0)
     return _Branches(
-        foot=np.outer(model.crown_base + (1.0 - model.crown_base) * high, (0.0, 0.0, 1.0)),
-        ahead=np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(n)]),
+        foot=np.outer(model.crown_base + (1.0 - model.crown_base) * height_share, (0.0, 0.0, 1.0)),
+        direction=np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(n)]),
         length=model.radius * (outline * rng.uniform(0.8, 1.05, n) + 0.012),
-        slope=model.slope_low + (model.slope_high - model.slope_low) * high + rng.normal(0.0, 0.06, n),
-        low=1.0 - high,
+        slope=model.slope_low + (model.slope_high - model.slope_low) * height_share + rng.normal(0.0, 0.06, n),
+        crown_depth=1.0 - height_share,
     )
 
 
-def _along(model: Whorled, branches: _Branches, i: np.ndarray, t: np.ndarray) -> np.ndarray:
+def _points_on_branches(model: WhorledTree, branches: _Branches, i: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) on branches ``i`` at parameters ``t`` in [0, 1]."""
-    rise = branches.slope[i] * t + branches.low[i] * (model.upturn * t**4 - model.sag * t**1.6)
-    level = branches.ahead[i] * t[:, None]
+    rise = branches.slope[i] * t + branches.crown_depth[i] * (model.upturn * t**4 - model.sag * t**1.6)
+    level = branches.direction[i] * t[:, None]
     return branches.foot[i] + branches.length[i, None] * (level + np.outer(rise, (0.0, 0.0, 1.0)))
 
 
-def _boughs(model: Whorled, branches: _Branches) -> Strokes:
+def _boughs(model: WhorledTree, branches: _Branches) -> Strokes:
     pieces = 6
     i, piece = np.divmod(np.arange(len(branches.length) * pieces), pieces)
     t0, t1 = piece / pieces, (piece + 1) / pieces
     radius = (0.012 * branches.length[i] + 0.0006)[:, None] * (1.2 - np.column_stack([t0, t1]))
-    return _strokes(_along(model, branches, i, t0), _along(model, branches, i, t1), radius, model.bark_albedo)
+    return _strokes(
+        _points_on_branches(model, branches, i, t0), _points_on_branches(model, branches, i, t1), radius, model.bark_albedo
+    )
 
 
-def _twigs(model: Whorled, branches: _Branches, rng: np.random.Generator) -> Strokes:
+def _twigs(model: WhorledTree, branches: _Branches, rng: np.random.Generator) -> Strokes:
     """Return the twigs on both sides of each branch. They form a frond: longest near the stem, pointed at the tip."""
-    pairs = np.maximum((branches.length / model.spacing).astype(int), 2)
+    pairs = np.maximum((branches.length / model.twig_spacing).astype(int), 2)
     i = np.repeat(np.arange(len(pairs)), 2 * pairs)
     nth = np.arange(len(i)) - np.repeat(np.cumsum(2 * pairs) - 2 * pairs, 2 * pairs)
     t = np.clip((nth // 2 + rng.random(len(i))) / pairs[i], 0.06, 1.0)
-    left = np.where(nth % 2 == 0, 1.0, -1.0) * rng.uniform(0.35, 1.0, len(i))
-    sideways = branches.ahead[i][:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
+    side_sign = np.where(nth % 2 == 0, 1.0, -1.0) * rng.uniform(0.35, 1.0, len(i))
+    sideways = branches.direction[i][:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
     reach = np.minimum(model.twig, 0.005 + 0.45 * branches.length[i]) * rng.uniform(0.5, 1.15, len(i)) * (1.12 - 0.62 * t)
-    twig = _unit(0.75 * branches.ahead[i] + left[:, None] * sideways) * reach[:, None]
-    twig[:, 2] -= reach * model.hang * rng.uniform(0.1, 1.0, len(i)) * branches.low[i]
+    twig = _normalized(0.75 * branches.direction[i] + side_sign[:, None] * sideways) * reach[:, None]
+    twig[:, 2] -= reach * model.twig_droop * rng.uniform(0.1, 1.0, len(i)) * branches.crown_depth[i]
     # Needles near the stem are old and dull, recent ones at the tip are fresh.
-    fresh = (0.4 + 0.8 * t) * rng.uniform(0.9, 1.1, len(pairs))[i]
-    return _needle_twigs(_along(model, branches, i, t), twig, fresh, model, rng)
+    brightness = (0.4 + 0.8 * t) * rng.uniform(0.9, 1.1, len(pairs))[i]
+    return _needle_twigs(_points_on_branches(model, branches, i, t), twig, brightness, model, rng)
 
 
-def _needle_twigs(start: np.ndarray, twig: np.ndarray, fresh: np.ndarray, model: Whorled, rng: np.random.Generator) -> Strokes:
+def _needle_twigs(
+    start: np.ndarray, twig: np.ndarray, brightness: np.ndarray, model: WhorledTree, rng: np.random.Generator
+) -> Strokes:
     """Return twigs with needles: each a tapering stroke with three side shoots that make its edge ragged."""
     n, reach = len(start), np.linalg.norm(twig, axis=1, keepdims=True)
-    thick = model.thickness * rng.uniform(0.7, 1.2, n)
-    tint = _tinted(model.needle_albedo, n, rng) * fresh[:, None]
-    parts = [_strokes(start, start + twig, np.column_stack([thick, 0.55 * thick]), tint)]
+    half_width = model.twig_half_width * rng.uniform(0.7, 1.2, n)
+    tint = _random_tints(model.needle_albedo, n, rng) * brightness[:, None]
+    parts = [_strokes(start, start + twig, np.column_stack([half_width, 0.55 * half_width]), tint)]
     for position in (0.3, 0.55, 0.8):
         root = start + position * twig
         shoot = 0.38 * twig + 0.3 * reach * rng.normal(0.0, 1.0, (n, 3)) * (1.0, 1.0, 0.6)
-        parts.append(_strokes(root, root + shoot, np.column_stack([0.75 * thick, 0.4 * thick]), tint))
-    return _joined(*parts)
+        parts.append(_strokes(root, root + shoot, np.column_stack([0.75 * half_width, 0.4 * half_width]), tint))
+    return _concatenate_strokes(*parts)
 
 
-def _grow_clumped(model: Clumped, rng: np.random.Generator) -> Strokes:
+def _grow_clumped(model: ClumpedTree, rng: np.random.Generator) -> Strokes:
     centre, size = _clump_centres(model, rng)
     stem = _stem(model.stem, 0.8, 0.2 * model.stem, model.bark_albedo, model.limb_albedo, rng)
-    return _joined(stem, _limbs(model, centre, rng), _leaves(model, centre, size, rng))
+    return _concatenate_strokes(stem, _limbs(model, centre, rng), _leaves(model, centre, size, rng))
 
 
-def _leaves(model: Clumped, centre: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> Strokes:
+def _leaves(model: ClumpedTree, centre: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> Strokes:
     # A clump is a dome of sprigs, a sprig a bunch of leaves: three scales of raggedness.
     clump = np.repeat(np.arange(len(centre)), model.sprigs)
-    direction = _unit(rng.normal(0.0, 1.0, (len(clump), 3)) + (0.0, 0.0, 0.35))
-    outward = direction * (rng.uniform(0.5, 1.0, len(clump)) * size[clump])[:, None] * (1.0, 1.0, model.flat)
+    direction = _normalized(rng.normal(0.0, 1.0, (len(clump), 3)) + (0.0, 0.0, 0.35))
+    outward = direction * (rng.uniform(0.5, 1.0, len(clump)) * size[clump])[:, None] * (1.0, 1.0, model.clump_flatness)
     sprig = centre[clump] + outward
-    sprig[:, 2] -= model.droop * np.hypot(outward[:, 0], outward[:, 1])
+    sprig[:, 2] -= model.sprig_droop * np.hypot(outward[:, 0], outward[:, 1])
     # The underside of a clump is in its own shade.
     shade = (0.74 + 0.52 * direction[:, 2:]) * rng.uniform(0.92, 1.08, (len(clump), 1))
-    tint = _tinted(model.leaf_albedo, len(centre), rng)[clump] * shade
+    tint = _random_tints(model.leaf_albedo, len(centre), rng)[clump] * shade
 
     leaf = np.repeat(np.arange(len(clump)), model.leaves)
-    scatter = 0.14 * size[clump[leaf]][:, None] * (1.0, 1.0, 0.55 + 0.6 * model.droop)
+    scatter = 0.14 * size[clump[leaf]][:, None] * (1.0, 1.0, 0.55 + 0.6 * model.sprig_droop)
     base = sprig[leaf] + rng.normal(0.0, 1.0, (len(leaf), 3)) * scatter
-    blade = _unit(rng.normal(0.0, 0.6, (len(leaf), 3)) + direction[leaf] + (0.0, 0.0, -0.9 * model.droop))
+    blade = _normalized(rng.normal(0.0, 0.6, (len(leaf), 3)) + direction[leaf] + (0.0, 0.0, -0.9 * model.sprig_droop))
     long, wide = np.outer(rng.uniform(0.6, 1.25, len(leaf)), model.leaf).T
     albedo = tint[leaf] * rng.uniform(0.87, 1.13, (len(leaf), 1))
     return _strokes(base, base + blade * long[:, None], np.column_stack([wide, 0.5 * wide]), albedo)
 
 
-def _clump_centres(model: Clumped, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _clump_centres(model: ClumpedTree, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return centres (n, 3) and radii (n,) of clumps, distributed by Mitchell's best candidate algorithm (1991)."""
     centre = np.empty((model.clumps, 3))
     size = model.clump_radius * rng.uniform(0.7, 1.25, model.clumps)
     for i in range(model.clumps):
         tries = 14
         share = rng.random(tries)
-        off = (share - model.widest) / np.where(share < model.widest, model.widest, 1.0 - model.widest)
-        outline = (1.0 - np.abs(off) ** model.squareness) ** (1.0 / model.squareness)
-        away = rng.uniform(model.inside, 1.0, tries) ** 0.6 * np.maximum(model.radius * outline - 0.85 * size[i], 0.0)
+        relative_height = (share - model.widest_height) / np.where(
+            share < model.widest_height, model.widest_height, 1.0 - model.widest_height
+        )
+        outline = (1.0 - np.abs(relative_height) ** model.outline_exponent) ** (1.0 / model.outline_exponent)
+        stem_distance = rng.uniform(model.min_clump_distance, 1.0, tries) ** 0.6 * np.maximum(
+            model.radius * outline - 0.85 * size[i], 0.0
+        )
         azimuth = rng.uniform(0.0, 2.0 * np.pi, tries)
-        low, high = model.crown_base + 0.6 * size[i] * model.flat, 1.0 - 0.95 * size[i] * model.flat
-        candidates = np.column_stack([away * np.cos(azimuth), away * np.sin(azimuth), low + (high - low) * share])
+        lowest_z, highest_z = model.crown_base + 0.6 * size[i] * model.clump_flatness, 1.0 - 0.95 * size[i] * model.clump_flatness
+        candidates = np.column_stack(
+            [stem_distance * np.cos(azimuth), stem_distance * np.sin(azimuth), lowest_z + (highest_z - lowest_z) * share]
+        )
         clearance = np.linalg.norm(candidates[:, None] - centre[None, :i], axis=2).min(axis=1, initial=np.inf)
         centre[i] = candidates[np.argmax(np.where(np.isinf(clearance), candidates[:, 2], clearance))]
     return centre, size
 
 
-def _limbs(model: Clumped, centre: np.ndarray, rng: np.random.Generator) -> Strokes:
+def _limbs(model: ClumpedTree, centre: np.ndarray, rng: np.random.Generator) -> Strokes:
     """Return limbs from the stem to each clump. Each clump, innermost first, joins the nearest existing wood."""
-    height = np.linspace(model.fork, 0.8, 24)
+    height = np.linspace(model.lowest_limb_height, 0.8, 24)
     nodes = np.column_stack([np.zeros((24, 2)), height])
-    thick = 0.75 * model.stem * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem
+    radii = 0.75 * model.stem * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem
     start, end, radius = [], [], []
     for clump in centre[np.argsort(np.linalg.norm(centre[:, :2], axis=1))]:
-        away = clump - nodes
-        run = np.hypot(away[:, 0], away[:, 1])
-        cost = np.linalg.norm(away, axis=1) + 1.5 * np.maximum(0.7 * run - away[:, 2], 0.0)  # limbs rise
+        to_clump = clump - nodes
+        run = np.hypot(to_clump[:, 0], to_clump[:, 1])
+        cost = np.linalg.norm(to_clump, axis=1) + 1.5 * np.maximum(0.7 * run - to_clump[:, 2], 0.0)  # limbs rise
         parent = np.argmin(cost)
         t = np.linspace(0.0, 1.0, 7)[:, None]
-        bend = nodes[parent] + 0.5 * away[parent] + (0.12 * rng.normal(0.0, 1.0, 3) + (0.0, 0.0, -0.12)) * cost[parent]
+        bend = nodes[parent] + 0.5 * to_clump[parent] + (0.12 * rng.normal(0.0, 1.0, 3) + (0.0, 0.0, -0.12)) * cost[parent]
         path = (1 - t) ** 2 * nodes[parent] + 2 * t * (1 - t) * bend + t**2 * clump
-        taper = min(0.8 * thick[parent], 0.05 * cost[parent] + 0.002) * (1.0 - 0.75 * t[:, 0])
+        taper = min(0.8 * radii[parent], 0.05 * cost[parent] + 0.002) * (1.0 - 0.75 * t[:, 0])
         start.append(path[:-1])
         end.append(path[1:])
         radius.append(np.column_stack([taper[:-1], taper[1:]]))
-        nodes, thick = np.vstack([nodes, path[2:6]]), np.append(thick, taper[2:6])
+        nodes, radii = np.vstack([nodes, path[2:6]]), np.append(radii, taper[2:6])
     return _strokes(np.vstack(start), np.vstack(end), np.vstack(radius), model.limb_albedo)
 
 
@@ -328,18 +340,18 @@ def _stem(
     share = np.clip(z / top, 0.0, 1.0)
     sway = np.cumsum(rng.normal(0.0, 0.05 * radius, (pieces + 1, 2)), axis=0) * np.sin(np.pi * share)[:, None]
     path = np.column_stack([sway, z])
-    thick = top_radius + (radius - top_radius) * (1.0 - share) + 0.3 * radius * np.exp(-np.maximum(z, 0.0) / 0.04)
+    radii = top_radius + (radius - top_radius) * (1.0 - share) + 0.3 * radius * np.exp(-np.maximum(z, 0.0) / 0.04)
     bark = np.array(low_albedo) + np.clip(2.0 * share - 0.6, 0.0, 1.0)[:, None] * (np.array(high_albedo) - np.array(low_albedo))
-    core = _strokes(path[:-1], path[1:], np.column_stack([thick[:-1], thick[1:]]), bark[:-1])
+    core = _strokes(path[:-1], path[1:], np.column_stack([radii[:-1], radii[1:]]), bark[:-1])
     # Furrows and plates: short vertical strokes on the bark.
-    piece, turn = rng.integers(0, pieces, 900), rng.uniform(0.0, 2.0 * np.pi, 900)
-    foot = path[piece] + np.column_stack([np.cos(turn), np.sin(turn), np.zeros(900)]) * (0.97 * thick[piece])[:, None]
+    piece, azimuth = rng.integers(0, pieces, 900), rng.uniform(0.0, 2.0 * np.pi, 900)
+    foot = path[piece] + np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(900)]) * (0.97 * radii[piece])[:, None]
     plate = np.outer(rng.uniform(0.003, 0.012, 900), (0.0, 0.0, 1.0))
     shade = bark[piece] * rng.uniform(0.5, 1.25, (900, 1))
-    return _joined(core, _strokes(foot, foot + plate, np.outer(0.09 * thick[piece], (1.0, 1.0)), shade))
+    return _concatenate_strokes(core, _strokes(foot, foot + plate, np.outer(0.09 * radii[piece], (1.0, 1.0)), shade))
 
 
-def _tinted(albedo: tuple[float, float, float], n: int, rng: np.random.Generator) -> np.ndarray:
+def _random_tints(albedo: tuple[float, float, float], n: int, rng: np.random.Generator) -> np.ndarray:
     """Return ``n`` random tints (n, 3) of an albedo: lighter or darker, yellower or bluer."""
     warm = rng.normal(0.0, 0.035, n)
     return np.array(albedo) * np.column_stack([1.0 + warm, np.ones(n), 1.0 - warm]) * rng.uniform(0.82, 1.18, (n, 1))
@@ -353,18 +365,18 @@ def _darken_inside(tree: Strokes, radius: float) -> Strokes:
     from scipy.ndimage import gaussian_filter
 
     cells = 48  # grid cells per axis
-    middle = 0.5 * (tree.start + tree.end)
+    midpoint = 0.5 * (tree.start + tree.end)
     shape = np.array([2.0 * radius, 2.0 * radius, 1.0])
-    cell = np.clip(((middle / shape + (0.5, 0.5, 0.0)) * cells).astype(int), 0, cells - 1)
+    cell = np.clip(((midpoint / shape + (0.5, 0.5, 0.0)) * cells).astype(int), 0, cells - 1)
     silhouette = 2.0 * tree.radius.mean(axis=1) * np.linalg.norm(tree.end - tree.start, axis=1)
-    flat = np.ravel_multi_index(tuple(cell.T), (cells,) * 3)
-    area = np.bincount(flat, silhouette, cells**3).reshape((cells,) * 3)
+    cell_index = np.ravel_multi_index(tuple(cell.T), (cells,) * 3)
+    area = np.bincount(cell_index, silhouette, cells**3).reshape((cells,) * 3)
     directions = [(2, True, shape[0] * shape[1], 0.36)] + [
-        (axis, back, shape[0], 0.16) for axis in (0, 1) for back in (True, False)
+        (axis, is_reversed, shape[0], 0.16) for axis in (0, 1) for is_reversed in (True, False)
     ]
     light = np.zeros_like(area)
-    for axis, back, face, weight in directions:
-        path = np.flip(np.cumsum(np.flip(area, axis), axis), axis) if back else np.cumsum(area, axis)
+    for axis, is_reversed, face, weight in directions:
+        path = np.flip(np.cumsum(np.flip(area, axis), axis), axis) if is_reversed else np.cumsum(area, axis)
         light += weight * np.exp(-0.9 * gaussian_filter(path - 0.5 * area, 0.7, mode="nearest") * cells**2 / face)
     open_sky = light[tuple(cell.T)][:, None]
     # Leaves in the open are also slightly yellower than leaves in the shade.
@@ -374,38 +386,45 @@ def _darken_inside(tree: Strokes, radius: float) -> Strokes:
 def _fit_to_box(tree: Strokes, radius: float, size: int) -> Strokes:
     """Scale a tree about its stem to fill its bounding box except the border texels.
 
-    The few outlying strokes (``OUTLIERS``) are removed.
+    The few outlying strokes (``OUTLIER_SHARES``) are removed.
     """
     ends, thick = np.stack([tree.start, tree.end]), tree.radius.T
     reach = np.hypot(ends[..., 0], ends[..., 1])
     rim = radius * (1.0 - 1.2 / size)
     top = 1.0 - 0.6 / size
     outer, upper = reach > 0.5 * radius, ends[..., 2] > 0.9
-    wide = np.quantile((rim - thick[outer]) / reach[outer], OUTLIERS[0])
-    tall = np.quantile((top - thick[upper]) / ends[upper, 2], OUTLIERS[1])
-    start, end = np.round(ends * (wide, wide, tall) / SNAP) * SNAP
+    wide = np.quantile((rim - thick[outer]) / reach[outer], OUTLIER_SHARES[0])
+    tall = np.quantile((top - thick[upper]) / ends[upper, 2], OUTLIER_SHARES[1])
+    start, end = np.round(ends * (wide, wide, tall) / COORDINATE_STEP) * COORDINATE_STEP
     is_inside = ((wide * reach + thick <= rim) & (tall * ends[..., 2] + thick <= top)).all(axis=0)
-    return Strokes(start[is_inside], end[is_inside], np.round(tree.radius[is_inside] / SNAP) * SNAP, tree.albedo[is_inside])
+    return Strokes(
+        start[is_inside],
+        end[is_inside],
+        np.round(tree.radius[is_inside] / COORDINATE_STEP) * COORDINATE_STEP,
+        tree.albedo[is_inside],
+    )
 
 
 Corner = tuple[float, float]
 
 
-def _paint_view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: Corner, high: Corner, size: int) -> np.ndarray:
+def _paint_view(
+    tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], lower_left: Corner, upper_right: Corner, size: int
+) -> np.ndarray:
     """Paint an orthographic view: ``axes`` to the right and up, ``depth`` the axis towards the viewer and its sign."""
-    across, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
-    start, end = tree.start[:, across] * sign, tree.end[:, across] * sign
-    step = (np.array(high) - np.array(low)) / (size * SUPERSAMPLING)
-    thick = np.maximum(tree.radius, 0.45 * SUPERSAMPLING * step.min())  # no stroke is thinner than a texel
-    front = np.maximum(start[:, 2], end[:, 2]) + thick.max(axis=1)
+    axis_order, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
+    start, end = tree.start[:, axis_order] * sign, tree.end[:, axis_order] * sign
+    step = (np.array(upper_right) - np.array(lower_left)) / (size * SUPERSAMPLING)
+    radius = np.maximum(tree.radius, 0.45 * SUPERSAMPLING * step.min())  # no stroke is thinner than a texel
+    front = np.maximum(start[:, 2], end[:, 2]) + radius.max(axis=1)
     order = np.argsort(-front, kind="stable")  # front to back, so that most hidden samples are skipped
-    strokes = start[order], end[order], thick[order], front[order]
-    stroke_index = _nearest(*strokes, low[0], low[1], step[0], step[1], size * SUPERSAMPLING)
+    strokes = start[order], end[order], radius[order], front[order]
+    stroke_index = _nearest_strokes(*strokes, lower_left[0], lower_left[1], step[0], step[1], size * SUPERSAMPLING)
     return _texels(stroke_index, tree.albedo[order], SUPERSAMPLING)
 
 
 @compiled
-def _nearest(start, end, radius, front, left, bottom, step_x, step_y, size):
+def _nearest_strokes(start, end, radius, front, left, bottom, step_x, step_y, size):
     """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top."""
     stroke_index = np.full((size, size), -1, dtype=np.int32)
     nearest = np.full((size, size), -np.inf)
@@ -413,12 +432,12 @@ def _nearest(start, end, radius, front, left, bottom, step_x, step_y, size):
         ax, ay, az = start[k]
         dx, dy, dz = end[k] - start[k]
         r0, r1 = radius[k]
-        widest = max(r0, r1)
+        max_radius = max(r0, r1)
         per_square = 1.0 / max(dx * dx + dy * dy, 1e-18)
-        j0 = max(int((min(ax, ax + dx) - widest - left) / step_x), 0)
-        j1 = min(int((max(ax, ax + dx) + widest - left) / step_x) + 1, size)
-        i0 = max(size - 1 - int((max(ay, ay + dy) + widest - bottom) / step_y), 0)
-        i1 = min(size - int((min(ay, ay + dy) - widest - bottom) / step_y), size)
+        j0 = max(int((min(ax, ax + dx) - max_radius - left) / step_x), 0)
+        j1 = min(int((max(ax, ax + dx) + max_radius - left) / step_x) + 1, size)
+        i0 = max(size - 1 - int((max(ay, ay + dy) + max_radius - bottom) / step_y), 0)
+        i1 = min(size - int((min(ay, ay + dy) - max_radius - bottom) / step_y), size)
         for i in range(i0, i1):
             y = bottom + (size - i - 0.5) * step_y - ay
             for j in range(j0, j1):
@@ -460,9 +479,9 @@ def _strokes(start: np.ndarray, end: np.ndarray, radius: np.ndarray, albedo: Col
     return Strokes(start, end, radius, np.broadcast_to(np.asarray(albedo, dtype=np.float64), start.shape))
 
 
-def _joined(*parts: Strokes) -> Strokes:
+def _concatenate_strokes(*parts: Strokes) -> Strokes:
     return Strokes(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("start", "end", "radius", "albedo")))
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
+def _normalized(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -25,42 +25,51 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import ForestSpec, Species
 from skugga.terrain.level.rasters import is_raster
 from skugga.terrain.trees.canopy import (
+    HEXAGONAL_PACKING,
     MAX_CROWN_RATIO,
     MAX_DETECTION_CELL_M,
-    PACKING,
     TREETOP_WINDOW_M,
     Canopy,
     CellWindow,
     border_cells,
-    room_m,
+    growing_space_m,
 )
 from skugga.terrain.trees.canopy_sample import (
     GIANT_HEIGHT_M,
     MAX_SHRUBS,
     SHRUB_HEIGHT_M,
     TREE_HEIGHT_M,
-    CanopyCells,
+    HeightClassShares,
     check_above_ground,
     height_class_shares,
 )
-from skugga.terrain.trees.crown_sizes import CROWN, CROWN_M, HEIGHT, SPREAD, TURN, random_crown_m, random_variants, species_line
-from skugga.terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, uniform_numbers
+from skugga.terrain.trees.crown_sizes import (
+    CROWN_M,
+    CROWN_STREAM,
+    HEIGHT_STREAM,
+    SPREAD_STREAM,
+    YAW_STREAM,
+    random_crown_m,
+    random_variants,
+    species_line,
+)
+from skugga.terrain.trees.scatter import HECTARE_M2, TreePositions, join_positions, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.thinning import thinning_ranks
 from skugga.terrain.trees.trees import Trees
 
 MAX_TREES = 5_000_000
 """Maximum number of trees in a level."""
 
-HEIGHT_M = (8.0, 18.0)
+DEFAULT_HEIGHT_RANGE_M = (8.0, 18.0)
 """Default range of tree heights."""
 
-POINT_HEIGHTS = ("height", "Height", "HEIGHT", "height_m", "Height_m", "HEIGHT_M")
+POINT_HEIGHT_ATTRIBUTES = ("height", "Height", "HEIGHT", "height_m", "Height_m", "HEIGHT_M")
 """Attributes searched for the heights of points, in this order, if the level names none."""
 
 VALID_RANGE_M = (0.1, 150.0)
 """Range of valid heights and crown diameters. Features outside of it are left out."""
 
-SAMPLES_A_SIDE, GROUND_SAMPLES_A_SIDE = 1024, 64
+SAMPLES_PER_SIDE, GROUND_SAMPLES_PER_SIDE = 1024, 64
 """Maximum side of a canopy's sample, cells: for the shares of height classes, and for the comparison with the ground's heights."""
 
 MAX_OUTLINE_DISTANCE_M = 5e6
@@ -118,7 +127,7 @@ class Site:
         margin = 1e-3 * np.sqrt(border.area)  # more than the border bends between its points
         return border.buffer(margin) if border.is_valid else None
 
-    def on_terrain(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def to_terrain_crs(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Transform map coordinates to the elevation's CRS; NaN where that is undefined."""
         x, y = _transform(self.crs, self.elevation.crs, x, y)
         valid = np.isfinite(x) & np.isfinite(y)
@@ -131,36 +140,36 @@ class Stems:
 
     Attributes
     ----------
-    places
+    positions
         Positions (n,) in the site's map.
     height_m
         Heights float64 (n,), metres.
     crown_m
         Crown diameters float64 (n,), metres; ``None``: usual for the height.
-    room_m
+    growing_space_m
         Upper bounds of crown diameters float64 (n,), metres; ``None``: no bounds.
     notes
         Notes on the file's content.
-    left_out
+    omission_text
         Text on features or cells without trees; empty if there are none.
     warnings
         Texts on probable mistakes in the file.
     """
 
-    places: Places
+    positions: TreePositions
     height_m: np.ndarray
     crown_m: np.ndarray | None
-    room_m: np.ndarray | None = None
+    growing_space_m: np.ndarray | None = None
     notes: tuple[str, ...] = ()
-    left_out: str = ""
+    omission_text: str = ""
     warnings: tuple[str, ...] = ()
 
     def __getitem__(self, chosen: np.ndarray) -> Stems:
-        p, crown, room = self.places, self.crown_m, self.room_m
-        places = Places(p.x[chosen], p.y[chosen], p.key[chosen])
+        p, crown, room = self.positions, self.crown_m, self.growing_space_m
+        positions = TreePositions(p.x[chosen], p.y[chosen], p.key[chosen])
         return replace(
-            self, places=places, height_m=self.height_m[chosen], crown_m=None if crown is None else crown[chosen],
-            room_m=None if room is None else room[chosen],
+            self, positions=positions, height_m=self.height_m[chosen], crown_m=None if crown is None else crown[chosen],
+            growing_space_m=None if room is None else room[chosen],
         )  # fmt: skip
 
 
@@ -210,55 +219,55 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
     SourceError
         If a stand's file is wrong.
     """
-    site, stands, count = Site(world, elevation, loaded.level.terrain.exaggeration), [], 0
+    site, planted_stands, count = Site(world, elevation, loaded.level.terrain.exaggeration), [], 0
     notes: list[str] = []
     warnings: list[str] = []
     for number, spec in enumerate(loaded.level.forest):
-        where = f"{loaded.path}: forest.{number}"
-        stems = _stems(spec, loaded.resolve(spec.source), where, site, MAX_TREES - count)
-        trees = _plant_stand(stems, spec.species, where, site)
+        key_path = f"{loaded.path}: forest.{number}"
+        stems = _stems(spec, loaded.resolve(spec.source), key_path, site, MAX_TREES - count)
+        trees = _plant_stand(stems, spec.species, key_path, site)
         count += len(trees.rank)
-        stands.append(trees)
+        planted_stands.append(trees)
         notes += [f"{spec.source}: {note}" for note in (*stems.notes, *_planting_note(stems, len(trees.rank)))]
         warnings += [f"{spec.source}: {text}" for text in stems.warnings]
         if not len(trees.rank):
-            warnings.append(f"{spec.source}: no tree is planted{f': {stems.left_out}' if stems.left_out else ''}")
+            warnings.append(f"{spec.source}: no tree is planted{f': {stems.omission_text}' if stems.omission_text else ''}")
     if not count:
         return Planting(None, tuple(notes), tuple(warnings))
-    trees = Trees(**{name: np.concatenate([getattr(s, name) for s in stands]) for name in Trees.__dataclass_fields__})
+    trees = Trees(**{name: np.concatenate([getattr(s, name) for s in planted_stands]) for name in Trees.__dataclass_fields__})
     east, north, _ = world.earth_from_anchor.T @ (trees.base_earth_m - world.anchor_earth_m).T
     return Planting(replace(trees, rank=thinning_ranks(east, north)), tuple(notes), tuple(warnings))
 
 
 def _planting_note(stems: Stems, planted: int) -> list[str]:
     """Return the note on the numbers of planted and left out trees of a stand."""
-    lost = len(stems.places) - planted
-    off = [f"{lost} off the terrain, over its holes or under water"] if lost else []
-    left_out = "; ".join([*off, *([stems.left_out] if stems.left_out else [])])
-    return [f"{planted} trees planted" + (f"; left out: {left_out}" if left_out else "")]
+    lost_count = len(stems.positions) - planted
+    omissions = [f"{lost_count} off the terrain, over its holes or under water"] if lost_count else []
+    omission_text = "; ".join([*omissions, *([stems.omission_text] if stems.omission_text else [])])
+    return [f"{planted} trees planted" + (f"; left out: {omission_text}" if omission_text else "")]
 
 
-def _stems(spec: ForestSpec, source: str, where: str, site: Site, max_trees: int) -> Stems:
+def _stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: int) -> Stems:
     """Return the stems of a stand from polygons, points or a canopy raster, by the type of its file."""
-    named = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
+    attributes = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
     try:
         layer = vector_layer(source, (0, 2), spec.layer)
-        read = read_features(source, site.crs, named, POINT_HEIGHTS if spec.height is None else (), layer)
+        all_features = read_features(source, site.crs, attributes, POINT_HEIGHT_ATTRIBUTES if spec.height is None else (), layer)
     except SourceError:
         if _is_vector(source):
             raise
-        return _canopy_stems(spec, source, where, site, max_trees)
+        return _canopy_stems(spec, source, key_path, site, max_trees)
     if spec.least_height is not None:
         problem = Problem(f"'{spec.least_height}' needs a raster of canopy heights as the source")
-        raise LevelError(f"{where}.least_height", problem, "Remove the key")
-    features = _single_parts(read)
+        raise LevelError(f"{key_path}.least_height", problem, "Remove the key")
+    features = _single_parts(all_features)
     dimensions = shapely.get_dimensions(features.geometry)
     if (dimensions == 2).all():
-        return replace(_polygon_stems(spec, features, where, site, max_trees), notes=layer.notes)
+        return replace(_polygon_stems(spec, features, key_path, site, max_trees), notes=layer.notes)
     if (dimensions == 0).all():
-        return replace(_point_stems(spec, features, where, site, max_trees), notes=layer.notes)
-    found = "it has lines" if (dimensions == 1).any() else "it has both polygons and points"
-    raise SourceError(source, found, "Use only polygons, only points, or a raster of canopy heights")
+        return replace(_point_stems(spec, features, key_path, site, max_trees), notes=layer.notes)
+    geometry_problem = "it has lines" if (dimensions == 1).any() else "it has both polygons and points"
+    raise SourceError(source, geometry_problem, "Use only polygons, only points, or a raster of canopy heights")
 
 
 def _is_vector(source: str) -> bool:
@@ -272,131 +281,134 @@ def _is_vector(source: str) -> bool:
     return True
 
 
-def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site, max_trees: int) -> Stems:
+def _polygon_stems(spec: ForestSpec, features: Features, key_path: str, site: Site, max_trees: int) -> Stems:
     if spec.density is None:
-        raise LevelError.missing(f"{where}.density", "Set the trees per hectare: the source has polygons")
+        raise LevelError.missing(f"{key_path}.density", "Set the trees per hectare: the source has polygons")
     geometry, index = features.geometry, np.arange(len(features.geometry))
     if site.outline is not None:
         shapely.prepare(site.outline)
-        near = shapely.intersects(site.outline, geometry)
-        geometry, index = geometry[near], index[near]
-        within = shapely.contains_properly(site.outline, geometry)
-        geometry[~within] = shapely.intersection(geometry[~within], site.outline)
+        is_near = shapely.intersects(site.outline, geometry)
+        geometry, index = geometry[is_near], index[is_near]
+        is_within = shapely.contains_properly(site.outline, geometry)
+        geometry[~is_within] = shapely.intersection(geometry[~is_within], site.outline)
         if not len(geometry):
-            raise _off_terrain_error(where, shapely.total_bounds(features.geometry), site)
+            raise _off_terrain_error(key_path, shapely.total_bounds(features.geometry), site)
     expected = shapely.area(geometry).sum() * site.unit_m**2 / HECTARE_M2 * spec.density
     if expected > max_trees:
-        raise _too_many_trees_error(where, round(expected), max_trees)
-    stands = [scatter_trees(area, spec.density, spec.seed, site.unit_m) for area in geometry]
-    owner = np.repeat(index, [len(places) for places in stands])
-    places, first = join_places(stands)
-    owner = owner[first]
-    height = _tree_values(spec.height or HEIGHT_M, features, owner, places.key, HEIGHT)
-    crown = None if spec.crown is None else _tree_values(spec.crown, features, owner, places.key, CROWN)
-    return _drop_invalid(Stems(places, height, crown))
+        raise _too_many_trees_error(key_path, round(expected), max_trees)
+    stand_positions = [scatter_trees(area, spec.density, spec.seed, site.unit_m) for area in geometry]
+    feature_row = np.repeat(index, [len(positions) for positions in stand_positions])
+    positions, first = join_positions(stand_positions)
+    feature_row = feature_row[first]
+    height = _tree_values(spec.height or DEFAULT_HEIGHT_RANGE_M, features, feature_row, positions.key, HEIGHT_STREAM)
+    crown = None if spec.crown is None else _tree_values(spec.crown, features, feature_row, positions.key, CROWN_STREAM)
+    return _drop_invalid(Stems(positions, height, crown))
 
 
-def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, max_trees: int) -> Stems:
+def _point_stems(spec: ForestSpec, features: Features, key_path: str, site: Site, max_trees: int) -> Stems:
     if spec.density is not None:
         problem = Problem(f"'{spec.density}' needs polygons, but the source has points, each a tree")
-        raise LevelError(f"{where}.density", problem, "Remove the key")
+        raise LevelError(f"{key_path}.density", problem, "Remove the key")
     x, y = shapely.get_x(features.geometry), shapely.get_y(features.geometry)
-    covered = np.flatnonzero(site.elevation.covers(*site.on_terrain(x, y)))
+    covered = np.flatnonzero(site.elevation.covers(*site.to_terrain_crs(x, y)))
     if not len(covered):
-        raise _off_terrain_error(where, shapely.total_bounds(features.geometry), site)
+        raise _off_terrain_error(key_path, shapely.total_bounds(features.geometry), site)
     key, first = np.unique(point_keys(spec.seed, x[covered] * site.unit_m, y[covered] * site.unit_m), return_index=True)
     first = covered[first]
     if len(key) > max_trees:
-        raise _too_many_trees_error(where, len(key), max_trees)
-    height_source = spec.height or next((name for name in POINT_HEIGHTS if name in features.attributes), HEIGHT_M)
-    height = _tree_values(height_source, features, first, key, HEIGHT)
-    crown = None if spec.crown is None else _tree_values(spec.crown, features, first, key, CROWN)
-    return _drop_invalid(Stems(Places(x[first], y[first], key), height, crown))
+        raise _too_many_trees_error(key_path, len(key), max_trees)
+    height_source = spec.height or next(
+        (name for name in POINT_HEIGHT_ATTRIBUTES if name in features.attributes), DEFAULT_HEIGHT_RANGE_M
+    )
+    height = _tree_values(height_source, features, first, key, HEIGHT_STREAM)
+    crown = None if spec.crown is None else _tree_values(spec.crown, features, first, key, CROWN_STREAM)
+    return _drop_invalid(Stems(TreePositions(x[first], y[first], key), height, crown))
 
 
-def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, max_trees: int) -> Stems:
+def _canopy_stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: int) -> Stems:
     for name in ("density", "height", "layer"):
         if getattr(spec, name) is not None:
             problem = Problem(f"'{getattr(spec, name)}' does not apply to a raster of canopy heights")
-            raise LevelError(f"{where}.{name}", problem, "Remove the key")
+            raise LevelError(f"{key_path}.{name}", problem, "Remove the key")
     if isinstance(spec.crown, str):
-        raise LevelError(f"{where}.crown", spec.crown, "a range [min, max] in metres (a raster has no attributes)")
-    canopy, stands, count = Canopy(source), [], 0
+        raise LevelError(f"{key_path}.crown", spec.crown, "a range [min, max] in metres (a raster has no attributes)")
+    canopy, parts, count = Canopy(source), [], 0
     try:
         window = canopy.window(site.crs, site.outline)
         if window is None:
-            raise _off_terrain_error(where, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
+            raise _off_terrain_error(key_path, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
         base, slope = species_line(CROWN_M, spec.species)
         window_m = species_line(TREETOP_WINDOW_M, spec.species)
         cells = _check_canopy(canopy, window, site)
-        shrub_m2 = (base + slope * (SHRUB_HEIGHT_M + TREE_HEIGHT_M) / 2) ** 2 / PACKING
+        shrub_m2 = (base + slope * (SHRUB_HEIGHT_M + TREE_HEIGHT_M) / 2) ** 2 / HEXAGONAL_PACKING
         canopy.min_height_m = spec.least_height or _default_min_height_m(
             cells, window, canopy.cell_m(site.crs, site.unit_m, window), shrub_m2
         )
-        for piece in canopy.trees(site.crs, site.unit_m, window, lambda h: base + slope * h, window_m, spec.seed):
-            stands.append(piece)
-            count += len(piece.places)
+        for part in canopy.trees(site.crs, site.unit_m, window, lambda h: base + slope * h, window_m, spec.seed):
+            parts.append(part)
+            count += len(part.positions)
             if count > max_trees:
-                raise _too_many_trees_error(where, count, max_trees, "at least")
+                raise _too_many_trees_error(key_path, count, max_trees, "at least")
     finally:
         canopy.close()
-    places, first = join_places([piece.places for piece in stands])
-    height = np.concatenate([piece.height_m for piece in stands] or [np.empty(0)])[first]
-    crown = None if spec.crown is None else _tree_values(spec.crown, None, first, places.key, CROWN)
+    positions, first = join_positions([part.positions for part in parts])
+    height = np.concatenate([part.height_m for part in parts] or [np.empty(0)])[first]
+    crown = None if spec.crown is None else _tree_values(spec.crown, None, first, positions.key, CROWN_STREAM)
     warnings = []
     if cells.is_mostly_giant:
-        said_m = f"{GIANT_HEIGHT_M:g} m"
-        warnings.append(f"most of its cells with trees are higher than {said_m}. Check the unit of its heights.")
+        limit_m = f"{GIANT_HEIGHT_M:g} m"
+        warnings.append(f"most of its cells with trees are higher than {limit_m}. Check the unit of its heights.")
     return Stems(
-        places, height, crown, MAX_CROWN_RATIO * room_m(places.x, places.y, site.unit_m),
-        left_out=f"of its cells {said}" if (said := cells.left_out(canopy.min_height_m)) else "", warnings=tuple(warnings),
+        positions, height, crown, MAX_CROWN_RATIO * growing_space_m(positions.x, positions.y, site.unit_m),
+        omission_text=("of its cells "
+            f"{omissions}") if (omissions := cells.omission_text(canopy.min_height_m)) else "", warnings=tuple(warnings),
     )  # fmt: skip
 
 
-def _check_canopy(canopy: Canopy, window: CellWindow, site: Site) -> CanopyCells:
+def _check_canopy(canopy: Canopy, window: CellWindow, site: Site) -> HeightClassShares:
     """Check a canopy and return its cells' shares by height class.
 
     Raises ``SourceError`` if all cells are nodata, or if the heights are above sea level instead of above ground.
     """
-    _, _, heights_m = canopy.sample(window, SAMPLES_A_SIDE)
+    _, _, heights_m = canopy.sample(window, SAMPLES_PER_SIDE)
     if np.isnan(heights_m).all():
-        _, _, anywhere_m = canopy.sample(CellWindow(0, 0, canopy.rows, canopy.cols), SAMPLES_A_SIDE)
-        if np.isnan(anywhere_m).all():
+        _, _, raster_heights_m = canopy.sample(CellWindow(0, 0, canopy.rows, canopy.cols), SAMPLES_PER_SIDE)
+        if np.isnan(raster_heights_m).all():
             raise SourceError(canopy.name, "no height in any cell (all nodata)", "Use a raster with canopy heights")
-    row, col, some_m = canopy.sample(window, GROUND_SAMPLES_A_SIDE)
-    ground_m = site.elevation.ground_m(*site.on_terrain(*canopy.xy(site.crs, row, col)))
-    check_above_ground(canopy.name, some_m, ground_m / site.exaggeration)
+    row, col, sampled_heights_m = canopy.sample(window, GROUND_SAMPLES_PER_SIDE)
+    ground_m = site.elevation.ground_m(*site.to_terrain_crs(*canopy.xy(site.crs, row, col)))
+    check_above_ground(canopy.name, sampled_heights_m, ground_m / site.exaggeration)
     return height_class_shares(heights_m)
 
 
-def _default_min_height_m(cells: CanopyCells, window: CellWindow, cell_m: float, shrub_m2: float) -> float:
+def _default_min_height_m(cells: HeightClassShares, window: CellWindow, cell_m: float, shrub_m2: float) -> float:
     """Return the default minimum height of trees, metres.
 
     Shrubs count if the canopy is mostly shrubs, its cells are fine enough, and there are at most ``MAX_SHRUBS``.
     """
-    shrubs = cells.low * (window.row1 - window.row0) * (window.col1 - window.col0) * cell_m**2 / shrub_m2
-    return SHRUB_HEIGHT_M if cells.is_low and cell_m <= MAX_DETECTION_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
+    shrubs = cells.shrub_share * (window.row1 - window.row0) * (window.col1 - window.col0) * cell_m**2 / shrub_m2
+    return SHRUB_HEIGHT_M if cells.is_mostly_shrubs and cell_m <= MAX_DETECTION_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
 
 
-def _plant_stand(stems: Stems, species: Species, where: str, site: Site) -> Trees:
+def _plant_stand(stems: Stems, species: Species, key_path: str, site: Site) -> Trees:
     """Plant stems on the ground and draw their random properties from their hashes.
 
     Raises ``LevelError`` if all are off the terrain.
     """
-    x, y = site.on_terrain(stems.places.x, stems.places.y)
+    x, y = site.to_terrain_crs(stems.positions.x, stems.positions.y)
     covered = site.elevation.covers(x, y)
     if len(covered) and not covered.any():
         raise _off_terrain_error(
-            where, shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.places.x, stems.places.y]))), site
+            key_path, shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.positions.x, stems.positions.y]))), site
         )
     ground_m = site.elevation.ground_m(x, y)
     on_land = ground_m > site.elevation.water_m
     stems, x, y, ground_m = stems[on_land], x[on_land], y[on_land], ground_m[on_land]
-    key = stems.places.key
+    key = stems.positions.key
     variant = random_variants(key, species)
     if stems.crown_m is None:
-        crown_m = random_crown_m(stems.height_m, variant, uniform_numbers(key, SPREAD))
-        crown_m = crown_m if stems.room_m is None else np.minimum(crown_m, stems.room_m)
+        crown_m = random_crown_m(stems.height_m, variant, uniform_numbers(key, SPREAD_STREAM))
+        crown_m = crown_m if stems.growing_space_m is None else np.minimum(crown_m, stems.growing_space_m)
     else:
         crown_m = stems.crown_m
     point, up = site.world.ground(site.elevation.crs, x, y)
@@ -404,7 +416,7 @@ def _plant_stand(stems: Stems, species: Species, where: str, site: Site) -> Tree
         base_earth_m=point + ground_m[:, None] * up,
         height_m=stems.height_m.astype(np.float32),
         crown_m=crown_m.astype(np.float32),
-        turn_deg=(180.0 * uniform_numbers(key, TURN)).astype(np.float32) % np.float32(180.0),
+        yaw_deg=(180.0 * uniform_numbers(key, YAW_STREAM)).astype(np.float32) % np.float32(180.0),
         variant=variant,
         rank=np.zeros(len(key), np.float32),  # set for all stands together
     )
@@ -432,8 +444,8 @@ def _tree_values(
 def _drop_invalid(stems: Stems) -> Stems:
     valid = np.isfinite(stems.height_m)
     valid = valid if stems.crown_m is None else valid & np.isfinite(stems.crown_m)
-    lost = np.count_nonzero(~valid)
-    return replace(stems[valid], left_out=f"{lost} without a usable height or crown" if lost else "")
+    lost_count = np.count_nonzero(~valid)
+    return replace(stems[valid], omission_text=f"{lost_count} without a usable height or crown" if lost_count else "")
 
 
 def _single_parts(features: Features) -> Features:
@@ -450,13 +462,13 @@ def _transform(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[
     return (x, y) if source == target else transformer(source, target).transform(x, y)
 
 
-def _too_many_trees_error(where: str, count: int, max_trees: int, more: str = "") -> LevelError:
-    rest = "" if max_trees == MAX_TREES else f" ({max_trees:,} left for this stand)"
-    limit = f"{MAX_TREES:,} trees in a level{rest}"
-    return LevelError.over_limit(where, " ".join(f"{more} {count:,} trees".split()), limit, "Plant fewer trees")
+def _too_many_trees_error(key_path: str, count: int, max_trees: int, qualifier: str = "") -> LevelError:
+    remaining_text = "" if max_trees == MAX_TREES else f" ({max_trees:,} left for this stand)"
+    limit = f"{MAX_TREES:,} trees in a level{remaining_text}"
+    return LevelError.over_limit(key_path, " ".join(f"{qualifier} {count:,} trees".split()), limit, "Plant fewer trees")
 
 
-def _off_terrain_error(where: str, bounds: np.ndarray, site: Site) -> LevelError:
+def _off_terrain_error(key_path: str, bounds: np.ndarray, site: Site) -> LevelError:
     """Return the error of a stand that is entirely off the terrain; ``bounds`` are those of the stand in the site's map."""
     crs = site.elevation.crs
     if site.crs != crs:
@@ -465,6 +477,6 @@ def _off_terrain_error(where: str, bounds: np.ndarray, site: Site) -> LevelError
             bounds = np.array(transformer(site.crs, crs).transform_bounds(west, south, east, north, densify_pts=21))
         except ProjError:
             bounds = np.full(4, np.nan)
-    stand, terrain = (", ".join(f"{v:.9g}" for v in b) for b in (bounds, site.elevation.bounds))
-    remedy = f"Use trees on the terrain, at {terrain} (west, south, east, north; {crs.name})"
-    return LevelError(f"{where}.source", Problem(f"its trees are off the terrain, at {stand}"), remedy)
+    stand_bounds, terrain_bounds = (", ".join(f"{v:.9g}" for v in b) for b in (bounds, site.elevation.bounds))
+    remedy = f"Use trees on the terrain, at {terrain_bounds} (west, south, east, north; {crs.name})"
+    return LevelError(f"{key_path}.source", Problem(f"its trees are off the terrain, at {stand_bounds}"), remedy)

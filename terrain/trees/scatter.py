@@ -21,7 +21,7 @@ MIN_SPACING = 0.5
 
 HECTARE_M2 = 10_000.0
 
-_TRIES = 24
+_MAX_ATTEMPTS = 24
 """Random positions tried in a cell before its centre is used."""
 
 _TILE = 128
@@ -30,12 +30,16 @@ _TILE = 128
 _HALO = 3
 """Cells round a tile that its positions depend on: a cell follows its neighbours of up to three earlier colours."""
 
-_GOLDEN, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_GOLDEN_GAMMA, _MIX_MULTIPLIER_1, _MIX_MULTIPLIER_2 = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xBF58476D1CE4E5B9),
+    np.uint64(0x94D049BB133111EB),
+)
 _S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class TreePositions:
     """Positions of n trees.
 
     Attributes
@@ -56,7 +60,7 @@ class Places:
 
 def pair_keys(seed: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """Return the hashes uint64 (n,) of pairs of integers."""
-    return _keys(seed, np.asarray(i, np.int64), np.asarray(j, np.int64))
+    return _hash_pairs(seed, np.asarray(i, np.int64), np.asarray(j, np.int64))
 
 
 def point_keys(seed: int, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
@@ -66,16 +70,20 @@ def point_keys(seed: int, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
 
 def uniform_numbers(key: np.ndarray, stream: int) -> np.ndarray:
     """Return uniform random numbers float64 (n,) in [0, 1), independent for each hash and stream."""
-    return _shares(key, stream)
+    return _uniform_numbers(key, stream)
 
 
-def scatter_trees(area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0) -> Places:
+def scatter_trees(
+    area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0
+) -> TreePositions:
     """Return the positions of trees of a density in an area of a CRS with unit ``unit_m`` metres. The mean density is exact."""
     pitch = np.sqrt(HECTARE_M2 / density_per_ha) / unit_m
-    return _gathered([places for part in shapely.get_parts(area) for places in _scatter_in_polygon(part, pitch, seed)])
+    return _concatenate_positions(
+        [positions for part in shapely.get_parts(area) for positions in _scatter_in_polygon(part, pitch, seed)]
+    )
 
 
-def join_places(sets: list[Places]) -> tuple[Places, np.ndarray]:
+def join_positions(sets: list[TreePositions]) -> tuple[TreePositions, np.ndarray]:
     """Join sets of positions, without duplicates and sorted by hash.
 
     Returns
@@ -83,41 +91,41 @@ def join_places(sets: list[Places]) -> tuple[Places, np.ndarray]:
     places, first
         The positions, and their indices in the concatenated sets.
     """
-    all_places = _gathered(sets)
+    all_places = _concatenate_positions(sets)
     key, first = np.unique(all_places.key, return_index=True)
-    return Places(all_places.x[first], all_places.y[first], key), first
+    return TreePositions(all_places.x[first], all_places.y[first], key), first
 
 
-def _gathered(sets: list[Places]) -> Places:
+def _concatenate_positions(sets: list[TreePositions]) -> TreePositions:
     if not sets:
-        return Places(np.empty(0), np.empty(0), np.empty(0, np.uint64))
-    return Places(*(np.concatenate([getattr(places, name) for places in sets]) for name in ("x", "y", "key")))
+        return TreePositions(np.empty(0), np.empty(0), np.empty(0, np.uint64))
+    return TreePositions(*(np.concatenate([getattr(positions, name) for positions in sets]) for name in ("x", "y", "key")))
 
 
-def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Places]:
+def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[TreePositions]:
     west, south, east, north = (int(np.floor(v / pitch)) for v in area.bounds)
     cols, rows = (v.ravel() for v in np.meshgrid(np.arange(west, east + 1, _TILE), np.arange(south, north + 1, _TILE)))
     shapely.prepare(area)
-    within = np.zeros(len(cols), bool)
+    is_within = np.zeros(len(cols), bool)
     if len(cols) > 1:
         tiles = shapely.box(cols * pitch, rows * pitch, (cols + _TILE) * pitch, (rows + _TILE) * pitch)
-        touched = shapely.intersects(area, tiles)
-        cols, rows, within = cols[touched], rows[touched], shapely.contains_properly(area, tiles[touched])
-    for col, row, is_inside in zip(cols.tolist(), rows.tolist(), within.tolist(), strict=True):
-        x, y, key = _placed(seed, row, col, min(_TILE, north + 1 - row), min(_TILE, east + 1 - col))
+        is_touched = shapely.intersects(area, tiles)
+        cols, rows, is_within = cols[is_touched], rows[is_touched], shapely.contains_properly(area, tiles[is_touched])
+    for col, row, is_inside in zip(cols.tolist(), rows.tolist(), is_within.tolist(), strict=True):
+        x, y, key = _jittered_positions(seed, row, col, min(_TILE, north + 1 - row), min(_TILE, east + 1 - col))
         x, y = x * pitch, y * pitch
         if not is_inside:
-            inside = shapely.contains_xy(area, x, y)
-            x, y, key = x[inside], y[inside], key[inside]
-        yield Places(x, y, key)
+            is_in_polygon = shapely.contains_xy(area, x, y)
+            x, y, key = x[is_in_polygon], y[is_in_polygon], key[is_in_polygon]
+        yield TreePositions(x, y, key)
 
 
 @internal
 def _splitmix64(x):
     """Return splitmix64 of x (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
-    x = x + _GOLDEN
-    x = (x ^ (x >> _S30)) * _FIRST
-    x = (x ^ (x >> _S27)) * _SECOND
+    x = x + _GOLDEN_GAMMA
+    x = (x ^ (x >> _S30)) * _MIX_MULTIPLIER_1
+    x = (x ^ (x >> _S27)) * _MIX_MULTIPLIER_2
     return x ^ (x >> _S31)
 
 
@@ -128,12 +136,12 @@ def pair_key(seed, i, j):
 
 
 @internal
-def _share(key, stream):
+def _uniform_number(key, stream):
     return np.float64(_splitmix64(key ^ _splitmix64(np.uint64(stream))) >> _S11) * 2.0**-53
 
 
 @compiled
-def _keys(seed, i, j):
+def _hash_pairs(seed, i, j):
     out = np.empty(i.size, np.uint64)
     for n in range(i.size):
         out[n] = pair_key(seed, i[n], j[n])
@@ -141,15 +149,15 @@ def _keys(seed, i, j):
 
 
 @compiled
-def _shares(key, stream):
+def _uniform_numbers(key, stream):
     out = np.empty(key.size)
     for n in range(key.size):
-        out[n] = _share(key[n], stream)
+        out[n] = _uniform_number(key[n], stream)
     return out
 
 
 @compiled
-def _placed(seed, row0, col0, rows, cols):
+def _jittered_positions(seed, row0, col0, rows, cols):
     """Return x, y (in cells) and hashes of the trees of a window of cells, row by row.
 
     Cells have four colours in a 2 x 2 pattern, and the loop fills them colour by colour. A cell uses its first random position that
@@ -166,8 +174,8 @@ def _placed(seed, row0, col0, rows, cols):
                     continue
                 key = pair_key(seed, row, col)
                 px, py = col + 0.5, row + 0.5
-                for attempt in range(_TRIES):
-                    x, y = col + _share(key, 100 + 2 * attempt), row + _share(key, 101 + 2 * attempt)
+                for attempt in range(_MAX_ATTEMPTS):
+                    x, y = col + _uniform_number(key, 100 + 2 * attempt), row + _uniform_number(key, 101 + 2 * attempt)
                     nearest = np.inf
                     for m in range(max(r - 1, 0), min(r + 2, high)):
                         for n in range(max(c - 1, 0), min(c + 2, wide)):

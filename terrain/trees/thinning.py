@@ -20,16 +20,16 @@ def thinning_ranks(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     if not len(x_m):
         return np.zeros(0, np.float32)
     side = max(float(np.ptp(x_m)), float(np.ptp(y_m)), 1e-9)
-    curve = _morton(
+    curve = _morton_codes(
         ((x_m - x_m.min()) / side * (2**21 - 1)).astype(np.uint64), ((y_m - y_m.min()) / side * (2**21 - 1)).astype(np.uint64)
     )
     rank = np.empty(len(x_m), np.float32)
-    rank[np.argsort(curve, kind="stable")] = _scrambled(len(x_m))
+    rank[np.argsort(curve, kind="stable")] = _scrambled_van_der_corput(len(x_m))
     return rank
 
 
 @compiled
-def _scrambled(count):
+def _scrambled_van_der_corput(count):
     """Return ranks float32 (count,) of the numbers 0 to count - 1: a scrambled van der Corput sequence.
 
     A rank has the binary digits of its number in reverse. A hash of the number's higher digits and the rank's preceding digits
@@ -42,19 +42,19 @@ def _scrambled(count):
     for n in range(count):
         rank = 0
         for digit in range(digits):
-            turned = np.int64(pair_key(digit, n >> (digit + 1), rank) & np.uint64(1))
-            rank = 2 * rank + ((n >> digit) & 1 ^ turned)
+            flip_bit = np.int64(pair_key(digit, n >> (digit + 1), rank) & np.uint64(1))
+            rank = 2 * rank + ((n >> digit) & 1 ^ flip_bit)
         out[n] = (rank + 0.5) / 2**digits
     return out
 
 
 @compiled
-def _morton(a, b):
+def _morton_codes(a, b):
     """Return Morton codes uint64 (n,): the interleaved bits of a and b (21 bits each)."""
     out = np.zeros(a.size, np.uint64)
     for n in range(a.size):
         for bit in range(21):
-            one = np.uint64(1)
-            out[n] |= ((a[n] >> np.uint64(bit)) & one) << np.uint64(2 * bit)
-            out[n] |= ((b[n] >> np.uint64(bit)) & one) << np.uint64(2 * bit + 1)
+            low_bit = np.uint64(1)
+            out[n] |= ((a[n] >> np.uint64(bit)) & low_bit) << np.uint64(2 * bit)
+            out[n] |= ((b[n] >> np.uint64(bit)) & low_bit) << np.uint64(2 * bit + 1)
     return out

@@ -17,7 +17,7 @@ class Trees:
         float64 (n, 3), foot of the stem, earth-fixed metres.
     height_m, crown_m
         float32 (n,), height of the tree and diameter of its crown, metres.
-    turn_deg
+    yaw_deg
         float32 (n,), rotation of the crossed quads about the stem, degrees counter-clockwise from east.
     variant
         uint8 (n,), index into ``skugga.terrain.trees.foliage.TREE_VARIANTS``.
@@ -29,6 +29,6 @@ class Trees:
     base_earth_m: np.ndarray
     height_m: np.ndarray
     crown_m: np.ndarray
-    turn_deg: np.ndarray
+    yaw_deg: np.ndarray
     variant: np.ndarray
     rank: np.ndarray

@@ -71,14 +71,14 @@ def write_tiles(
     tiles: Mapping[tuple[int, int, int], bytes],
     format: str = "png",
     bounds: tuple[float, float, float, float] = (8.3, 47.4, 8.6, 47.6),
-    **said: str,
+    **skugga_overrides: str,
 ) -> Path:
     """Write an archive of tiles by zoom, column and row.
 
-    ``said`` adds to the usual metadata, or replaces it.
+    ``skugga_overrides`` adds to the usual metadata, or replaces it.
     """
-    index, shard = ShardIndex.of({zxy_to_tileid(*zxy): tile for zxy, tile in tiles.items()})
-    skugga = {"layer": "color", "format": format, "tms": "WebMercatorQuad", "query": "", "level": "hills"} | said
+    index, shard = ShardIndex.from_tiles({zxy_to_tileid(*zxy): tile for zxy, tile in tiles.items()})
+    skugga = {"layer": "color", "format": format, "tms": "WebMercatorQuad", "query": "", "level": "hills"} | skugga_overrides
     zooms = [zoom for zoom, _, _ in tiles]
     metadata = {"name": "Hills", "attribution": "nobody", "skugga": skugga}
     facts = ArchiveFacts(format, bounds, min(zooms), max(zooms), metadata)  # type: ignore[arg-type]

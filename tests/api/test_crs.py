@@ -27,7 +27,7 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_ear
 from skugga.terrain.level.level import load_level, parse_sun
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
-from tests.api.crs_towers import ALTITUDE_DEG, AZIMUTHS_DEG, SIDE, fall_of, mask_of, plain_with_tower, write_plain
+from tests.api.crs_towers import ALTITUDE_DEG, AZIMUTHS_DEG, SIDE, mask_of, plain_with_tower, shadow_deviation, write_plain
 from tests.products import shade_array, sun_hours_of, write_shade
 from tests.rasters import write_geotiff
 
@@ -65,23 +65,23 @@ SAMPLES = [
 ]
 
 
-def opened(raster: Path) -> Scene:
+def open_scene(raster: Path) -> Scene:
     return build_scene(load_level(raster))
 
 
 def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[float, ...] = AZIMUTHS_DEG) -> list[str]:
     """Return the faults of a tower's shadows at a place of a CRS's own celestial body."""
-    places, geod = longitude_latitude_of(crs), ellipsoid_of(crs)
+    lon_lat_crs, geod = longitude_latitude_of(crs), ellipsoid_of(crs)
     source = folder / "tower.vrt"
-    write_plain(source, crs, lon, lat, places, geod)
-    found, scene = [], opened(source)
+    write_plain(source, crs, lon, lat, lon_lat_crs, geod)
+    faults, scene = [], open_scene(source)
     for azimuth in azimuths:
         mask = shade_array(scene, raster_view(scene), "mask", SunSpec(azimuth=azimuth, altitude=ALTITUDE_DEG))
-        fall = fall_of(mask, source, crs, azimuth, places, geod)
-        if abs(fall.bearing_off_deg) > BEARING_DEG or abs(fall.length_off_m) > LENGTH_M or fall.dark_rim:
-            found.append(f"{crs.name}, azimuth {azimuth}: {fall}")
+        deviation = shadow_deviation(mask, source, crs, azimuth, lon_lat_crs, geod)
+        if abs(deviation.bearing_error_deg) > BEARING_DEG or abs(deviation.length_error_m) > LENGTH_M or deviation.dark_rim_cells:
+            faults.append(f"{crs.name}, azimuth {azimuth}: {deviation}")
     scene.close()
-    return found
+    return faults
 
 
 @pytest.mark.parametrize(("code", "lon", "lat"), SAMPLES)
@@ -89,7 +89,7 @@ def test_shadows_follow_geodesics(tmp_path, code, lon, lat):
     assert not faults_of(tmp_path, CRS.from_user_input(code), lon, lat, AZIMUTHS_DEG[::2])
 
 
-TESTED = (PJType.PROJECTED_CRS, PJType.GEOGRAPHIC_2D_CRS, PJType.DERIVED_PROJECTED_CRS)
+CRS_TYPES = (PJType.PROJECTED_CRS, PJType.GEOGRAPHIC_2D_CRS, PJType.DERIVED_PROJECTED_CRS)
 
 
 def all_crs(kinds: tuple[PJType, ...]) -> list[tuple[str, tuple[float, float, float, float] | None]]:
@@ -98,7 +98,7 @@ def all_crs(kinds: tuple[PJType, ...]) -> list[tuple[str, tuple[float, float, fl
     return [(f"{info.auth_name}:{info.code}", info.area_of_use and tuple(info.area_of_use)[:4]) for info in infos]  # type: ignore[misc]
 
 
-def middle_of(area: tuple[float, float, float, float] | None) -> tuple[float, float]:
+def centre_of_area(area: tuple[float, float, float, float] | None) -> tuple[float, float]:
     """Return a place in an area of use.
 
     In the area of a whole globe it avoids poles, axes and multiples of 5 degrees of latitude: PROJ interpolates the projection
@@ -117,44 +117,44 @@ def place_in(crs: CRS, area: tuple[float, float, float, float] | None) -> tuple[
 
     Raises ``ProjError``.
     """
-    places, place = longitude_latitude_of(crs), middle_of(area)
-    if np.isfinite(Transformer.from_crs(places, crs, always_xy=True).transform(*place)).all():
+    lon_lat_crs, place = longitude_latitude_of(crs), centre_of_area(area)
+    if np.isfinite(Transformer.from_crs(lon_lat_crs, crs, always_xy=True).transform(*place)).all():
         return place
-    lon, lat = Transformer.from_crs(crs, places, always_xy=True).transform(5e4, 5e4)
+    lon, lat = Transformer.from_crs(crs, lon_lat_crs, always_xy=True).transform(5e4, 5e4)
     if not np.isfinite([lon, lat]).all():
         raise ProjError(f"no place of {crs.name} is known")
     return lon, lat
 
 
-EVERY = 80
+SAMPLE_INTERVAL = 80
 """The test takes one of this many of PROJ's CRSs. Each needs most of a second, all of them some hours."""
 
 
 @pytest.mark.soak  # run by hand: takes minutes
 def test_every_crs_of_proj_is_correct_or_refused(tmp_path):
     """Shadows in a CRS are correct, or one error names the CRS."""
-    wrong, served = [], 0
-    for number, (code, area) in enumerate(all_crs(TESTED)[::EVERY]):
+    faults, served_count = [], 0
+    for number, (code, area) in enumerate(all_crs(CRS_TYPES)[::SAMPLE_INTERVAL]):
         folder = tmp_path / str(number)
         folder.mkdir()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)
             crs = CRS.from_user_input(code)
         try:
-            wrong += [f"{code}: {fault}" for fault in faults_of(folder, crs, *place_in(crs, area))]
-            served += 1
+            faults += [f"{code}: {fault}" for fault in faults_of(folder, crs, *place_in(crs, area))]
+            served_count += 1
         except (ProjError, CRSError):  # PROJ itself cannot transform it
-            where = (10.0, 20.0, 1e-4) if crs.is_geographic else (3e5, 4e5, 10.0)
+            origin_and_cell = (10.0, 20.0, 1e-4) if crs.is_geographic else (3e5, 4e5, 10.0)
             with pytest.raises(SourceError, match=r"(PROJ cannot transform its CRS|Give a raster in a projected)"):
-                opened(write_geotiff(folder / "plain.tif", plain_with_tower(), crs.to_wkt(), *where)).close()
+                open_scene(write_geotiff(folder / "plain.tif", plain_with_tower(), crs.to_wkt(), *origin_and_cell)).close()
         except (InputError, SourceError) as error:
             assert str(error).count("\n") == 0
             # On small bodies, and at kinks of a projection, rays bend across a plain of a kilometre. On the earth they must not.
             refuses_earth = isinstance(error, UnsupportedError) and is_on_earth(crs)
             if refuses_earth or crs.name not in str(error):
-                wrong.append(f"{code}: {error}")
-    assert served > 100
-    assert not wrong, "\n".join(wrong)
+                faults.append(f"{code}: {error}")
+    assert served_count > 100
+    assert not faults, "\n".join(faults)
 
 
 @pytest.mark.parametrize(
@@ -178,24 +178,24 @@ def test_a_crs_without_a_transformation_is_refused(tmp_path):
     raster = write_geotiff(tmp_path / "iceland.tif", plain_with_tower(), "EPSG:32627", 4e5, 7.1e6, 10.0)
     with pytest.raises(ProjError):
         Transformer.from_crs("EPSG:3052", "OGC:CRS84", always_xy=True)
-    scene = opened(raster)
+    scene = open_scene(raster)
     with pytest.raises(InputError, match="crs: 'EPSG:3052' is not allowed. Allowed: a CRS into which PROJ can transform"):
         scene.check_crs("crs", CRS.from_user_input("EPSG:3052"), "EPSG:3052")
     other = write_geotiff(tmp_path / "own.tif", plain_with_tower(), "EPSG:3052", 4e5, 7.1e6, 10.0)
     with pytest.raises(SourceError, match="PROJ cannot transform its CRS '.*' into longitude and latitude and back. Use a raster"):
-        opened(other)
+        open_scene(other)
 
 
 def test_a_crs_with_a_one_way_transformation_is_refused(tmp_path):
     """PROJ transforms ATIG of France (grads of Paris) into WGS 84, but loses its prime meridian in the other direction."""
     write_plain(tmp_path / "tower.vrt", CRS.from_user_input("IGNF:ATIGG"), 2.25, 46.5)
     with pytest.raises(SourceError, match="PROJ cannot transform its CRS '.*ATIG .*' into longitude and latitude and back. Use"):
-        opened(tmp_path / "tower.vrt")
+        open_scene(tmp_path / "tower.vrt")
 
 
 @pytest.mark.parametrize("code", ["EPSG:5513", "EPSG:4807"])
 def test_maps_in_a_crs_with_other_axes_are_refused(tmp_path, code):
-    scene = opened(write_geotiff(tmp_path / "dem.tif", plain_with_tower(), "EPSG:32632", 5e5, 5.3e6, 10.0))
+    scene = open_scene(write_geotiff(tmp_path / "dem.tif", plain_with_tower(), "EPSG:32632", 5e5, 5.3e6, 10.0))
     with pytest.raises(InputError, match=r"the axes of .* run .*\. Use a CRS whose axes run east and north"):
         scene.view("map", crs=code)
 
@@ -204,13 +204,13 @@ def test_maps_in_a_crs_with_other_axes_are_refused(tmp_path, code):
 def test_other_maps_show_the_same_shadow(tmp_path, code, lon, lat):
     """A map in longitude and latitude has the same area in shadow."""
     write_plain(tmp_path / "tower.vrt", CRS.from_user_input(code), lon, lat)
-    scene = opened(tmp_path / "tower.vrt")
-    own, sun = mask_of(tmp_path / "tower.vrt", tmp_path / "own.tif", 110.0), SunSpec(azimuth=110.0, altitude=15.0)
+    scene = open_scene(tmp_path / "tower.vrt")
+    raster_mask, sun = mask_of(tmp_path / "tower.vrt", tmp_path / "own.tif", 110.0), SunSpec(azimuth=110.0, altitude=15.0)
     write_shade(scene, raster_view(scene, crs="EPSG:4326"), "mask", [sun], [tmp_path / "map.tif"])
     with rasterio.open(tmp_path / "map.tif") as dataset:
         mask, cell = dataset.read(1), dataset.res
     area_m2 = (mask == MASK_SHADOW).sum() * cell[0] * cell[1] * 111_195.0**2 * np.cos(np.radians(lat))
-    assert area_m2 / ((own == MASK_SHADOW).sum() * 100.0) == pytest.approx(1.0, abs=0.1)
+    assert area_m2 / ((raster_mask == MASK_SHADOW).sum() * 100.0) == pytest.approx(1.0, abs=0.1)
     assert scene.world.anchor_lon_deg == pytest.approx(lon, abs=1e-3)
     assert scene.world.anchor_lat_deg == pytest.approx(lat, abs=1e-3)
 
@@ -247,7 +247,7 @@ def test_a_point_uses_the_crs_s_own_axis_order(tmp_path):
 def test_another_body_has_no_sun_at_a_time(tmp_path, code):
     crs = CRS.from_user_input(code)
     write_plain(tmp_path / "moon.vrt", crs, 10.0, 20.0, longitude_latitude_of(crs), ellipsoid_of(crs))
-    scene = opened(tmp_path / "moon.vrt")
+    scene = open_scene(tmp_path / "moon.vrt")
     with pytest.raises(InputError, match=r"time: .*, since '.*' is not a CRS of the earth\. Give azimuth and altitude"):
         scene.with_sun(parse_sun("2024-10-21T12:00:00Z", None, None))
     with pytest.raises(InputError, match=r"date: .*is not a CRS of the earth"):
@@ -274,7 +274,7 @@ def test_mountains_of_mars_are_valid_heights(tmp_path):
     """Olympus Mons is higher than any ground of the earth."""
     heights = np.full((20, 20), 21_229.0, np.float32)
     heights[0, 0] = -32768.0  # a sentinel that the file does not declare
-    scene = opened(write_geotiff(tmp_path / "mars.tif", heights, "IAU_2015:49910", 0.0, 2e5, 1000.0))
+    scene = open_scene(write_geotiff(tmp_path / "mars.tif", heights, "IAU_2015:49910", 0.0, 2e5, 1000.0))
     assert scene.height_range_m == pytest.approx((21_229.0, 21_229.0))
     assert not np.isfinite(scene.elevation.ground_m(*scene.elevation.xy(0, 0)))
     assert scene.elevation.ground_m(*scene.elevation.xy(9, 9)) == pytest.approx(21_229.0)
@@ -290,7 +290,7 @@ FLIPS = {
 }
 
 
-def rough() -> np.ndarray:
+def asymmetric_heights() -> np.ndarray:
     """Return heights (101, 90) without any symmetry under flips."""
     row, col = np.mgrid[:101, :90].astype(np.float32)
     heights = (45.0 * np.sin(row / 9.0) * np.cos(col / 6.0 + row / 20.0)).astype(np.float32)
@@ -301,7 +301,7 @@ def rough() -> np.ndarray:
 @pytest.fixture(params=FLIPS)
 def flipped(request, tmp_path) -> tuple[Path, Path, object]:
     """Return a raster, its upright twin, and the function that turns the twin's cells into the raster's."""
-    heights = rough()
+    heights = asymmetric_heights()
     upright = write_geotiff(tmp_path / "upright.tif", heights, "EPSG:32632", 5e5, 5.3e6 + 1010.0, 10.0)
     cells, transform = FLIPS[request.param](heights)
     turned = write_geotiff(tmp_path / "turned.tif", np.ascontiguousarray(cells), "EPSG:32632", 0, 0, 1.0, transform=transform)
@@ -318,52 +318,56 @@ def test_masks_lie_on_turned_cells(tmp_path, flipped):
 
 def test_like_accepts_turned_cells(tmp_path, flipped):
     turned, upright, flip = flipped
-    scene, sun = opened(upright), SunSpec(azimuth=200.0, altitude=15.0)
+    scene, sun = open_scene(upright), SunSpec(azimuth=200.0, altitude=15.0)
     write_shade(scene, raster_view(scene, like=turned), "mask", [sun], [tmp_path / "like.tif"])
-    with rasterio.open(tmp_path / "like.tif") as made, rasterio.open(turned) as own:
-        assert (made.transform, made.shape, made.crs) == (own.transform, own.shape, own.crs)
-        np.testing.assert_array_equal(made.read(1), flip(mask_of(upright, tmp_path / "mask.tif", 200.0)))
+    with rasterio.open(tmp_path / "like.tif") as output_dataset, rasterio.open(turned) as source_dataset:
+        assert (output_dataset.transform, output_dataset.shape, output_dataset.crs) == (
+            source_dataset.transform,
+            source_dataset.shape,
+            source_dataset.crs,
+        )
+        np.testing.assert_array_equal(output_dataset.read(1), flip(mask_of(upright, tmp_path / "mask.tif", 200.0)))
 
 
 def test_sun_hours_lie_on_turned_cells(tmp_path, flipped):
     turned, upright, flip = flipped
-    found = {}
+    hours_by_path = {}
     for path in (turned, upright):
-        scene = opened(path)
+        scene = open_scene(path)
         hours = sun_hours_of(date=DAY, window="10:00-12:00", step_min=60.0)
         write_rasters(scene, raster_view(scene), [hours], [tmp_path / "hours.tif"])
-        with rasterio.open(tmp_path / "hours.tif") as made, rasterio.open(path) as own:
-            assert (made.transform, made.shape) == (own.transform, own.shape)
-            found[path] = made.read(1)
-    assert 0.1 < found[upright].mean() < 1.95
-    np.testing.assert_allclose(found[turned], flip(found[upright]), atol=0.02)
+        with rasterio.open(tmp_path / "hours.tif") as output_dataset, rasterio.open(path) as source_dataset:
+            assert (output_dataset.transform, output_dataset.shape) == (source_dataset.transform, source_dataset.shape)
+            hours_by_path[path] = output_dataset.read(1)
+    assert 0.1 < hours_by_path[upright].mean() < 1.95
+    np.testing.assert_allclose(hours_by_path[turned], flip(hours_by_path[upright]), atol=0.02)
 
 
 def test_the_library_returns_turned_cells(tmp_path, flipped):
     turned, upright, flip = flipped
     answers = {}
     for path in (turned, upright):
-        with skugga.open_level(path) as level, rasterio.open(path) as own:
-            assert (level.transform, level.shape) == (own.transform, own.shape)
+        with skugga.open_level(path) as level, rasterio.open(path) as source_dataset:
+            assert (level.transform, level.shape) == (source_dataset.transform, source_dataset.shape)
             answers[path] = level.shade(azimuth=200.0, altitude=15.0), level.sun_hours("2024-10-21", step_min=60.0)
-    for one, other in zip(answers[turned], answers[upright], strict=True):
-        np.testing.assert_allclose(one, flip(other), atol=0.02)
+    for turned_array, upright_array in zip(answers[turned], answers[upright], strict=True):
+        np.testing.assert_allclose(turned_array, flip(upright_array), atol=0.02)
 
 
 def test_a_part_of_turned_cells_equals_the_whole(tmp_path, flipped):
     turned, _, _ = flipped
-    scene, sun = opened(turned), SunSpec(azimuth=200.0, altitude=15.0)
-    whole = mask_of(turned, tmp_path / "mask.tif", 200.0)
+    scene, sun = open_scene(turned), SunSpec(azimuth=200.0, altitude=15.0)
+    full_mask = mask_of(turned, tmp_path / "mask.tif", 200.0)
     bounds = 5e5 + 200.0, 5.3e6 + 300.0, 5e5 + 600.0, 5.3e6 + 900.0
     write_shade(scene, raster_view(scene, bounds=bounds), "mask", [sun], [tmp_path / "part.tif"])
-    with rasterio.open(tmp_path / "part.tif") as part, rasterio.open(turned) as own:
-        offset = ~own.transform @ part.transform
+    with rasterio.open(tmp_path / "part.tif") as part, rasterio.open(turned) as source_dataset:
+        offset = ~source_dataset.transform @ part.transform
         col, row = round(offset.c), round(offset.f)
         corners = np.array([[part.transform.c, part.transform.f]]) + np.array([[0, 0], [part.width, part.height]]) @ (
             np.array([[part.transform.a, part.transform.d], [part.transform.b, part.transform.e]])
         )
         assert (*corners.min(axis=0), *corners.max(axis=0)) == pytest.approx(bounds, abs=1e-3)
-        np.testing.assert_array_equal(part.read(1), whole[row : row + part.height, col : col + part.width])
+        np.testing.assert_array_equal(part.read(1), full_mask[row : row + part.height, col : col + part.width])
 
 
 @pytest.mark.parametrize("cell", [(10.0, 10.0003), (10.0, 13.4), (13.4, 10.0), (11.7, 10.0)])
@@ -377,9 +381,9 @@ def test_cells_that_are_not_square_have_their_own_heights(tmp_path, cell):
     heights = np.random.default_rng(5).uniform(0.0, 30.0, (SIDE, SIDE)).astype(np.float32)
     raster = write_geotiff(tmp_path / "oblong.tif", heights, "EPSG:32632", 5e5 - cell[0] * SIDE / 2, 5.3e6, cell)
     mask = mask_of(raster, tmp_path / "mask.tif", 247.0, 25.0)
-    alone = skugga.shadow(heights, cell[::-1], 247.0, 25.0, lines=64)
+    library_shadow = skugga.shadow(heights, cell[::-1], 247.0, 25.0, lines=64)
     inside = np.s_[2:-2, 2:-2]  # the two differ in their treatment of the rim
-    assert ((mask == MASK_SHADOW) != alone)[inside].mean() < 0.002
+    assert ((mask == MASK_SHADOW) != library_shadow)[inside].mean() < 0.002
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "shadow_map", "shadow_volume", "truth"])

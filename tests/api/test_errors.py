@@ -5,7 +5,16 @@ import pkgutil
 import pytest
 
 from skugga import api, selector, shadows, terrain
-from skugga.api.errors import DONE, FAILED, OUTCOMES, WRONG_INPUT, NotServedError, RetryLaterError, exit_status, outcome_of
+from skugga.api.errors import (
+    DONE,
+    ERROR_REPORTS,
+    FAILED,
+    WRONG_INPUT,
+    NotServedError,
+    RetryLaterError,
+    error_report_of,
+    exit_status,
+)
 from skugga.api.workers.jobs import Failure
 from skugga.terrain import errors
 from skugga.terrain.errors import SkuggaError
@@ -16,12 +25,12 @@ def every_error() -> list[type[SkuggaError]]:
     for package in (terrain, shadows, selector, api):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
-    found, left = set(), [SkuggaError]
-    while left:
-        kind = left.pop()
-        found.add(kind)
-        left += kind.__subclasses__()
-    return sorted(found, key=lambda kind: kind.__name__)
+    error_classes, pending = set(), [SkuggaError]
+    while pending:
+        kind = pending.pop()
+        error_classes.add(kind)
+        pending += kind.__subclasses__()
+    return sorted(error_classes, key=lambda kind: kind.__name__)
 
 
 def make(kind: type[SkuggaError]) -> SkuggaError:
@@ -33,21 +42,21 @@ def make(kind: type[SkuggaError]) -> SkuggaError:
 def test_the_table_has_every_error_and_no_other():
     kinds = every_error()
     assert len(kinds) > 10
-    assert set(OUTCOMES) == set(kinds)
+    assert set(ERROR_REPORTS) == set(kinds)
 
 
 def test_http_statuses_agree_with_exit_statuses():
-    for kind, outcome in OUTCOMES.items():
-        assert 400 <= outcome.status < 600
-        assert outcome.exit_status in (FAILED, WRONG_INPUT)
-        if outcome.status < 500:
-            assert outcome.exit_status == WRONG_INPUT, kind
+    for kind, report in ERROR_REPORTS.items():
+        assert 400 <= report.status < 600
+        assert report.exit_status in (FAILED, WRONG_INPUT)
+        if report.status < 500:
+            assert report.exit_status == WRONG_INPUT, kind
     assert DONE == 0
 
 
 def test_error_codes_are_unique():
     # Both of these errors share the codes of their bases.
-    codes = [outcome.code for kind, outcome in OUTCOMES.items() if kind not in (NotServedError, RetryLaterError)]
+    codes = [report.code for kind, report in ERROR_REPORTS.items() if kind not in (NotServedError, RetryLaterError)]
     assert len(set(codes)) == len(codes)
 
 
@@ -67,14 +76,14 @@ def test_error_codes_are_unique():
 )
 def test_errors_have_their_documented_statuses(kind: type[SkuggaError], status: int, leaves: int):
     error = make(kind)
-    assert outcome_of(error).status == status
+    assert error_report_of(error).status == status
     assert exit_status(error) == leaves
 
 
 @pytest.mark.parametrize("kind", [kind for kind in every_error() if kind is not NotServedError])
 def test_errors_cross_the_pipe(kind: type[SkuggaError]):
     error = make(kind)
-    back = pickle.loads(pickle.dumps(Failure.of(error))).error()
-    assert type(back) is kind
-    assert str(back) == str(error)
-    assert getattr(back, "name", None) == getattr(error, "name", None)
+    received = pickle.loads(pickle.dumps(Failure.of(error))).error()
+    assert type(received) is kind
+    assert str(received) == str(error)
+    assert getattr(received, "name", None) == getattr(error, "name", None)

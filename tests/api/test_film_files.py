@@ -24,15 +24,15 @@ FILMS = "film.webp", "film.mp4", "frames/%03d.png"
 
 def pictures(count: int, rows: int = 30, cols: int = 44) -> list[np.ndarray]:
     """Return smooth ground with a moving shadow and noise of one step. Every third picture repeats the previous one."""
-    rng, out = np.random.default_rng(7), []
+    rng, frames = np.random.default_rng(7), []
     ground = np.linspace(40, 220, cols)[None, :, None] * np.array([0.8, 1.0, 0.6]) * np.linspace(0.7, 1.0, rows)[:, None, None]
     for number in range(count):
         picture = ground.copy()
         picture[:, 2 * number : 2 * number + 9] *= 0.4
-        out.append(np.clip(picture + rng.integers(0, 2, picture.shape), 0, 255).astype(np.uint8))
+        frames.append(np.clip(picture + rng.integers(0, 2, picture.shape), 0, 255).astype(np.uint8))
         if number % 3 == 2:
-            out[number] = out[number - 1]
-    return out
+            frames[number] = frames[number - 1]
+    return frames
 
 
 def frames_of_webp(path: Path) -> Iterator[np.ndarray]:
@@ -45,19 +45,21 @@ def frames_of_webp(path: Path) -> Iterator[np.ndarray]:
                 yield picture
 
 
-def left(folder: Path) -> list[str]:
+def list_files(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(30, 44), (31, 45)])
 def test_lossless_webp_keeps_every_pixel(tmp_path, rows, cols):
-    made = pictures(9, rows, cols)
-    write_film(tmp_path / "film.webp", iter(made), 9, FPS, lossless=True)
-    found = list(frames_of_webp(tmp_path / "film.webp"))
-    assert len(found) == 9 and all((one == other).all() for one, other in zip(found, made, strict=True))
+    source_frames = pictures(9, rows, cols)
+    write_film(tmp_path / "film.webp", iter(source_frames), 9, FPS, lossless=True)
+    decoded_frames = list(frames_of_webp(tmp_path / "film.webp"))
+    assert len(decoded_frames) == 9 and all(
+        (decoded_frame == source_frame).all() for decoded_frame, source_frame in zip(decoded_frames, source_frames, strict=True)
+    )
     with Image.open(tmp_path / "film.webp") as film:
         assert film.info["loop"] == 0 and film.mode in ("RGB", "RGBX", "RGBA")
-    assert left(tmp_path) == ["film.webp"]
+    assert list_files(tmp_path) == ["film.webp"]
 
 
 def test_lossy_webp_is_small_and_similar(tmp_path):
@@ -65,13 +67,13 @@ def test_lossy_webp_is_small_and_similar(tmp_path):
     rng = np.random.default_rng(3)
     rough = np.cumsum(np.cumsum(rng.normal(size=(120, 160)), axis=0), axis=1)
     shade = np.clip(128.0 + 40.0 * np.gradient(rough, axis=1) / np.gradient(rough, axis=1).std(), 0, 255)
-    made = [np.clip(shade[..., None] * np.array([0.9, 1.0, 0.8]) + number, 0, 255).astype(np.uint8) for number in range(4)]
+    source_frames = [np.clip(shade[..., None] * np.array([0.9, 1.0, 0.8]) + number, 0, 255).astype(np.uint8) for number in range(4)]
     for lossless in (False, True):
-        write_film(tmp_path / f"{lossless}.webp", iter(made), 4, FPS, lossless)
-    small, whole = ((tmp_path / f"{lossless}.webp").stat().st_size for lossless in (False, True))
-    assert small < whole / 3
-    for one, other in zip(frames_of_webp(tmp_path / "False.webp"), made, strict=True):
-        assert np.abs(one.astype(int) - other).mean() < 6.0
+        write_film(tmp_path / f"{lossless}.webp", iter(source_frames), 4, FPS, lossless)
+    lossy_bytes, lossless_bytes = ((tmp_path / f"{lossless}.webp").stat().st_size for lossless in (False, True))
+    assert lossy_bytes < lossless_bytes / 3
+    for decoded_frame, source_frame in zip(frames_of_webp(tmp_path / "False.webp"), source_frames, strict=True):
+        assert np.abs(decoded_frame.astype(int) - source_frame).mean() < 6.0
 
 
 def test_a_webp_frame_holds_only_the_changed_rectangle():
@@ -79,26 +81,30 @@ def test_a_webp_frame_holds_only_the_changed_rectangle():
     first = np.zeros((20, 30, 3), np.uint8)
     other = first.copy()
     other[7:9, 11:16] = 200
-    found = list(frame_changes(iter([first, first, other, other, other, first]), 10.0))
-    assert [(each.row, each.col, each.color.shape[:2]) for each in found] == [(0, 0, (20, 30)), (6, 10, (3, 6)), (6, 10, (3, 6))]
-    assert [(each.duration_ms, each.frames) for each in found] == [(200, 2), (300, 3), (100, 1)]
-    assert (found[1].color == other[6:9, 10:16]).all()
+    changes = list(frame_changes(iter([first, first, other, other, other, first]), 10.0))
+    assert [(change.row, change.col, change.color.shape[:2]) for change in changes] == [
+        (0, 0, (20, 30)),
+        (6, 10, (3, 6)),
+        (6, 10, (3, 6)),
+    ]
+    assert [(change.duration_ms, change.frames) for change in changes] == [(200, 2), (300, 3), (100, 1)]
+    assert (changes[1].color == other[6:9, 10:16]).all()
 
 
 def test_a_film_reports_its_size_while_it_is_written(tmp_path):
     for name in FILMS:
-        told: list[tuple[int, int]] = []
-        write_film(tmp_path / name, iter(pictures(9)), 9, FPS, on_frame=lambda *now, told=told: told.append(now))
+        progress: list[tuple[int, int]] = []
+        write_film(tmp_path / name, iter(pictures(9)), 9, FPS, on_frame=lambda *update, progress=progress: progress.append(update))
         files = [path for path in film_files(tmp_path / name, 9) if path.exists()]
-        assert told == sorted(told) and told[-1][0] == 9
-        assert 0.5 < told[-1][1] / sum(path.stat().st_size for path in files) <= 1.0
+        assert progress == sorted(progress) and progress[-1][0] == 9
+        assert 0.5 < progress[-1][1] / sum(path.stat().st_size for path in files) <= 1.0
 
 
 def test_webp_larger_than_its_container_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setattr(animated_webp, "MAX_RIFF_BYTES", 500)
     with pytest.raises(OSError, match="too large for WebP, whose limit is 4 GB") as caught:
         write_film(tmp_path / "film.webp", iter(pictures(9)), 9, FPS)
-    assert caught.value.filename == str(tmp_path / "film.webp") and left(tmp_path) == []
+    assert caught.value.filename == str(tmp_path / "film.webp") and list_files(tmp_path) == []
 
 
 def test_webp_durations_round_without_drift(tmp_path):
@@ -113,20 +119,20 @@ def test_webp_durations_round_without_drift(tmp_path):
 
 
 def test_a_film_may_have_one_frame(tmp_path):
-    (made,) = pictures(1)
+    (source_frame,) = pictures(1)
     for name in FILMS:
-        write_film(tmp_path / name, iter([made]), 1, FPS)
+        write_film(tmp_path / name, iter([source_frame]), 1, FPS)
     with Image.open(tmp_path / "film.webp") as film:
-        assert np.abs(np.asarray(film.convert("RGB")).astype(int) - made).mean() < 6.0
-    assert (np.asarray(Image.open(tmp_path / "frames/001.png")) == made).all()
+        assert np.abs(np.asarray(film.convert("RGB")).astype(int) - source_frame).mean() < 6.0
+    assert (np.asarray(Image.open(tmp_path / "frames/001.png")) == source_frame).all()
     assert len(decoded(tmp_path / "film.mp4")) == 1
 
 
 def test_png_frames_keep_every_pixel(tmp_path):
-    made = pictures(4, 31, 45)
-    write_film(tmp_path / "frames/%03d.png", iter(made), 4, FPS)
-    assert left(tmp_path) == ["frames", *(f"frames/00{n}.png" for n in range(1, 5))]
-    for number, picture in enumerate(made, start=1):
+    source_frames = pictures(4, 31, 45)
+    write_film(tmp_path / "frames/%03d.png", iter(source_frames), 4, FPS)
+    assert list_files(tmp_path) == ["frames", *(f"frames/00{n}.png" for n in range(1, 5))]
+    for number, picture in enumerate(source_frames, start=1):
         assert (np.asarray(Image.open(tmp_path / f"frames/00{number}.png")) == picture).all()
 
 
@@ -144,8 +150,8 @@ def test_mp4_has_the_format_that_browsers_play(tmp_path):
     import av
 
     colors = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (200, 60, 30), (128, 128, 128), (255, 255, 255), (0, 0, 0), (30, 90, 200)]
-    made = np.repeat(np.array([*colors, colors[-1]], np.uint8), [20] * 8 + [1], axis=0)[None].repeat(121, axis=0)
-    write_film(tmp_path / "film.mp4", iter([made] * 5), 5, FPS)
+    source_frame = np.repeat(np.array([*colors, colors[-1]], np.uint8), [20] * 8 + [1], axis=0)[None].repeat(121, axis=0)
+    write_film(tmp_path / "film.mp4", iter([source_frame] * 5), 5, FPS)
     with av.open(str(tmp_path / "film.mp4")) as container:
         stream = container.streams.video[0]
         context = stream.codec_context
@@ -154,30 +160,30 @@ def test_mp4_has_the_format_that_browsers_play(tmp_path):
         assert stream.average_rate == 20 and float(stream.duration * stream.time_base) == pytest.approx(5 / FPS)
     frames = decoded(tmp_path / "film.mp4")
     assert len(frames) == 5
-    found = frames[-1].reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
+    decoded_frame = frames[-1].reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
     for number, color in enumerate(colors):
-        assert np.abs(found[60, 20 * number + 10].astype(int) - color).max() <= 3
-    assert np.abs(found[121, 161].astype(int) - colors[-1]).max() <= 3
+        assert np.abs(decoded_frame[60, 20 * number + 10].astype(int) - color).max() <= 3
+    assert np.abs(decoded_frame[121, 161].astype(int) - colors[-1]).max() <= 3
     content = (tmp_path / "film.mp4").read_bytes()
     assert content.index(b"moov") < content.index(b"mdat")  # browsers need the index before the data
 
 
 @pytest.mark.parametrize("name", FILMS)
 def test_at_most_a_frame_for_each_core_is_in_memory(tmp_path, name):
-    taken: list[weakref.ref[np.ndarray]] = []
+    references: list[weakref.ref[np.ndarray]] = []
     most = 0
 
     def made() -> Iterator[np.ndarray]:
         nonlocal most
         for number in range(30):
             picture = np.full((30, 44, 3), number, np.uint8)
-            taken.append(weakref.ref(picture))
+            references.append(weakref.ref(picture))
             yield picture
             del picture
-            most = max(most, sum(each() is not None for each in taken))
+            most = max(most, sum(reference() is not None for reference in references))
 
     write_film(tmp_path / name, made(), 30, FPS)
-    assert len(taken) == 30 and most <= CORES + 3
+    assert len(references) == 30 and most <= CORES + 3
 
 
 class StopError(Exception):
@@ -207,7 +213,7 @@ def test_a_full_disk_error_names_the_film(tmp_path, name, full_disk):
     with full_disk(1500), pytest.raises(OSError, match="large|space") as caught:
         write_film(tmp_path / name, iter([*pictures(20, 90, 120)]), 20, FPS)
     assert str(caught.value.filename) in (str(tmp_path / name), str((tmp_path / name).parent))
-    assert left(tmp_path) == []
+    assert list_files(tmp_path) == []
 
 
 @pytest.mark.parametrize("name", ["film.webp", "film.mp4"])
@@ -215,7 +221,7 @@ def test_a_full_device_is_an_error(tmp_path, name):
     (tmp_path / name).symlink_to("/dev/full")
     with pytest.raises(OSError, match="space"):
         write_film(tmp_path / name, iter(pictures(5)), 5, FPS)
-    assert os.readlink(tmp_path / name) == "/dev/full" and left(tmp_path) == [name]
+    assert os.readlink(tmp_path / name) == "/dev/full" and list_files(tmp_path) == [name]
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,10 @@ from skugga.terrain.level.camera_file import CameraPathSpec
 MORNING, EVENING = "2024-10-21T06:00:00-04:00", "2024-10-21T18:00:00-04:00"
 
 
-def path(*at: str) -> CameraPathSpec:
-    return CameraPathSpec.model_validate({"keys": [{"at": each, "eye": [0, 0, 5], "target": [9, 9, 0]} for each in at]})
+def path(*times: str) -> CameraPathSpec:
+    return CameraPathSpec.model_validate(
+        {"keys": [{"at": time_text, "eye": [0, 0, 5], "target": [9, 9, 0]} for time_text in times]}
+    )
 
 
 def test_a_day_includes_both_ends():
@@ -66,7 +68,7 @@ def test_the_last_frame_is_the_last_that_fits(length_s, step_s):
     assert span.parse_time(span.frames - 1) <= end < span.parse_time(span.frames)
 
 
-WRONG = {
+INVALID_SPANS = {
     "no offset": (("2024-10-21T06:00:00", EVENING, "10m"), "from", "with an offset"),
     "no time": ((MORNING, "evening", "10m"), "to", "with an offset"),
     "a date alone": ((MORNING, "2024-10-22", "10m"), "to", "with an offset"),
@@ -90,11 +92,11 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_SPANS)
 def test_wrong_spans_name_their_parameter(name):
-    given_, parameter, allowed = WRONG[name]
+    arguments, parameter, allowed = INVALID_SPANS[name]
     with pytest.raises(InputError) as caught:
-        film_span(*given_)
+        film_span(*arguments)
     assert caught.value.name == parameter and allowed in str(caught.value)
 
 

@@ -12,8 +12,8 @@ from skugga.api.matrices import (
     detail_m,
     is_quadtree_level,
     matrix_set_of,
-    off_data,
     served_matrix_sets,
+    shows_no_data,
     zoom_range,
 )
 from skugga.terrain.geo.world import World
@@ -25,14 +25,14 @@ def world(lon: float, lat: float) -> World:
     return World(CRS.from_epsg(4326), False, lon, lat, lon, lat)
 
 
-def around(lon: float, lat: float, half: float) -> tuple[float, float, float, float]:
+def square_bounds(lon: float, lat: float, half: float) -> tuple[float, float, float, float]:
     return lon - half, lat - half, lon + half, lat + half
 
 
 def test_served_matrix_sets_are_plain_grids_of_256_px():
-    served = served_matrix_sets()
-    assert {"WebMercatorQuad", "WGS1984Quad", "EuropeanETRS89_LAEAQuad"} <= set(served)
-    assert not {"CDB1GlobalGrid", "GNOSISGlobalGrid"} & set(served)  # tiles of other sizes; rows of varying width
+    matrix_sets = served_matrix_sets()
+    assert {"WebMercatorQuad", "WGS1984Quad", "EuropeanETRS89_LAEAQuad"} <= set(matrix_sets)
+    assert not {"CDB1GlobalGrid", "GNOSISGlobalGrid"} & set(matrix_sets)  # tiles of other sizes; rows of varying width
 
 
 def test_an_unknown_matrix_set_error_lists_the_known_ones():
@@ -44,7 +44,7 @@ def test_an_unknown_matrix_set_error_lists_the_known_ones():
 @pytest.mark.parametrize("lat", [0.0, 46.0, 70.0])
 def test_zooms_follow_from_size_on_the_ground(lat: float):
     half = 0.2
-    zooms = zoom_range(MERCATOR, world(8.0, lat), around(8.0, lat, half), cell_m=25.0)
+    zooms = zoom_range(MERCATOR, world(8.0, lat), square_bounds(8.0, lat, half), cell_m=25.0)
     assert zooms is not None
     pixel_m = 40_075_016.7 / 256 / 2.0 ** np.array([zooms.first, zooms.last - 3]) * np.cos(np.radians(lat))
     long_side_m = 2 * half * 111_000
@@ -71,19 +71,19 @@ def test_objects_add_finer_zooms(write_raster, make_scene, tmp_path):
     pixel_m = {name: 40_075_016.7 / 256 / 2.0**zoom * np.cos(np.radians(54.142)) for name, zoom in last.items()}
     assert 30.0 / 8.0 / 1.42 < pixel_m["bare"] < 30.0 / 8.0 * 1.42
     assert pixel_m["forest"] == pixel_m["meshes"] and 14.0 < 10.0 / pixel_m["forest"] < 29.0
-    fine = make_scene(write_raster(np.zeros((60, 60), np.float32), "EPSG:32633", 450_000.0, 6_000_000.0, 1.0), forest=[])
-    assert detail_m(fine) == pytest.approx(1.0, rel=0.01)
+    fine_scene = make_scene(write_raster(np.zeros((60, 60), np.float32), "EPSG:32633", 450_000.0, 6_000_000.0, 1.0), forest=[])
+    assert detail_m(fine_scene) == pytest.approx(1.0, rel=0.01)
 
 
 def test_zooms_end_with_the_matrix_set():
-    zooms = zoom_range(MERCATOR, world(8.0, 46.0), around(8.0, 46.0, 1e-4), cell_m=1e-3)
+    zooms = zoom_range(MERCATOR, world(8.0, 46.0), square_bounds(8.0, 46.0, 1e-4), cell_m=1e-3)
     assert zooms == ZoomRange(zooms.first, MERCATOR.maxzoom)
 
 
 def test_no_zooms_elsewhere_on_earth():
-    tennessee = around(-84.2, 36.3, 0.2)
+    tennessee = square_bounds(-84.2, 36.3, 0.2)
     assert zoom_range(registered.get("NZTM2000Quad"), world(-84.2, 36.3), tennessee, 30.0) is None
-    assert zoom_range(MERCATOR, world(0.0, 89.0), around(0.0, 89.0, 0.5), 30.0) is None
+    assert zoom_range(MERCATOR, world(0.0, 89.0), square_bounds(0.0, 89.0, 0.5), 30.0) is None
 
 
 def test_no_zooms_lost_at_the_antimeridian():
@@ -105,14 +105,14 @@ def test_quadtree_levels_are_recognized():
     assert not is_quadtree_level(registered.get("CanadianNAD83_LCC"), 5)
 
 
-def shown(data: tuple[float, float, float, float], zoom: int) -> set[tuple[int, int]]:
+def tiles_with_data(data: tuple[float, float, float, float], zoom: int) -> set[tuple[int, int]]:
     count = 2**zoom
-    return {(x, y) for x in range(count) for y in range(count) if not off_data(MERCATOR, zoom, x, y, data)}
+    return {(x, y) for x in range(count) for y in range(count) if not shows_no_data(MERCATOR, zoom, x, y, data)}
 
 
 def test_tiles_off_the_data_are_recognized():
-    data = around(8.0, 46.0, 2.0)
-    assert shown(data, 6) == {(tile.x, tile.y) for tile in MERCATOR.tiles(*data, zooms=6)}
+    data = square_bounds(8.0, 46.0, 2.0)
+    assert tiles_with_data(data, 6) == {(tile.x, tile.y) for tile in MERCATOR.tiles(*data, zooms=6)}
 
 
 def test_data_across_the_antimeridian_is_on_both_sides():
@@ -120,33 +120,35 @@ def test_data_across_the_antimeridian_is_on_both_sides():
         MERCATOR.tiles(178.0, -18.0, 179.9, -16.0, zooms=6),
         MERCATOR.tiles(-179.9, -18.0, -178.0, -16.0, zooms=6),
     )
-    assert shown((178.0, -18.0, 182.0, -16.0), 6) == {(tile.x, tile.y) for tiles in (east, west) for tile in tiles}
+    assert tiles_with_data((178.0, -18.0, 182.0, -16.0), 6) == {(tile.x, tile.y) for tiles in (east, west) for tile in tiles}
 
 
 def test_a_tile_over_the_pole_is_not_empty():
     polar = registered.get("UPSArcticWGS84Quad")
     tile = polar.tile(0.0, 89.99, 5)
-    assert not off_data(polar, 5, tile.x, tile.y, (-180.0, 85.0, 180.0, 90.0))
+    assert not shows_no_data(polar, 5, tile.x, tile.y, (-180.0, 85.0, 180.0, 90.0))
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_no_tile_with_data_is_ever_skipped(seed: int):
     random = np.random.default_rng(seed)
     lon, lat, half = random.uniform(-180, 180), random.uniform(-80, 80), 10 ** random.uniform(-3, 0.7)
-    west, south, east, north = around(lon, lat, half)
+    west, south, east, north = square_bounds(lon, lat, half)
     zoom = int(random.integers(3, 16))
     for _ in range(50):
         place = random.uniform(west, east), float(np.clip(random.uniform(south, north), -84, 84))
         tile = MERCATOR.tile((place[0] + 180) % 360 - 180, place[1], zoom)
         if not south <= place[1] <= north:
             continue
-        assert not off_data(MERCATOR, zoom, tile.x, tile.y, (west, south, east, north))
+        assert not shows_no_data(MERCATOR, zoom, tile.x, tile.y, (west, south, east, north))
 
 
 def test_a_tile_across_the_antimeridian_has_both_sides():
     zealand = registered.get("NZTM2000Quad")
     tile = zealand.tile(179.9, -40.0, 5)
-    assert all((tile.x, tile.y) == (each.x, each.y) for each in (zealand.tile(lon, -40.0, 5) for lon in (179.0, -179.0)))
+    assert all(
+        (tile.x, tile.y) == (other_tile.x, other_tile.y) for other_tile in (zealand.tile(lon, -40.0, 5) for lon in (179.0, -179.0))
+    )
     for data in ((178.9, -40.1, 179.1, -39.9), (-179.1, -40.1, -178.9, -39.9), (180.9, -40.1, 181.1, -39.9)):
-        assert not off_data(zealand, 5, tile.x, tile.y, data)
-    assert off_data(zealand, 5, tile.x, tile.y, (0.0, -40.1, 0.2, -39.9))
+        assert not shows_no_data(zealand, 5, tile.x, tile.y, data)
+    assert shows_no_data(zealand, 5, tile.x, tile.y, (0.0, -40.1, 0.2, -39.9))

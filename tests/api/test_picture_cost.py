@@ -14,29 +14,29 @@ from skugga.api.request import ProductRequest
 from skugga.shadows.plan import Plan, Predicted
 from skugga.terrain.scene import Scene
 from tests.render import plan_of
-from tests.shadows.test_area_light import LAMPS, figure
+from tests.shadows.test_area_light import LAMPS, area_light_scene
 
 
 @pytest.fixture
-def lit(tmp_path: Path) -> tuple[Scene, Plan]:
+def lamp_scene(tmp_path: Path) -> tuple[Scene, Plan]:
     """Return a scene whose view shows a lamp as a ball, and a plan with an expected time of 65 s."""
-    scene = figure(tmp_path, lights={"spot": LAMPS["spot"]}, sun="none")
+    scene = area_light_scene(tmp_path, lights={"spot": LAMPS["spot"]}, sun="none")
     plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map")
     return scene, plan.model_copy(update={"predicted": Predicted(ms=65_000.0, wrong=0.01, wrong_cast=0.01)})
 
 
-def test_a_slow_plan_names_the_key_that_makes_it_cheaper(lit: tuple[Scene, Plan]):
-    _, plan = lit
+def test_a_slow_plan_names_the_key_that_makes_it_cheaper(lamp_scene: tuple[Scene, Plan]):
+    _, plan = lamp_scene
     points = soft_lamps(plan)["spot"]
     assert points > 1
     assert remedy(plan) == f"lights.spot.radius: 0 makes shadows hard, which need 1 sample point of a lamp instead of {points}"
     assert "For less time, lights.spot.radius: 0" in format_expectation(plan)
-    quick = plan.model_copy(update={"predicted": Predicted(ms=100.0, wrong=0.01, wrong_cast=0.01)})
-    assert "For less time" not in format_expectation(quick)
+    quick_plan = plan.model_copy(update={"predicted": Predicted(ms=100.0, wrong=0.01, wrong_cast=0.01)})
+    assert "For less time" not in format_expectation(quick_plan)
 
 
-def test_a_plan_over_the_limit_is_refused(lit: tuple[Scene, Plan]):
-    _, plan = lit
+def test_a_plan_over_the_limit_is_refused(lamp_scene: tuple[Scene, Plan]):
+    _, plan = lamp_scene
     refusal = r"a block .* expected to take 65 s, more than the limit of 60 s \(SETTING\)\. lights.spot.radius: 0"
     with pytest.raises(TooCostlyError, match=refusal):
         check_cost(plan, "a block", 60_000.0, "SETTING")
@@ -45,11 +45,11 @@ def test_a_plan_over_the_limit_is_refused(lit: tuple[Scene, Plan]):
     check_cost(plan.model_copy(update={"predicted": None}), "a block", 60_000.0, "SETTING")
 
 
-def test_commands_have_the_limit_of_the_service(lit: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):
-    scene, plan = lit
-    monkeypatch.setattr(snapshot_module, "scene_and_view", lambda *asked: (scene, scene.view("eye")))
-    monkeypatch.setattr(snapshot_module, "plan_for", lambda *asked: plan)
-    monkeypatch.setattr(snapshot_module, "compute", lambda *asked: "drawn")
+def test_commands_have_the_limit_of_the_service(lamp_scene: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):
+    scene, plan = lamp_scene
+    monkeypatch.setattr(snapshot_module, "scene_and_view", lambda *args: (scene, scene.view("eye")))
+    monkeypatch.setattr(snapshot_module, "plan_for", lambda *args: plan)
+    monkeypatch.setattr(snapshot_module, "compute", lambda *args: "drawn")
     path = scene.loaded.path
     with pytest.raises(TooCostlyError, match=r"the view .* limit of 60 s \(--max-ms\)"):
         snapshot_module.snapshot(path, "eye", ProductRequest(), {})

@@ -15,7 +15,7 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 
 from skugga.api.animations.animations import Animations
-from skugga.api.errors import ExhaustedError, outcome_of
+from skugga.api.errors import ExhaustedError, error_report_of
 from skugga.api.resource_exhaustion import exhausted_error, run_in_pool
 from skugga.api.settings import Settings
 from skugga.api.workers import background_compile
@@ -26,7 +26,7 @@ from skugga.terrain.errors import SourceError
 from tests.api.animations.test_animations import order as film_order
 from tests.api.http.test_level_checks import no_threads
 from tests.api.http.test_openapi import ROUTERS
-from tests.api.workers.test_pool import block, until, with_pool
+from tests.api.workers.test_pool import block, run_with_pool, wait_until
 
 
 def _caused_by(cause: Exception) -> Exception:
@@ -50,9 +50,9 @@ def _caused_by(cause: Exception) -> Exception:
     ],
 )
 def test_exhaustion_errors_are_503(error: Exception):
-    found = exhausted_error(error)
-    assert found is not None
-    assert (outcome_of(found).status, outcome_of(found).retry_after_s) == (503, 5)
+    exhausted = exhausted_error(error)
+    assert exhausted is not None
+    assert (error_report_of(exhausted).status, error_report_of(exhausted).retry_after_s) == (503, 5)
 
 
 @pytest.mark.parametrize(
@@ -69,32 +69,32 @@ def test_routes_start_without_a_thread():
 
     def parts(dependant: Dependant) -> Iterator[object]:
         yield dependant.call
-        for each in dependant.dependencies:
-            yield from parts(each)
+        for dependency in dependant.dependencies:
+            yield from parts(dependency)
 
     routes = [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
     assert {"/healthz", "/readyz"} <= {route.path for route in routes}
-    found = {part for route in routes for part in parts(route.dependant)}
-    assert not [part for part in found if not inspect.iscoroutinefunction(part)]
+    functions = {part for route in routes for part in parts(route.dependant)}
+    assert not [part for part in functions if not inspect.iscoroutinefunction(part)]
 
 
 def test_work_without_a_thread_is_never_run(monkeypatch: pytest.MonkeyPatch):
     """An executor puts the work into its queue even if it cannot start a thread."""
-    ran: list[str] = []
+    calls: list[str] = []
 
     async def scenario() -> None:
         with ThreadPoolExecutor(1) as threads:
             with no_threads(monkeypatch), pytest.raises(ExhaustedError):
-                run_in_pool(threads, ran.append, "dropped")
-            await run_in_pool(threads, ran.append, "run")
+                run_in_pool(threads, calls.append, "dropped")
+            await run_in_pool(threads, calls.append, "run")
 
     asyncio.run(scenario())
-    assert ran == ["run"]
+    assert calls == ["run"]
 
 
 def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPatch):
     async def scenario(pool: Pool) -> None:
-        await until(lambda: pool.ready)
+        await wait_until(lambda: pool.ready)
         pids = set(pool.pids)
         pool._threads.shutdown(wait=False)
         with monkeypatch.context() as patch:
@@ -107,7 +107,7 @@ def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPa
             assert (await pool.run(block(0))).tiles
         assert pool.pids == pids and pool.counters.started == 1
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def test_idle_work_that_cannot_start_closes_its_files(monkeypatch: pytest.MonkeyPatch):
@@ -118,13 +118,13 @@ def test_idle_work_that_cannot_start_closes_its_files(monkeypatch: pytest.Monkey
             raise AssertionError(result)
 
         work = IdleWork(lambda: False)
-        monkeypatch.setattr(work, "_idle", lambda: True)
-        work.open()
+        monkeypatch.setattr(work, "_is_idle", lambda: True)
+        work.start()
         before = len(os.listdir("/proc/self/fd"))
         with no_threads(monkeypatch):
             for _ in range(5):
                 work.add(IdleJob(os.getpid, (), done, failed.append))
-            await until(lambda: len(failed) == 5)
+            await wait_until(lambda: len(failed) == 5)
         assert "no thread can be started" in failed[0]
         assert len(os.listdir("/proc/self/fd")) == before
         await work.close()
@@ -134,18 +134,18 @@ def test_idle_work_that_cannot_start_closes_its_files(monkeypatch: pytest.Monkey
 
 def test_failed_compilation_is_retried_later(monkeypatch: pytest.MonkeyPatch):
     compiled = threading.Event()
-    monkeypatch.setattr(background_compile, "compile_ahead", lambda *asked, **more: compiled.set())
+    monkeypatch.setattr(background_compile, "compile_ahead", lambda *args, **kwargs: compiled.set())
 
     async def scenario() -> None:
         compiling = BackgroundCompile(1, lambda preparing: None)
         with no_threads(monkeypatch):
             compiling.begin(7)
-            await until(lambda: not compiling.is_running)
+            await wait_until(lambda: not compiling.is_running)
         compiling.begin(7)
         assert not compiling.is_running, "not at once"
         monkeypatch.setattr(compiling, "_not_before_s", 0.0)
         compiling.begin(7)
-        await until(lambda: not compiling.is_running)
+        await wait_until(lambda: not compiling.is_running)
         assert compiled.is_set()
         compiling.begin(7)
         assert not compiling.is_running, "once done it is done"
@@ -155,21 +155,21 @@ def test_failed_compilation_is_retried_later(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_film_without_a_thread_is_not_drawn_later(monkeypatch: pytest.MonkeyPatch):
-    drawn: list[int] = []
+    draw_calls: list[int] = []
 
-    async def draw(asked: object):
-        drawn.append(1)
+    async def draw(film_request: object):
+        draw_calls.append(1)
         yield None
 
     async def scenario() -> None:
-        animations = Animations(Settings(), draw, lambda path, frames, asked: path.write_bytes(bytes(len(list(frames)))))
+        animations = Animations(Settings(), draw, lambda path, frames, film_request: path.write_bytes(bytes(len(list(frames)))))
         with no_threads(monkeypatch):
-            first = animations.ask(film_order(1), 1.0)
-            await until(lambda: first.ended)
-        assert isinstance(first.error, ExhaustedError) and not drawn
-        second = animations.ask(film_order(2), 1.0)
-        await until(lambda: second.ended)
-        assert second.status == "successful" and len(drawn) == 1
+            first = animations.request(film_order(1), 1.0)
+            await wait_until(lambda: first.ended)
+        assert isinstance(first.error, ExhaustedError) and not draw_calls
+        second = animations.request(film_order(2), 1.0)
+        await wait_until(lambda: second.ended)
+        assert second.status == "successful" and len(draw_calls) == 1
         await animations.close()
 
     asyncio.run(scenario())

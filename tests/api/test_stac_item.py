@@ -134,34 +134,34 @@ def dem(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def shaded(monkeypatch, capsys, tmp_path, dem):
-    """Return ``shaded(*options)``, which returns the mask that ``skugga shade`` writes and its file's profile."""
+def run_shade(monkeypatch, capsys, tmp_path, dem):
+    """Return ``run_shade(*options)``, which returns the mask that ``skugga shade`` writes and its file's profile."""
     from skugga.api.cli import main as cli
 
     def run(*options: str) -> tuple[np.ndarray, dict[str, Any]]:
         monkeypatch.setattr("sys.argv", ["skugga", "shade", str(dem), *options, "-o", str(tmp_path / "mask.tif")])
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as exit_info:
             cli.main()
-        assert (ended.value.code, capsys.readouterr().err) == (0, "")
+        assert (exit_info.value.code, capsys.readouterr().err) == (0, "")
         with rasterio.open(tmp_path / "mask.tif") as dataset:
             return dataset.read(1), dict(dataset.profile)
 
     return run
 
 
-def test_a_mask_has_the_cells_of_the_item(shaded, write):
-    mask, profile = shaded("--stac", str(write(landsat())))
+def test_a_mask_has_the_cells_of_the_item(run_shade, write):
+    mask, profile = run_shade("--stac", str(write(landsat())))
     assert mask.shape == (160, 200) and tuple(profile["transform"])[:6] == (15.0, 0.0, WEST, 0.0, -15.0, NORTH)
     assert 0.1 < (mask == MASK_SHADOW).sum() / (mask != MASK_NO_SURFACE).sum() < 0.7
 
 
-def test_the_sun_is_that_of_the_item(shaded, write):
-    by_item, _ = shaded("--stac", str(write(landsat())), "--resolution", "30", "--crs", "EPSG:32633")
-    by_hand, _ = shaded("--azimuth", "160.2", "--altitude", "18.1", "--resolution", "30", "--crs", "EPSG:32633")
-    np.testing.assert_array_equal(by_item, by_hand)
-    by_item, _ = shaded("--stac", str(write(landsat(**{"view:sun_azimuth": None}))), "--resolution", "30")
-    by_hand, _ = shaded("--time", "2024-01-15T09:45:31Z", "--resolution", "30")
-    np.testing.assert_array_equal(by_item, by_hand)
+def test_the_sun_is_that_of_the_item(run_shade, write):
+    item_mask, _ = run_shade("--stac", str(write(landsat())), "--resolution", "30", "--crs", "EPSG:32633")
+    angles_mask, _ = run_shade("--azimuth", "160.2", "--altitude", "18.1", "--resolution", "30", "--crs", "EPSG:32633")
+    np.testing.assert_array_equal(item_mask, angles_mask)
+    item_mask, _ = run_shade("--stac", str(write(landsat(**{"view:sun_azimuth": None}))), "--resolution", "30")
+    angles_mask, _ = run_shade("--time", "2024-01-15T09:45:31Z", "--resolution", "30")
+    np.testing.assert_array_equal(item_mask, angles_mask)
 
 
 def test_stac_and_time_conflict(monkeypatch, capsys, tmp_path, dem, write):
@@ -169,7 +169,9 @@ def test_stac_and_time_conflict(monkeypatch, capsys, tmp_path, dem, write):
 
     monkeypatch.setattr("sys.argv", ["skugga", "shade", str(dem), "--stac", str(write(landsat())), "--time", "2024-01-15T09:45:31Z",
                                      "-o", str(tmp_path / "mask.tif")])  # fmt: skip
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as exit_info:
         cli.main()
     err = capsys.readouterr().err
-    assert ended.value.code == 2 and err.count("\n") == 1 and "--stac" in err and "--stac: cannot be combined with --time" in err
+    assert (
+        exit_info.value.code == 2 and err.count("\n") == 1 and "--stac" in err and "--stac: cannot be combined with --time" in err
+    )

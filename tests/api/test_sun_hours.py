@@ -32,54 +32,60 @@ CELL_M = 30.0
 
 @pytest.fixture
 def scene(tmp_path: Path):
-    made = build_scene(load_level(write_geotiff(tmp_path / "own.tif", mountains(150), "EPSG:32632", 500e3, 5200e3, CELL_M)))
-    yield made
-    made.close()
+    built_scene = build_scene(load_level(write_geotiff(tmp_path / "own.tif", mountains(150), "EPSG:32632", 500e3, 5200e3, CELL_M)))
+    yield built_scene
+    built_scene.close()
 
 
-def written(scene: Scene, folder: Path, quantity: str = "hours", step: float = 30.0, **where) -> tuple[np.ndarray, Path]:
+def write_and_read(scene: Scene, folder: Path, quantity: str = "hours", step: float = 30.0, **extent) -> tuple[np.ndarray, Path]:
     path = folder / f"{quantity}.tif"
-    seen: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
     request = sun_hours_of(date=date(2024, 3, 21), clock="utc", quantity=quantity, step_min=step)
-    write_rasters(scene, raster_view(scene, **where), [request], [path], on_step=lambda *done: seen.append(done))
-    assert seen[-1][0] == seen[-1][1] and sorted(seen) == seen
+    write_rasters(scene, raster_view(scene, **extent), [request], [path], on_step=lambda *update: progress.append(update))
+    assert progress[-1][0] == progress[-1][1] and sorted(progress) == progress
     with rasterio.open(path) as dataset:
         return dataset.read(1), path
 
 
 def test_a_part_equals_the_whole(scene, tmp_path):
-    whole, path = written(scene, tmp_path)
-    with rasterio.open(path) as dataset, rasterio.open(tmp_path / "own.tif") as own:
-        assert (dataset.transform, dataset.shape, dataset.crs) == (own.transform, own.shape, own.crs)
+    full_hours, path = write_and_read(scene, tmp_path)
+    with rasterio.open(path) as dataset, rasterio.open(tmp_path / "own.tif") as source_dataset:
+        assert (dataset.transform, dataset.shape, dataset.crs) == (
+            source_dataset.transform,
+            source_dataset.shape,
+            source_dataset.crs,
+        )
         left, top = dataset.transform @ (20, 70)
-    part, _ = written(scene, tmp_path, bounds=(left, top - 50 * CELL_M, left + 60 * CELL_M, top))
-    np.testing.assert_array_equal(part, whole[70:120, 20:80])
+    part, _ = write_and_read(scene, tmp_path, bounds=(left, top - 50 * CELL_M, left + 60 * CELL_M, top))
+    np.testing.assert_array_equal(part, full_hours[70:120, 20:80])
 
 
 def test_blocks_of_sun_hours_join(scene, tmp_path, monkeypatch):
-    whole, _ = written(scene, tmp_path)
+    full_hours, _ = write_and_read(scene, tmp_path)
     monkeypatch.setattr(module, "BLOCK_NODES", 64)
     assert len(sun_blocks(scene, raster_view(scene).view)) == 9
-    apart, _ = written(scene, tmp_path)
-    wrong = 60.0 * np.abs(apart - whole)
-    assert wrong.mean() < 0.2 and np.percentile(wrong, 99) < 3.0  # minutes: sweep lines run elsewhere between nodes
+    block_hours, _ = write_and_read(scene, tmp_path)
+    difference_min = 60.0 * np.abs(block_hours - full_hours)
+    assert (
+        difference_min.mean() < 0.2 and np.percentile(difference_min, 99) < 3.0
+    )  # minutes: sweep lines run elsewhere between nodes
 
 
 def test_cells_of_another_crs_and_shape_give_the_same_hours(scene, tmp_path):
-    own, path = written(scene, tmp_path)
+    native_hours, path = write_and_read(scene, tmp_path)
     (tmp_path / "far").mkdir()
-    far, other = written(scene, tmp_path / "far", crs="EPSG:4326", resolution=0.0004)
-    with rasterio.open(other) as other_file, rasterio.open(path) as here:
+    geographic_hours, other = write_and_read(scene, tmp_path / "far", crs="EPSG:4326", resolution=0.0004)
+    with rasterio.open(other) as other_file, rasterio.open(path) as native_dataset:
         rows, cols = (np.random.default_rng(1).integers(10, 90, 400) for _ in range(2))
-        x, y = warped(other_file.crs, here.crs, *(other_file.transform @ (cols + 0.5, rows + 0.5)))
-        col, row = ~here.transform @ (np.array(x), np.array(y))
-    wrong = np.abs(far[rows, cols] - own[row.astype(int), col.astype(int)])
-    assert np.median(wrong) < 0.2  # cells' centres lie up to half a cell apart
-    tall = write_geotiff(tmp_path / "tall.tif", mountains(150)[::2], "EPSG:32632", 500e3, 5200e3, (CELL_M, 2 * CELL_M))
-    oblong = build_scene(load_level(tall))
-    half, _ = written(oblong, tmp_path)
-    oblong.close()
-    assert np.corrcoef(half[5:-5, 5:-5].ravel(), own[::2][5:-5, 5:-5].ravel())[0, 1] > 0.9
+        x, y = warped(other_file.crs, native_dataset.crs, *(other_file.transform @ (cols + 0.5, rows + 0.5)))
+        col, row = ~native_dataset.transform @ (np.array(x), np.array(y))
+    difference_h = np.abs(geographic_hours[rows, cols] - native_hours[row.astype(int), col.astype(int)])
+    assert np.median(difference_h) < 0.2  # cells' centres lie up to half a cell apart
+    tall_raster = write_geotiff(tmp_path / "tall.tif", mountains(150)[::2], "EPSG:32632", 500e3, 5200e3, (CELL_M, 2 * CELL_M))
+    oblong_scene = build_scene(load_level(tall_raster))
+    half, _ = write_and_read(oblong_scene, tmp_path)
+    oblong_scene.close()
+    assert np.corrcoef(half[5:-5, 5:-5].ravel(), native_hours[::2][5:-5, 5:-5].ravel())[0, 1] > 0.9
 
 
 def test_objects_reduce_hours_of_sun(gl, tmp_path):
@@ -94,7 +100,7 @@ def test_objects_reduce_hours_of_sun(gl, tmp_path):
     text = "version: 1\nterrain: {source: flat.tif}\nmeshes: [{source: house.geojson, height: high}]\nsun: none\n"
     level.write_text(text, encoding="utf-8")
     with_house = build_scene(load_level(level))
-    hours, _ = written(with_house, tmp_path, step=60.0)
+    hours, _ = write_and_read(with_house, tmp_path, step=60.0)
     with pytest.raises(InputError, match="height"):
         request = sun_hours_of(date=date(2024, 3, 21), clock="utc", height=1.5)
         write_rasters(with_house, raster_view(with_house), [request], [tmp_path / "a.tif"])

@@ -52,9 +52,9 @@ def test_half_a_step_rounds_to_even():
 
 
 def test_heights_are_clamped_and_nodata_is_filled():
-    far = np.array([[-20000.0, 2e6]])
-    assert terrain_rgb(far).tolist() == [[[0, 0, 0], [255, 255, 255]]]
+    extreme_heights = np.array([[-20000.0, 2e6]])
+    assert terrain_rgb(extreme_heights).tolist() == [[[0, 0, 0], [255, 255, 255]]]
     assert terrarium(np.array([[-40000.0, 40000.0]])).tolist() == [[[0, 0, 0], [255, 255, 255]]]
     for encoding, height_m in (("mapbox", mapbox_height_m), ("terrarium", terrarium_height_m)):
-        told = height_m(encoded_heights(np.array([[np.nan, 12.0]]), nodata_height_m(-3.4), encoding))
-        np.testing.assert_allclose(told, [[-4.0, 12.0]], atol=1e-6)
+        decoded_heights = height_m(encoded_heights(np.array([[np.nan, 12.0]]), nodata_height_m(-3.4), encoding))
+        np.testing.assert_allclose(decoded_heights, [[-4.0, 12.0]], atol=1e-6)

@@ -16,9 +16,9 @@ from skugga.api.request import ProductRequest
 from skugga.terrain.gl.egl_devices import NO_OPENGL
 from tests.api.conftest import CORNER, SUN, ZOOM, Client, write_level
 from tests.api.http.test_problems import check_problem
-from tests.api.http.test_serve import ROOT, serving
+from tests.api.http.test_serve import ROOT, serving_process
 
-PATIENCE_S = 300
+TIMEOUT_S = 300
 
 WITHOUT_DRIVERS = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent.json"}
 """The loader of EGL finds no driver."""
@@ -37,7 +37,7 @@ for arguments in json.loads(sys.argv[1]):
     print(json.dumps([status, said.getvalue(), wrong.getvalue()]))
 """
 
-NEEDS_OPENGL = {"eye": {"kind": "perspective", "eye": [8.4, 47.5, 500], "target": [8.41, 47.51, 0]}}
+PERSPECTIVE_VIEWS = {"eye": {"kind": "perspective", "eye": [8.4, 47.5, 500], "target": [8.41, 47.51, 0]}}
 TILE = f"tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 
 
@@ -49,60 +49,63 @@ def environment() -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def level(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_level(tmp_path_factory.mktemp("bare"), "hills", views={"map": {"kind": "map"}, **NEEDS_OPENGL})
+    return write_level(tmp_path_factory.mktemp("bare"), "hills", views={"map": {"kind": "map"}, **PERSPECTIVE_VIEWS})
 
 
 @pytest.mark.usefixtures("gl")
 def test_the_command_line_draws_terrain_without_opengl(level: Path, environment: dict[str, str]):
     folder = level.parent
-    drawn, shaded, refused = folder / "drawn.png", folder / "shaded.tif", folder / "refused.png"
+    picture_path, raster_path, refused_path = folder / "drawn.png", folder / "shaded.tif", folder / "refused.png"
     size = ["--size", "200x200"]
     commands = [
-        ["render", str(level), "-o", str(drawn), *size],
-        ["shade", str(level), "-o", str(shaded)],
-        ["render", str(level), "-o", str(refused), "--view", "eye", *size],
-        ["render", str(level), "-o", str(refused), "--algorithm", "shadow_map", *size],
+        ["render", str(level), "-o", str(picture_path), *size],
+        ["shade", str(level), "-o", str(raster_path)],
+        ["render", str(level), "-o", str(refused_path), "--view", "eye", *size],
+        ["render", str(level), "-o", str(refused_path), "--algorithm", "shadow_map", *size],
         ["calibrate"],
         ["doctor"],
     ]
     command = [sys.executable, "-c", COMMANDS, json.dumps(commands)]
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    by_map, mask, *need_it, doctor = map(json.loads, done.stdout.splitlines())
-    assert by_map == mask == [0, "", ""]
+    process = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert process.returncode == 0, process.stderr
+    map_result, mask, *opengl_results, doctor = map(json.loads, process.stdout.splitlines())
+    assert map_result == mask == [0, "", ""]
     color = snapshot(level, "map", ProductRequest(), {}, size=(200, 200)).computed.array
-    with Image.open(drawn) as picture:
+    with Image.open(picture_path) as picture:
         assert picture.convert("RGB").tobytes() == color[..., :3].tobytes(), "as with OpenGL"
-    with rasterio.open(shaded) as dataset:
+    with rasterio.open(raster_path) as dataset:
         assert 0.02 < float((dataset.read(1) < 128).mean()) < 0.98
-    for status, said, wrong in need_it:
-        assert (status, said) == (1, "") and wrong.count("\n") == 1, wrong
-        assert "no OpenGL 4.3 context through EGL" in wrong and "only terrain without objects can be drawn, under the sun" in wrong
-    assert not refused.exists()
-    status, said, _ = doctor
-    assert status == 1 and "MISSING  OpenGL" in said and "apt-get install" in said and "ok       a shadowed map" in said
+    for status, output, error_text in opengl_results:
+        assert (status, output) == (1, "") and error_text.count("\n") == 1, error_text
+        assert (
+            "no OpenGL 4.3 context through EGL" in error_text
+            and "only terrain without objects can be drawn, under the sun" in error_text
+        )
+    assert not refused_path.exists()
+    status, output, _ = doctor
+    assert status == 1 and "MISSING  OpenGL" in output and "apt-get install" in output and "ok       a shadowed map" in output
 
 
 def test_the_service_draws_terrain_without_opengl(level: Path, environment: dict[str, str], client: Client):
-    with serving([level], r"on (http://\S+)", environment) as (process, address):
-        with httpx.Client(base_url=address, timeout=PATIENCE_S) as without:
-            tile = without.get(f"/levels/hills/{TILE}")
+    with serving_process([level], r"on (http://\S+)", environment) as (process, address):
+        with httpx.Client(base_url=address, timeout=TIMEOUT_S) as software_client:
+            tile = software_client.get(f"/levels/hills/{TILE}")
             assert tile.status_code == 200
-            assert tile.content == client.get(f"/levels/hills/{TILE}", timeout=PATIENCE_S).content, "as with OpenGL"
-            ready = without.get("/readyz").json()
+            assert tile.content == client.get(f"/levels/hills/{TILE}", timeout=TIMEOUT_S).content, "as with OpenGL"
+            ready = software_client.get("/readyz").json()
             assert ready["renderer"] == NO_OPENGL and ready["workers"] == 1
-            for asked in ("snapshot.png?view=eye&size=64x64", f"{TILE}?algorithm=shadow_map"):
-                problem = check_problem(without.get(f"/levels/hills/{asked}"), 503, "no_opengl", None)
+            for resource in ("snapshot.png?view=eye&size=64x64", f"{TILE}?algorithm=shadow_map"):
+                problem = check_problem(software_client.get(f"/levels/hills/{resource}"), 503, "no_opengl", None)
                 assert "needs OpenGL" in problem["detail"] and "EGL" not in problem["detail"]
-            assert without.get(f"/levels/hills/{TILE}", params=SUN | {"altitude": 9}).status_code == 200
+            assert software_client.get(f"/levels/hills/{TILE}", params=SUN | {"altitude": 9}).status_code == 200
         process.terminate()
-        _, said = process.communicate(timeout=PATIENCE_S)
-    assert "only terrain without objects can be drawn, under the sun" in said
-    assert "is replaced" not in said, "a refusal ends no render process"
+        _, log_text = process.communicate(timeout=TIMEOUT_S)
+    assert "only terrain without objects can be drawn, under the sun" in log_text
+    assert "is replaced" not in log_text, "a refusal ends no render process"
 
 
 def test_a_service_without_its_expected_renderer_refuses(level: Path, environment: dict[str, str]):
-    with serving([level], r"on (http://\S+)", environment | {"SKUGGA_EXPECT_RENDERER": "a GPU"}) as (_, address):
-        with httpx.Client(base_url=address, timeout=PATIENCE_S) as without:
-            check_problem(without.get(f"/levels/hills/{TILE}"), 503, "graphics", None)
-            check_problem(without.get("/readyz"), 503, "not_ready", None)
+    with serving_process([level], r"on (http://\S+)", environment | {"SKUGGA_EXPECT_RENDERER": "a GPU"}) as (_, address):
+        with httpx.Client(base_url=address, timeout=TIMEOUT_S) as refusing_client:
+            check_problem(refusing_client.get(f"/levels/hills/{TILE}"), 503, "graphics", None)
+            check_problem(refusing_client.get("/readyz"), 503, "not_ready", None)

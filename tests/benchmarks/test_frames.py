@@ -21,9 +21,9 @@ from benchmarks.frame_tables import (
     as_markdown,
     frame_targets,
     paired_ratio,
-    put_between_marks,
+    replace_between_marks,
 )
-from benchmarks.frames import PICTURES, ROOT, Found, in_turns, main, side
+from benchmarks.frames import PICTURES, ROOT, FrameMeasurements, frame_process, main, measure_interleaved
 from benchmarks.yardstick import Yardstick
 from skugga.api.catalogue import find_level
 from skugga.selector.planner.planner import make_plan
@@ -43,8 +43,8 @@ TINY = replace(
 )
 
 
-def row(ms: float, **more: Any) -> dict[str, Any]:
-    return {"ms": ms, "cpu_ms": 2.0 * ms, "reads": 1, "read_mib": 2.0, "draws": 3, "passes_ms": {"geometry": ms}, **more}
+def row(ms: float, **other_figures: Any) -> dict[str, Any]:
+    return {"ms": ms, "cpu_ms": 2.0 * ms, "reads": 1, "read_mib": 2.0, "draws": 3, "passes_ms": {"geometry": ms}, **other_figures}
 
 
 def test_a_ratio_is_the_median_of_paired_ratios():
@@ -55,12 +55,12 @@ def test_a_ratio_is_the_median_of_paired_ratios():
 def test_targets_are_met_at_their_limit():
     key = FrameKey("SpatialAce", "planned", "new")
     frames = {key: {NOW: [row(35.0)], BASE: [row(100.0)]}}
-    (found,) = (target for target in frame_targets(frames, {}) if target.counts)
-    assert (found.wall, found.cpu, found.most, found.met) == (0.35, 0.35, 0.35, True)
-    assert found.line == "met    SpatialAce as planned, sun and camera moved / before: 0.35 (CPU time 0.35), at most 0.35"
+    (counting_target,) = (target for target in frame_targets(frames, {}) if target.counts)
+    assert (counting_target.wall, counting_target.cpu, counting_target.most, counting_target.met) == (0.35, 0.35, 0.35, True)
+    assert counting_target.line == "met    SpatialAce as planned, sun and camera moved / before: 0.35 (CPU time 0.35), at most 0.35"
     frames[key][NOW] = [row(36.0)]
-    (found,) = (target for target in frame_targets(frames, {}) if target.counts)
-    assert not found.met and found.line.startswith("MISSED")
+    (counting_target,) = (target for target in frame_targets(frames, {}) if target.counts)
+    assert not counting_target.met and counting_target.line.startswith("MISSED")
 
 
 def test_the_target_uses_the_yardstick_of_one_tap():
@@ -74,57 +74,59 @@ def test_the_target_uses_the_yardstick_of_one_tap():
 def test_a_first_frame_is_compared_with_warm_ones():
     first = {"ms": 30.0, "cpu_ms": 40.0, "answer_ms": 130.0, "cpu_answer_ms": 140.0}
     warm = {"ms": 10.0, "cpu_ms": 10.0, "answer_ms": 20.0, "cpu_answer_ms": 20.0}
-    found = frame_targets({}, {"valley": {NOW: [{"first": first, "warm": warm}]}})
-    assert [(target.wall, target.cpu, target.counts) for target in found] == [(3.0, 4.0, True), (6.5, 7.0, False)]
+    targets = frame_targets({}, {"valley": {NOW: [{"first": first, "warm": warm}]}})
+    assert [(target.wall, target.cpu, target.counts) for target in targets] == [(3.0, 4.0, True), (6.5, 7.0, False)]
 
 
 def test_the_memory_target_uses_the_peak_of_all_frames():
     million = FrameKey("a million trees", "planned", "new")
-    found = frame_targets({million: {NOW: [row(1.0, peak_gb=1.1), row(1.0, peak_gb=1.3)]}}, {})
-    assert found == [Target("a million trees: peak memory", 1.2, 1.3, unit=" GB")] and not found[0].met
+    targets = frame_targets({million: {NOW: [row(1.0, peak_gb=1.1), row(1.0, peak_gb=1.3)]}}, {})
+    assert targets == [Target("a million trees: peak memory", 1.2, 1.3, unit=" GB")] and not targets[0].met
 
 
 def test_writing_tables_between_marks_is_idempotent():
     page = f"before\n{BEGIN}\nold\n{END}\nafter\n"
-    once = put_between_marks(page, "| new |\n")
-    assert once == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
-    assert put_between_marks(once, "| new |") == once
+    written_page = replace_between_marks(page, "| new |\n")
+    assert written_page == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
+    assert replace_between_marks(written_page, "| new |") == written_page
     with pytest.raises(ValueError, match="no marks"):
-        put_between_marks("a page without any", "table")
-    assert put_between_marks((ROOT / "docs" / "speed.md").read_text(encoding="utf-8"), "table")
+        replace_between_marks("a page without any", "table")
+    assert replace_between_marks((ROOT / "docs" / "speed.md").read_text(encoding="utf-8"), "table")
 
 
 def test_alternating_sides_of_equal_code_draw_equal_frames():
     """This checkout stands for the other one. With sun and camera moved everything is drawn anew; at rest the map is
     cached.
     """
-    found = Found()
-    in_turns("SpatialAce", TINY, "spatialace", {NOW: ROOT, BASE: ROOT, YARDSTICK: ROOT}, 2, found)
+    measurements = FrameMeasurements()
+    measure_interleaved("SpatialAce", TINY, "spatialace", {NOW: ROOT, BASE: ROOT, YARDSTICK: ROOT}, 2, measurements)
     moves = [FrameKey("SpatialAce", "planned", move) for move in ("new", "sun", "resting")]
-    assert set(found.frames) == {*moves, *(FrameKey("SpatialAce", "yardstick", name) for name in
+    assert set(measurements.frames) == {*moves, *(FrameKey("SpatialAce", "yardstick", name) for name in
                                            ("unshadowed", "512, 1 tap", "512, 3 x 3 taps"))}  # fmt: skip
     for key in moves:
-        sides = found.frames[key]
-        assert [len(sides[each]) for each in (NOW, BASE)] == [2, 2]
-        assert found.differences[key] == {"frames": 2, "color": 2, "visibility": 2, "pixels": 0, "most": 0, "classes": 0}
-        for one in sides[NOW]:
-            assert one["cpu_ms"] > 0.0 and 0.05 < one["peak_gb"] < 4.0
-            assert sum(one["passes_ms"].values()) == pytest.approx(one["ms"])
-    new, sun, resting = (found.frames[key][NOW] for key in moves)
-    assert all(one["reads"] > 0 and one["draws"] > 0 for one in new)
-    assert len({one["color"] for one in (*new, *sun)}) == 4  # no position is drawn twice
-    assert [one["color"] for one in resting] == [one["color"] for one in sun]
+        sides = measurements.frames[key]
+        assert [len(sides[side_name]) for side_name in (NOW, BASE)] == [2, 2]
+        assert measurements.differences[key] == {"frames": 2, "color": 2, "visibility": 2, "pixels": 0, "most": 0, "classes": 0}
+        for frame_row in sides[NOW]:
+            assert frame_row["cpu_ms"] > 0.0 and 0.05 < frame_row["peak_gb"] < 4.0
+            assert sum(frame_row["passes_ms"].values()) == pytest.approx(frame_row["ms"])
+    new, sun, resting = (measurements.frames[key][NOW] for key in moves)
+    assert all(frame_row["reads"] > 0 and frame_row["draws"] > 0 for frame_row in new)
+    assert len({frame_row["color"] for frame_row in (*new, *sun)}) == 4  # no position is drawn twice
+    assert [frame_row["color"] for frame_row in resting] == [frame_row["color"] for frame_row in sun]
     assert resting[0]["draws"] < sun[0]["draws"]
-    assert [one["reads"] for one in found.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK]] == [1, 1]
-    said = {"renderer": "x", "cpus": 1, "load": 1.5, "repeats": 2, "base": "y", "plans": found.plans}
-    table = as_markdown(said, found.frames, {}, found.differences)
+    assert [
+        frame_row["reads"] for frame_row in measurements.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK]
+    ] == [1, 1]
+    header = {"renderer": "x", "cpus": 1, "load": 1.5, "repeats": 2, "base": "y", "plans": measurements.plans}
+    table = as_markdown(header, measurements.frames, {}, measurements.differences)
     assert "| SpatialAce | planned | the sun |" in table and "2 of 2 | 2 of 2 |" in table
     assert "* SpatialAce is planned as shadow_map. A new view's plan: " in table
 
 
 def test_an_error_in_a_side_is_raised():
-    with side(ROOT, TINY, "spatialace") as its, pytest.raises(RuntimeError, match="KeyError: 'nothing'"):
-        its.ask("frame", plan="nothing")
+    with frame_process(ROOT, TINY, "spatialace") as process, pytest.raises(RuntimeError, match="KeyError: 'nothing'"):
+        process.ask("frame", plan="nothing")
 
 
 @pytest.mark.parametrize("wrong", [["--base", "/nowhere"], ["--repeats", "0"], ["--scale", "2"]])
@@ -140,15 +142,15 @@ def test_the_yardstick_shows_the_same_scene():
     view = scene.view("main", size=(200, 150))
     assert isinstance(view, PerspectiveView) and scene.sun is not None
     plan = make_plan(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map"})
-    ours = render_frame(scene, view, plan)
-    plain, shadowed = (Yardstick(scene, view, size).draw(scene, view)[..., :3].astype(int) for size in (0, 512))
+    frame = render_frame(scene, view, plan)
+    plain, shadowed_picture = (Yardstick(scene, view, size).draw(scene, view)[..., :3].astype(int) for size in (0, 512))
     sky = (plain == plain[0, 0]).all(axis=2)
-    assert np.mean(sky == ~ours.valid) > 0.99
+    assert np.mean(sky == ~frame.valid) > 0.99
     buffer = geometry_buffer(scene, view)
     eye, _ = view.in_frame(buffer.frame)
     near = (buffer.kind == RELIEF) & (np.linalg.norm(buffer.position_frame_m - eye, axis=2) < 150.0)
     near &= buffer.normal_frame @ scene.sun.in_frame(buffer.frame) > 0.1
-    darker, dark = (plain - shadowed).max(axis=2)[near] > 20, ours.visibility[near] < 0.5
+    darker, dark = (plain - shadowed_picture).max(axis=2)[near] > 20, frame.visibility[near] < 0.5
     assert 0.05 < dark.mean() < 0.9
     assert (darker & dark).sum() / (darker | dark).sum() > 0.8
-    assert not (plain != shadowed).any(axis=2)[sky].any()
+    assert not (plain != shadowed_picture).any(axis=2)[sky].any()

@@ -32,16 +32,16 @@ def test_messages_of_a_module_are_listed_by_kind():
 
 def faults(message: Message) -> list[str]:
     """Return what is wrong with a message by its text alone."""
-    last, found = message.texts[-1], []
+    last, result = message.texts[-1], []
     if any(word in text for text in message.texts for word in ("; allowed:", "; needed:")):
-        found.append("the old form")
+        result.append("the old form")
     if message.kind == "InputError" and last.startswith(("nothing", "no --")):
-        found.append("a conflict with a phrase of allowed values: use InputError.conflict")
+        result.append("a conflict with a phrase of allowed values: use InputError.conflict")
     if message.kind in ("InputError", "SourceError", "LevelError") and last.endswith("."):
-        found.append("a full stop, which the error adds")
+        result.append("a full stop, which the error adds")
     if message.kind in ("InputError", "SourceError", "LevelError") and "\n" in "".join(message.texts):
-        found.append("more than one line")
-    return found
+        result.append("more than one line")
+    return result
 
 
 @pytest.mark.parametrize(
@@ -54,4 +54,4 @@ def test_a_message_of_the_wrong_form_is_found(texts):
 def test_all_messages_have_the_form():
     listed = messages()
     assert len(listed) > 500
-    assert not [f"{each.path}:{each.line}: {each.texts}: {fault}" for each in listed for fault in faults(each)]
+    assert not [f"{message.path}:{message.line}: {message.texts}: {fault}" for message in listed for fault in faults(message)]

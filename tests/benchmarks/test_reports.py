@@ -18,12 +18,12 @@ from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import END, START
 from skugga.api.cli.main import app
 from skugga.shadows.truth.metrics import MAX_INTERIOR
-from tests.api.report.test_summary import NONE, comparison, figures
+from tests.api.report.test_summary import NONE_FIGURES, comparison, figures
 
 DOCS = reports.ROOT / "docs"
 PAGE = reports.PAGE.read_text(encoding="utf-8")
 
-SAID = dict.fromkeys(("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made"), "said")
+REPORT_FACTS = dict.fromkeys(("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made"), "said")
 RUN = {"time_limit_s": 70.0, "took_s": 70, "load": 0.0}
 
 
@@ -35,8 +35,8 @@ def parsed(command: str) -> dict[str, Any]:
     return group.commands[name].make_context(name, words).params
 
 
-def kept_of(*rows: dict[str, Any], **more: Any) -> dict[str, Any]:
-    return record(SCENES["city"], comparison(*rows, **more), SAID) | RUN
+def record_of(*rows: dict[str, Any], **other_figures: Any) -> dict[str, Any]:
+    return record(SCENES["city"], comparison(*rows, **other_figures), REPORT_FACTS) | RUN
 
 
 def measured_part(text: str) -> str:
@@ -44,51 +44,51 @@ def measured_part(text: str) -> str:
 
 
 def test_the_comparison_page_is_up_to_date() -> None:
-    assert measured_part(PAGE) == comparisons(reports.kept())
+    assert measured_part(PAGE) == comparisons(reports.stored_records())
 
 
 def test_the_page_links_exactly_the_existing_reports() -> None:
-    found = {path.name for path in reports.REPORTS.iterdir()}
-    assert found == {f"{name}.html" for name in SCENES} and set(reports.kept()) == set(SCENES)
-    assert set(re.findall(r"\]\(compare/([^)]*)\)", PAGE)) == found
+    report_names = {path.name for path in reports.REPORTS.iterdir()}
+    assert report_names == {f"{name}.html" for name in SCENES} and set(reports.stored_records()) == set(SCENES)
+    assert set(re.findall(r"\]\(compare/([^)]*)\)", PAGE)) == report_names
     assert set(re.findall(r"\]\(images/([^)]*)\)", PAGE)) == {f"compare-{name}.svg" for name in SCENES}
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_published_report_is_one_small_file(name: str) -> None:
     report = reports.REPORTS / f"{name}.html"
-    text, kept = report.read_text(encoding="utf-8"), reports.kept()[name]
+    text, stored_record = report.read_text(encoding="utf-8"), reports.stored_records()[name]
     assert report.stat().st_size < MAX_BYTES
     assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "nothing but itself"
-    assert f"<dd>{kept['made']}</dd>" in text, "the page tells of the run that the report is of"
-    assert all(row in text for row in kept["rows"])
+    assert f"<dd>{stored_record['made']}</dd>" in text, "the page tells of the run that the report is of"
+    assert all(row in text for row in stored_record["rows"])
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=lambda scene: scene.name)
 def test_the_command_of_a_scene_matches_its_measurement(scene: Any) -> None:
-    found = parsed(scene.command)
-    assert (found["level"], found["view"], found["size"]) == (scene.level, scene.view, "{}x{}".format(*scene.size))
-    assert scene.sun == (None if found["azimuth"] is None else (found["azimuth"], found["altitude"]))
-    bounds = found["bounds"] and tuple(map(float, found["bounds"].split(",")))
+    parameters = parsed(scene.command)
+    assert (parameters["level"], parameters["view"], parameters["size"]) == (scene.level, scene.view, "{}x{}".format(*scene.size))
+    assert scene.sun == (None if parameters["azimuth"] is None else (parameters["azimuth"], parameters["altitude"]))
+    bounds = parameters["bounds"] and tuple(map(float, parameters["bounds"].split(",")))
     assert bounds == scene.bounds
-    assert reports.kept()[scene.name]["command"] == scene.command
+    assert reports.stored_records()[scene.name]["command"] == scene.command
 
 
 def test_skugga_accepts_every_command_on_the_page() -> None:
     blocks = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
     lines = [line for line in blocks.splitlines() if line] + re.findall(r"`(skugga compare [^`]*-o DIR)`", PAGE)
-    assert len(lines) == sum(len(each["left_out"]) + 1 for each in reports.kept().values())
+    assert len(lines) == sum(len(stored_record["left_out"]) + 1 for stored_record in reports.stored_records().values())
     for line in lines:
         parsed(line)
 
 
 def test_every_omitted_variant_has_its_command() -> None:
-    dropped = ("relief=sweep,meshes=hybrid-768", "shadow_map-512-3-32")
-    each = kept_of(figures("sweep", 12.0, 0.03), left_out=dropped)
-    assert [parsed(line)["only"] for line in commands(each)] == [[name] for name in dropped]
-    text = comparisons({"city": each})
-    assert all(f"\n{line}\n" in text for line in commands(each)) and "1 of 3" in text
-    assert "No variant was left out." in comparisons({"city": kept_of(figures("sweep", 12.0, 0.03))})
+    left_out = ("relief=sweep,meshes=hybrid-768", "shadow_map-512-3-32")
+    scene_record = record_of(figures("sweep", 12.0, 0.03), left_out=left_out)
+    assert [parsed(line)["only"] for line in commands(scene_record)] == [[name] for name in left_out]
+    text = comparisons({"city": scene_record})
+    assert all(f"\n{line}\n" in text for line in commands(scene_record)) and "1 of 3" in text
+    assert "No variant was left out." in comparisons({"city": record_of(figures("sweep", 12.0, 0.03))})
 
 
 def test_an_invalid_command_is_detected() -> None:
@@ -98,9 +98,11 @@ def test_an_invalid_command_is_detected() -> None:
 
 def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
     leaky = figures("planar", 1.0, 0.001, interior=2 * MAX_INTERIOR)
-    each = kept_of(NONE, leaky, figures("shadow_map-1", 5.0, 0.08), figures("sweep", 20.0, 0.008), figures("hybrid", 30.0, 0.009))
+    scene_record = record_of(
+        NONE_FIGURES, leaky, figures("shadow_map-1", 5.0, 0.08), figures("sweep", 20.0, 0.008), figures("hybrid", 30.0, 0.009)
+    )
     assert "| city | `wrong_cast` | `shadow_map-1`, 5.0 ms | `sweep`, 20 ms | `sweep`, 20 ms | none |" in comparisons(
-        {"city": each}
+        {"city": scene_record}
     )
 
 
@@ -114,14 +116,14 @@ def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
 )
 def test_the_page_ranks_the_default(rival: dict[str, float], place: str) -> None:
     default = figures("hybrid", 10.0, 0.02, pareto_soft=not (rival["ms"] < 10.0 and rival["soft_error"] < 0.02))
-    each = kept_of(default, figures("sweep", **rival), default="hybrid")
-    assert f"| city | `hybrid` | 2.0 % | 2.0 % | 10 ms | {place} |" in comparisons({"city": each})
+    scene_record = record_of(default, figures("sweep", **rival), default="hybrid")
+    assert f"| city | `hybrid` | 2.0 % | 2.0 % | 10 ms | {place} |" in comparisons({"city": scene_record})
 
 
 def test_names_of_rows_in_sentences_are_code() -> None:
     """Underscores would be emphasis in Markdown, and one name may begin with another."""
-    each = kept_of(figures("shadow_map", 1.0, 0.1), figures("shadow_map-1024-1-32", 2.0, 0.01))
-    text = comparisons({"city": each})
+    scene_record = record_of(figures("shadow_map", 1.0, 0.1), figures("shadow_map-1024-1-32", 2.0, 0.01))
+    text = comparisons({"city": scene_record})
     assert "The fastest is `shadow_map`: " in text and "The most accurate is `shadow_map-1024-1-32`: " in text
 
 
@@ -136,12 +138,12 @@ def test_a_report_that_is_too_large_is_not_written(tmp_path: Path) -> None:
 def test_a_failed_scene_is_reported_and_the_others_are_made(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = []
+    scene_names = []
 
     def run(words: list[str], check: bool) -> subprocess.CompletedProcess[str]:
-        made.append(words[-1])
+        scene_names.append(words[-1])
         return subprocess.CompletedProcess(words, int(words[-1] == "city"))
 
     monkeypatch.setattr("subprocess.run", run)
-    assert reports.make_all(list(SCENES), ["DATA"]) == ["city"] and made == list(SCENES)
+    assert reports.make_all(list(SCENES), ["DATA"]) == ["city"] and scene_names == list(SCENES)
     assert "city: failed, exit status 1" in capsys.readouterr().err

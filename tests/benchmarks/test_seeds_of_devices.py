@@ -36,8 +36,8 @@ EXPERIMENT = Experiment(dict, section)
 
 def measured_on(*devices: Any, times: tuple[dict[str, float], ...]) -> dict[str, Any]:
     measured: dict[str, Any] = {}
-    for each, of_it in zip(devices, times, strict=True):
-        add_figures(measured, each, "times", {"times": of_it})
+    for device_info, device_times in zip(devices, times, strict=True):
+        add_figures(measured, device_info, "times", {"times": device_times})
     return measured
 
 
@@ -65,15 +65,15 @@ def test_experiments_of_a_single_device_name_it():
 
 def test_a_new_run_replaces_only_the_device_s_own_figures():
     measured = measured_on(CPU, CARD, CPU, times=({"one": 2}, {"one": 0.25}, {"one": 3}))
-    assert [each["experiments"]["times"]["times"]["one"] for each in measured.values()] == [3, 0.25]
+    assert [device_figures["experiments"]["times"]["times"]["one"] for device_figures in measured.values()] == [3, 0.25]
     assert list(measured) == [CPU.renderer, CARD.renderer], "the page stays about the first"
 
 
 def test_the_page_says_whether_a_gpu_was_measured():
-    soft, both = measured_on(CPU, times=({"one": 2},)), measured_on(CPU, CARD, times=({"one": 2}, {"one": 1}))
-    assert "Nothing on this page was measured on a GPU" in about_devices(soft)
+    software_device, two_devices = measured_on(CPU, times=({"one": 2},)), measured_on(CPU, CARD, times=({"one": 2}, {"one": 1}))
+    assert "Nothing on this page was measured on a GPU" in about_devices(software_device)
     assert "Nothing on this page was measured on a GPU" in about_devices(measured_on(CPU, device("b", True), times=({}, {})))
-    assert "Nothing" not in about_devices(both) and "(1) a rasteriser; (2) a card" in about_devices(both)
+    assert "Nothing" not in about_devices(two_devices) and "(1) a rasteriser; (2) a card" in about_devices(two_devices)
 
 
 def test_all_experiments_can_be_merged_with_another_device():
@@ -89,20 +89,22 @@ def test_all_experiments_can_be_merged_with_another_device():
             return {key: halved(value) / 2 if key == "ms" else halved(value) for key, value in figures.items()}
         return figures
 
-    same = seeds.page(measured | {"twin": copy.deepcopy(first)})
-    assert not re.search(r"\d / \d", "".join(set(same.splitlines()) - set(plain.splitlines())).replace("1.00 / 0.52", ""))
-    assert same.count("**The same claims on twin**") == sum("| claim | found here |" in part for part in plain.split("\n## "))
+    merged_page = seeds.page(measured | {"twin": copy.deepcopy(first)})
+    assert not re.search(r"\d / \d", "".join(set(merged_page.splitlines()) - set(plain.splitlines())).replace("1.00 / 0.52", ""))
+    assert merged_page.count("**The same claims on twin**") == sum(
+        "| claim | found here |" in part for part in plain.split("\n## ")
+    )
     other = {"software": False, "experiments": {"stages": halved(first["experiments"]["stages"])}}
     assert "**The same claims on card**" in seeds.page(measured | {"card": other})
 
 
 def test_a_second_device_keeps_the_figures_of_the_first(tmp_path, monkeypatch, capsys):
     json_file, page_file = tmp_path / "figures.json", tmp_path / "page.md"
-    monkeypatch.setattr(seeds, "EXPERIMENTS", {"times": Experiment(lambda: {"times": {"one": now.speed}}, section)})
-    now = SimpleNamespace(speed=2.0)
-    for each, speed in ((CPU, 2.0), (CARD, 0.123456789)):
-        now.speed = speed
-        monkeypatch.setattr(seeds, "device", lambda each=each: each)
+    monkeypatch.setattr(seeds, "EXPERIMENTS", {"times": Experiment(lambda: {"times": {"one": state.speed}}, section)})
+    state = SimpleNamespace(speed=2.0)
+    for device_info, speed in ((CPU, 2.0), (CARD, 0.123456789)):
+        state.speed = speed
+        monkeypatch.setattr(seeds, "device", lambda device_info=device_info: device_info)
         monkeypatch.setattr("sys.argv", ["seeds", "--json", str(json_file), "--markdown", str(page_file)])
         seeds.main()
     assert json.loads(json_file.read_text())[CARD.renderer] == {

@@ -13,8 +13,8 @@ from benchmarks.sun_questions.words import answer_table, question_verdict
 from skugga.terrain.geo.sun_path import sun_path
 
 
-def answer(tool: str, ours: bool, seconds: float, wrong: float, question: str = "hours of a day") -> SunAnswer:
-    return SunAnswer(question, "somewhere", tool, ours, seconds, seconds + 1.0, seconds, wrong, wrong, wrong)
+def answer(tool: str, is_ours: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
+    return SunAnswer(question, "somewhere", tool, is_ours, seconds, seconds + 1.0, seconds, error, error, error)
 
 
 def comparison(*answers: SunAnswer) -> SunComparison:
@@ -40,10 +40,10 @@ def test_suncalc_gives_whitebox_s_share_on_level_ground():
     azimuth, altitude = suncalc(9.0, 46.95353, 10.0)
     number = np.rint(azimuth / 2.0)
     day = dark = 0
-    for each in np.unique(number):
-        inside = np.flatnonzero(number == each)
+    for bin_number in np.unique(number):
+        inside = np.flatnonzero(number == bin_number)
         up = int((altitude[inside] >= -0.5).sum())
-        middle = inside[np.argmin(np.abs(azimuth[inside] - 2.0 * each))]
+        middle = inside[np.argmin(np.abs(azimuth[inside] - 2.0 * bin_number))]
         day, dark = day + up, dark + (up if altitude[middle] < 0.0 else 0)
     assert 1.0 - dark / day == pytest.approx(12.126666 / 12.15, abs=2e-4)
 
@@ -75,8 +75,8 @@ def test_the_horizon_of_a_ridge_is_at_its_crest():
     height_m = np.zeros((41, 41))
     height_m[:, 30] = 50.0
     for angle in (0.0, 0.3, 0.5):
-        found = exact_horizon(height_m, 20, 10, np.cos(angle), np.sin(angle), 10.0)
-        assert found == pytest.approx(np.degrees(np.arctan(50.0 * np.cos(angle) / 200.0)))
+        horizon_deg = exact_horizon(height_m, 20, 10, np.cos(angle), np.sin(angle), 10.0)
+        assert horizon_deg == pytest.approx(np.degrees(np.arctan(50.0 * np.cos(angle) / 200.0)))
 
 
 def test_the_horizon_interpolates_along_crossed_edges():
@@ -85,18 +85,18 @@ def test_the_horizon_interpolates_along_crossed_edges():
     """
     height_m = np.zeros((5, 5))
     height_m[2, 3] = 8.0
-    way = np.array([2.0, 0.5]) / np.hypot(2.0, 0.5)
-    found = exact_horizon(height_m, 2, 1, way[0], way[1], 1.0)
-    assert found == pytest.approx(np.degrees(np.arctan(4.8 / np.hypot(1.6, 0.4))))
+    direction = np.array([2.0, 0.5]) / np.hypot(2.0, 0.5)
+    horizon_deg = exact_horizon(height_m, 2, 1, direction[0], direction[1], 1.0)
+    assert horizon_deg == pytest.approx(np.degrees(np.arctan(4.8 / np.hypot(1.6, 0.4))))
 
 
 def test_earth_curvature_lowers_far_ground():
     height_m = np.zeros((3, 2001))
-    found = exact_horizon(height_m, 1, 0, 1.0, 0.0, 10.0, radius_m=6_371_000.0)
-    assert found == pytest.approx(np.degrees(-10.0 / 2 / 6_371_000.0), rel=1e-3)  # the nearest ground is the highest
+    horizon_deg = exact_horizon(height_m, 1, 0, 1.0, 0.0, 10.0, radius_m=6_371_000.0)
+    assert horizon_deg == pytest.approx(np.degrees(-10.0 / 2 / 6_371_000.0), rel=1e-3)  # the nearest ground is the highest
     height_m[1, 2000] = 100.0
-    found = exact_horizon(height_m, 1, 0, 1.0, 0.0, 10.0, radius_m=6_371_000.0)
-    assert np.tan(np.radians(found)) == pytest.approx((100.0 - 20_000.0**2 / 2 / 6_371_000.0) / 20_000.0, rel=1e-3)
+    horizon_deg = exact_horizon(height_m, 1, 0, 1.0, 0.0, 10.0, radius_m=6_371_000.0)
+    assert np.tan(np.radians(horizon_deg)) == pytest.approx((100.0 - 20_000.0**2 / 2 / 6_371_000.0) / 20_000.0, rel=1e-3)
 
 
 def test_times_of_masks_are_centred_on_noon():
@@ -111,28 +111,28 @@ def test_uncertain_points_do_not_count():
 
 
 def test_the_verdict_names_dominated_rows_and_a_lost_front():
-    own, better = answer("own", True, 2.0, 1.0), answer("peer", False, 1.0, 0.5)
-    lost = question_verdict(comparison(own, better), "hours of a day")
-    assert "own by peer (somewhere)" in lost and "peer beats every row (somewhere)" in lost
-    assert "More accurate than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in lost
-    assert "Faster by computing than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in lost
-    saved = question_verdict(comparison(own, answer("exact", True, 9.0, 0.1), better), "hours of a day")
+    our_answer, peer_answer = answer("own", True, 2.0, 1.0), answer("peer", False, 1.0, 0.5)
+    verdict = question_verdict(comparison(our_answer, peer_answer), "hours of a day")
+    assert "own by peer (somewhere)" in verdict and "peer beats every row (somewhere)" in verdict
+    assert "More accurate than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in verdict
+    assert "Faster by computing than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in verdict
+    saved = question_verdict(comparison(our_answer, answer("exact", True, 9.0, 0.1), peer_answer), "hours of a day")
     assert "No peer beats all of its rows" in saved
     assert "More accurate than Skugga's best row: no peer" in saved
 
 
 def test_a_peer_that_is_only_faster_is_named():
-    said = question_verdict(comparison(answer("own", True, 2.0, 0.1), answer("quick", False, 1.0, 0.5)), "hours of a day")
-    assert said.count("no peer is both faster and more accurate") == 3
-    assert "Faster by the whole process than Skugga's best row: quick in 1 of 1 cases, up to 1.5 times." in said
+    verdict = question_verdict(comparison(answer("own", True, 2.0, 0.1), answer("quick", False, 1.0, 0.5)), "hours of a day")
+    assert verdict.count("no peer is both faster and more accurate") == 3
+    assert "Faster by the whole process than Skugga's best row: quick in 1 of 1 cases, up to 1.5 times." in verdict
 
 
 def test_tools_without_times_or_errors_have_no_rank():
     untimed = SunAnswer("masks", "somewhere", "bound", False, None, 1.0, None, 0.1, None)
     silent = SunAnswer("masks", "somewhere", "casts none", False, None, 1.0, 1.0, None, None)
-    found = comparison(untimed, silent, answer("own", True, 1.0, 0.2, "masks"))
-    assert [place.tool.name for place in standings(found, "masks", "the whole process")["somewhere"]] == ["bound", "own"]
-    assert [place.tool.name for place in standings(found, "masks", "computing")["somewhere"]] == ["own"]
+    sun_comparison = comparison(untimed, silent, answer("own", True, 1.0, 0.2, "masks"))
+    assert [place.tool.name for place in standings(sun_comparison, "masks", "the whole process")["somewhere"]] == ["bound", "own"]
+    assert [place.tool.name for place in standings(sun_comparison, "masks", "computing")["somewhere"]] == ["own"]
 
 
 def test_multiplied_seconds_are_marked():

@@ -21,9 +21,9 @@ def test_nodes_that_depend_on_the_cut_are_not_decidable():
     height[13, 11] = height[12, 12] = 3.0
     truth = GridRays(height, (CELL_M, CELL_M)).truth(135.0, 3.0)
     reach = 4  # the nodes lie 7.1, 21.2, 35.4, 49.5 and 63.6 m behind the ridge, whose shadow is 3 m / tan(3 degrees) = 57.2 m long
-    behind = np.array([(12, 11)]) - np.arange(5)[:, None]
-    assert not truth.lit[*behind[:reach].T].any() and truth.lit[*behind[reach]]
-    assert truth.drawn[*behind[:reach].T].all() and not truth.decidable[*behind[:reach].T].any()
+    shadow_nodes = np.array([(12, 11)]) - np.arange(5)[:, None]
+    assert not truth.lit[*shadow_nodes[:reach].T].any() and truth.lit[*shadow_nodes[reach]]
+    assert truth.drawn[*shadow_nodes[:reach].T].all() and not truth.decidable[*shadow_nodes[:reach].T].any()
     assert not (truth.decidable & ~truth.drawn).any()
 
 

@@ -33,7 +33,7 @@ from tests.golden import OUTPUT
 HERE = Path(__file__).parent
 
 CHROMIUM = Path("/usr/bin/chromium")
-IN_SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+SOFTWARE_GL_FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 """Root cannot use the sandbox. SwiftShader draws the map by the same rasteriser on every machine."""
 
 WINDOW = ViewportSize(width=1280, height=800)
@@ -41,7 +41,7 @@ WINDOW = ViewportSize(width=1280, height=800)
 READY_S, DRAWN_S = 180, 90
 """A render worker compiles at its first start; a map takes seconds."""
 
-STILL = 3
+STILL_FRAMES = 3
 """Equal pictures in a row that count as still: tiles fade in, and are decoded a moment after they arrive."""
 
 MARGIN_PX = 6
@@ -59,11 +59,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Take a picture of each page of a failed test while it is open."""
     report = yield
-    shown = [value for value in getattr(item, "funcargs", {}).values() if isinstance(value, WatchedPage)]
+    watched_pages = [value for value in getattr(item, "funcargs", {}).values() if isinstance(value, WatchedPage)]
     if report.when == "call" and report.failed:
         OUTPUT.mkdir(exist_ok=True)
         name = re.sub("[^A-Za-z0-9_.-]+", "-", item.name)
-        for number, watched in enumerate(dict.fromkeys(shown)):
+        for number, watched in enumerate(dict.fromkeys(watched_pages)):
             path = OUTPUT / f"{name}-{number}.png"
             # A closed page has no picture, which is no further failure.
             with suppress(Error):
@@ -72,15 +72,15 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     return report
 
 
-def missing(what: str) -> NoReturn:
+def skip_missing(requirement: str) -> NoReturn:
     """Skip a test whose requirement is missing; fail it on CI."""
     if os.environ.get("CI"):
-        pytest.fail(what)
-    pytest.skip(what)
+        pytest.fail(requirement)
+    pytest.skip(requirement)
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class LevelPicture:
     """The level's pixels on the page, and the queries of the tiles requested for them."""
 
     pixels: np.ndarray
@@ -103,7 +103,7 @@ class Viewer(WatchedPage):
         """Answer ``/readyz`` without preparations, which the page would show on a line of their own."""
         self.page.route(re.compile("/readyz$"), lambda route: route.fulfill(json={"status": "ready", "preparing": None}))
 
-    def open(self, fragment: str = "") -> Shown:
+    def open(self, fragment: str = "") -> LevelPicture:
         """Open the page at a URL fragment, including its ``#``, and wait for its map."""
         self.page.goto(f"{self.address}/{fragment}")
         return self.shown()
@@ -122,26 +122,26 @@ class Viewer(WatchedPage):
             if time.monotonic() > end:
                 pytest.fail(f"not drawn after {DRAWN_S} s: {data}, {len(self.waiting)} requests wait")
 
-    def shown(self) -> Shown:
+    def shown(self) -> LevelPicture:
         """Return the level on the map, once all tiles are drawn and the picture is still."""
         end = time.monotonic() + DRAWN_S
         before, alike = None, 0
-        while alike < STILL:
+        while alike < STILL_FRAMES:
             self.settled()
             pixels = self.pixels(self.place())
             alike = alike + 1 if before is not None and np.array_equal(before, pixels) else 1
             before = pixels
             assert time.monotonic() < end, "the picture does not stand still"
-        tiles = [address for address in self.asked if "/tiles/" in address]
-        self.asked.clear()
+        tiles = [address for address in self.requested_urls if "/tiles/" in address]
+        self.requested_urls.clear()
         assert before is not None
-        return Shown(before, {tuple(sorted(parse_qsl(urlsplit(tile).query))) for tile in tiles})
+        return LevelPicture(before, {tuple(sorted(parse_qsl(urlsplit(tile).query))) for tile in tiles})
 
     def place(self) -> FloatRect:
         """Return the level's rectangle in the window, computed from the view in the page's address."""
-        found = re.search(r"map=([\d.]+)/(-?[\d.]+)/(-?[\d.]+)", self.page.url)
-        assert found, self.page.url
-        zoom, lat, lon = map(float, found.groups())
+        match = re.search(r"map=([\d.]+)/(-?[\d.]+)/(-?[\d.]+)", self.page.url)
+        assert match, self.page.url
+        zoom, lat, lon = map(float, match.groups())
         assert self._bounds is not None, f"the service has no {LEVEL}"
         west, south, east, north = self._bounds
         round_the_earth = 512 * 2**zoom
@@ -161,10 +161,10 @@ def _down(latitude: float) -> float:
 def chromium() -> Iterator[Browser]:
     """Yield the browser."""
     if not CHROMIUM.exists():
-        missing(f"there is no {CHROMIUM}: 'make test-browser' installs it, or 'apt-get install chromium'")
+        skip_missing(f"there is no {CHROMIUM}: 'make test-browser' installs it, or 'apt-get install chromium'")
     expect.set_options(timeout=1000 * DRAWN_S)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=IN_SOFTWARE)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL_FLAGS)
         try:
             yield browser
         finally:
@@ -200,7 +200,7 @@ def make_viewer(chromium: Browser, service: Client) -> Iterator[Callable[..., Vi
 def viewers_of(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
     """Yield a factory of viewers of a service; a fault on any of them fails the test."""
     if not (STATIC_FOLDER / "index.html").is_file():
-        missing("the viewer is not built: 'make viewer' does it")
+        skip_missing("the viewer is not built: 'make viewer' does it")
     with ExitStack() as stack:
 
         def make(**window: Any) -> Viewer:
@@ -235,7 +235,7 @@ def clients_address() -> Iterator[str]:
     """Yield the address of the pages with map clients, on another server than the service, like a third-party site."""
     lacking = [name for name in LIBRARIES if not (CLIENTS / "node_modules" / name).is_dir()]
     if lacking:
-        missing(f"there is no {', '.join(lacking)} in {CLIENTS}: 'make test-browser' installs it")
+        skip_missing(f"there is no {', '.join(lacking)} in {CLIENTS}: 'make test-browser' installs it")
     with served_folder(CLIENTS) as address:
         yield address
 

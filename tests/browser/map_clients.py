@@ -60,24 +60,24 @@ class MapClient(WatchedPage):
             self.check()
 
 
-class QuietFiles(SimpleHTTPRequestHandler):
+class QuietFileServer(SimpleHTTPRequestHandler):
     """A file server without a log."""
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing."""
 
 
-class RangesOfFiles(QuietFiles):
+class RangeFileServer(QuietFileServer):
     """A file server of single byte ranges (RFC 9110, section 14) to pages of any origin, like object storage."""
 
     def do_GET(self) -> None:
         """Answer with the requested range."""
-        asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-        if asked is None:
+        match = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        if match is None:
             self.send_error(416)
             return
         content = Path(self.translate_path(self.path)).read_bytes()
-        first, last = int(asked[1]), min(int(asked[2]), len(content) - 1)
+        first, last = int(match[1]), min(int(match[2]), len(content) - 1)
         self.send_response(206)
         for name, value in {
             "Access-Control-Allow-Origin": "*", "Content-Type": "application/vnd.pmtiles", "Content-Length": str(last + 1 - first),
@@ -89,7 +89,7 @@ class RangesOfFiles(QuietFiles):
 
 
 @contextmanager
-def served_folder(folder: Path, files: Callable[..., QuietFiles] = QuietFiles) -> Iterator[str]:
+def served_folder(folder: Path, files: Callable[..., QuietFileServer] = QuietFileServer) -> Iterator[str]:
     """Serve the files of a folder, and yield the server's address."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(files, directory=str(folder))) as server:
         thread = threading.Thread(target=server.serve_forever)
@@ -101,12 +101,12 @@ def served_folder(folder: Path, files: Callable[..., QuietFiles] = QuietFiles) -
             thread.join()
 
 
-class OneTile(QuietFiles):
+class OneTileServer(QuietFileServer):
     """A server that answers every request with one picture, to pages of any origin."""
 
-    def __init__(self, *args: Any, picture: bytes, **more: Any) -> None:
+    def __init__(self, *args: Any, picture: bytes, **options: Any) -> None:
         self._picture = picture
-        super().__init__(*args, **more)
+        super().__init__(*args, **options)
 
     def do_GET(self) -> None:
         """Answer with the picture."""
@@ -124,7 +124,7 @@ class OneTile(QuietFiles):
 @contextmanager
 def served_tiles(picture: bytes) -> Iterator[str]:
     """Serve one picture as every tile, like a third-party server, and yield its address."""
-    with served_folder(CLIENTS, partial(OneTile, picture=picture)) as address:
+    with served_folder(CLIENTS, partial(OneTileServer, picture=picture)) as address:
         yield address
 
 
@@ -173,7 +173,7 @@ def fetched_picture(service: Client, address: str, **query: str) -> np.ndarray:
     return picture[..., :3]
 
 
-def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def difference(picture: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the difference of two pictures at each pixel, in the channel that differs most."""
-    assert one.shape == other.shape
-    return np.abs(one.astype(int) - other).max(axis=2)
+    assert picture.shape == other.shape
+    return np.abs(picture.astype(int) - other).max(axis=2)

@@ -14,9 +14,9 @@ from skugga.api.http.server.app import create_app
 from skugga.api.http.state.archive_file import ArchiveFile
 from skugga.api.settings import Settings
 from tests.api.conftest import Client, running, write_tiles
-from tests.api.seed.pmtiles_checker import checked
-from tests.browser.conftest import missing
-from tests.browser.map_clients import CLIENTS, MapClient, RangesOfFiles, difference, served_folder
+from tests.api.seed.pmtiles_checker import check_archive
+from tests.browser.conftest import skip_missing
+from tests.browser.map_clients import CLIENTS, MapClient, RangeFileServer, difference, served_folder
 from tests.browser.test_page_lines import CORNER, MAPS
 
 NODE = Path(__file__).parents[2] / ".venv" / "bin" / "node"
@@ -44,7 +44,11 @@ def archive(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return an archive of the service's tiles round the corner, at the corner's zoom and the one before."""
     tiles = {}
     for zoom, column, row in (
-        *((CORNER.zoom, CORNER.column + across, CORNER.row + down) for across in (-1, 0) for down in (-1, 0)),
+        *(
+            (CORNER.zoom, CORNER.column + column_offset, CORNER.row + row_offset)
+            for column_offset in (-1, 0)
+            for row_offset in (-1, 0)
+        ),
         (CORNER.zoom - 1, CORNER.column // 2, CORNER.row // 2),
     ):
         tiles[zoom, column, row] = service.get(f"/levels/jacksboro/tiles/{CORNER.tms}/{zoom}/{column}/{row}.png").content
@@ -80,15 +84,15 @@ def test_maplibre_shows_an_archive_by_its_tilejson(maplibre: MapClient, service:
     maplibre.allow(str(archive_service.base_url))
     source = maplibre.run(SHOWN, url=f"{archive_service.base_url}/archives/jacksboro/tilejson.json")
     assert source == {"attribution": "nobody", "minzoom": CORNER.zoom - 1, "maxzoom": CORNER.zoom}
-    shown = maplibre.pixels()
-    assert shown.std() > 10, "it shows something"
-    assert difference(shown, CORNER.tiles(service)).max() == 0
+    pixels = maplibre.pixels()
+    assert pixels.std() > 10, "it shows something"
+    assert difference(pixels, CORNER.tiles(service)).max() == 0
     assert archive_service.service.pool.pids == set()
 
 
 def test_pmtiles_protocol_reads_a_plain_file(maplibre: MapClient, service: Client, archive: Path):
     """The plugin requests byte ranges from a server that knows nothing of tiles."""
-    with served_folder(archive.parent, RangesOfFiles) as address:
+    with served_folder(archive.parent, RangeFileServer) as address:
         maplibre.allow(address)
         maplibre.page.add_script_tag(url="node_modules/pmtiles/dist/pmtiles.js")
         maplibre.run(
@@ -98,29 +102,29 @@ def test_pmtiles_protocol_reads_a_plain_file(maplibre: MapClient, service: Clien
         )
         source = maplibre.run(SHOWN, url=f"pmtiles://{address}/{archive.name}")
         assert (source["minzoom"], source["maxzoom"]) == (CORNER.zoom - 1, CORNER.zoom)
-        shown = maplibre.pixels()
-    assert shown.std() > 10, "it shows something"
-    assert difference(shown, CORNER.tiles(service)).max() == 0
+        pixels = maplibre.pixels()
+    assert pixels.std() > 10, "it shows something"
+    assert difference(pixels, CORNER.tiles(service)).max() == 0
 
 
 def test_npm_pmtiles_reads_every_tile(archive: Path, tmp_path: Path):
     """The second archive has leaf directories and runs; the reader finds no tile where the archive has none."""
     if not (CLIENTS / "node_modules" / "pmtiles").is_dir():
-        missing("there is no pmtiles: 'make test-browser' installs it")
+        skip_missing("there is no pmtiles: 'make test-browser' installs it")
     many = tmp_path / "many.pmtiles"
-    ocean, land = (archive_tile for archive_tile in list(checked(archive).tiles.values())[:2])
+    ocean, land = (archive_tile for archive_tile in list(check_archive(archive).tiles.values())[:2])
     write_tiles(many, {(8, x, y): ocean[:100] if x % 5 else land[: 50 + (x * y) % 999] for x in range(256) for y in range(255)})
     assert ArchiveFile(many).header["leaf_directory_length"] > 0
     for path in (archive, many):
-        read = checked(path)
+        read = check_archive(path)
         lacking = [(8, x, 255) for x in range(0, 256, 50)] if path == many else [(3, 0, 0)]
         places = [*read.tiles, *lacking]
-        told = subprocess.run(
+        process = subprocess.run(
             [NODE, "--input-type=module", "-e", READ_ALL], cwd=CLIENTS, input=json.dumps([str(path), places]), capture_output=True,
             text=True, check=True, timeout=300,
         )  # fmt: skip
-        answer = json.loads(told.stdout)
-        tiles = [None if each is None else base64.b64decode(each) for each in answer["tiles"]]
+        answer = json.loads(process.stdout)
+        tiles = [None if encoded is None else base64.b64decode(encoded) for encoded in answer["tiles"]]
         assert tiles == [*read.tiles.values(), *[None] * len(lacking)]
         assert answer["metadata"] == read.metadata
         header = answer["header"]

@@ -24,6 +24,6 @@ def test_docs_show_and_execute_operations(own_page: WatchedPage, service: Client
     answer = levels.locator(".live-responses-table .response")
     expect(answer.locator(".response-col_status")).to_contain_text("200", timeout=WAIT_MS)
     expect(answer).to_contain_text("Jacksboro fault")
-    assert {address.partition("?")[0].removeprefix(str(service.base_url)) for address in own_page.asked} == {
+    assert {address.partition("?")[0].removeprefix(str(service.base_url)) for address in own_page.requested_urls} == {
         "/docs", "/docs/assets/swagger-ui.css", "/docs/assets/swagger-ui-bundle.js", "/docs/start.js", "/openapi.json", "/levels",
     }  # fmt: skip

@@ -15,7 +15,7 @@ from tests.browser.watched_page import WatchedPage
 
 MAX_ZOOM = 14
 CELLS_PER_DEG = 1200
-TOLD_TO_M = 0.01
+ROUNDING_M = 0.01
 """The maximum zoom of the level's tiles, the nodes of its raster per degree, and the rounding of heights at points."""
 
 ARITHMETIC_M = 1e-4
@@ -43,8 +43,8 @@ def test_maplibre_reads_tilejson(maplibre: MapClient, service: Client, time: str
         }""",
         url=url,
     )
-    told = service.get(url).json()
-    assert source == {key: told[key] for key in source} and source["attribution"].startswith("Elevation: SRTM")
+    tilejson = service.get(url).json()
+    assert source == {key: tilejson[key] for key in source} and source["attribution"].startswith("Elevation: SRTM")
     assert difference(maplibre.pixels(), CORNER.tiles(service, time=time)).max() == 0
 
 
@@ -53,17 +53,17 @@ def pixel_centers() -> list[tuple[float, float]]:
     round_the_earth_px = 256 * 2**MAX_ZOOM
     middle = 256 * 2 ** (MAX_ZOOM - CORNER.zoom) * np.array([CORNER.column, CORNER.row])
     centers = []
-    for across in range(-50, 51, 25):
-        for down in range(-50, 51, 25):
-            x, y = (middle + (across + 0.5, down + 0.5)) / round_the_earth_px
+    for column_offset in range(-50, 51, 25):
+        for row_offset in range(-50, 51, 25):
+            x, y = (middle + (column_offset + 0.5, row_offset + 0.5)) / round_the_earth_px
             centers.append((float(x) * 360 - 180, math.degrees(math.atan(math.sinh(math.pi * (1 - 2 * float(y)))))))
     return centers
 
 
 def heights_of_api(service: Client, points: Sequence[tuple[float, float]]) -> np.ndarray:
     """Return the heights of points from the service, rounded to a centimetre."""
-    asked = {"points": [{"lon": lon, "lat": lat} for lon, lat in points]}
-    answer = service.post(f"/levels/{LEVEL}/point", json=asked)
+    body = {"points": [{"lon": lon, "lat": lat} for lon, lat in points]}
+    answer = service.post(f"/levels/{LEVEL}/point", json=body)
     assert answer.status_code == 200, answer.text
     return np.array([point["elevation_m"] for point in answer.json()["points"]])
 
@@ -113,6 +113,6 @@ def test_maplibre_terrain_agrees_with_point_heights(
     )
     assert None not in on_map and np.ptp(on_map) > 50
     between, triangles_m = between_nodes(service, points)
-    rounded_m = TOLD_TO_M / 2 + step_m / 2 + ARITHMETIC_M
+    rounded_m = ROUNDING_M / 2 + step_m / 2 + ARITHMETIC_M
     assert np.abs(on_map - between).max() < rounded_m
-    assert (np.abs(on_map - heights_of_api(service, points)) < TOLD_TO_M / 2 + rounded_m + triangles_m).all()
+    assert (np.abs(on_map - heights_of_api(service, points)) < ROUNDING_M / 2 + rounded_m + triangles_m).all()

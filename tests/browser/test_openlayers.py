@@ -42,9 +42,9 @@ def view_of(corner: Corner) -> dict[str, object]:
     return {"projection": corner.projection, "center": corner.center, "resolution": corner.resolution}
 
 
-def assert_time_matters(one: np.ndarray, other: np.ndarray) -> None:
+def assert_time_matters(picture: np.ndarray, other: np.ndarray) -> None:
     """Assert that two pictures show different times."""
-    assert (difference(one, other) > 32).mean() > 0.2
+    assert (difference(picture, other) > 32).mean() > 0.2
 
 
 def test_openlayers_reads_wmts_capabilities(openlayers: MapClient, service: Client, corner: Corner):
@@ -103,11 +103,11 @@ def test_openlayers_reads_wms_capabilities(openlayers: MapClient, service: Clien
         assert difference(pictures[-1], expected).max() == 0
     assert_time_matters(*pictures)
 
-    asked = parse_qs(urlsplit(openlayers.asked[-1]).query)
-    assert (asked["VERSION"], asked["CRS"], asked["TIME"]) == (["1.3.0"], [corner.projection], [TIMES[-1]])
+    query = parse_qs(urlsplit(openlayers.requested_urls[-1]).query)
+    assert (query["VERSION"], query["CRS"], query["TIME"]) == (["1.3.0"], [corner.projection], [TIMES[-1]])
     west, south, _, _ = corner.bounds
     first = [south, west] if corner.projection == "EPSG:4326" else [west, south]
-    assert [float(edge) for edge in asked["BBOX"][0].split(",")[:2]] == pytest.approx(first)
+    assert [float(edge) for edge in query["BBOX"][0].split(",")[:2]] == pytest.approx(first)
 
 
 def test_openlayers_shows_the_legends(openlayers: MapClient):

@@ -42,13 +42,13 @@ def test_time_of_day_moves_the_shadows(viewer: Viewer):
     morning = viewer.shown()
     assert morning.queries == {(("time", "2024-10-21T09:30:00-04:00"),)}
     expect(sun).to_contain_text("119.1°")
-    moved = np.abs(morning.pixels.astype(int) - evening.pixels).max(axis=2) > 32
-    assert moved.mean() > 0.3
+    changed = np.abs(morning.pixels.astype(int) - evening.pixels).max(axis=2) > 32
+    assert changed.mean() > 0.3
 
     time_of_day.fill("17:45")
-    again = viewer.shown()
-    assert np.array_equal(again.pixels, evening.pixels), "and back again"
-    assert not again.queries, "what has been seen is kept"
+    evening_again = viewer.shown()
+    assert np.array_equal(evening_again.pixels, evening.pixels), "and back again"
+    assert not evening_again.queries, "what has been seen is kept"
 
 
 def test_time_slider_moves_the_shadows(viewer: Viewer):
@@ -71,14 +71,16 @@ def test_time_slider_moves_the_shadows(viewer: Viewer):
 def test_sun_times_equal_those_of_the_service(viewer: Viewer, service: Client):
     """They are those of the level's middle; a click on one sets the time."""
     viewer.open()
-    west, south, east, north = next(each["bounds"] for each in service.get("/levels").json() if each["name"] == LEVEL)
-    where = {"lon": (west + east) / 2, "lat": (south + north) / 2}
+    west, south, east, north = next(
+        level_entry["bounds"] for level_entry in service.get("/levels").json() if level_entry["name"] == LEVEL
+    )
+    position = {"lon": (west + east) / 2, "lat": (south + north) / 2}
     for date in ("2024-10-21", "2024-06-21"):
         viewer.page.get_by_label("Date", exact=True).fill(date)
-        day = service.get(f"/levels/{LEVEL}/point", params={**where, "date": date, "clock": "-04:00"}).json()["day"]
+        day = service.get(f"/levels/{LEVEL}/point", params={**position, "date": date, "clock": "-04:00"}).json()["day"]
         for name, instant in (("Sunrise", day["sunrise"]), ("Noon", day["noon"]), ("Sunset", day["sunset"])):
-            said = datetime.fromisoformat(instant) + timedelta(seconds=30)
-            expect(viewer.page.get_by_role("button", name=name)).to_have_text(f"{name} {said:%H:%M}")
+            rounded = datetime.fromisoformat(instant) + timedelta(seconds=30)
+            expect(viewer.page.get_by_role("button", name=name)).to_have_text(f"{name} {rounded:%H:%M}")
     viewer.page.get_by_role("button", name="Noon").click()
     noon = datetime.fromisoformat(day["noon"]) + timedelta(seconds=30)
     expect(viewer.page.locator("#clock")).to_have_value(f"{noon:%H:%M}")
@@ -106,17 +108,17 @@ def test_lower_sun_casts_more_shadow(viewer: Viewer):
 
 def test_address_restores_all_settings(make_viewer: Callable[..., Viewer]):
     """Another viewer at this address shows the same. On a winter's day the local clock is that of winter, -05:00."""
-    one, other = make_viewer(), make_viewer()
-    one.open()
-    one.page.get_by_label("Time", exact=True).fill("16:00")
-    one.page.get_by_text("Shadows", exact=True).click()
-    one.page.get_by_label("Day of the year").fill("355")
-    one.page.locator(".maplibregl-ctrl-zoom-in").click()
-    one.settled()
-    expect(one.page).to_have_url(re.compile("layer=shadow.*time=2024-12-20T16:00:00-05:00"))
-    one.page.wait_for_timeout(ADDRESS_MS)
-    other.page.goto(one.page.url)
+    first, other = make_viewer(), make_viewer()
+    first.open()
+    first.page.get_by_label("Time", exact=True).fill("16:00")
+    first.page.get_by_text("Shadows", exact=True).click()
+    first.page.get_by_label("Day of the year").fill("355")
+    first.page.locator(".maplibregl-ctrl-zoom-in").click()
+    first.settled()
+    expect(first.page).to_have_url(re.compile("layer=shadow.*time=2024-12-20T16:00:00-05:00"))
+    first.page.wait_for_timeout(ADDRESS_MS)
+    other.page.goto(first.page.url)
     other.settled()
     settings = "() => [clock, date, days, minutes].map(({value}) => value).concat(document.body.dataset.shown)"
-    assert other.page.evaluate(settings) == one.page.evaluate(settings)
-    assert other.page.url == one.page.url
+    assert other.page.evaluate(settings) == first.page.evaluate(settings)
+    assert other.page.url == first.page.url

@@ -10,33 +10,33 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, ViewportSize, expect
 
-from tests.browser.conftest import Viewer, missing
+from tests.browser.conftest import Viewer, skip_missing
 from tests.browser.map_clients import CLIENTS
 
 AXE = CLIENTS / "node_modules" / "axe-core" / "axe.min.js"
 
 PHONE = {"viewport": ViewportSize(width=390, height=844), "has_touch": True, "is_mobile": True}
 
-ACROSS = {"viewport": ViewportSize(width=844, height=390), "has_touch": True, "is_mobile": True}
-SMALL_ACROSS = {"viewport": ViewportSize(width=667, height=375), "has_touch": True, "is_mobile": True}
+LANDSCAPE = {"viewport": ViewportSize(width=844, height=390), "has_touch": True, "is_mobile": True}
+SMALL_LANDSCAPE = {"viewport": ViewportSize(width=667, height=375), "has_touch": True, "is_mobile": True}
 """Phones in landscape; the second is no wider than some phones in portrait."""
 
-GRAVE = {"serious", "critical"}
+GRAVE_IMPACTS = {"serious", "critical"}
 """The impacts of axe's violations that fail a test."""
 
 
 def faults(page: Page) -> list[str]:
     """Return the serious and critical violations that axe finds on a page."""
     if not AXE.is_file():
-        missing(f"there is no {AXE}: 'make test-browser' installs it")
+        skip_missing(f"there is no {AXE}: 'make test-browser' installs it")
     # The page's policy allows no foreign scripts, so axe is evaluated from outside.
     page.evaluate(AXE.read_text())
-    found = page.evaluate("() => axe.run(document, {resultTypes: ['violations']})")["violations"]
+    violations = page.evaluate("() => axe.run(document, {resultTypes: ['violations']})")["violations"]
     return [
-        f"{each['id']}: {node['html'][:120]} {node['failureSummary']}"
-        for each in found
-        if each["impact"] in GRAVE
-        for node in each["nodes"]
+        f"{violation['id']}: {node['html'][:120]} {node['failureSummary']}"
+        for violation in violations
+        if violation["impact"] in GRAVE_IMPACTS
+        for node in violation["nodes"]
     ]
 
 
@@ -57,7 +57,7 @@ def test_axe_finds_a_removed_label(viewer: Viewer):
     """This proves that the other tests can fail."""
     viewer.open()
     viewer.page.evaluate("() => document.getElementById('minutes').removeAttribute('aria-label')")
-    assert any("label" in each for each in faults(viewer.page))
+    assert any("label" in fault for fault in faults(viewer.page))
 
 
 def test_viewer_works_by_keyboard(viewer: Viewer):
@@ -76,7 +76,7 @@ def test_viewer_works_by_keyboard(viewer: Viewer):
         assert outlined, f"where the focus is cannot be seen: {name}"
         reached.append(name)
     assert {"skip", "level", "theme", "play", "clock", "date", "minutes", "days", "solid"} <= set(reached), reached
-    assert any("canvas" in each for each in reached), "the map itself"
+    assert any("canvas" in control for control in reached), "the map itself"
 
     viewer.page.locator("#minutes").focus()
     viewer.page.keyboard.press("ArrowLeft")
@@ -139,7 +139,7 @@ def test_color_theme_can_be_chosen(viewer: Viewer):
     assert viewer.pixels()[700, 100].astype(int).sum() < corner / 4
 
 
-@pytest.mark.parametrize("window", [ACROSS, SMALL_ACROSS], ids=["wide", "small"])
+@pytest.mark.parametrize("window", [LANDSCAPE, SMALL_LANDSCAPE], ids=["wide", "small"])
 def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
     """Dock and panel leave most of the window to the map, which shows all of the level; the panel is a drawer."""
     viewer = make_viewer(**window)
@@ -155,8 +155,8 @@ def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], windo
     assert free_px > 0.7 * width * height
     for part in ("#play", "#clock", "#date", "#minutes", "#by"):
         expect(viewer.page.locator(part)).to_be_in_viewport(ratio=1)
-    beside = viewer.pixels()[8 : int(dock["y"]) - 40, int(side["width"]) + 60 : width - 60]
-    assert (beside != (0xE9, 0xE6, 0xDD)).any(axis=2).mean() > 0.4, "the level"
+    map_pixels = viewer.pixels()[8 : int(dock["y"]) - 40, int(side["width"]) + 60 : width - 60]
+    assert (map_pixels != (0xE9, 0xE6, 0xDD)).any(axis=2).mean() > 0.4, "the level"
     assert not faults(viewer.page)
 
     drawer = viewer.page.get_by_role("button", name="Open the panel")
@@ -172,7 +172,7 @@ def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], windo
     expect(solid).to_be_hidden()
 
 
-@pytest.mark.parametrize("window", [PHONE, ACROSS], ids=["upright", "across"])
+@pytest.mark.parametrize("window", [PHONE, LANDSCAPE], ids=["upright", "across"])
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
 def test_tapped_place_stays_visible(make_viewer: Callable[..., Viewer], window: dict[str, Any], share: float):
     """The panel with the answer does not cover it, however long its text is."""
@@ -186,11 +186,11 @@ def test_tapped_place_stays_visible(make_viewer: Callable[..., Viewer], window: 
     expect(viewer.page.locator(".point-answer")).to_have_attribute("aria-busy", "false")
     expect(viewer.page.locator(".point-answer .note, .point-answer .light, .point-answer .fail").first).to_be_visible()
     viewer.settled()
-    seen = viewer.page.locator(".point-mark").evaluate("""each => {
+    is_visible = viewer.page.locator(".point-mark").evaluate("""each => {
       const {left, top, width, height} = each.getBoundingClientRect();
       return document.elementsFromPoint(left + width / 2, top + height / 2)[0] === each;
     }""")
-    assert seen
+    assert is_visible
 
 
 @pytest.mark.parametrize("colors", ["light", "dark"])
@@ -202,15 +202,15 @@ def test_day_bar_colors_have_contrast(make_viewer: Callable[..., Viewer], colors
     bar = viewer.page.locator(".day-bar")
     expect(bar).to_be_visible()
     lights = {name: _luminance(bar.locator(f".{name}").first) for name in ("night", "shadow", "lit")}
-    for one, other in (("night", "shadow"), ("shadow", "lit"), ("night", "lit")):
-        low, high = sorted((lights[one], lights[other]))
-        assert (high + 0.05) / (low + 0.05) > (3 if "night" not in (one, other) or colors == "dark" else 1.3), (one, other)
+    for part, other in (("night", "shadow"), ("shadow", "lit"), ("night", "lit")):
+        low, high = sorted((lights[part], lights[other]))
+        assert (high + 0.05) / (low + 0.05) > (3 if "night" not in (part, other) or colors == "dark" else 1.3), (part, other)
     assert bar.evaluate("each => getComputedStyle(each).boxShadow") != "none"
 
 
 def _luminance(part: Locator) -> float:
     """Return WCAG's relative luminance of an element's background."""
-    said = part.evaluate("each => getComputedStyle(each).backgroundColor")
-    srgb = np.array([int(each) for each in re.findall(r"\d+", said)[:3]]) / 255
+    color = part.evaluate("each => getComputedStyle(each).backgroundColor")
+    srgb = np.array([int(channel) for channel in re.findall(r"\d+", color)[:3]]) / 255
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return float(linear @ (0.2126, 0.7152, 0.0722))

@@ -20,7 +20,7 @@ DATE = "2024-12-21"
 FIRST, LAST = 8 * 60 - 10, 18 * 60
 """The day's steps lie between these, in minutes by the clock of -05:00."""
 
-NEAR = 3
+COLOR_TOLERANCE = 3
 """Tolerance of colours on the screen, of 255."""
 
 
@@ -29,13 +29,13 @@ def grey(minutes: int) -> int:
     return 40 + round((minutes - FIRST) / 5)
 
 
-class MadeUpDay:
+class FakeDay:
     """A viewer whose fake tiles have one grey for each time."""
 
     def __init__(self, viewer: Viewer) -> None:
-        self.viewer, self.asked = viewer, []
+        self.viewer, self.requested_urls = viewer, []
         self.broken = False
-        self.held: list[Route] | None = None
+        self.held_routes: list[Route] | None = None
         """Requests that are held back; None: requests are answered at once."""
         viewer.page.route(re.compile("/tiles/"), self._answer)
 
@@ -57,27 +57,27 @@ class MadeUpDay:
     def picture(self) -> np.ndarray:
         """Return the level's greys on the page, (rows, cols) uint8."""
         pixels = self.viewer.pixels(self.viewer.place())
-        assert int(np.ptp(pixels.astype(int), axis=2).max()) <= NEAR, "that is no tile"
+        assert int(np.ptp(pixels.astype(int), axis=2).max()) <= COLOR_TOLERANCE, "that is no tile"
         return pixels[..., 0]
 
-    def after(self, minutes: int) -> None:
+    def wait_until_later(self, minutes: int) -> None:
         """Wait until the page shows a later time of the same day."""
         self.viewer.page.wait_for_function("least => Number(document.getElementById('minutes').value) > least", arg=minutes)
 
     def release(self) -> None:
         """Answer the held requests, and later ones at once."""
-        held, self.held = self.held or [], None
-        for route in held:
+        routes, self.held_routes = self.held_routes or [], None
+        for route in routes:
             with suppress(Error):  # the page has cancelled it
                 self._answer(route)
 
     def _answer(self, route: Route) -> None:
-        if self.held is not None:
-            self.held.append(route)
+        if self.held_routes is not None:
+            self.held_routes.append(route)
             return
         (time,) = parse_qs(urlsplit(route.request.url).query)["time"]
         minutes = int(time[11:13]) * 60 + int(time[14:16])
-        self.asked.append(route.request.url)
+        self.requested_urls.append(route.request.url)
         if self.broken:
             route.fulfill(status=500, json={"title": "Internal Server Error", "status": 500, "detail": "The worker is gone."})
             return
@@ -87,12 +87,12 @@ class MadeUpDay:
 
 
 @pytest.fixture
-def day(viewer: Viewer) -> MadeUpDay:
+def day(viewer: Viewer) -> FakeDay:
     """Return a day of fake tiles in a window, not yet opened."""
-    return MadeUpDay(viewer)
+    return FakeDay(viewer)
 
 
-LOOK = """({x, y, width, height}) => {
+RECORD_FRAMES = """({x, y, width, height}) => {
   const map = document.querySelector('.maplibregl-canvas');
   const pen = new OffscreenCanvas(8, 8).getContext('2d', {willReadFrequently: true});
   window.looks = [];
@@ -107,48 +107,48 @@ LOOK = """({x, y, width, height}) => {
 """Record in every frame the darkest and the brightest channel of 64 places on the level."""
 
 
-def test_played_day_has_no_blank_frame(day: MadeUpDay):
+def test_played_day_has_no_blank_frame(day: FakeDay):
     """Each frame is whole, of one time or blended from two, and time advances. No tile is requested twice."""
     day.open(9 * 60)
-    day.viewer.page.evaluate(LOOK, day.viewer.place())
+    day.viewer.page.evaluate(RECORD_FRAMES, day.viewer.place())
     day.play()
-    day.after(16 * 60 + 30)
+    day.wait_until_later(16 * 60 + 30)
     frames = np.array(day.viewer.page.evaluate("() => window.looks"))
-    assert np.ptp(frames, axis=1).max() <= NEAR, "the ground, or two times at once"
+    assert np.ptp(frames, axis=1).max() <= COLOR_TOLERANCE, "the ground, or two times at once"
     # The map below the day's pictures shows the starting time, so a missing picture would be seen.
-    assert np.diff(frames[:, 0]).min() >= -NEAR, "back to an earlier time"
-    assert grey(9 * 60) - NEAR <= frames.min() and frames.max() <= grey(LAST) + NEAR
+    assert np.diff(frames[:, 0]).min() >= -COLOR_TOLERANCE, "back to an earlier time"
+    assert grey(9 * 60) - COLOR_TOLERANCE <= frames.min() and frames.max() <= grey(LAST) + COLOR_TOLERANCE
     assert len(np.unique(frames[:, 0])) > 40, "each step is seen"
     expect(day.viewer.page.locator("#sun-words")).to_contain_text("high")
 
     # In the next round only the times before the start of this one are new.
     day.viewer.page.wait_for_function("() => Number(document.getElementById('minutes').value) < 600")
-    day.after(9 * 60)
-    asked = len(day.asked)
-    assert len(set(day.asked)) == asked, "nothing is asked for twice"
-    day.after(12 * 60)
-    assert len(day.asked) == asked
+    day.wait_until_later(9 * 60)
+    request_count = len(day.requested_urls)
+    assert len(set(day.requested_urls)) == request_count, "nothing is asked for twice"
+    day.wait_until_later(12 * 60)
+    assert len(day.requested_urls) == request_count
 
     day.viewer.page.get_by_role("button", name="Pause the day").click()
     day.viewer.settled()
-    assert abs(int(day.picture().max()) - grey(day.minutes)) <= NEAR, "it stays where it was paused"
+    assert abs(int(day.picture().max()) - grey(day.minutes)) <= COLOR_TOLERANCE, "it stays where it was paused"
 
 
-def test_day_goes_on_after_the_map_moves(day: MadeUpDay):
+def test_day_goes_on_after_the_map_moves(day: FakeDay):
     day.open(9 * 60)
     day.play()
-    day.after(9 * 60 + 20)
+    day.wait_until_later(9 * 60 + 20)
     day.viewer.page.locator(".maplibregl-ctrl-zoom-in").click()
-    day.after(day.minutes + 60)
+    day.wait_until_later(day.minutes + 60)
     middle = day.viewer.pixels()[250:300, 700:900].astype(int)
-    assert int(np.ptp(middle)) <= NEAR
+    assert int(np.ptp(middle)) <= COLOR_TOLERANCE
     assert grey(FIRST) <= middle.max() <= grey(LAST)
 
 
-def test_hidden_page_pauses_the_day(day: MadeUpDay):
+def test_hidden_page_pauses_the_day(day: FakeDay):
     day.open(9 * 60)
     day.play()
-    day.after(9 * 60 + 20)
+    day.wait_until_later(9 * 60 + 20)
     hide = """hidden => {
       Object.defineProperty(document, 'hidden', {get: () => hidden, configurable: true});
       document.dispatchEvent(new Event('visibilitychange'));
@@ -159,40 +159,40 @@ def test_hidden_page_pauses_the_day(day: MadeUpDay):
     day.viewer.page.wait_for_timeout(1500)
     assert day.minutes == paused
     day.viewer.page.evaluate(hide, False)
-    day.after(paused)
+    day.wait_until_later(paused)
 
 
 def test_reduced_motion_does_not_fade(make_viewer: Callable[..., Viewer]):
-    day = MadeUpDay(make_viewer(reduced_motion="reduce"))
+    day = FakeDay(make_viewer(reduced_motion="reduce"))
     day.open(9 * 60)
     day.play()
-    whole = {grey(minutes) for minutes in range(FIRST, LAST + 1, 10)}
+    unblended_greys = {grey(minutes) for minutes in range(FIRST, LAST + 1, 10)}
     for _ in range(12):
-        seen = int(day.picture()[0, 0])
-        assert min(abs(seen - each) for each in whole) <= 1, "between two times"
-    day.after(9 * 60)
+        shown_grey = int(day.picture()[0, 0])
+        assert min(abs(shown_grey - unblended_grey) for unblended_grey in unblended_greys) <= 1, "between two times"
+    day.wait_until_later(9 * 60)
 
 
-def test_moving_the_sun_stops_the_day(day: MadeUpDay):
+def test_moving_the_sun_stops_the_day(day: FakeDay):
     day.open(9 * 60)
     day.play()
-    day.after(9 * 60 + 10)
+    day.wait_until_later(9 * 60 + 10)
     day.viewer.page.get_by_label("Time", exact=True).fill("12:00")
     expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
     day.viewer.settled()
     assert day.minutes == 12 * 60
-    assert abs(int(day.picture().max()) - grey(12 * 60)) <= NEAR
+    assert abs(int(day.picture().max()) - grey(12 * 60)) <= COLOR_TOLERANCE
 
 
-def test_waiting_day_shows_progress_and_can_be_stopped(day: MadeUpDay):
+def test_waiting_day_shows_progress_and_can_be_stopped(day: FakeDay):
     """Progress counts tiles and pictures. The next picture is requested first, and nothing after a stop."""
     day.viewer.hide_preparations()
     day.open(9 * 60 + 5)
-    day.held = []
+    day.held_routes = []
     day.play()
     status = day.viewer.page.locator("#status")
     expect(status).to_contain_text(re.compile(r"^Drawing 09:10: 0 of \d+ tiles, 0 of \d+ pictures of the day"))
-    times = [parse_qs(urlsplit(route.request.url).query)["time"][0][11:16] for route in day.held]
+    times = [parse_qs(urlsplit(route.request.url).query)["time"][0][11:16] for route in day.held_routes]
     assert times[0] == "09:10" and times == sorted(times), "first the picture that is wanted now"
     assert not faults(day.viewer.page)
     status.get_by_role("button", name="Stop").click()
@@ -200,17 +200,17 @@ def test_waiting_day_shows_progress_and_can_be_stopped(day: MadeUpDay):
     expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
     day.release()
     day.viewer.settled()
-    asked = len(day.asked)
+    request_count = len(day.requested_urls)
     day.viewer.page.wait_for_timeout(1000)
-    assert len(day.asked) == asked
+    assert len(day.requested_urls) == request_count
     assert day.minutes == 9 * 60 + 5
 
     day.play()
-    day.after(9 * 60 + 30)
+    day.wait_until_later(9 * 60 + 30)
     expect(status).to_be_hidden()
 
 
-def test_day_begins_once_the_sunrise_is_known(day: MadeUpDay):
+def test_day_begins_once_the_sunrise_is_known(day: FakeDay):
     """Until then the page says so, and the day can be stopped."""
     waiting: list[Route] = []
     day.viewer.hide_preparations()
@@ -227,16 +227,16 @@ def test_day_begins_once_the_sunrise_is_known(day: MadeUpDay):
     day.viewer.page.unroute(re.compile("/point[?]"))
     for route in waiting:
         route.continue_()
-    day.after(9 * 60 + 10)
+    day.wait_until_later(9 * 60 + 10)
 
 
-def test_failed_day_shows_the_error(day: MadeUpDay):
+def test_failed_day_shows_the_error(day: FakeDay):
     day.open(9 * 60)
-    day.viewer.forgiven = re.compile("500")
+    day.viewer.allowed_faults = re.compile("500")
     day.broken = True
     day.play()
     status = day.viewer.page.locator("#status.failed")
     expect(status).to_contain_text("The worker is gone. (500)")
     expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
     below = day.viewer.pixels()[200:500, 500:1000].astype(int)
-    assert np.abs(below - grey(day.minutes)).max() <= NEAR, "what was seen is seen still"
+    assert np.abs(below - grey(day.minutes)).max() <= COLOR_TOLERANCE, "what was seen is seen still"

@@ -18,7 +18,7 @@ from rasterio.io import MemoryFile
 
 from skugga.terrain.level.parts import PerspectiveSpec
 from tests.api.conftest import Client
-from tests.browser.conftest import LEVEL, WINDOW, Viewer, missing
+from tests.browser.conftest import LEVEL, WINDOW, Viewer, skip_missing
 from tests.browser.test_viewer_access import faults
 
 MODULES = Path(__file__).parents[2] / "viewer"
@@ -38,24 +38,24 @@ COVERED_PX = 364
 LIGHTS = {True: "In the sun", False: "In shadow"}
 
 
-def opened(viewer: Viewer, panel: str, **own: str) -> Viewer:
+def opened(viewer: Viewer, panel: str, **settings: str) -> Viewer:
     """Open the viewer at an address with a panel open, and return it."""
-    parts = "".join(f"&{name}={value}" for name, value in own.items())
+    parts = "".join(f"&{name}={value}" for name, value in settings.items())
     viewer.open(f"#level={LEVEL}&time={TIME}&panel={panel}{parts}")
     return viewer
 
 
-def point_of(service: Client, lon_lat: str, time: str = TIME, **asked: str) -> dict[str, Any]:
+def point_of(service: Client, lon_lat: str, time: str = TIME, **parameters: str) -> dict[str, Any]:
     lon, lat = lon_lat.split(",")
-    return service.get(f"/levels/{LEVEL}/point", params={"lon": lon, "lat": lat, "time": time, **asked}).json()
+    return service.get(f"/levels/{LEVEL}/point", params={"lon": lon, "lat": lat, "time": time, **parameters}).json()
 
 
-def instants(viewer: Viewer, where: str) -> list[str]:
+def instants(viewer: Viewer, selector: str) -> list[str]:
     """Return the instants in the ``time`` elements of a part of the page."""
-    return viewer.page.locator(f"{where} time").evaluate_all("found => found.map(each => each.dateTime)")
+    return viewer.page.locator(f"{selector} time").evaluate_all("found => found.map(each => each.dateTime)")
 
 
-def told_intervals(viewer: Viewer) -> list[tuple[str, str]]:
+def shown_intervals(viewer: Viewer) -> list[tuple[str, str]]:
     times = instants(viewer, ".intervals")
     return list(zip(times[::2], times[1::2], strict=True))
 
@@ -65,23 +65,23 @@ def test_click_shows_the_intervals_of_the_service(viewer: Viewer, service: Clien
     viewer.page.mouse.click(820, 300)
     expect(viewer.page.locator(".light")).to_be_visible(timeout=ANSWER_MS)
     expect(viewer.page).to_have_url(re.compile("point="))  # the address follows a moment after the answer
-    found = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
-    assert found, viewer.page.url
-    report = point_of(service, found[1])
-    day, now = report["day"], report["now"]
-    expect(viewer.page.locator(".light")).to_contain_text(LIGHTS[now["lit"]])
-    assert told_intervals(viewer) == [(each["begin"], each["end"]) for each in day["sunlit"]]
+    match = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
+    assert match, viewer.page.url
+    report = point_of(service, match[1])
+    day, point_now = report["day"], report["now"]
+    expect(viewer.page.locator(".light")).to_contain_text(LIGHTS[point_now["lit"]])
+    assert shown_intervals(viewer) == [(entry["begin"], entry["end"]) for entry in day["sunlit"]]
 
     at = datetime.fromisoformat(TIME)
-    begins, ends = ([datetime.fromisoformat(each[key]) for each in day["sunlit"]] for key in ("begin", "end"))
+    begins, ends = ([datetime.fromisoformat(entry[key]) for entry in day["sunlit"]] for key in ("begin", "end"))
     edges = sorted([*begins, *ends, *(datetime.fromisoformat(day[key]) for key in ("sunrise", "sunset"))])
-    around = max(each for each in edges if each <= at), min(each for each in edges if each > at)
-    assert tuple(map(datetime.fromisoformat, instants(viewer, ".reasons"))) == around, "since when and until when"
+    enclosing_edges = max(entry for entry in edges if entry <= at), min(entry for entry in edges if entry > at)
+    assert tuple(map(datetime.fromisoformat, instants(viewer, ".reasons"))) == enclosing_edges, "since when and until when"
 
     reasons = viewer.page.locator(".reasons")
     expect(reasons).to_contain_text("ridge")
-    if not now["lit"]:
-        expect(reasons).to_contain_text(f"{now['by']['elevation']:.1f}° high")
+    if not point_now["lit"]:
+        expect(reasons).to_contain_text(f"{point_now['by']['elevation']:.1f}° high")
     expect(viewer.page.get_by_role("img", name=re.compile("^The day: night midnight to"))).to_be_visible()
     expect(viewer.page.get_by_role("img", name=re.compile("^Horizon: highest in the"))).to_be_visible()
     assert not faults(viewer.page)
@@ -98,12 +98,12 @@ def test_sky_drawing_equals_the_sky_of_the_service(viewer: Viewer, service: Clie
         "aria-label", re.compile(f"with {highest:.1f}°.*climbs to {max(s['altitude'] for s in sky['path']):.1f}°")
     )
     outline = drawing.locator("path.relief").get_attribute("d") or ""
-    x, y = (float(each) for each in re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", outline.partition("ZM")[2].join(["M", ""]))[180])
-    away = 100 * (1 - sky["horizon"]["relief"][180] / 90)
-    assert (x, y) == pytest.approx((away, 0.0), abs=0.01), "the 180th of 720 directions is east"
-    drawn = sum(len((line.get_attribute("points") or "").split()) // 2 for line in drawing.locator("polyline").all())
+    x, y = (float(number) for number in re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", outline.partition("ZM")[2].join(["M", ""]))[180])
+    horizon_distance = 100 * (1 - sky["horizon"]["relief"][180] / 90)
+    assert (x, y) == pytest.approx((horizon_distance, 0.0), abs=0.01), "the 180th of 720 directions is east"
+    point_count = sum(len((line.get_attribute("points") or "").split()) // 2 for line in drawing.locator("polyline").all())
     changes = sum(a["lit"] != b["lit"] for a, b in zip(sky["path"], sky["path"][1:], strict=False))
-    assert drawn == len(sky["path"]) + changes, "each run reaches to where the next begins"
+    assert point_count == len(sky["path"]) + changes, "each run reaches to where the next begins"
 
 
 def test_point_by_keyboard_follows_the_time(viewer: Viewer, service: Client):
@@ -117,13 +117,13 @@ def test_point_by_keyboard_follows_the_time(viewer: Viewer, service: Client):
     light = viewer.page.locator(".light")
     expect(light).to_be_visible(timeout=ANSWER_MS)
     expect(viewer.page).to_have_url(re.compile("point="))  # the address follows a moment after the answer
-    found = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
-    assert found
+    match = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
+    assert match
     viewer.page.get_by_label("Time", exact=True).fill("09:00")
     expect(light).to_contain_text("at 09:00", timeout=ANSWER_MS)
     viewer.settled()
-    now = point_of(service, found[1], "2024-10-21T09:00:00-04:00")["now"]
-    expect(light).to_contain_text(LIGHTS[now["lit"]])
+    point_now = point_of(service, match[1], "2024-10-21T09:00:00-04:00")["now"]
+    expect(light).to_contain_text(LIGHTS[point_now["lit"]])
 
 
 def test_point_off_the_data_shows_the_remark(viewer: Viewer):
@@ -136,16 +136,16 @@ def test_views_open_from_their_thumbnails(viewer: Viewer):
     view = viewer.page.get_by_role("button", name="Map", exact=True)
     expect(view.locator("img")).to_be_visible(timeout=ANSWER_MS)
     view.click()
-    whole = viewer.page.get_by_role("dialog")
-    expect(whole.locator("img")).to_be_visible(timeout=ANSWER_MS)
-    assert whole.locator("img").evaluate("each => [each.naturalWidth, each.naturalHeight]") == [974, 1024]
+    dialog = viewer.page.get_by_role("dialog")
+    expect(dialog.locator("img")).to_be_visible(timeout=ANSWER_MS)
+    assert dialog.locator("img").evaluate("each => [each.naturalWidth, each.naturalHeight]") == [974, 1024]
     assert not faults(viewer.page)
     with viewer.page.expect_download() as saved:
-        whole.get_by_role("button", name="Save").click()
+        dialog.get_by_role("button", name="Save").click()
     assert Image.open(io.BytesIO(Path(saved.value.path()).read_bytes())).size == (974, 1024)
     assert saved.value.suggested_filename == f"{LEVEL}-map.png"
     viewer.page.keyboard.press("Escape")
-    expect(whole).not_to_be_visible()
+    expect(dialog).not_to_be_visible()
     expect(view).to_be_focused()
 
 
@@ -161,15 +161,17 @@ def test_custom_view_equals_the_services_snapshot(viewer: Viewer, service: Clien
     assert PerspectiveSpec(**spec) == PerspectiveSpec(
         kind="perspective", eye=(-84.26, 36.29, 300), target=(-84.24, 36.32, 0), fov=40, size=(1280, 1024)
     )
-    shown = preview.evaluate("""each => {
+    preview_base64 = preview.evaluate("""each => {
       const canvas = Object.assign(document.createElement('canvas'), {width: each.naturalWidth, height: each.naturalHeight});
       canvas.getContext('2d').drawImage(each, 0, 0);
       return canvas.toDataURL('image/png').split(',')[1];
     }""")
-    asked = {"eye": EYE, "target": TARGET, "fov": "40", "size": "400x320", "time": TIME}
-    drawn = service.get(f"/levels/{LEVEL}/snapshot.webp", params=asked).content
-    one, other = (np.asarray(Image.open(io.BytesIO(each)).convert("RGB")) for each in (base64.b64decode(shown), drawn))
-    assert one.shape == (320, 400, 3) and np.array_equal(one, other)
+    parameters = {"eye": EYE, "target": TARGET, "fov": "40", "size": "400x320", "time": TIME}
+    snapshot = service.get(f"/levels/{LEVEL}/snapshot.webp", params=parameters).content
+    picture, other = (
+        np.asarray(Image.open(io.BytesIO(encoded)).convert("RGB")) for encoded in (base64.b64decode(preview_base64), snapshot)
+    )
+    assert picture.shape == (320, 400, 3) and np.array_equal(picture, other)
     assert not faults(viewer.page)
 
     height = viewer.page.get_by_label("Eye, metres above the ground")
@@ -184,22 +186,22 @@ def test_custom_view_equals_the_services_snapshot(viewer: Viewer, service: Clien
 def test_comparison_shows_two_times(viewer: Viewer):
     """The map is unchanged left of the divider, and shows the other time right of it; keys move the divider."""
     opened(viewer, "compare")
-    own = _picture(viewer)
+    single_picture = _picture(viewer)
     viewer.page.get_by_label("Compare with another").select_option("time")
     viewer.page.get_by_label("On the right, at").fill("09:30")
     viewer.page.get_by_label("On the right, at").press("Tab")
     divider = viewer.page.get_by_role("slider", name="Divider of the comparison")
     expect(divider).to_have_attribute("aria-valuetext", "50 %: 17:45 on the left, 09:30 on the right")
-    both = _picture(viewer)
+    split_picture = _picture(viewer)
     middle = (COVERED_PX + WINDOW["width"]) // 2 - LEFT_PX
-    assert _differing(own[:, : middle - 40], both[:, : middle - 40]) < 0.01
-    assert _differing(own[:, middle + 40 :], both[:, middle + 40 :]) > 0.1
+    assert _differing(single_picture[:, : middle - 40], split_picture[:, : middle - 40]) < 0.01
+    assert _differing(single_picture[:, middle + 40 :], split_picture[:, middle + 40 :]) > 0.1
     assert not faults(viewer.page)
 
     divider.focus()
     viewer.page.keyboard.press("End")
     expect(divider).to_have_attribute("aria-valuenow", "100")
-    assert _differing(own[:, 40:-60], _picture(viewer)[:, 40:-60]) < 0.01
+    assert _differing(single_picture[:, 40:-60], _picture(viewer)[:, 40:-60]) < 0.01
     viewer.page.keyboard.press("PageDown")
     expect(divider).to_have_attribute("aria-valuenow", "90")
     viewer.page.get_by_role("button", name="End the comparison").first.click()
@@ -252,8 +254,8 @@ def test_plan_panel_leaves_calibration_to_the_service(viewer: Viewer):
     algorithms.locator("summary").first.click()
     cost = algorithms.locator("p.note").first
     expect(cost).to_contain_text("The service is measuring it, which takes a minute or two", timeout=ANSWER_MS)
-    for each in algorithms.locator("summary").all()[1:]:
-        each.click()
+    for summary in algorithms.locator("summary").all()[1:]:
+        summary.click()
     text = viewer.page.locator(".plan").inner_text()
     assert "0.01 % wrong in maps" in text and "docs/" not in text and ".md" not in text and "skugga calibrate" not in text
     states.append("off")
@@ -282,8 +284,8 @@ def test_map_can_be_saved(viewer: Viewer):
             continue
         with MemoryFile(content) as file, file.open() as dataset:
             assert dataset.crs.to_epsg() == 3857
-            asked = next(each for each in reversed(viewer.asked) if "/map.tif" in each)
-            bbox = [float(each) for each in (re.search(r"bbox=([^&]+)", asked) or [""])[1].replace("%2C", ",").split(",")]
+            map_url = next(item for item in reversed(viewer.requested_urls) if "/map.tif" in item)
+            bbox = [float(item) for item in (re.search(r"bbox=([^&]+)", map_url) or [""])[1].replace("%2C", ",").split(",")]
             np.testing.assert_allclose(dataset.bounds, bbox, atol=0.01)
             assert dataset.read().std() > 20
     expect(viewer.page.get_by_text("Saved.")).to_be_visible()
@@ -292,22 +294,22 @@ def test_map_can_be_saved(viewer: Viewer):
 def test_client_lines_equal_those_of_the_service(viewer: Viewer, service: Client):
     opened(viewer, "use")
     lines = service.get(f"/levels/{LEVEL}/lines.json", params={"time": TIME}).json()
-    for each in lines:
-        viewer.page.locator(".clients summary").get_by_text(each["client"], exact=True).click()
-        expect(viewer.page.get_by_label(f"Lines for {each['client']}", exact=True)).to_have_text(each["text"])
-    assert {"MapLibre", "Leaflet", "OpenLayers", "GDAL"} <= {each["client"] for each in lines}
-    assert any("QGIS" in each["client"] for each in lines)
+    for line in lines:
+        viewer.page.locator(".clients summary").get_by_text(line["client"], exact=True).click()
+        expect(viewer.page.get_by_label(f"Lines for {line['client']}", exact=True)).to_have_text(line["text"])
+    assert {"MapLibre", "Leaflet", "OpenLayers", "GDAL"} <= {line["client"] for line in lines}
+    assert any("QGIS" in line["client"] for line in lines)
     assert not faults(viewer.page)
 
 
 def test_viewer_modules_pass_their_own_tests():
     """Node runs the tests of the viewer's modules."""
     if not (MODULES / "node_modules").is_dir() or not NODE.exists():
-        missing("the viewer's modules are not installed: 'make viewer' does it")
-    done = subprocess.run(
+        skip_missing("the viewer's modules are not installed: 'make viewer' does it")
+    process = subprocess.run(
         [NODE, "--test", *sorted(MODULES.glob("test/*.test.mjs"))], cwd=MODULES, capture_output=True, text=True, timeout=300
     )
-    assert done.returncode == 0, done.stdout[-4000:]
+    assert process.returncode == 0, process.stdout[-4000:]
 
 
 def _picture(viewer: Viewer) -> np.ndarray:
@@ -316,5 +318,5 @@ def _picture(viewer: Viewer) -> np.ndarray:
     return viewer.pixels(FloatRect(x=LEFT_PX, y=60, width=800, height=400))
 
 
-def _differing(one: np.ndarray, other: np.ndarray) -> float:
-    return float((np.abs(one.astype(int) - other).max(axis=2) > 32).mean())
+def _differing(picture: np.ndarray, other: np.ndarray) -> float:
+    return float((np.abs(picture.astype(int) - other).max(axis=2) > 32).mean())

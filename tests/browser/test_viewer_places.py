@@ -61,8 +61,8 @@ def opened(viewer: Viewer, fragment: str) -> Viewer:
 
 def snapshots(viewer: Viewer) -> list[dict[str, list[str]]]:
     """Return the queries of all full-size snapshots so far, without the panel's thumbnails."""
-    asked = [each for each in viewer.asked if "/snapshot.png" in each]
-    return [parse_qs(urlsplit(each).query) for each in asked]
+    snapshot_urls = [url for url in viewer.requested_urls if "/snapshot.png" in url]
+    return [parse_qs(urlsplit(url).query) for url in snapshot_urls]
 
 
 def colors(viewer: Viewer) -> int:
@@ -104,7 +104,7 @@ def test_scene_without_a_georeference_shows_its_views(place: Viewer):
     place.settled()
     expect(stage).to_be_hidden()
     expect(place.page.get_by_role("tab", name="Point")).to_be_visible()
-    assert any("/tiles/" in each for each in place.asked)
+    assert any("/tiles/" in url for url in place.requested_urls)
 
 
 def test_scene_of_lamps_needs_no_sun(place: Viewer):
@@ -130,7 +130,7 @@ def test_raster_without_a_georeference_shows_its_map_view(make_places: Callable[
 
 
 def test_failed_scene_shows_the_error(place: Viewer):
-    place.forgiven = re.compile("500")
+    place.allowed_faults = re.compile("500")
     place.page.route(re.compile("/snapshot"), lambda route: route.fulfill(status=500, json={"detail": "The worker is gone."}))
     place.page.goto(f"{place.address}/#level={LAMPS}")
     status = place.page.locator("#status.failed")
@@ -152,10 +152,10 @@ def test_raster_without_a_sun_opens_in_the_morning(place: Viewer, places: Client
     expect(page.locator("#offset option:checked")).to_have_text("UTC+2 · Zurich")
     minutes = int(page.locator("#minutes").input_value())
     assert 5 * 60 < minutes < 12 * 60
-    (time,) = {parse_qs(urlsplit(each).query)["time"][0] for each in place.asked if "/tiles/" in each}
+    (time,) = {parse_qs(urlsplit(url).query)["time"][0] for url in place.requested_urls if "/tiles/" in url}
     assert time == f"2026-06-21T{minutes // 60:02}:{minutes % 60:02}:00+02:00"
-    where = places.get("/levels/bare/WebMercatorQuad/tilejson.json", params={"time": time}).json()["skugga"]["sun"]
-    assert where["altitude"] == pytest.approx(sun["altitude"], abs=1.5)
+    service_sun = places.get("/levels/bare/WebMercatorQuad/tilejson.json", params={"time": time}).json()["skugga"]["sun"]
+    assert service_sun["altitude"] == pytest.approx(sun["altitude"], abs=1.5)
     expect(page.get_by_role("button", name="Play the day")).to_be_enabled()
     expect(page.locator(".height-dial .path")).to_be_visible()
     expect(page.get_by_role("button", name="Sunset")).to_be_visible()

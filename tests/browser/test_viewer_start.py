@@ -18,7 +18,9 @@ from tests.browser.test_viewer_access import PHONE, faults
 TILES = "compiling loops for map tiles"
 HOURS = "compiling loops for hours of sun"
 
-UNDRAWN = re.compile(r"^/($|assets/|levels$|readyz$|openapi\.json$|levels/[^/]+/(lines\.json|WebMercatorQuad/tilejson\.json)\?)")
+UNDRAWN_PATHS = re.compile(
+    r"^/($|assets/|levels$|readyz$|openapi\.json$|levels/[^/]+/(lines\.json|WebMercatorQuad/tilejson\.json)\?)"
+)
 """Paths whose answers need no rendering."""
 
 EVENING = f"level={LEVEL}&time=2024-10-21T16:20:00-04:00"
@@ -72,7 +74,7 @@ def readiness(viewer: Viewer) -> ServiceReadiness:
 
 
 def _readiness_of(viewer: Viewer) -> ServiceReadiness:
-    viewer.forgiven = re.compile("503|404|ERR_CONNECTION_REFUSED")
+    viewer.allowed_faults = re.compile("503|404|ERR_CONNECTION_REFUSED")
     readiness = ServiceReadiness(viewer.page)
     readiness.starting()
     return readiness
@@ -80,8 +82,8 @@ def _readiness_of(viewer: Viewer) -> ServiceReadiness:
 
 def drawn_requests(viewer: Viewer) -> list[str]:
     """Return the page's requests that need rendering."""
-    paths = [asked.removeprefix(viewer.address) for asked in viewer.asked]
-    return [path for path in paths if not UNDRAWN.match(path)]
+    paths = [url.removeprefix(viewer.address) for url in viewer.requested_urls]
+    return [path for path in paths if not UNDRAWN_PATHS.match(path)]
 
 
 @contextmanager
@@ -121,9 +123,9 @@ def test_start_card_shows_the_progress(viewer: Viewer, readiness: ServiceReadine
     expect(spoken).to_have_role("status")
     expect(spoken).to_have_text(re.compile("^First start. Compiling loops for map tiles."))
     viewer.page.wait_for_timeout(500)  # the bar is animated
-    filled, whole = bar.locator("span").bounding_box(), bar.bounding_box()
-    assert filled is not None and whole is not None
-    assert (filled["x"] + filled["width"] - whole["x"]) / whole["width"] == pytest.approx(57 / 180, abs=0.01)
+    filled_box, bar_box = bar.locator("span").bounding_box(), bar.bounding_box()
+    assert filled_box is not None and bar_box is not None
+    assert (filled_box["x"] + filled_box["width"] - bar_box["x"]) / bar_box["width"] == pytest.approx(57 / 180, abs=0.01)
 
 
 def test_start_card_counts_from_the_services_start(viewer: Viewer, readiness: ServiceReadiness):
@@ -199,9 +201,9 @@ def test_map_appears_once_the_service_is_ready(viewer: Viewer, readiness: Servic
     with same_page(viewer):
         readiness.ready()
         expect(viewer.page.locator("#start")).to_be_hidden()
-        shown = viewer.shown()
-    assert shown.queries == {(("layer", "shadow"), ("time", "2024-10-21T16:20:00-04:00"))}
-    assert len(np.unique(shown.pixels.reshape(-1, 3), axis=0)) > 20
+        level_picture = viewer.shown()
+    assert level_picture.queries == {(("layer", "shadow"), ("time", "2024-10-21T16:20:00-04:00"))}
+    assert len(np.unique(level_picture.pixels.reshape(-1, 3), axis=0)) > 20
     assert "map=10.10/36.29500/-84.24500" in viewer.page.url
     expect(viewer.page.get_by_role("button", name="Sunset")).to_be_visible()
     expect(viewer.page.get_by_role("button", name="Play the day")).to_be_enabled()
@@ -222,9 +224,9 @@ def test_background_work_is_shown_on_one_line(viewer: Viewer, readiness: Service
     expect(status).to_have_text(re.compile("^Preparing level valley: 2 of 3"))
     readiness.ready()
     expect(status).to_be_hidden()
-    asked = len(readiness.times)
+    poll_count = len(readiness.times)
     viewer.page.wait_for_timeout(3000)
-    assert len(readiness.times) == asked
+    assert len(readiness.times) == poll_count
 
 
 def test_slow_tiles_show_the_preparation(viewer: Viewer, readiness: ServiceReadiness):
@@ -245,17 +247,17 @@ def test_polling_intervals_are_bounded(viewer: Viewer, readiness: ServiceReadine
     """The page polls twice a second before the map, every other second beside it, and backs off while nothing answers."""
     viewer.page.goto(viewer.address)
 
-    def gaps(least: int) -> np.ndarray:
+    def gaps(min_count: int) -> np.ndarray:
         viewer.page.wait_for_timeout(1000)
         readiness.times.clear()
-        while len(readiness.times) < least + 1:
+        while len(readiness.times) < min_count + 1:
             viewer.page.wait_for_timeout(50)
         return np.diff(readiness.times)
 
     assert gaps(4).min() > 0.4
     readiness.unreachable()
-    away = gaps(2)
-    assert away[0] > 1.8 and away[1] > 3.8
+    outage_gaps = gaps(2)
+    assert outage_gaps[0] > 1.8 and outage_gaps[1] > 3.8
     readiness.ready(HOURS, 1, 9)
     expect(viewer.page.locator("#status")).to_contain_text("Preparing hours of sun: 1 of 9")
     assert gaps(1)[0] > 1.9
@@ -296,7 +298,7 @@ def test_viewer_survives_a_restart_of_the_service(viewer: Viewer, readiness: Ser
     expect(viewer.page.locator("#status.failed")).to_be_hidden()
 
     viewer.page.unroute(everything_else)
-    viewer.asked.clear()
+    viewer.requested_urls.clear()
     readiness.starting("starting a render process")
     expect(status).to_contain_text("The service is starting")
     viewer.page.wait_for_timeout(1500)
@@ -346,12 +348,12 @@ def test_start_card_is_accessible(make_viewer: Callable[..., Viewer], window: di
     assert not faults(viewer.page)
     heights = set()
     for task, total in ((None, 0), ("starting a render process", 0), (TILES, 180)):
-        asked = len(readiness.times)
+        poll_count = len(readiness.times)
         if task is None:
             readiness.unreachable()
         else:
             readiness.starting(task, total // 20, total)
-        while len(readiness.times) < asked + 2:
+        while len(readiness.times) < poll_count + 2:
             viewer.page.wait_for_timeout(100)
         box = card.bounding_box()
         assert box is not None

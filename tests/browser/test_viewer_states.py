@@ -15,13 +15,13 @@ from playwright.sync_api import Route, expect
 from tests.browser.conftest import WINDOW, Viewer
 from tests.browser.map_clients import served_tiles
 from tests.browser.test_viewer import GROUND
-from tests.browser.test_viewer_access import ACROSS, PHONE
+from tests.browser.test_viewer_access import LANDSCAPE, PHONE
 
 SUNNY = 240, 160, 20
 
 
 def test_unreachable_service_can_be_retried(viewer: Viewer):
-    viewer.forgiven = re.compile("ERR_FAILED")
+    viewer.allowed_faults = re.compile("ERR_FAILED")
     viewer.page.route(re.compile("/levels$"), lambda route: route.abort())
     viewer.page.goto(viewer.address)
     veil = viewer.page.locator("#veil")
@@ -33,7 +33,7 @@ def test_unreachable_service_can_be_retried(viewer: Viewer):
 
 
 def test_failed_tile_shows_the_error_and_a_retry(viewer: Viewer):
-    viewer.forgiven = re.compile("500")
+    viewer.allowed_faults = re.compile("500")
     viewer.page.route(re.compile("/tiles/"), lambda route: route.fulfill(status=500, json={"detail": "The worker is gone."}))
     viewer.page.goto(viewer.address)
     status = viewer.page.locator("#status.failed")
@@ -44,10 +44,10 @@ def test_failed_tile_shows_the_error_and_a_retry(viewer: Viewer):
     assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 5000
 
 
-@pytest.mark.parametrize("window", [{}, PHONE, ACROSS], ids=["window", "phone", "across"])
+@pytest.mark.parametrize("window", [{}, PHONE, LANDSCAPE], ids=["window", "phone", "across"])
 def test_long_error_stays_in_its_box(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
     viewer = make_viewer(**window)
-    viewer.forgiven = re.compile("422")
+    viewer.allowed_faults = re.compile("422")
     detail = f"source: '{'folder/' * 30}{'heights' * 20}.tif' is not allowed. Allowed: {'a_word_without_a_break' * 9}"
     viewer.page.route(re.compile("/tiles/"), lambda route: route.fulfill(status=422, json={"detail": detail}))
     viewer.page.goto(viewer.address)
@@ -170,7 +170,7 @@ def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
     viewer.open()
     page, status = viewer.page, viewer.page.locator("#status")
 
-    def off(color: tuple[int, int, int]) -> int:
+    def color_distance(color: tuple[int, int, int]) -> int:
         """Return the largest difference of the level, below the text at the top, from a colour."""
         return int(np.abs(viewer.pixels(viewer.place())[80:].astype(int) - color).max())
 
@@ -178,13 +178,13 @@ def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
         expect(status).to_contain_text(re.compile(r"^Drawing hours of sun: 0 of \d+ tiles"), timeout=4000)
         page.wait_for_function("() => document.body.classList.contains('working')")
         page.wait_for_timeout(300)
-        assert off(GROUND) < 3, "nothing but the ground's colour"
+        assert color_distance(GROUND) < 3, "nothing but the ground's colour"
         for route in waiting:
             route.fulfill(body=tile.getvalue(), content_type="image/png")
         waiting.clear()
         viewer.shown()
         expect(status).to_be_hidden()
-        assert off(SUNNY) < 3
+        assert color_distance(SUNNY) < 3
 
     page.get_by_text("Hours of sun", exact=True).first.click()
     drawn_anew()
@@ -211,7 +211,9 @@ def test_sun_hours_have_a_legend(viewer: Viewer):
     viewer.page.get_by_label("Day of the year").fill("172")
     expect(legend).to_contain_text("First sun, 20 June 2024")
     viewer.settled()
-    assert any("layer=sunhours&date=2024-06-20" in each and "quantity=first" in each for each in viewer.asked if "/tiles/" in each)
+    assert any(
+        "layer=sunhours&date=2024-06-20" in url and "quantity=first" in url for url in viewer.requested_urls if "/tiles/" in url
+    )
 
 
 def test_terrain_in_three_dimensions_rises_and_flattens(viewer: Viewer):
@@ -221,9 +223,9 @@ def test_terrain_in_three_dimensions_rises_and_flattens(viewer: Viewer):
     viewer.settled()
     viewer.page.wait_for_function("() => location.hash.includes('solid=1') && /map=.*\\/55\\.0/.test(location.hash)")
     viewer.settled()
-    assert any("layer=terrain-rgb" in each for each in viewer.asked)
-    whole = viewer.pixels()[: WINDOW["height"] // 2]
-    assert len(np.unique(whole.reshape(-1, 3), axis=0)) > 5000
+    assert any("layer=terrain-rgb" in url for url in viewer.requested_urls)
+    upper_half = viewer.pixels()[: WINDOW["height"] // 2]
+    assert len(np.unique(upper_half.reshape(-1, 3), axis=0)) > 5000
     viewer.page.get_by_label("Three dimensions").uncheck()
     viewer.page.wait_for_function("() => !location.hash.includes('solid') && !/map=.*\\/.*\\/.*\\//.test(location.hash)")
     viewer.settled()

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 from playwright.sync_api import ConsoleMessage, FloatRect, Page, Request, Response
 
-MAX_TOLD = 4
+MAX_LISTED_FAULTS = 4
 """Faults in a report: a map has dozens of tiles, which fail together."""
 
-GIVEN_UP = "net::ERR_ABORTED"
+ABORTED_ERROR = "net::ERR_ABORTED"
 """Chromium's error for requests that the page itself has cancelled."""
 
 
@@ -23,18 +23,18 @@ class WatchedPage:
 
     def __init__(self, page: Page, origins: Sequence[str]) -> None:
         self.page = page
-        self.wrong: list[str] = []
-        self.asked: list[str] = []
-        self.forgiven: re.Pattern[str] | None = None
+        self.faults: list[str] = []
+        self.requested_urls: list[str] = []
+        self.allowed_faults: re.Pattern[str] | None = None
         """Faults that the test provokes, and that are ignored."""
         self.waiting: set[Request] = set()
         self._origins = tuple(f"{origin}/" for origin in origins)
-        page.on("console", self._said)
-        page.on("pageerror", lambda error: self.wrong.append(f"uncaught: {error}"))
-        page.on("request", self._requested)
-        page.on("response", self._answered)
+        page.on("console", self._on_console)
+        page.on("pageerror", lambda error: self.faults.append(f"uncaught: {error}"))
+        page.on("request", self._on_request)
+        page.on("response", self._on_response)
         page.on("requestfinished", lambda request: self.waiting.discard(request))
-        page.on("requestfailed", self._failed)
+        page.on("requestfailed", self._on_request_failed)
 
     def allow(self, origin: str) -> None:
         """Allow requests to another origin, too."""
@@ -42,31 +42,31 @@ class WatchedPage:
 
     def check(self) -> None:
         """Fail the test if the page has had a fault."""
-        self.wrong = [each for each in self.wrong if self.forgiven is None or not self.forgiven.search(each)]
-        if self.wrong:
-            pytest.fail("\n".join(["on the page:", *self.wrong[:MAX_TOLD]]), pytrace=False)
+        self.faults = [fault for fault in self.faults if self.allowed_faults is None or not self.allowed_faults.search(fault)]
+        if self.faults:
+            pytest.fail("\n".join(["on the page:", *self.faults[:MAX_LISTED_FAULTS]]), pytrace=False)
 
     def pixels(self, clip: FloatRect | None = None) -> np.ndarray:
         """Return a screenshot of the page, or of a part of it, (rows, cols, 3) uint8."""
         return np.asarray(Image.open(BytesIO(self.page.screenshot(clip=clip))).convert("RGB"))
 
-    def _said(self, message: ConsoleMessage) -> None:
+    def _on_console(self, message: ConsoleMessage) -> None:
         if message.type == "error":
-            self.wrong.append(f"console: {message.text}")
+            self.faults.append(f"console: {message.text}")
 
-    def _requested(self, request: Request) -> None:
+    def _on_request(self, request: Request) -> None:
         if request.url.startswith(("data:", "blob:")):
             return
         self.waiting.add(request)
-        self.asked.append(request.url)
+        self.requested_urls.append(request.url)
         if not request.url.startswith(self._origins):
-            self.wrong.append(f"not from the service: {request.url}")
+            self.faults.append(f"not from the service: {request.url}")
 
-    def _answered(self, response: Response) -> None:
+    def _on_response(self, response: Response) -> None:
         if response.status >= 400:
-            self.wrong.append(f"{response.status}: {response.url}")
+            self.faults.append(f"{response.status}: {response.url}")
 
-    def _failed(self, request: Request) -> None:
+    def _on_request_failed(self, request: Request) -> None:
         self.waiting.discard(request)
-        if request.failure != GIVEN_UP:
-            self.wrong.append(f"{request.failure}: {request.url}")
+        if request.failure != ABORTED_ERROR:
+            self.faults.append(f"{request.failure}: {request.url}")

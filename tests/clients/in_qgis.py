@@ -2,7 +2,7 @@
 
 The plan (JSON) has ``bounds`` in EPSG:3857, ``degrees`` in EPSG:4326, ``deep`` (finer than any tile), a ``side`` in pixels,
 ``zooms`` (first and last) and ``times`` by name, each begin and end. Pictures go to the folder, all other findings to
-``found.json`` there.
+``report.json`` there.
 """
 
 from __future__ import annotations
@@ -43,37 +43,37 @@ QgsApplication.setPrefixPath("/usr", True)
 application = QgsApplication([], False, str(folder / "profile"))
 application.initQgis()
 
-found = {"version": Qgis.QGIS_VERSION, "layers": {}, "requests": [], "log": [], "identified": {}, "legends": {}}
-QgsApplication.messageLog().messageReceived.connect(lambda text, tag, _: found["log"].append(f"{tag}: {text}"))
-QgsNetworkAccessManager.setRequestPreprocessor(lambda request: found["requests"].append(request.url().toString()))
+report = {"version": Qgis.QGIS_VERSION, "layers": {}, "requests": [], "log": [], "identified": {}, "legends": {}}
+QgsApplication.messageLog().messageReceived.connect(lambda text, tag, _: report["log"].append(f"{tag}: {text}"))
+QgsNetworkAccessManager.setRequestPreprocessor(lambda request: report["requests"].append(request.url().toString()))
 
-kept = []
+kept_references = []
 """References to objects that QGIS would free otherwise."""
 
 
-def in_browser(name: str, url: str) -> list[str]:
+def browser_sources(name: str, url: str) -> list[str]:
     """Return the sources of the layers that QGIS's browser lists under a new connection."""
     QgsSettings().setValue(f"qgis/connections-wms/{name}/url", url)
     providers = QgsApplication.dataItemProviderRegistry().providers()
-    root = next(each for each in providers if each.name() == "WMS").createDataItem("", None)
+    root = next(item for item in providers if item.name() == "WMS").createDataItem("", None)
     root.populate(True)
-    return sources(next(each for each in root.children() if each.name() == name), root)
+    return sources(next(item for item in root.children() if item.name() == name), root)
 
 
 def sources(item: object, *above: object) -> list[str]:
     item.populate(True)
     children = item.children()
-    kept.append((item, children, above))
-    own = [item.uri()] if isinstance(item, QgsLayerItem) else []
-    return own + [source for child in children for source in sources(child)]
+    kept_references.append((item, children, above))
+    own_sources = [item.uri()] if isinstance(item, QgsLayerItem) else []
+    return own_sources + [source for child in children for source in sources(child)]
 
 
 def add(name: str, layer: QgsRasterLayer) -> QgsRasterLayer:
     """Record a layer under a name with QGIS's facts of it, and return it."""
-    kept.append(layer)
+    kept_references.append(layer)
     times = layer.dataProvider().temporalCapabilities() if layer.isValid() else None
     span = times.availableTemporalRange() if times is not None and times.hasTemporalCapabilities() else None
-    found["layers"][name] = {
+    report["layers"][name] = {
         "valid": layer.isValid(),
         "crs": layer.crs().authid(),
         "times": span and [edge.toUTC().toString(Qt.ISODate) for edge in (span.begin(), span.end())],
@@ -93,7 +93,7 @@ def draw(
     settings.setBackgroundColor(QColor(0, 0, 0, 0))
     if times is not None:
         settings.setIsTemporal(True)
-        settings.setTemporalRange(QgsDateTimeRange(*(QDateTime.fromString(each, Qt.ISODate) for each in times)))
+        settings.setTemporalRange(QgsDateTimeRange(*(QDateTime.fromString(instant, Qt.ISODate) for instant in times)))
     job = QgsMapRendererParallelJob(settings)
     job.start()
     job.waitForFinished()
@@ -106,22 +106,22 @@ def legend(name: str, layer: QgsRasterLayer) -> None:
     settings.setExtent(bounds)
     settings.setOutputSize(QSize(side, side))
     fetcher = layer.dataProvider().getLegendGraphicFetcher(settings)
-    found["legends"][name] = None
+    report["legends"][name] = None
     if fetcher is None:
         return
     loop, images = QEventLoop(), []
     fetcher.finish.connect(lambda image: (images.append(image), loop.quit()))
-    fetcher.error.connect(lambda text: (found["log"].append(f"legend: {text}"), loop.quit()))
+    fetcher.error.connect(lambda text: (report["log"].append(f"legend: {text}"), loop.quit()))
     QTimer.singleShot(LEGEND_MS, loop.quit)
     fetcher.start()
     if not images:
         loop.exec_()
-    found["legends"][name] = [[image.width(), image.height()] for image in images]
+    report["legends"][name] = [[image.width(), image.height()] for image in images]
 
 
 def by_wms() -> None:
     layers = {}
-    for source in in_browser("wms", f"{address}/levels/{level}/wms"):
+    for source in browser_sources("wms", f"{address}/levels/{level}/wms"):
         name = source.partition(f"layers={level}:")[2].partition("&")[0]
         layers[name] = add(f"wms-{name}", QgsRasterLayer(source, name, "wms"))
         draw(f"wms-{name}", layers[name])
@@ -133,18 +133,20 @@ def by_wms() -> None:
         draw(f"wms-{name}", layers["color"], times=times)
     for name, format in (("html", QgsRaster.IdentifyFormatHtml), ("text", QgsRaster.IdentifyFormatText)):
         result = layers["color"].dataProvider().identify(bounds.center(), format, bounds, side, side)
-        found["identified"][name] = result.results().get(0) if result.isValid() else None
+        report["identified"][name] = result.results().get(0) if result.isValid() else None
 
 
 def by_wmts() -> None:
-    every = in_browser("wmts", f"{address}/levels/{level}/WMTSCapabilities.xml")
-    wanted = (f"layers={level}:color&", "tileMatrixSet=WebMercatorQuad", "format=image/png")
-    some = [each for each in every if all(part in each for part in wanted)]
-    source = next(each for each in some if "/" not in each.partition("tileDimensions=")[2].partition("&")[0])
+    every = browser_sources("wmts", f"{address}/levels/{level}/WMTSCapabilities.xml")
+    required_parts = (f"layers={level}:color&", "tileMatrixSet=WebMercatorQuad", "format=image/png")
+    matching_sources = [source_uri for source_uri in every if all(part in source_uri for part in required_parts)]
+    source = next(
+        source_uri for source_uri in matching_sources if "/" not in source_uri.partition("tileDimensions=")[2].partition("&")[0]
+    )
     layer = add("wmts", QgsRasterLayer(source, "color", "wms"))
     draw("wmts", layer)
     draw("wmts-deep", layer, deep)
-    span = next(each for each in some if each is not source and "PT" in each)
+    span = next(source_uri for source_uri in matching_sources if source_uri is not source and "PT" in source_uri)
     draw("wmts-span", add("wmts-span", QgsRasterLayer(span, "color", "wms")))
 
 
@@ -168,5 +170,5 @@ def by_definition() -> None:
 
 for part in (by_wms, by_wmts, by_xyz, by_definition):
     part()
-(folder / "found.json").write_text(json.dumps(found, indent=1))
+(folder / "report.json").write_text(json.dumps(report, indent=1))
 os._exit(0)  # QGIS's regular exit frees objects that Python still holds, and crashes

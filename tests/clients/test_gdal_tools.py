@@ -34,11 +34,11 @@ def translated(folder: Path, source: str, *options: str) -> np.ndarray:
     """Return what ``gdal_translate`` writes for a source, (rows, cols, bands)."""
     environment = {name: value for name, value in os.environ.items() if name not in NO_REMOTE_READS}
     path = folder / "translated.tif"
-    done = subprocess.run(
+    process = subprocess.run(
         ["gdal_translate", "-q", *options, source, path],
         env={**environment, "GDAL_ENABLE_WMS_CACHE": "NO"}, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
-    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert process.returncode == 0 and not process.stderr, process.stderr
     with rasterio.open(path) as dataset:
         return np.moveaxis(dataset.read(), 0, -1)
 
@@ -59,12 +59,12 @@ def test_gdal_translate_runs_the_line_of_the_page(service: Client, tmp_path):
     tile = MATRIX_SET.tile((west + east) / 2, (south + north) / 2, zoom)
     box = MATRIX_SET.xy_bounds(tile)
     cut = ("-projwin", *map(repr, (box.left, box.top, box.right, box.bottom)))
-    seen = translated(tmp_path, f"{line[1]},tilematrixset=WebMercatorQuad", *cut)
+    translated_picture = translated(tmp_path, f"{line[1]},tilematrixset=WebMercatorQuad", *cut)
     expected = picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png")
-    assert seen.shape == (256, 256, 4) and np.array_equal(seen, expected)
+    assert translated_picture.shape == (256, 256, 4) and np.array_equal(translated_picture, expected)
     later = translated(tmp_path, f"{line[1].replace('.xml', f'.xml?time={TIME}')},tilematrixset=WebMercatorQuad", *cut)
     expected = picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png", time=TIME)
-    assert np.array_equal(later, expected) and not np.array_equal(later, seen)
+    assert np.array_equal(later, expected) and not np.array_equal(later, translated_picture)
 
 
 def test_gdal_translate_reads_wms_with_a_time(service: Client, tmp_path):
@@ -76,7 +76,7 @@ def test_gdal_translate_reads_wms_with_a_time(service: Client, tmp_path):
         f"WMS:{service.base_url}/levels/{LEVEL}/wms?SERVICE=WMS&VERSION=1.3.0&REQUEST=GetMap&LAYERS={LEVEL}:shadow"
         f"&CRS=EPSG:3857&BBOX={bbox}&FORMAT=image/png&TRANSPARENT=TRUE&TIME={TIME}"
     )
-    seen = translated(tmp_path, source, "-outsize", "1024", "1024")
-    asked = {"bbox": bbox, "crs": "EPSG:3857", "width": "1024", "height": "1024", "layer": "shadow", "time": TIME}
-    expected = picture(service, f"/levels/{LEVEL}/map.png", **asked)
-    assert np.array_equal(seen, expected) and 0.05 < (seen[..., 3] > 0).mean() < 0.95
+    translated_picture = translated(tmp_path, source, "-outsize", "1024", "1024")
+    parameters = {"bbox": bbox, "crs": "EPSG:3857", "width": "1024", "height": "1024", "layer": "shadow", "time": TIME}
+    expected = picture(service, f"/levels/{LEVEL}/map.png", **parameters)
+    assert np.array_equal(translated_picture, expected) and 0.05 < (translated_picture[..., 3] > 0).mean() < 0.95

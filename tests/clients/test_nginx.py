@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIGURATION = ROOT / "examples" / "deployment" / "nginx.conf"
 
 READY_S = 600
-SOON_S = 30
+TIMEOUT_S = 30
 TILES = "/levels/hills/tiles/WebMercatorQuad"
 TILE = f"{TILES}/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 HOUR_S, DAY_S = 3600, 86400
@@ -49,9 +49,9 @@ def free_port() -> int:
         return listening.getsockname()[1]
 
 
-def eventually(what: Callable[[], bool], within_s: float = SOON_S) -> None:
+def wait_until(condition: Callable[[], bool], within_s: float = TIMEOUT_S) -> None:
     end = time.monotonic() + within_s
-    while not what():
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.05)
 
@@ -77,7 +77,7 @@ class Deployment:
                 [*command, "--port", str(self.service_port)], cwd=ROOT, env={**os.environ, **settings}, stderr=log
             )
         self._started.append(self.service)
-        eventually(lambda: self._answers(self.direct, "/readyz"), READY_S)
+        wait_until(lambda: self._answers(self.direct, "/readyz"), READY_S)
 
     def kill_service(self) -> None:
         self.service.kill()
@@ -93,14 +93,14 @@ class Deployment:
     def start_nginx(self) -> None:
         """Start nginx as an ordinary user: if the tests run as root, as the user that the configuration names."""
         text = CONFIGURATION.read_text(encoding="utf-8")
-        for here, theirs in {
+        for original, replacement in {
             "listen 8080 ": f"listen 127.0.0.1:{self.port} ", "127.0.0.1:8000": f"127.0.0.1:{self.service_port}",
             "/run/nginx.pid": f"{self.folder}/nginx.pid", "/var/log/nginx/": f"{self.folder}/",
             "/var/lib/nginx/": f"{self.folder}/", "/var/cache/nginx": f"{self.folder}/cache",
             "/srv/skugga/archives/": f"{self.folder}/archives/",
         }.items():  # fmt: skip
-            assert here in text, here
-            text = text.replace(here, theirs)
+            assert original in text, original
+            text = text.replace(original, replacement)
         (self.folder / "nginx.conf").write_text(text, encoding="utf-8")
         user = {}
         if os.geteuid() == 0:
@@ -109,23 +109,23 @@ class Deployment:
             user = {"user": entry.pw_uid, "group": entry.pw_gid, "extra_groups": []}
         command = ["nginx", "-e", f"{self.folder}/start.log", "-c", f"{self.folder}/nginx.conf", "-g", "daemon off;"]
         self._started.append(subprocess.Popen(command, stderr=subprocess.DEVNULL, **user))  # type: ignore[call-overload]
-        eventually(lambda: self._answers(self.client, "/healthz"))
+        wait_until(lambda: self._answers(self.client, "/healthz"))
 
     def close(self) -> None:
         for process in self._started:
             process.terminate()
         for process in self._started:
-            process.wait(SOON_S)
+            process.wait(TIMEOUT_S)
         self.client.close()
         self.direct.close()
 
-    def counted(self) -> Counter[str]:
+    def read_counters(self) -> Counter[str]:
         """Return the service's counters: answers of tiles by status, and pictures drawn."""
         text, counts = self.direct.get("/metrics").text, Counter[str]()
         for route, status, number in re.findall(r'skugga_requests_total\{.*?route="(.*?)",status="(\d+)"\} (\S+)', text):
             counts[status] += int(float(number)) if "/tiles/" in route else 0
-        (drawn,) = re.findall(r'skugga_jobs_total\{outcome="answered"\} (\S+)', text)
-        counts["drawn"] = int(float(drawn))
+        (drawn_text,) = re.findall(r'skugga_jobs_total\{outcome="answered"\} (\S+)', text)
+        counts["drawn"] = int(float(drawn_text))
         return counts
 
     def expire(self, address: str, ago_s: float) -> None:
@@ -172,34 +172,34 @@ def test_second_walk_is_answered_by_the_cache(deployment: Deployment):
         for row in range(-2, 2)
         for col in range(-2, 2)
     ]
-    before, seen, took_ms, bodies = deployment.counted(), Counter[str](), {}, {}
-    for turn in ("first", "second"):
+    before, status_counts, took_ms, bodies = deployment.read_counters(), Counter[str](), {}, {}
+    for walk_name in ("first", "second"):
         for address in walk:
             began_s = time.perf_counter()
             answer = deployment.client.get(address)
             took_ms.setdefault(answer.headers["x-cache-status"], []).append((time.perf_counter() - began_s) * 1000)
             assert answer.status_code == 200
             assert answer.content == bodies.setdefault(address, answer.content)
-            seen[f"{turn} {answer.headers['x-cache-status']}"] += 1
-    assert seen == {"first MISS": len(walk), "second HIT": len(walk)}
-    asked = deployment.counted() - before
-    assert asked["200"] == len(walk), "the second walk never reached the service"
-    kept = [deployment.direct.get(address).elapsed.total_seconds() * 1000 for address in walk]
-    figures = {**{name.lower(): times for name, times in took_ms.items()}, "kept by the service, without nginx": kept}
+            status_counts[f"{walk_name} {answer.headers['x-cache-status']}"] += 1
+    assert status_counts == {"first MISS": len(walk), "second HIT": len(walk)}
+    counter_changes = deployment.read_counters() - before
+    assert counter_changes["200"] == len(walk), "the second walk never reached the service"
+    service_ms = [deployment.direct.get(address).elapsed.total_seconds() * 1000 for address in walk]
+    figures = {**{name.lower(): times for name, times in took_ms.items()}, "kept by the service, without nginx": service_ms}
     for name, times in figures.items():
         print(f"{name}: {len(times)} tiles, median {statistics.median(times):.2f} ms, longest {max(times):.1f} ms")
 
 
 def test_cached_tile_answers_if_none_match(deployment: Deployment):
     tag = deployment.client.get(TILE).headers["etag"]
-    before = deployment.counted()
-    for given in (tag, f"W/{tag}", f'"another", {tag}'):
-        answer = deployment.client.get(TILE, headers={"If-None-Match": given})
+    before = deployment.read_counters()
+    for tags in (tag, f"W/{tag}", f'"another", {tag}'):
+        answer = deployment.client.get(TILE, headers={"If-None-Match": tags})
         assert state(answer) == (304, "HIT") and answer.headers["etag"] == tag and not answer.content
     assert state(deployment.client.get(TILE, headers={"If-None-Match": '"another"'})) == (200, "HIT")
     head = deployment.client.head(TILE)
     assert state(head) == (200, "HIT") and head.headers["etag"] == tag and not head.content
-    assert deployment.counted() == before, "nothing of that reached the service"
+    assert deployment.read_counters() == before, "nothing of that reached the service"
 
 
 def test_expired_tile_is_revalidated_without_rendering(deployment: Deployment):
@@ -207,11 +207,11 @@ def test_expired_tile_is_revalidated_without_rendering(deployment: Deployment):
     first = deployment.client.get(TILE)
     deployment.kill_service()
     deployment.start_service()
-    before = deployment.counted()
+    before = deployment.read_counters()
     deployment.expire(TILE, HOUR_S + 60)
-    again = deployment.client.get(TILE)
-    assert state(again) == (200, "REVALIDATED") and again.content == first.content
-    assert deployment.counted() - before == {"304": 1}
+    second = deployment.client.get(TILE)
+    assert state(second) == (200, "REVALIDATED") and second.content == first.content
+    assert deployment.read_counters() - before == {"304": 1}
     assert state(deployment.client.get(TILE)) == (200, "HIT"), "fresh for another hour"
 
 
@@ -222,34 +222,37 @@ def test_stale_tile_is_sent_while_it_is_revalidated(deployment: Deployment):
     """
     first = deployment.client.get(TILE)
     deployment.expire(TILE, HOUR_S - 60)
-    before = deployment.counted()
+    before = deployment.read_counters()
     deployment.service.send_signal(signal.SIGSTOP)
     try:
-        asked = [httpx.get(f"{deployment.client.base_url}{TILE}") for _ in range(3)]
+        answers = [httpx.get(f"{deployment.client.base_url}{TILE}") for _ in range(3)]
     finally:
         deployment.service.send_signal(signal.SIGCONT)
-    assert [state(answer) for answer in asked] == [(200, "STALE"), (200, "UPDATING"), (200, "UPDATING")]
-    assert {answer.content for answer in asked} == {first.content}
-    eventually(lambda: state(deployment.client.get(TILE)) == (200, "HIT"))
-    assert deployment.counted() - before == {"304": 1}, "asked for once"
+    assert [state(answer) for answer in answers] == [(200, "STALE"), (200, "UPDATING"), (200, "UPDATING")]
+    assert {answer.content for answer in answers} == {first.content}
+    wait_until(lambda: state(deployment.client.get(TILE)) == (200, "HIT"))
+    assert deployment.read_counters() - before == {"304": 1}, "asked for once"
 
 
 def test_stale_tiles_bridge_an_outage_of_a_day(deployment: Deployment):
     """Tiles with a fixed sun are sent for a day longer, tiles of the current time are not. The service recovers by itself."""
     of_now, unknown = f"{TILE}?time=current", sun(33.3)
-    kept = deployment.client.get(TILE)
-    assert kept.status_code == deployment.client.get(of_now).status_code == 200
+    cached = deployment.client.get(TILE)
+    assert cached.status_code == deployment.client.get(of_now).status_code == 200
     deployment.kill_service()
     try:
         deployment.expire(TILE, DAY_S - 60)
         stale = deployment.client.get(TILE)
-        assert state(stale) == (200, "STALE") and stale.content == kept.content
+        assert state(stale) == (200, "STALE") and stale.content == cached.content
         deployment.expire(of_now, 1)
         for address in (of_now, unknown, "/levels"):
-            away = deployment.client.get(address)
-            assert away.status_code == 503 and away.json()["code"] == "not_ready"
-            assert away.headers["content-type"] == "application/problem+json" and away.headers["cache-control"] == "no-store"
-            assert away.headers["retry-after"] == "5" and away.headers["access-control-allow-origin"] == "*"
+            unavailable = deployment.client.get(address)
+            assert unavailable.status_code == 503 and unavailable.json()["code"] == "not_ready"
+            assert (
+                unavailable.headers["content-type"] == "application/problem+json"
+                and unavailable.headers["cache-control"] == "no-store"
+            )
+            assert unavailable.headers["retry-after"] == "5" and unavailable.headers["access-control-allow-origin"] == "*"
         deployment.expire(TILE, DAY_S + 60)
         assert deployment.client.get(TILE).status_code == 503
     finally:
@@ -259,17 +262,17 @@ def test_stale_tiles_bridge_an_outage_of_a_day(deployment: Deployment):
 
 
 def test_concurrent_equal_requests_are_one(deployment: Deployment):
-    before, address = deployment.counted(), sun(21.7)
+    before, address = deployment.read_counters(), sun(21.7)
     with ThreadPoolExecutor(20) as threads:
         answers = list(threads.map(lambda _: httpx.get(f"{deployment.client.base_url}{address}", timeout=120), range(20)))
     assert {answer.status_code for answer in answers} == {200} and len({answer.content for answer in answers}) == 1
     assert Counter(answer.headers["x-cache-status"] for answer in answers) == {"MISS": 1, "HIT": 19}
-    assert deployment.counted() - before == {"200": 1, "drawn": 1}
+    assert deployment.read_counters() - before == {"200": 1, "drawn": 1}
 
 
 def test_cache_key_includes_query_and_host(deployment: Deployment):
-    asked = [deployment.client.get(sun(altitude_deg)) for altitude_deg in (5, 6)]
-    assert [state(answer) for answer in asked] == [(200, "MISS")] * 2 and asked[0].content != asked[1].content
+    answers = [deployment.client.get(sun(altitude_deg)) for altitude_deg in (5, 6)]
+    assert [state(answer) for answer in answers] == [(200, "MISS")] * 2 and answers[0].content != answers[1].content
     before = deployment.client.get(f"{TILE}?time={quote('2024-06-21T18:00:00+02:00')}")
     later = deployment.client.get(f"{TILE}?time={quote('2024-06-21T20:00:00+02:00')}")
     assert before.headers["x-skugga-time"] != later.headers["x-skugga-time"] and before.content != later.content
@@ -278,8 +281,13 @@ def test_cache_key_includes_query_and_host(deployment: Deployment):
 
 
 def test_error_answers_are_not_cached(deployment: Deployment):
-    wrong = {f"{TILES}/{ZOOM}/0/0.gif": 422, f"{TILE}?altitude=5": 422, "/levels/nowhere": 404, f"{TILES}/30/0/0.png": 404}
-    for address, status in wrong.items():
+    status_by_address = {
+        f"{TILES}/{ZOOM}/0/0.gif": 422,
+        f"{TILE}?altitude=5": 422,
+        "/levels/nowhere": 404,
+        f"{TILES}/30/0/0.png": 404,
+    }
+    for address, status in status_by_address.items():
         for _ in range(2):
             answer = deployment.client.get(address)
             assert state(answer) == (status, "MISS") and answer.headers["cache-control"] == "no-store", address
@@ -289,8 +297,8 @@ def test_documents_are_compressed_but_not_pictures(deployment: Deployment):
     """The sent length proves it. The ETag is weak then, and still valid in If-None-Match."""
     address = "/openapi.json"
     with deployment.client.stream("GET", address, headers={"Accept-Encoding": "gzip"}) as answer:
-        sent = b"".join(answer.iter_raw())
-    assert answer.headers["content-encoding"] == "gzip" and len(gzip.decompress(sent)) > 5 * len(sent)
+        raw_body = b"".join(answer.iter_raw())
+    assert answer.headers["content-encoding"] == "gzip" and len(gzip.decompress(raw_body)) > 5 * len(raw_body)
     assert "accept-encoding" in answer.headers["vary"].lower()
     levels = deployment.client.get("/levels/hills", headers={"Accept-Encoding": "gzip"})
     assert deployment.client.get("/levels/hills", headers={"If-None-Match": levels.headers["etag"]}).status_code == 304
@@ -309,11 +317,11 @@ def test_private_answers_are_not_shared(deployment: Deployment):
     for address in ("/metrics", "/%6detrics", "//metrics", "/levels/../metrics"):
         assert httpx.get(f"{deployment.client.base_url}{address}").status_code == 403, address
     address = sun(47)
-    asked = [deployment.client.get(address, headers={"Authorization": "Bearer something"}) for _ in range(2)]
-    assert [state(answer) for answer in asked] == [(200, "BYPASS")] * 2
+    answers = [deployment.client.get(address, headers={"Authorization": "Bearer something"}) for _ in range(2)]
+    assert [state(answer) for answer in answers] == [(200, "BYPASS")] * 2
     assert state(deployment.client.get(address)) == (200, "MISS")
     numbers = [deployment.client.get(address).headers.get_list("x-request-id") for _ in range(2)]
-    assert [len(each) for each in numbers] == [1, 1] and numbers[0] != numbers[1]
+    assert [len(ids) for ids in numbers] == [1, 1] and numbers[0] != numbers[1]
 
 
 def test_documents_contain_the_address_of_the_proxy(deployment: Deployment):
@@ -323,15 +331,15 @@ def test_documents_contain_the_address_of_the_proxy(deployment: Deployment):
 
 def test_nginx_serves_archives_by_byte_ranges(deployment: Deployment):
     """nginx answers the ranges that map clients read, without the service."""
-    address, asked = "/files/shadows.pmtiles", []
+    address, etags = "/files/shadows.pmtiles", []
 
     def read(offset: int, length: int) -> bytes:
         answer = deployment.client.get(address, headers={"Range": f"bytes={offset}-{offset + length - 1}"})
         assert answer.status_code == 206 and answer.headers["access-control-allow-origin"] == "*"
-        asked.append(answer.headers["etag"])
+        etags.append(answer.headers["etag"])
         return answer.content
 
     assert Reader(read).get(ZOOM, *CORNER) == PNG
-    assert len(set(asked)) == 1
+    assert len(set(etags)) == 1
     assert deployment.client.get("/files/..%2fhills.yaml").status_code == 404
     assert deployment.client.get("/files/hills.yaml").status_code == 404

@@ -39,10 +39,10 @@ Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class QgisResult:
     """The findings of QGIS, and the folder of its pictures."""
 
-    found: dict[str, Any]
+    report: dict[str, Any]
     folder: Path
     bounds: Box
     degrees: Box
@@ -56,10 +56,10 @@ class Seen:
 
 def served(client: Client, bounds: Box, layer: str = "color", **query: str) -> np.ndarray:
     """Return the service's map of an extent, RGBA."""
-    asked = {"bbox": ",".join(map(repr, bounds)), "crs": "EPSG:3857", "width": str(SIDE), "height": str(SIDE), "layer": layer}
+    parameters = {"bbox": ",".join(map(repr, bounds)), "crs": "EPSG:3857", "width": str(SIDE), "height": str(SIDE), "layer": layer}
     if layer == "sunhours":
-        asked["date"] = own_date(client)
-    return patiently(client, f"/levels/{LEVEL}/map.png", **{**asked, **query})
+        parameters["date"] = own_date(client)
+    return patiently(client, f"/levels/{LEVEL}/map.png", **{**parameters, **query})
 
 
 def tile(client: Client, x: int, y: int, layer: str = "color", **query: str) -> np.ndarray:
@@ -85,12 +85,12 @@ def patiently(client: Client, address: str, **query: str) -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def seen(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Seen:
+def qgis_result(service: Client, tmp_path_factory: pytest.TempPathFactory) -> QgisResult:
     """Run ``in_qgis.py`` once, and return its findings."""
     environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
     environment.pop("PYTHONPATH", None)
-    here = subprocess.run([PYTHON, "-c", "import qgis.core"], env=environment, capture_output=True, text=True)
-    if here.returncode != 0:
+    import_check = subprocess.run([PYTHON, "-c", "import qgis.core"], env=environment, capture_output=True, text=True)
+    if import_check.returncode != 0:
         pytest.skip("there is no QGIS: 'make test-clients' installs it, or 'apt-get install python3-qgis qgis-providers'")
     west, south, east, north = service.get(f"/levels/{LEVEL}").json()["bounds"]
     zooms = service.get(f"/levels/{LEVEL}").json()["tile_matrix_sets"][DEFAULT_MATRIX_SET]
@@ -99,8 +99,8 @@ def seen(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Seen:
     bounds = corner.left, other.bottom, other.right, corner.top
     lon_lat = MATRIX_SET.bounds(middle.x, middle.y, ZOOM)
     degrees = lon_lat.left, lon_lat.bottom, lon_lat.left + 0.0625, lon_lat.bottom + 0.0625
-    fine = MATRIX_SET.xy_bounds(middle.x * 16, middle.y * 16, ZOOM + 4)
-    deep = fine.left, fine.bottom, fine.right, fine.top
+    small_bounds = MATRIX_SET.xy_bounds(middle.x * 16, middle.y * 16, ZOOM + 4)
+    deep = small_bounds.left, small_bounds.bottom, small_bounds.right, small_bounds.top
     # Hours of sun take longest: the service refuses tiles that would wait for 20 s, and QGIS leaves them out.
     served(service, bounds, "sunhours")
     for x, y in product(range(middle.x - 1, middle.x + 2), range(middle.y - 1, middle.y + 2)):
@@ -110,73 +110,75 @@ def seen(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Seen:
         "bounds": bounds, "degrees": degrees, "deep": deep, "side": SIDE, "times": TIMES,
         "zooms": [zooms["minzoom"], zooms["maxzoom"]],
     }  # fmt: skip
-    done = subprocess.run(
+    process = subprocess.run(
         [PYTHON, Path(__file__).with_name("in_qgis.py"), str(service.base_url), LEVEL, folder],
         input=json.dumps(plan), env=environment, capture_output=True, text=True, timeout=MAX_S,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:]
-    found = json.loads((folder / "found.json").read_text())
+    assert process.returncode == 0, process.stderr[-3000:]
+    report = json.loads((folder / "report.json").read_text())
     shutil.copytree(folder, OUTPUT / "qgis", dirs_exist_ok=True, ignore=shutil.ignore_patterns("profile"))
-    print(f"QGIS {found['version']}: {len(found['requests'])} requests; its pictures lie in {OUTPUT / 'qgis'}")
-    return Seen(found, folder, bounds, degrees, (middle.x - 1, middle.y - 1))
+    print(f"QGIS {report['version']}: {len(report['requests'])} requests; its pictures lie in {OUTPUT / 'qgis'}")
+    return QgisResult(report, folder, bounds, degrees, (middle.x - 1, middle.y - 1))
 
 
-def test_qgis_layers_are_valid_and_log_nothing(seen: Seen):
+def test_qgis_layers_are_valid_and_log_nothing(qgis_result: QgisResult):
     by_wms = {f"wms-{name}" for name in ("color", "shadow", "mask", "sunhours", "degrees")}
     by_file = {f"qlr-{name}" for name in ("color", "shadow", "sunhours", "heights")}
-    assert set(seen.found["layers"]) == by_wms | by_file | {"wmts", "wmts-span", "xyz"}
-    for name, layer in seen.found["layers"].items():
+    assert set(qgis_result.report["layers"]) == by_wms | by_file | {"wmts", "wmts-span", "xyz"}
+    for name, layer in qgis_result.report["layers"].items():
         assert layer["valid"] and layer["crs"] == ("EPSG:4326" if name == "wms-degrees" else "EPSG:3857"), (name, layer)
-    assert not seen.found["log"]
+    assert not qgis_result.report["log"]
 
 
-def test_qgis_wms_equals_the_maps_of_the_service(service: Client, seen: Seen):
+def test_qgis_wms_equals_the_maps_of_the_service(service: Client, qgis_result: QgisResult):
     """They are equal bit for bit, because the canvas is the requested map; also in a CRS with latitude first."""
     for layer in ("color", "shadow", "mask", "sunhours"):
-        assert np.array_equal(seen.picture(f"wms-{layer}"), served(service, seen.bounds, layer)), layer
-    assert np.array_equal(seen.picture("wms-degrees"), served(service, seen.degrees, crs="EPSG:4326"))
+        assert np.array_equal(qgis_result.picture(f"wms-{layer}"), served(service, qgis_result.bounds, layer)), layer
+    assert np.array_equal(qgis_result.picture("wms-degrees"), served(service, qgis_result.degrees, crs="EPSG:4326"))
 
 
-def test_qgis_temporal_controller_sets_the_time(service: Client, seen: Seen):
+def test_qgis_temporal_controller_sets_the_time(service: Client, qgis_result: QgisResult):
     """QGIS draws the begin of the controller's range, and knows the begin and the end of the year."""
     for name, (begin, _) in TIMES.items():
-        assert np.array_equal(seen.picture(f"wms-{name}"), served(service, seen.bounds, time=begin)), name
-    assert (seen.picture("wms-morning") != seen.picture("wms-evening")).any(axis=-1).mean() > 0.5
-    assert seen.found["layers"]["wms-color"]["times"] == ["2024-01-01T00:05:00Z", "2024-12-31T23:55:00Z"]
-    asked = [each.partition("&TIME=")[2].partition("&")[0] for each in seen.found["requests"] if "REQUEST=GetMap" in each]
-    assert {begin for begin, _ in TIMES.values()} <= set(asked)
+        assert np.array_equal(qgis_result.picture(f"wms-{name}"), served(service, qgis_result.bounds, time=begin)), name
+    assert (qgis_result.picture("wms-morning") != qgis_result.picture("wms-evening")).any(axis=-1).mean() > 0.5
+    assert qgis_result.report["layers"]["wms-color"]["times"] == ["2024-01-01T00:05:00Z", "2024-12-31T23:55:00Z"]
+    requested_times = [
+        url.partition("&TIME=")[2].partition("&")[0] for url in qgis_result.report["requests"] if "REQUEST=GetMap" in url
+    ]
+    assert {begin for begin, _ in TIMES.values()} <= set(requested_times)
 
 
-def test_qgis_tiles_equal_those_of_the_service(service: Client, seen: Seen):
+def test_qgis_tiles_equal_those_of_the_service(service: Client, qgis_result: QgisResult):
     """At the scale of a zoom QGIS draws tiles without resampling."""
 
-    def laid(layer: str = "color", **query: str) -> np.ndarray:
-        x, y = seen.corner
+    def service_tiles(layer: str = "color", **query: str) -> np.ndarray:
+        x, y = qgis_result.corner
         return np.vstack([np.hstack([tile(service, x + col, y + row, layer, **query) for col in (0, 1)]) for row in (0, 1)])
 
     for name in ("wmts", "xyz", "qlr-color"):
-        assert np.array_equal(seen.picture(name), laid()), name
+        assert np.array_equal(qgis_result.picture(name), service_tiles()), name
     for layer in ("shadow", "sunhours"):
-        assert np.array_equal(seen.picture(f"qlr-{layer}"), laid(layer)), layer
+        assert np.array_equal(qgis_result.picture(f"qlr-{layer}"), service_tiles(layer)), layer
     # QGIS 3.22 draws encoded heights as colours; newer versions decode them, which was not examined.
-    if seen.found["version"].startswith("3.22."):
-        assert np.array_equal(seen.picture("qlr-heights"), laid("terrarium"))
+    if qgis_result.report["version"].startswith("3.22."):
+        assert np.array_equal(qgis_result.picture("qlr-heights"), service_tiles("terrarium"))
     # The whole span of times, chosen in the browser, shows its begin.
-    assert np.array_equal(seen.picture("wmts-span"), laid(time="2024-01-01T00:05:00Z"))
+    assert np.array_equal(qgis_result.picture("wmts-span"), service_tiles(time="2024-01-01T00:05:00Z"))
 
 
 @pytest.mark.parametrize("name", ["wmts-deep", "xyz-deep"])
-def test_qgis_enlarges_tiles_past_the_last_zoom(seen: Seen, name: str):
-    picture = seen.picture(name)
+def test_qgis_enlarges_tiles_past_the_last_zoom(qgis_result: QgisResult, name: str):
+    picture = qgis_result.picture(name)
     assert (picture[..., 3] == 255).all() and len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 100
 
 
-def test_qgis_identifies_a_point(seen: Seen):
-    html, text = seen.found["identified"]["html"], seen.found["identified"]["text"]
+def test_qgis_identifies_a_point(qgis_result: QgisResult):
+    html, text = qgis_result.report["identified"]["html"], qgis_result.report["identified"]["text"]
     assert "<th>Elevation</th>" in html and "Elevation: " in text and f"Level: {LEVEL}\n" in text
     assert "Direct sun: " in text
 
 
-def test_qgis_shows_the_legend_of_sun_hours_only(seen: Seen):
+def test_qgis_shows_the_legend_of_sun_hours_only(qgis_result: QgisResult):
     """Hours of sun have a legend; QGIS requests none of the other layers."""
-    assert seen.found["legends"] == {"color": None, "shadow": None, "mask": None, "sunhours": [[340, 85]]}
+    assert qgis_result.report["legends"] == {"color": None, "shadow": None, "mask": None, "sunhours": [[340, 85]]}

@@ -34,7 +34,7 @@ CELLS, CELL_M = 64, 20.0
 SIZE = 96, 72
 """Pixels of a picture."""
 
-PLACE = (15.0086, 47.8475)
+GROUND_CENTRE = (15.0086, 47.8475)
 """Approximate longitude and latitude of the ground's centre."""
 
 
@@ -48,7 +48,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Found:
+class EffectChange:
     """The change by an effect in a case.
 
     Attributes
@@ -61,9 +61,9 @@ class Found:
         The plan's reason.
     ran
         True if the effect ran when forced on.
-    steps
+    max_difference
         Largest difference of a pixel, in steps of 255.
-    steps_beside
+    max_neighbourhood_excess
         Largest difference from the range of the pixel and its neighbours in the other picture, in steps of 255.
     """
 
@@ -71,15 +71,15 @@ class Found:
     runs: bool
     reason: str
     ran: bool
-    steps: int
-    steps_beside: int
+    max_difference: int
+    max_neighbourhood_excess: int
 
     def __str__(self) -> str:
-        says = "runs" if self.runs else "left out"
-        return f"{self.case:34} {says:8} {self.steps:4d} {self.steps_beside:4d}  {self.reason}"
+        status = "runs" if self.runs else "left out"
+        return f"{self.case:34} {status:8} {self.max_difference:4d} {self.max_neighbourhood_excess:4d}  {self.reason}"
 
 
-class Lab:
+class EffectComparison:
     """Builder of levels in a folder, which also draws them."""
 
     def __init__(self, folder: Path) -> None:
@@ -106,41 +106,43 @@ class Lab:
         path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
         return build_scene(load_level(path))
 
-    def found(self, effect: str, case: Case) -> Found:
+    def change_by(self, effect: str, case: Case) -> EffectChange:
         """Return the change by an effect in a case."""
         scene = self.scene({**case.keys, "views": {"view": case.view}})
         view = scene.view("view")
         plan = make_plan(describe(scene, view, "view"), scene.loaded.level)
-        (on, ran), (off, ran_off) = (self._picture(scene, effect, wish) for wish in ("on", "off"))
-        assert not ran_off
+        (with_effect, ran), (without_effect, ran_without) = (self._picture(scene, effect, override) for override in ("on", "off"))
+        assert not ran_without
         reason = next(item.reason for item in (*plan.effects, *plan.left_out) if item.name == effect)
-        far = max(_beyond_neighbours(on, off), _beyond_neighbours(off, on))
-        return Found(case.name, effect in plan.runs, reason, ran, int(np.abs(on - off).max()), far)
+        excess = max(_neighbourhood_excess(with_effect, without_effect), _neighbourhood_excess(without_effect, with_effect))
+        return EffectChange(case.name, effect in plan.runs, reason, ran, int(np.abs(with_effect - without_effect).max()), excess)
 
     @staticmethod
-    def _picture(scene: Scene, effect: str, wish: str) -> tuple[np.ndarray, bool]:
+    def _picture(scene: Scene, effect: str, override: str) -> tuple[np.ndarray, bool]:
         level = scene.loaded.level
-        forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].needs, "on"), effect: wish}})
+        forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].needs, "on"), effect: override}})
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
         view = scene.view("view")
         frame = render_frame(replace(scene, loaded=loaded), view, make_plan(describe(scene, view, "view"), forced))
         return frame.color.astype(np.int32), effect in frame.plan.runs
 
 
-def _beyond_neighbours(picture: np.ndarray, other: np.ndarray) -> int:
+def _neighbourhood_excess(picture: np.ndarray, other: np.ndarray) -> int:
     """Return how far a picture (rows, cols, 3) leaves the range of the other picture's pixel and its eight neighbours."""
     low, high = (filter(other, size=(3, 3, 1), mode="nearest") for filter in (minimum_filter, maximum_filter))
     return int(np.maximum(low - picture, picture - high).max())
 
 
-def eye(at: tuple[float, float, float], target: tuple[float, float, float], fov: float = 50.0, times: int = 1) -> dict[str, Any]:
-    size = [times * SIZE[0], times * SIZE[1]]
-    return {"kind": "perspective", "eye": list(at), "target": list(target), "fov": fov, "size": size}
+def eye(
+    position: tuple[float, float, float], target: tuple[float, float, float], fov: float = 50.0, scale: int = 1
+) -> dict[str, Any]:
+    size = [scale * SIZE[0], scale * SIZE[1]]
+    return {"kind": "perspective", "eye": list(position), "target": list(target), "fov": fov, "size": size}
 
 
 MAP = {"kind": "map", "size": [SIZE[1], SIZE[1]]}
 
-ACROSS = eye((PLACE[0] - 0.006, PLACE[1] - 0.004, 60.0), (*PLACE, 0.0))
+PERSPECTIVE = eye((GROUND_CENTRE[0] - 0.006, GROUND_CENTRE[1] - 0.004, 60.0), (*GROUND_CENTRE, 0.0))
 """View over the ground towards the north-east."""
 
 
@@ -148,7 +150,7 @@ def skyline(up_m: float) -> dict[str, Any]:
     """Return a view from the same place that looks above the horizon. From about 260 on, ground is in its last rows alone,
     or nowhere.
     """
-    return eye((PLACE[0] - 0.006, PLACE[1] - 0.004, 60.0), (*PLACE, up_m))
+    return eye((GROUND_CENTRE[0] - 0.006, GROUND_CENTRE[1] - 0.004, 60.0), (*GROUND_CENTRE, up_m))
 
 
 def window(east_m: float, south_m: float, side_m: float) -> dict[str, Any]:
@@ -162,23 +164,23 @@ def ground(name: str, azimuth: float = 200.0, altitude: float = 30.0, **keys: An
 
 
 def cast_shadows() -> Iterator[Case]:
-    for view_name, view, azimuth in (("map", MAP, 250.0), ("perspective", ACROSS, 70.0)):
+    for view_name, view, azimuth in (("map", MAP, 250.0), ("perspective", PERSPECTIVE, 70.0)):
         for altitude in (-1.0, 0.3, 12.0, 24.0, 29.0, 31.0, 34.0, 40.0, 60.0, 88.0):
             yield Case(f"hills {view_name} {altitude}", ground("hills", azimuth, altitude), view)
         for altitude in (8.0, 11.0, 11.6, 15.0):
             yield Case(f"slope turned away {view_name} {altitude}", ground("slope", 90.0, altitude), view)
         for cover in (0.99, 1.0):
             yield Case(f"clouds {view_name} {cover}", ground("hills", azimuth, 15.0, weather={"cloud_cover": cover}), view)
-    for away in (-45.0, -20.0, -14.0, 0.0, 14.0, 20.0, 30.0, 45.0):  # a post 12 m high casts 20.8 m at 30 degrees
-        post = [{"source": "post.obj", "at": [0.0, -away]}]
-        yield Case(f"post {away} m before", ground("floor", 180.0, meshes=post), eye((0, 12, 30), (0, 12.5, 0), 40.0, 3))
+    for distance_m in (-45.0, -20.0, -14.0, 0.0, 14.0, 20.0, 30.0, 45.0):  # a post 12 m high casts 20.8 m at 30 degrees
+        post = [{"source": "post.obj", "at": [0.0, -distance_m]}]
+        yield Case(f"post {distance_m} m before", ground("floor", 180.0, meshes=post), eye((0, 12, 30), (0, 12.5, 0), 40.0, 3))
 
 
 def alpha_test() -> Iterator[Case]:
-    stand = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
+    forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     post = [{"source": "post.obj", "at": [3.0, 1.0]}]
     for north in np.arange(-24.0, 43.0, 3.0).tolist():
-        keys = ground("floor", 180.0, forest=stand, meshes=post)
+        keys = ground("floor", 180.0, forest=forest, meshes=post)
         yield Case(f"looking {north} m north of a tree", keys, eye((0, north, 24), (0, north + 0.5, 0), 30.0, 3))
     yield Case("no tree", ground("floor", 180.0, meshes=post), eye((0, 8, 24), (0, 8.5, 0), 30.0, 3))
 
@@ -198,13 +200,13 @@ def outside_casters() -> Iterator[Case]:
         # A window of the hill's east side, in its shadow under the sun in the west.
         bounds = [west + 420.0, north - 900.0, west + 900.0, north - 420.0]
         yield Case(f"beside a hill {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": bounds})
-        whole = [west - 300.0, north - 1600.0, west + 1600.0, north + 300.0]
-        yield Case(f"all there is {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": whole})
+        full_bounds = [west - 300.0, north - 1600.0, west + 1600.0, north + 300.0]
+        yield Case(f"all there is {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": full_bounds})
 
 
 def refraction() -> Iterator[Case]:
     for hour in ("05:35", "06:00", "06:30", "07:30", "08:30", "09:30", "11:00", "12:00"):
-        for view_name, view in (("map", MAP), ("perspective", ACROSS)):
+        for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             keys = {
                 "terrain": {"source": "hills.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"},
                 "shadows": {"algorithm": "sweep"},  # not a map, whose texels turn with the sun
@@ -214,27 +216,29 @@ def refraction() -> Iterator[Case]:
 
 
 def lamps() -> Iterator[Case]:
-    for away in (30.0, 100.0, 250.0, 500.0):
+    for distance_m in (30.0, 100.0, 250.0, 500.0):
         for intensity in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0):
             lamp = {"kind": "omni", "position": [0, 0, 20.0], "intensity": intensity}
-            view = eye((0, -away - 10.0, 20.0), (0, -away, 0), 20.0)
+            view = eye((0, -distance_m - 10.0, 20.0), (0, -distance_m, 0), 20.0)
             for hour, altitude in (("day", 30.0), ("night", -20.0)):
-                yield Case(f"omni {intensity} at {away} m by {hour}", ground("floor", 180.0, altitude, lights={"lamp": lamp}), view)
-    for turn in (0.0, 20.0, 40.0, 44.0, 47.0, 50.0, 60.0, 90.0):
-        target = [100.0 * float(np.sin(np.radians(turn))), 0.0, 100.0 - 100.0 * float(np.cos(np.radians(turn)))]
+                yield Case(
+                    f"omni {intensity} at {distance_m} m by {hour}", ground("floor", 180.0, altitude, lights={"lamp": lamp}), view
+                )
+    for angle_deg in (0.0, 20.0, 40.0, 44.0, 47.0, 50.0, 60.0, 90.0):
+        target = [100.0 * float(np.sin(np.radians(angle_deg))), 0.0, 100.0 - 100.0 * float(np.cos(np.radians(angle_deg)))]
         lamp = {"kind": "spot", "position": [0, 0, 100.0], "target": target, "cutoff": 35.0}
         keys = {**ground("floor"), "sun": "none", "lights": {"lamp": lamp}}
-        yield Case(f"spot turned {turn}", keys, eye((0, -10, 60), (0, 0, 0), 20.0))
-    lamp = {"kind": "omni", "position": [*PLACE, 10.0], "intensity": 0.05}
+        yield Case(f"spot turned {angle_deg}", keys, eye((0, -10, 60), (0, 0, 0), 20.0))
+    lamp = {"kind": "omni", "position": [*GROUND_CENTRE, 10.0], "intensity": 0.05}
     for east_m in (660.0, 800.0, 1000.0, 1200.0):
         yield Case(f"window {east_m}", ground("hills", lights={"lamp": lamp}), window(east_m, 640.0, 60.0))
 
 
 def snow() -> Iterator[Case]:
     for name in ("plain", "hills", "slope"):
-        for lies in (False, True):
-            for view_name, view in (("map", MAP), ("perspective", ACROSS)):
-                yield Case(f"{name} {view_name} {lies}", ground(name, weather={"snow": lies}), view)
+        for has_snow in (False, True):
+            for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
+                yield Case(f"{name} {view_name} {has_snow}", ground(name, weather={"snow": has_snow}), view)
     for up_m in (200.0, 240.0, 250.0, 260.0, 270.0, 280.0, 320.0):
         yield Case(f"skyline {up_m}", ground("plain", weather={"snow": True}), skyline(up_m))
 
@@ -242,7 +246,11 @@ def snow() -> Iterator[Case]:
 def ground_detail() -> Iterator[Case]:
     middle = (0.0, 0.0, 0.0)
     for up_m in (1.7, 30.0, 300.0, 1000.0, 2000.0, 4000.0, 8000.0, 12_000.0, 18_000.0, 30_000.0, 80_000.0):
-        yield Case(f"slope from {up_m} m", ground("slope"), eye((*PLACE, up_m), (PLACE[0], PLACE[1] + 1e-4, 0.0), 30.0))
+        yield Case(
+            f"slope from {up_m} m",
+            ground("slope"),
+            eye((*GROUND_CENTRE, up_m), (GROUND_CENTRE[0], GROUND_CENTRE[1] + 1e-4, 0.0), 30.0),
+        )
     for up_m in (1.7, 300.0, 20_000.0, 60_000.0):
         yield Case(f"floor from {up_m} m", ground("floor"), eye((0.0, -1.0, up_m), middle, 30.0))
     for up_m in (200.0, 250.0, 260.0, 270.0, 320.0):
@@ -251,18 +259,18 @@ def ground_detail() -> Iterator[Case]:
 
 
 def crowns() -> Iterator[Case]:
-    stand = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
+    forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     for altitude in (-2.0, 5.0, 20.0, 45.0):
         for east in (0.0, 12.0, 16.0, 20.0, 40.0):
-            keys = ground("floor", 240.0, altitude, forest=stand)
+            keys = ground("floor", 240.0, altitude, forest=forest)
             yield Case(f"looking {east} m past a tree, sun at {altitude}", keys, eye((0, -40, 8), (east, 0, 6), 30.0, 2))
-    yield Case("map of a tree", ground("floor", 240.0, forest=stand), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
+    yield Case("map of a tree", ground("floor", 240.0, forest=forest), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
     yield Case("no tree", ground("floor", 240.0), eye((0, -40, 8), (0, 0, 6), 30.0))
 
 
 def clouds() -> Iterator[Case]:
     for cover in (0.0, 0.001, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.999, 1.0):
-        for view_name, view, seconds in (("map", MAP, 0), ("perspective", ACROSS, 300)):
+        for view_name, view, seconds in (("map", MAP, 0), ("perspective", PERSPECTIVE, 300)):
             yield Case(f"{view_name} {cover}", ground("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
     for altitude in (-1.0, 0.01, 0.5):
         yield Case(f"half the sky, sun at {altitude}", ground("hills", altitude=altitude, weather={"cloud_cover": 0.5}), MAP)
@@ -274,7 +282,7 @@ def clouds() -> Iterator[Case]:
 
 def sky_view() -> Iterator[Case]:
     for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35):
-        for view_name, view in (("map", MAP), ("perspective", ACROSS)):
+        for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             yield Case(f"valley of {percent} % {view_name}", ground(f"valley{percent}"), view)
     for name in ("plain", "slope"):
         yield Case(name, ground(name), MAP)
@@ -287,7 +295,7 @@ def sky_view() -> Iterator[Case]:
 
 def water() -> Iterator[Case]:
     for level in (-90.0, -80.0, -70.0, -60.0, -40.0, 0.0, 70.0):
-        for view_name, view in (("map", MAP), ("perspective", ACROSS)):
+        for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             yield Case(f"level {level} {view_name}", ground("hills", 40.0, 20.0, water={"level": level}), view)
     for altitude in (-30.0, -10.0, -3.0):
         yield Case(f"lake by night {altitude}", ground("hills", 40.0, altitude, water={"level": -40.0}), MAP)
@@ -298,13 +306,13 @@ def water() -> Iterator[Case]:
             yield Case(f"ponds at {level} of {size} pixels", ground("hills", water={"level": level}), {**MAP, "size": [size, size]})
         for east_m in (200.0, 700.0, 1150.0):
             yield Case(f"ponds at {level}, {east_m} m east", ground("hills", water={"level": level}), window(east_m, 640.0, 150.0))
-    yield Case("no water", ground("hills", 40.0, 20.0), ACROSS)
+    yield Case("no water", ground("hills", 40.0, 20.0), PERSPECTIVE)
 
 
 def haze() -> Iterator[Case]:
     for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
-        yield Case(f"hills {visibility:g} m", ground("hills", 220.0, 20.0, weather={"visibility": visibility}), ACROSS)
-    yield Case("clear", ground("hills", 220.0, 20.0), ACROSS)
+        yield Case(f"hills {visibility:g} m", ground("hills", 220.0, 20.0, weather={"visibility": visibility}), PERSPECTIVE)
+    yield Case("clear", ground("hills", 220.0, 20.0), PERSPECTIVE)
     for distance_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # ground below an eye, in clear air
         yield Case(f"clear, {distance_m} m above a floor", ground("floor"), eye((0, 0, distance_m), (0, 0.01, 0), 20.0))
     yield Case("map", ground("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
@@ -317,7 +325,7 @@ CASES: dict[str, Callable[[], Iterator[Case]]] = {
 }  # fmt: skip
 """Effect -> its cases."""
 
-MOVES_EDGES = frozenset({"refraction", "soft_edges"})
+EDGE_MOVING_EFFECTS = frozenset({"refraction", "soft_edges"})
 """Effects that move edges, and that are left out if they move them by less than a pixel. A pixel on an edge then changes sides.
 Tests compare it with the other picture's pixel and its neighbours.
 """

@@ -14,7 +14,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact
 
 
-def called_for(descriptor: Descriptor) -> Verdict:
+def judge(descriptor: Descriptor) -> Verdict:
     highest = descriptor.facts["dust"]["highest_m"]
     assert isinstance(highest, float)
     return Verdict(highest > 50.0, f"the highest ground is at {highest:.0f} m")
@@ -24,13 +24,13 @@ def facts(scene, view, coarse_view) -> dict[str, Fact]:
     return {"highest_m": scene.height_range_m[1]}
 
 
-def settle(albedo: np.ndarray, block: ShadingBlock) -> None:
+def paint_dust(albedo: np.ndarray, block: ShadingBlock) -> None:
     albedo[block.buffer.height_m > 50.0] = (0.9, 0.8, 0.1)
 
 
 @pytest.fixture
 def dust(monkeypatch: pytest.MonkeyPatch):
-    effect = Effect("yellow dust on high ground", called_for, facts, stage="albedo", part=settle)
+    effect = Effect("yellow dust on high ground", judge, facts, stage="albedo", apply=paint_dust)
     monkeypatch.setitem(effects.EFFECTS, "dust", effect)
 
 
@@ -47,11 +47,13 @@ def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_s
     high = frame.height_m > 50.0
     assert (yellow == high)[frame.valid].all()
 
-    off = scene.loaded.level.model_copy(update={"effects": {"dust": "off"}})
-    left = make_plan(describe(scene, view), off)
-    assert "dust" not in left.passes
-    assert next(item.reason for item in left.left_out if item.name == "dust").startswith("forced off by the level (the highest")
-    assert not (render_frame(scene, view, left).color[..., 0].astype(int) - frame.color[..., 2] > 60)[~high].any()
+    dust_off_level = scene.loaded.level.model_copy(update={"effects": {"dust": "off"}})
+    plan_without_dust = make_plan(describe(scene, view), dust_off_level)
+    assert "dust" not in plan_without_dust.passes
+    assert next(item.reason for item in plan_without_dust.left_out if item.name == "dust").startswith(
+        "forced off by the level (the highest"
+    )
+    assert not (render_frame(scene, view, plan_without_dust).color[..., 0].astype(int) - frame.color[..., 2] > 60)[~high].any()
 
 
 def test_an_effect_that_is_left_out_is_not_run(gl, dust, write_raster, make_scene, monkeypatch):
@@ -62,7 +64,7 @@ def test_an_effect_that_is_left_out_is_not_run(gl, dust, write_raster, make_scen
     def fail(albedo: np.ndarray, block: ShadingBlock) -> None:
         raise AssertionError("run though left out")
 
-    monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.about, effect.called_for, effect.facts, "albedo", fail))
+    monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.about, effect.is_needed, effect.facts, "albedo", fail))
     view = scene.view(size=(32, 32))
     plan = make_plan(describe(scene, view), scene.loaded.level)
     assert next(item.reason for item in plan.left_out if item.name == "dust") == "the highest ground is at 12 m"

@@ -8,12 +8,12 @@ from typing import get_args
 import pytest
 
 from skugga.terrain.level.level import EffectName
-from tests.effects.edges import CASES, MOVES_EDGES, Found, Lab
+from tests.effects.edges import CASES, EDGE_MOVING_EFFECTS, EffectChange, EffectComparison
 
-TIMID = 0.1
+MAX_IDLE_SHARE = 0.1
 """Maximum share of an effect's runs without any change."""
 
-FALLS_SHORT = {
+KNOWN_DIFFERENCES = {
     "hills map 08:30": 2, "hills perspective 08:30": 4, "post 80.0 degrees, 10.0 m": 8, "post 70.0 degrees, 10.0 m": 8,
     "post 60.0 degrees, 10.0 m": 8, "post 50.0 degrees, 10.0 m": 7, "post 40.0 degrees, 10.0 m": 7,
 }  # fmt: skip
@@ -24,8 +24,8 @@ has five samples, so its mean is off by up to a fifth, and by less where a penum
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    return Lab(Path(tmp_path_factory.mktemp("effects")))
+def lab(tmp_path_factory: pytest.TempPathFactory) -> EffectComparison:
+    return EffectComparison(Path(tmp_path_factory.mktemp("effects")))
 
 
 def test_every_effect_has_cases():
@@ -34,29 +34,31 @@ def test_every_effect_has_cases():
 
 @pytest.mark.long
 @pytest.mark.parametrize("effect", CASES)
-def test_omitted_effects_would_not_be_visible(gl, lab: Lab, effect: str):
-    found = [lab.found(effect, case) for case in CASES[effect]()]
-    print("\n".join(map(str, found)))
-    _check(effect, found)
+def test_omitted_effects_would_not_be_visible(gl, lab: EffectComparison, effect: str):
+    changes = [lab.change_by(effect, case) for case in CASES[effect]()]
+    print("\n".join(map(str, changes)))
+    _check(effect, changes)
 
 
 @pytest.mark.parametrize("effect", CASES)
-def test_effects_are_right_on_both_sides_of_the_edge(gl, lab: Lab, effect: str):
+def test_effects_are_right_on_both_sides_of_the_edge(gl, lab: EffectComparison, effect: str):
     """The test takes every fourth case. The long profile has them all."""
-    some = list(CASES[effect]())[::4]
-    found = [lab.found(effect, case) for case in some]
-    assert not [str(one) for one in found if not one.runs and _difference(effect, one) > FALLS_SHORT.get(one.case, 1)]
+    sampled_cases = list(CASES[effect]())[::4]
+    changes = [lab.change_by(effect, case) for case in sampled_cases]
+    assert not [
+        str(change) for change in changes if not change.runs and _difference(effect, change) > KNOWN_DIFFERENCES.get(change.case, 1)
+    ]
 
 
-def _difference(effect: str, found: Found) -> int:
-    return found.steps_beside if effect in MOVES_EDGES else found.steps
+def _difference(effect: str, change: EffectChange) -> int:
+    return change.max_neighbourhood_excess if effect in EDGE_MOVING_EFFECTS else change.max_difference
 
 
-def _check(effect: str, found: list[Found]) -> None:
-    runs, left_out = ([one for one in found if one.runs is which] for which in (True, False))
+def _check(effect: str, changes: list[EffectChange]) -> None:
+    runs, left_out = ([change for change in changes if change.runs is which] for which in (True, False))
     assert runs and left_out, "cases on both sides of the edge"
-    assert 2 * sum(one.ran for one in left_out) >= len(left_out), "forced on, it runs"
-    missed = [str(one) for one in left_out if _difference(effect, one) > FALLS_SHORT.get(one.case, 1)]
-    assert not missed, "left out, and missed"
-    idle = [str(one) for one in runs if one.steps == 0]
-    assert len(idle) <= TIMID * len(runs), "run for nothing"
+    assert 2 * sum(change.ran for change in left_out) >= len(left_out), "forced on, it runs"
+    visible_changes = [str(change) for change in left_out if _difference(effect, change) > KNOWN_DIFFERENCES.get(change.case, 1)]
+    assert not visible_changes, "left out, and missed"
+    idle_changes = [str(change) for change in runs if change.max_difference == 0]
+    assert len(idle_changes) <= MAX_IDLE_SHARE * len(runs), "run for nothing"

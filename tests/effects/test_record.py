@@ -23,18 +23,18 @@ SIZE = {"map": (96, 72), "perspective": (160, 120)}
 
 @pytest.fixture(scope="module")
 def scene_of():
-    made: dict[Path, Scene] = {}
+    scenes: dict[Path, Scene] = {}
 
     def of(path: Path) -> Scene:
-        if path not in made:
-            made.clear()
-            made[path] = build_scene(load_level(path))
-        return made[path]
+        if path not in scenes:
+            scenes.clear()
+            scenes[path] = build_scene(load_level(path))
+        return scenes[path]
 
     return of
 
 
-def drawn(scene: Scene, name: str) -> Frame:
+def render_level_view(scene: Scene, name: str) -> Frame:
     spec = scene.loaded.level.views.get(name)
     view = scene.view(name, size=SIZE["map" if spec is None else spec.kind])
     return render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level))
@@ -52,7 +52,7 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
     """
     scene = scene_of(path)
     for name in views_of(path)[views]:
-        frame = drawn(scene, name)
+        frame = render_level_view(scene, name)
         plan, records = frame.plan, {record.name: record for record in frame.passes}
         assert list(records) == plan.passes, name
         assert frame.effects == plan.runs, (name, plan.left_out)
@@ -71,8 +71,8 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
 
 def test_the_sun_filter_of_a_level_uses_the_disc_program(gl, scene_of):
     scene = scene_of(next(path for path in LEVELS if path.stem == "jacksboro"))
-    view, asked = scene.view("map", size=(64, 48)), {"algorithm": "shadow_map", "filter": "sun"}
-    frame = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, asked))
+    view, overrides = scene.view("map", size=(64, 48)), {"algorithm": "shadow_map", "filter": "sun"}
+    frame = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, overrides))
     words = {word for record in frame.passes for label in record.programs for word in label.split()}
     assert "shadows/maps/sun_disc.frag" in words and "soft_edges" in frame.effects
     reason = next(item.reason for item in frame.plan.effects if item.name == "soft_edges")

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_erosion
 from skugga.shadows.truth.metrics import ErrorMetrics, MetricCoverage, error_metrics, interior_region, metric_coverage
 from skugga.shadows.truth.truth import Truth
 from skugga.terrain.gbuffer.resolve import RELIEF
-from tests.hard_cases.cases import Seen
+from tests.hard_cases.cases import RenderedView
 from tests.shadows.boxes import box
 
 FLOOR = {"flat": {"size": [100, 100], "cells": [10, 10]}}
@@ -39,108 +39,110 @@ EYES = {
 """Eyes round a house of 8 by 6 by 5 m at the middle of the floor."""
 
 
-def size_of(thorough: bool) -> tuple[int, int]:
+def picture_size(thorough: bool) -> tuple[int, int]:
     """Return the columns and rows of a case's pictures."""
     return (288, 216) if thorough else (120, 90)
 
 
-def _held(seen: Seen, truth: Truth | None) -> Truth:
+def _applicable_truth(rendered: RenderedView, truth: Truth | None) -> Truth:
     """Return the truth (by rays, unless another is given) where the algorithm makes a promise.
 
     Projected shadows fall on the ground only, so truth is limited to the ground for them.
     """
-    truth = truth or seen.truth
-    if any(step.algorithm == "planar" for step in seen.plan.steps_under(seen.light)):
-        truth = replace(truth, decidable=truth.decidable & (seen.buffer.kind == RELIEF))
+    truth = truth or rendered.truth
+    if any(step.algorithm == "planar" for step in rendered.plan.steps_under(rendered.light)):
+        truth = replace(truth, decidable=truth.decidable & (rendered.buffer.kind == RELIEF))
     return truth
 
 
-def errors(seen: Seen, truth: Truth | None = None) -> ErrorMetrics:
+def errors(rendered: RenderedView, truth: Truth | None = None) -> ErrorMetrics:
     """Return an algorithm's errors where it makes a promise."""
-    return error_metrics(seen.visibility, _held(seen, truth), 1.0, seen.texels_px)
+    return error_metrics(rendered.visibility, _applicable_truth(rendered, truth), 1.0, rendered.texels_px)
 
 
-def interior_sight(seen: Seen, truth: Truth | None = None) -> MetricCoverage:
+def interior_coverage(rendered: RenderedView, truth: Truth | None = None) -> MetricCoverage:
     """Return the coverage of the cast shadow by the interior of these errors."""
-    truth = _held(seen, truth)
-    return metric_coverage(seen.dark, truth, interior_region(truth, seen.texels_px))
+    truth = _applicable_truth(rendered, truth)
+    return metric_coverage(rendered.dark, truth, interior_region(truth, rendered.texels_px))
 
 
-def whole_sight(seen: Seen, truth: Truth | None = None) -> MetricCoverage:
+def decidable_coverage(rendered: RenderedView, truth: Truth | None = None) -> MetricCoverage:
     """Return the coverage of a figure that counts every decidable pixel."""
-    truth = _held(seen, truth)
-    return metric_coverage(seen.dark, truth, truth.decidable)
+    truth = _applicable_truth(rendered, truth)
+    return metric_coverage(rendered.dark, truth, truth.decidable)
 
 
-def truth_of_boxes(seen: Seen, boxes: list[trimesh.Trimesh], to_sun: np.ndarray) -> Truth:
+def truth_of_boxes(rendered: RenderedView, boxes: list[trimesh.Trimesh], to_sun: np.ndarray) -> Truth:
     """Return the closed form of the sun's shadow of axis-aligned boxes on level ground.
 
     Ground is decidable if all its neighbours have the same class. A ray is in a box while it is between the box's planes along each
     axis (T. Kay and J. Kajiya, Ray Tracing Complex Scenes, 1986).
     """
-    points = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
+    points = rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m
     dark = np.zeros(points.shape[:2], bool)
-    for each in boxes:
-        ends = (each.bounds[:, None, None] - points) / to_sun
+    for mesh in boxes:
+        ends = (mesh.bounds[:, None, None] - points) / to_sun
         entered, left = np.minimum(*ends).max(axis=-1), np.maximum(*ends).min(axis=-1)
         dark |= left > np.maximum(entered, 0.0)
-    ground = seen.buffer.valid & (seen.buffer.kind == RELIEF)
-    alike = [binary_erosion(ground & one, structure=np.ones((3, 3))) for one in (dark, ~dark)]
-    return Truth(ground & ~dark, np.zeros_like(dark), alike[0] | alike[1], ground)
+    ground = rendered.buffer.valid & (rendered.buffer.kind == RELIEF)
+    uniform = [binary_erosion(ground & mask, structure=np.ones((3, 3))) for mask in (dark, ~dark)]
+    return Truth(ground & ~dark, np.zeros_like(dark), uniform[0] | uniform[1], ground)
 
 
-def not_a_number(seen: Seen) -> int:
+def invalid_pixel_count(rendered: RenderedView) -> int:
     """Return the number of surface pixels without a visibility in [0, 1]."""
-    return int((~((seen.visibility >= 0.0) & (seen.visibility <= 1.0)) & seen.buffer.valid).sum())
+    return int((~((rendered.visibility >= 0.0) & (rendered.visibility <= 1.0)) & rendered.buffer.valid).sum())
 
 
-def differing(one: Seen, other: Seen) -> int:
+def differing_pixel_count(first: RenderedView, second: RenderedView) -> int:
     """Return the number of pixels that differ between two visibilities of one view."""
-    return int((~np.isclose(one.visibility, other.visibility, rtol=0.0, atol=0.0, equal_nan=True)).sum())
+    return int((~np.isclose(first.visibility, second.visibility, rtol=0.0, atol=0.0, equal_nan=True)).sum())
 
 
-def joined(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+def join_meshes(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.util.concatenate(list(meshes))
 
 
-def grounded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def with_ground_pebble(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Return the mesh with a pebble on the ground beside it: the engine then leaves bodies that hover where they are."""
-    return joined(mesh, box((0.02, 0.02, 0.02), at_m=(14.0, 14.0)))
+    return join_meshes(mesh, box((0.02, 0.02, 0.02), at_m=(14.0, 14.0)))
 
 
-def soup(corners: Any) -> trimesh.Trimesh:
+def triangle_soup(corners: Any) -> trimesh.Trimesh:
     """Return triangles without shared vertices, corner by corner."""
     points = np.array(corners, float)
     return trimesh.Trimesh(points.reshape(-1, 3), np.arange(3 * len(points)).reshape(-1, 3), process=False)
 
 
-def without(mesh: trimesh.Trimesh, gone: np.ndarray | int) -> trimesh.Trimesh:
+def without_triangles(mesh: trimesh.Trimesh, removed: np.ndarray | int) -> trimesh.Trimesh:
     """Return a mesh without some of its triangles."""
-    return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, gone, axis=0), process=False)
+    return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, removed, axis=0), process=False)
 
 
-def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def flip_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
 
 
 def half_sphere(lower: bool) -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(3, 4.0)
     ball.apply_translation([0.0, 0.0, 5.0])
-    over = ball.triangles_center[:, 2] > 5.0
-    return without(ball, np.flatnonzero(over if lower else ~over))
+    is_upper = ball.triangles_center[:, 2] > 5.0
+    return without_triangles(ball, np.flatnonzero(is_upper if lower else ~is_upper))
 
 
 def sheet() -> trimesh.Trimesh:
-    return soup([[[-4, -3, 3], [4, -3, 2], [4, 3, 5]], [[-4, -3, 3], [4, 3, 5], [-4, 3, 4]]])
+    return triangle_soup([[[-4, -3, 3], [4, -3, 2], [4, 3, 5]], [[-4, -3, 3], [4, 3, 5], [-4, 3, 4]]])
 
 
 def three_walls() -> trimesh.Trimesh:
     """Return three walls that share an upright edge."""
-    ends = [[5 * np.cos(turn), 5 * np.sin(turn)] for turn in (0.3, 2.4, 4.5)]
-    return soup([t for x, y in ends for t in ([[0, 0, 0], [x, y, 0], [x, y, 6]], [[0, 0, 0], [x, y, 6], [0, 0, 6]])])
+    ends = [[5 * np.cos(angle), 5 * np.sin(angle)] for angle in (0.3, 2.4, 4.5)]
+    return triangle_soup([t for x, y in ends for t in ([[0, 0, 0], [x, y, 0], [x, y, 6]], [[0, 0, 0], [x, y, 6], [0, 0, 6]])])
 
 
-def plates(count: int, gap_m: float = 0.05) -> trimesh.Trimesh:
+def stacked_plates(count: int, gap_m: float = 0.05) -> trimesh.Trimesh:
     """Return squares of 6 m above one another, the lowest one metre up."""
     square = [[[-3, -3], [3, -3], [3, 3]], [[-3, -3], [3, 3], [-3, 3]]]
-    return grounded(soup([[[x, y, 1 + gap_m * n] for x, y in corners] for n in range(count) for corners in square]))
+    return with_ground_pebble(
+        triangle_soup([[[x, y, 1 + gap_m * n] for x, y in corners] for n in range(count) for corners in square])
+    )

@@ -48,26 +48,26 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
-SHADOWING = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep")
+SHADOW_ALGORITHMS = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep")
 """The algorithms that cast shadows, without the reference."""
 
 ENGINE = "engine"
 """Stands for the algorithm in cases that do not depend on it."""
 
-JUDGED = re.compile("interior|missed_shadow|wrong|edge")
+SHADOW_FIGURE_PATTERN = re.compile("interior|missed_shadow|wrong|edge")
 """Figures that judge shadow by pixels or by edges: each must state its coverage of the cast shadow."""
 
-COUNTED_PX = 100
+MIN_CAST_SHADOW_PX = 100
 """Below this number of cast shadow pixels a share does not say how much of the shadow is wrong."""
 
-RECORD = "hard_case"
+RECORD_PROPERTY = "hard_case"
 """The key under which a test reports its figures."""
 
 View = MapView | PerspectiveView
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class RenderedView:
     """An algorithm's picture of a view under one light: points, their visibility, and truth.
 
     ``visibility`` (rows, cols) is float32 in [0, 1] with attached shadow, NaN off the surface. It applies to the pixels' own
@@ -109,7 +109,7 @@ class Seen:
         return np.max([texel_footprint_px(self.scene, step, self.buffer, self.pixel_m) for step in steps or [None]], axis=0)
 
     @cached_property
-    def interior_sight(self) -> MetricCoverage:
+    def interior_coverage(self) -> MetricCoverage:
         """The coverage of the cast shadow by ``errors.interior``."""
         return metric_coverage(self.dark, self.truth, interior_region(self.truth, self.texels_px))
 
@@ -121,11 +121,11 @@ class Trial:
     algorithm: str
     thorough: bool
     folder: Path
-    sights: dict[str, list[MetricCoverage]] = field(default_factory=dict)
+    coverages: dict[str, list[MetricCoverage]] = field(default_factory=dict)
 
-    def saw(self, figure: str, *sights: MetricCoverage) -> None:
+    def record_coverage(self, figure: str, *coverages: MetricCoverage) -> None:
         """Record the coverage of the cast shadow by a figure in some pictures."""
-        self.sights.setdefault(figure, []).extend(sights)
+        self.coverages.setdefault(figure, []).extend(coverages)
 
     def scene(
         self,
@@ -161,8 +161,8 @@ class Trial:
         """Write a GeoTIFF of heights whose north-west corner is (x0, y0)."""
         return write_geotiff(self.folder / f"{name}.tif", heights, crs, x0, y0, cell, **options)
 
-    def see(self, scene: Scene, view: View | None = None, light: str | None = None, **asked: Any) -> Seen:
-        """Draw a view (of one block) with this trial's algorithm; ``asked`` are further settings, as in a level's ``shadows``.
+    def render_view(self, scene: Scene, view: View | None = None, light: str | None = None, **settings: Any) -> RenderedView:
+        """Draw a view (of one block) with this trial's algorithm; ``settings`` are further settings, as in a level's ``shadows``.
 
         While the sun shines the algorithm runs even if the plan finds no casters: its output must show that there are none. Raises
         ``UnsupportedError`` if the algorithm cannot serve the view.
@@ -171,14 +171,14 @@ class Trial:
         level = scene.loaded.level
         if scene.sun_is_up and level.effects == "auto":
             level = level.model_copy(update={"effects": {"cast_shadows": "on", "alpha_test": "on"}})
-        plan = make_plan(describe(scene, view, pixel_sampling="points"), level, {"algorithm": self.algorithm, **asked})
+        plan = make_plan(describe(scene, view, pixel_sampling="points"), level, {"algorithm": self.algorithm, **settings})
         light = light or scene.light_names[0]
         buffer = geometry_buffer(scene, view)
         casters, log = find_casters(scene, buffer), PassLog()
         visibility = fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log)
         visibility[attached(buffer, scene, light)] = 0.0
         visibility[~buffer.valid] = np.nan
-        return Seen(scene, view, plan, light, buffer, casters, visibility, log)
+        return RenderedView(scene, view, plan, light, buffer, casters, visibility, log)
 
 
 Measure = Callable[[Trial], Mapping[str, float]]
@@ -204,47 +204,59 @@ class Case:
         try:
             figures = {name: float(value) for name, value in self.measure(trial).items()}
         except UnsupportedError as error:
-            why = next((why for why in ALGORITHMS[algorithm].refuses.values() if why in str(error)), None)  # type: ignore[index]
-            if why is None:
+            reason = next((reason for reason in ALGORITHMS[algorithm].refusals.values() if reason in str(error)), None)  # type: ignore[index]
+            if reason is None:
                 raise
-            return {**record, "refusal": why}
+            return {**record, "refusal": reason}
         assert figures.keys() == self.bounds.keys(), f"{self.id}: figures {list(figures)} for bounds {list(self.bounds)}"
-        judged = {name for name in figures if JUDGED.search(name)}
-        assert judged <= trial.sights.keys(), f"{self.id}: {judged} judge the shadow, {set(trial.sights)} say what they see"
-        return {**record, "figures": figures, "sights": {name: told(trial.sights[name]) for name in figures if name in judged}}
+        shadow_figures = {name for name in figures if SHADOW_FIGURE_PATTERN.search(name)}
+        assert shadow_figures <= trial.coverages.keys(), (
+            f"{self.id}: {shadow_figures} judge the shadow, {set(trial.coverages)} say what they see"
+        )
+        return {
+            **record,
+            "figures": figures,
+            "sights": {name: coverage_summary(trial.coverages[name]) for name in figures if name in shadow_figures},
+        }
 
 
-def told(sights: list[MetricCoverage]) -> dict[str, float]:
+def coverage_summary(coverages: list[MetricCoverage]) -> dict[str, float]:
     """Return ``wrong_cast`` of the worst picture and ``covered_share`` of all pictures.
 
     If no picture has much cast shadow, ``wrong_cast`` is that of all pictures together. Without any cast shadow the result is
     empty.
     """
-    counts = zip(*((each.cast_px, each.covered_px, each.wrong_px, each.either_px) for each in sights), strict=True)
-    together = MetricCoverage(*(sum(each) for each in counts)) if sights else MetricCoverage(0, 0, 0, 0)
-    large = [each for each in sights if each.cast_px >= COUNTED_PX] or [together]
-    return {"wrong_cast": max(each.wrong_cast for each in large), "sees": together.covered_share} if together.cast_px else {}
+    counts = zip(
+        *((coverage.cast_px, coverage.covered_px, coverage.wrong_px, coverage.union_px) for coverage in coverages), strict=True
+    )
+    total = MetricCoverage(*(sum(coverage) for coverage in counts)) if coverages else MetricCoverage(0, 0, 0, 0)
+    large_pictures = [coverage for coverage in coverages if coverage.cast_px >= MIN_CAST_SHADOW_PX] or [total]
+    return (
+        {"wrong_cast": max(coverage.wrong_cast for coverage in large_pictures), "sees": total.covered_share}
+        if total.cast_px
+        else {}
+    )
 
 
-def untested(record: Mapping[str, Any]) -> list[str]:
+def untested_figures(record: Mapping[str, Any]) -> list[str]:
     """Return the names of figures whose coverage of the cast shadow is below ``MIN_COVERED_SHARE``."""
-    return [name for name, sight in record.get("sights", {}).items() if sight and sight["sees"] < MIN_COVERED_SHARE]
+    return [name for name, coverage in record.get("sights", {}).items() if coverage and coverage["sees"] < MIN_COVERED_SHARE]
 
 
-def over(record: Mapping[str, Any]) -> list[str]:
+def exceeded_bounds(record: Mapping[str, Any]) -> list[str]:
     """Return the names of a trial's figures that exceed their bounds; NaN does."""
     return [name for name, value in record.get("figures", {}).items() if not value <= record["bounds"][name]]
 
 
 def failures(record: Mapping[str, Any]) -> str:
     """Describe which figures of a trial's record exceed their bounds; empty if all hold."""
-    return "; ".join(f"{name} {record['figures'][name]:.6g} over {record['bounds'][name]:g}" for name in over(record))
+    return "; ".join(f"{name} {record['figures'][name]:.6g} over {record['bounds'][name]:g}" for name in exceeded_bounds(record))
 
 
-def short_as_known(record: Mapping[str, Any], known: Mapping[str, float]) -> bool:
-    """Return whether a trial exceeds its bounds only by figures that are at most as large as ``known`` says."""
-    names = over(record)
-    return bool(names) and all(name in known and record["figures"][name] <= known[name] for name in names)
+def is_known_shortfall(record: Mapping[str, Any], known_figures: Mapping[str, float]) -> bool:
+    """Return whether a trial exceeds its bounds only by figures that are at most as large as ``known_figures`` says."""
+    names = exceeded_bounds(record)
+    return bool(names) and all(name in known_figures and record["figures"][name] <= known_figures[name] for name in names)
 
 
 def hard_case(
@@ -252,33 +264,37 @@ def hard_case(
     title: str,
     set_up: str,
     bounds: Mapping[str, float],
-    algorithms: tuple[str, ...] = SHADOWING,
+    algorithms: tuple[str, ...] = SHADOW_ALGORITHMS,
     thorough: bool = True,
-    falls_short: Mapping[tuple[str, str], float] | None = None,
+    known_shortfalls: Mapping[tuple[str, str], float] | None = None,
 ) -> Callable[[Measure], Callable[..., None]]:
     """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
 
     Each algorithm has a quick run and a thorough one. All thorough runs take too long for a build. Therefore the long tests contain
     one thorough run of each case, of an algorithm that the case's id decides; all thorough runs have the mark ``thorough``. With
-    ``thorough`` false only the quick run exists. ``falls_short`` gives, by algorithm and figure, the measured value of figures that
-    are known to exceed their bounds. Such a trial is an expected failure, and a failure if the figure grows.
+    ``thorough`` false only the quick run exists. ``known_shortfalls`` gives, by algorithm and figure, the measured value of figures
+    that are known to exceed their bounds. Such a trial is an expected failure, and a failure if the figure grows.
     """
 
     def register(measure: Measure) -> Callable[..., None]:
         case = Case(id, title, set_up, bounds, measure)
-        among_long = algorithms[crc32(id.encode()) % len(algorithms)]
-        ways = [("quick", algorithm) for algorithm in algorithms]
+        long_algorithm = algorithms[crc32(id.encode()) % len(algorithms)]
+        runs = [("quick", algorithm) for algorithm in algorithms]
         if thorough:
-            marks = {algorithm: [pytest.mark.thorough] + [pytest.mark.long] * (algorithm == among_long) for algorithm in algorithms}
-            ways += [pytest.param("thorough", algorithm, marks=marks[algorithm]) for algorithm in algorithms]
+            marks = {
+                algorithm: [pytest.mark.thorough] + [pytest.mark.long] * (algorithm == long_algorithm) for algorithm in algorithms
+            }
+            runs += [pytest.param("thorough", algorithm, marks=marks[algorithm]) for algorithm in algorithms]
 
-        @pytest.mark.parametrize(("way", "algorithm"), ways)
+        @pytest.mark.parametrize(("way", "algorithm"), runs)
         def test(algorithm: str, way: str, gl: Any, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
             record = case.run(algorithm, way == "thorough", tmp_path)
-            record_property(RECORD, json.dumps(record))
-            assert not untested(record), f"{id} by {algorithm} does not test {untested(record)}: {record['sights']}"
-            known = {name: most for (its, name), most in (falls_short or {}).items() if its == algorithm}
-            if short_as_known(record, known):
+            record_property(RECORD_PROPERTY, json.dumps(record))
+            assert not untested_figures(record), f"{id} by {algorithm} does not test {untested_figures(record)}: {record['sights']}"
+            known_figures = {
+                name: value for (case_algorithm, name), value in (known_shortfalls or {}).items() if case_algorithm == algorithm
+            }
+            if is_known_shortfall(record, known_figures):
                 pytest.xfail(f"{id} by {algorithm} is known to fall short: {failures(record)}")
             assert not failures(record), f"{id} ({title}) by {algorithm}: {failures(record)}"
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import Seen, Trial, View
+from tests.hard_cases.cases import RenderedView, Trial, View
 
 UTM = "EPSG:32633"
 
@@ -16,7 +16,7 @@ CORNER_M = 500_000.0, 5_000_000.0
 FOV_DEG = 40.0
 
 
-def whole(trial: Trial, scene: Scene, pixels: int) -> View:
+def view_from_above(trial: Trial, scene: Scene, pixels: int) -> View:
     """Return the level from above, at most ``pixels`` a side: as a map, or from a camera for algorithms without maps."""
     if trial.algorithm != "perspective_shadow_map":
         west, south, east, north = scene.elevation.bounds
@@ -26,18 +26,18 @@ def whole(trial: Trial, scene: Scene, pixels: int) -> View:
     elevation = scene.elevation
     extent_m = elevation.cell_size_m(scene.world.metres_per_unit) * max(elevation.shape)
     x, y = elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2)
-    return _from_above(scene, (float(x), float(y)), scene.height_range_m, extent_m, pixels)
+    return _camera_above(scene, (float(x), float(y)), scene.height_range_m, extent_m, pixels)
 
 
-def close(trial: Trial, scene: Scene, at: tuple[float, float], height_m: float, extent_m: float, pixels: int) -> View:
-    """Return a square of a level from above, as ``whole`` does: ``extent_m`` a side, round a place in its raster's CRS."""
+def close_view(trial: Trial, scene: Scene, at: tuple[float, float], height_m: float, extent_m: float, pixels: int) -> View:
+    """Return a square of a level from above, as ``view_from_above`` does: ``extent_m`` a side, round a place in its raster's CRS."""
     if trial.algorithm != "perspective_shadow_map":
         (x, y), half_m = at, extent_m / 2.0
         return scene.view(bounds=(x - half_m, y - half_m, x + half_m, y + half_m), size=(pixels, pixels))
-    return _from_above(scene, at, (height_m, height_m), extent_m, pixels)
+    return _camera_above(scene, at, (height_m, height_m), extent_m, pixels)
 
 
-def _from_above(
+def _camera_above(
     scene: Scene, at: tuple[float, float], height_range_m: tuple[float, float], extent_m: float, pixels: int
 ) -> PerspectiveView:
     """Return a camera that looks down at a square round a place in the raster's CRS, from a little south of it."""
@@ -50,14 +50,16 @@ def _from_above(
     return look_at(eye, point + (low_m + high_m) / 2 * up, up, FOV_DEG, pixels, pixels)
 
 
-def places(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+def map_positions(rendered: RenderedView) -> tuple[np.ndarray, np.ndarray]:
     """Return x and y of the pixels' points in the raster's CRS, (rows, cols) each; NaN off the surface."""
-    frame = seen.buffer.frame
-    earth = frame.origin_earth_m + seen.buffer.position_frame_m @ frame.frame_from_earth
-    x, y, _ = seen.scene.world.map_position(seen.scene.elevation.crs, earth)
+    frame = rendered.buffer.frame
+    earth = frame.origin_earth_m + rendered.buffer.position_frame_m @ frame.frame_from_earth
+    x, y, _ = rendered.scene.world.map_position(rendered.scene.elevation.crs, earth)
     return x, y
 
 
-def share(part: np.ndarray, of: np.ndarray) -> float:
-    """Return the share of the pixels ``of`` that are in ``part`` too, NaN if ``of`` is empty: a case must have pixels to judge."""
-    return float(np.count_nonzero(part & of) / np.count_nonzero(of)) if of.any() else float("nan")
+def share_of_mask(subset: np.ndarray, mask: np.ndarray) -> float:
+    """Return the share of the pixels ``mask`` that are in ``subset`` too, NaN if ``mask`` is empty: a case must have pixels to
+    judge.
+    """
+    return float(np.count_nonzero(subset & mask) / np.count_nonzero(mask)) if mask.any() else float("nan")

@@ -26,9 +26,9 @@ CaseName = tuple[str, str, str]
 class Mutant:
     """A defect: its description, how it is applied, and the cases that must detect it."""
 
-    about: str
-    breaks: Callable[[], None]
-    noticed_by: tuple[CaseName, ...]
+    description: str
+    apply_defect: Callable[[], None]
+    detecting_cases: tuple[CaseName, ...]
 
 
 def _no_snapping() -> None:
@@ -42,10 +42,10 @@ def _float32_world() -> None:
     from skugga.terrain.geo.world import World
 
     ground = World.ground
-    World.ground = lambda self, crs, x, y: ground(self, crs, _rounded(x), _rounded(y))  # type: ignore[method-assign]
+    World.ground = lambda self, crs, x, y: ground(self, crs, _round_to_float32(x), _round_to_float32(y))  # type: ignore[method-assign]
 
 
-def _rounded(values: Any) -> np.ndarray:
+def _round_to_float32(values: Any) -> np.ndarray:
     return np.asarray(values, np.float32).astype(np.float64)
 
 
@@ -60,8 +60,10 @@ def _constant_bias() -> None:
 
     look_up = filling.look_up
 
-    def without_slope(gl: Any, drawn: Any, target: Any, buffer: Any, light: Any, settings: Any, *rest: Any) -> None:
-        look_up(gl, drawn, target, buffer, light, settings.model_copy(update={"bias": "normal_offset", "bias_scale": 0.0}), *rest)
+    def without_slope(gl: Any, depth_map: Any, target: Any, buffer: Any, light: Any, settings: Any, *rest: Any) -> None:
+        look_up(
+            gl, depth_map, target, buffer, light, settings.model_copy(update={"bias": "normal_offset", "bias_scale": 0.0}), *rest
+        )
 
     filling.look_up = without_slope
 
@@ -72,7 +74,7 @@ def _near_plane() -> None:
     matrix, rank = post_perspective.camera_matrix, count()
     post_perspective.camera_matrix = lambda camera, tangent, near_m, far_m, slide_m: matrix(camera, tangent, 1e-6, far_m, 0.0)
     # Its texels would lose to those of a uniform map: use it all the same.
-    post_perspective._texel = lambda *seen: float(next(rank))
+    post_perspective._texel = lambda *args: float(next(rank))
 
 
 def _flat_earth() -> None:
@@ -87,8 +89,8 @@ def _flat_earth() -> None:
 
     def geocentric(lon_deg: Any, lat_deg: Any, _: Any = None) -> tuple[np.ndarray, np.ndarray]:
         lon, lat = np.broadcast_arrays(np.asarray(lon_deg, np.float64), np.asarray(lat_deg, np.float64))
-        steps = np.stack([lon - MERIDIAN_DEG, lat - TIP_DEG], axis=-1) * metres
-        point = origin + steps @ np.stack([east, np.cross(up, east)])
+        offsets_m = np.stack([lon - MERIDIAN_DEG, lat - TIP_DEG], axis=-1) * metres
+        point = origin + offsets_m @ np.stack([east, np.cross(up, east)])
         return point, np.broadcast_to(up, point.shape).copy()
 
     world.geocentric = geocentric
@@ -120,12 +122,12 @@ def _first_facet() -> None:
     from skugga.terrain.gbuffer.light_facing import FacingNormals
 
     def facing_normals(buffer: Any, light: Any) -> FacingNormals:
-        nowhere = np.zeros(buffer.valid.shape, bool)
+        no_pixels = np.zeros(buffer.valid.shape, bool)
         if buffer.surface is None or buffer.triangle is None:
-            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, nowhere, nowhere)
+            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, no_pixels, no_pixels)
         row, col, half = np.moveaxis(np.maximum(buffer.triangle, 0), -1, 0)
         normal = np.where(buffer.triangle[..., :1] < 0, buffer.normal_frame, buffer.surface.sheet.normals_frame[row, col, half])
-        return FacingNormals(normal, buffer.crease, normal, nowhere, nowhere)
+        return FacingNormals(normal, buffer.crease, normal, no_pixels, no_pixels)
 
     attached.facing_normals = truth.facing_normals = facing_normals
 
@@ -209,19 +211,19 @@ MUTANTS = {
 
 def records(name: str) -> list[dict[str, Any]]:
     """Return the records of a mutant's cases, run in their quick way on the defective engine; ``error`` describes a failed one."""
-    mutant, out = MUTANTS[name], []
+    mutant, results = MUTANTS[name], []
     cases = [
         (getattr(importlib.import_module(f"tests.hard_cases.{module}"), test).case, algorithm)
-        for module, test, algorithm in mutant.noticed_by
+        for module, test, algorithm in mutant.detecting_cases
     ]
-    mutant.breaks()
+    mutant.apply_defect()
     for case, algorithm in cases:
         with TemporaryDirectory() as folder:
             try:
-                out.append(case.run(algorithm, False, Path(folder)))
+                results.append(case.run(algorithm, False, Path(folder)))
             except AssertionError as error:  # an assertion failed before anything could be measured
-                out.append({"id": case.id, "algorithm": algorithm, "error": str(error)})
-    return out
+                results.append({"id": case.id, "algorithm": algorithm, "error": str(error)})
+    return results
 
 
 if __name__ == "__main__":

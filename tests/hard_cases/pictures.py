@@ -18,14 +18,14 @@ from PIL import Image, ImageDraw, ImageFont
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
-from tests.hard_cases.blocks import block, flat
+from tests.hard_cases.blocks import block, flat_terrain
 from tests.hard_cases.bodies import FLOOR, eye
 from tests.hard_cases.cases import Trial, View
 from tests.hard_cases.landscapes import far_peak
-from tests.hard_cases.test_bodies import HOSTILE, in_rows
-from tests.hard_cases.test_properties import FOUND, scene_of
+from tests.hard_cases.test_bodies import UNUSUAL_BODIES, arrange_in_rows
+from tests.hard_cases.test_properties import COUNTEREXAMPLES, scene_of
 from tests.hard_cases.test_rasters import CORNER_M, UTM, plateau_with_holes
-from tests.hard_cases.test_wires import SIDE_M, SUN, over, wires
+from tests.hard_cases.test_wires import SIDE_M, SUN, view_from_above, wires
 from tests.rasters import ENGINEERING
 from tests.render import render
 
@@ -33,22 +33,22 @@ WIDTH_PX, HEIGHT_PX, TEXT_PX, GAP_PX = 440, 330, 16, 12
 PAPER, INK = (255, 255, 255), (24, 24, 24)
 
 
-def picture(scene: Scene, view: View, **asked: Any) -> Image.Image:
+def color_image(scene: Scene, view: View, **overrides: Any) -> Image.Image:
     """Return a view in colour, white off the surface."""
-    frame = render(scene, view, **asked)
+    frame = render(scene, view, **overrides)
     return Image.fromarray(np.where(frame.opaque[..., None], frame.color, 255).astype(np.uint8))
 
 
-def shade(scene: Scene, view: View, **asked: Any) -> Image.Image:
+def visibility_image(scene: Scene, view: View, **overrides: Any) -> Image.Image:
     """Return a view's visibility, lit white and shadow dark: under low suns colours hardly differ."""
-    visibility = np.nan_to_num(render(scene, view, **asked).visibility, nan=1.0)
+    visibility = np.nan_to_num(render(scene, view, **overrides).visibility, nan=1.0)
     return Image.fromarray(np.rint(90.0 + 150.0 * visibility).astype(np.uint8)).convert("RGB")
 
 
 def bodies(trial: Trial) -> Image.Image:
     views = {"eye": eye((22, 42, 26), (0, 2, 0), fov=50)}
-    scene = trial.scene(FLOOR, (200, 35), [in_rows(list(HOSTILE.values())[:6])], "bodies", views=views)
-    return picture(scene, scene.view("eye", size=(WIDTH_PX, HEIGHT_PX)), algorithm="shadow_volume")
+    scene = trial.scene(FLOOR, (200, 35), [arrange_in_rows(list(UNUSUAL_BODIES.values())[:6])], "bodies", views=views)
+    return color_image(scene, scene.view("eye", size=(WIDTH_PX, HEIGHT_PX)), algorithm="shadow_volume")
 
 
 def curvature(trial: Trial) -> Image.Image:
@@ -62,16 +62,16 @@ def curvature(trial: Trial) -> Image.Image:
         west, south, east, north = peak.map_bounds
         middle, edge = (west + east) / 2.0, (south + north) / 2.0 - peak.length_m
         view = peak.scene.view(bounds=(middle - 4e3, edge - 1e4, middle + 4e3, edge + 1.8e5), size=(37, 2 * WIDTH_PX))
-        strip = shade(peak.scene, view, algorithm="shadow_map").transpose(Image.Transpose.ROTATE_270)
+        strip = visibility_image(peak.scene, view, algorithm="shadow_map").transpose(Image.Transpose.ROTATE_270)
         strips.append(strip.resize((WIDTH_PX, (HEIGHT_PX - GAP_PX) // 2), Image.Resampling.NEAREST))
-    return stacked(strips)
+    return stack_vertically(strips)
 
 
 def needle(trial: Trial) -> Image.Image:
     heights = np.zeros((96, 128), np.float32)
     heights[48, 16] = 3000.0
     scene = trial.scene(trial.raster(heights, ENGINEERING, 0.0, 0.0, 32.0, "needle"), (270, 45), name="needle")
-    return picture(scene, scene.view(size=(WIDTH_PX, HEIGHT_PX)), algorithm="sweep")
+    return color_image(scene, scene.view(size=(WIDTH_PX, HEIGHT_PX)), algorithm="sweep")
 
 
 def holes(trial: Trial) -> Image.Image:
@@ -79,35 +79,35 @@ def holes(trial: Trial) -> Image.Image:
     scene = trial.scene(raster, (310, 30), name="holes", effects={"cast_shadows": "on"})
     west, south, east, north = scene.view(size=(64, 64)).bounds
     part = west, south + (north - south) / 8, east, north - (north - south) / 8
-    return picture(scene, scene.view(bounds=part, size=(WIDTH_PX, HEIGHT_PX)), algorithm="shadow_map")
+    return color_image(scene, scene.view(bounds=part, size=(WIDTH_PX, HEIGHT_PX)), algorithm="shadow_map")
 
 
 def masks(trial: Trial) -> Image.Image:
     """Return wires of half a texel by both masks of the hybrid."""
     anchor = block((0.02, 0.02, 0.02), (SIDE_M, SIDE_M))
     meshes = [trimesh.util.concatenate([*wires(0.5 * SIDE_M / 61), anchor])]
-    scene, halves = trial.scene(flat(), SUN, meshes, "wires"), []
+    scene, halves = trial.scene(flat_terrain(), SUN, meshes, "wires"), []
     for mask in ("original", "conservative"):
-        view: MapView = over(scene, WIDTH_PX)
-        whole = picture(scene, view, algorithm="hybrid", mask=mask, map_size=64)
-        halves.append(whole.crop((0, HEIGHT_PX // 3, WIDTH_PX, HEIGHT_PX // 3 + (HEIGHT_PX - GAP_PX) // 2)))
-    return stacked(halves)
+        view: MapView = view_from_above(scene, WIDTH_PX)
+        image = color_image(scene, view, algorithm="hybrid", mask=mask, map_size=64)
+        halves.append(image.crop((0, HEIGHT_PX // 3, WIDTH_PX, HEIGHT_PX // 3 + (HEIGHT_PX - GAP_PX) // 2)))
+    return stack_vertically(halves)
 
 
 def horizon(trial: Trial) -> Image.Image:
-    scene = scene_of(next(iter(FOUND.values())), trial.folder).with_sun(SunSpec(azimuth=270, altitude=1))
+    scene = scene_of(next(iter(COUNTEREXAMPLES.values())), trial.folder).with_sun(SunSpec(azimuth=270, altitude=1))
     west, south, east, north = scene.view(size=(64, 64)).bounds
     part = west, south + (north - south) / 8, east, north - (north - south) / 8
-    return shade(scene, scene.view(bounds=part, size=(WIDTH_PX, HEIGHT_PX)), algorithm="hybrid")
+    return visibility_image(scene, scene.view(bounds=part, size=(WIDTH_PX, HEIGHT_PX)), algorithm="hybrid")
 
 
-def stacked(strips: list[Image.Image]) -> Image.Image:
-    out = Image.new("RGB", (WIDTH_PX, sum(strip.height for strip in strips) + GAP_PX * (len(strips) - 1)), PAPER)
+def stack_vertically(strips: list[Image.Image]) -> Image.Image:
+    canvas = Image.new("RGB", (WIDTH_PX, sum(strip.height for strip in strips) + GAP_PX * (len(strips) - 1)), PAPER)
     top = 0
     for strip in strips:
-        out.paste(strip, (0, top))
+        canvas.paste(strip, (0, top))
         top += strip.height + GAP_PX
-    return out
+    return canvas
 
 
 PANELS: dict[str, Callable[[Trial], Image.Image]] = {
@@ -120,19 +120,19 @@ PANELS: dict[str, Callable[[Trial], Image.Image]] = {
 }
 
 
-def sheet() -> Image.Image:
+def contact_sheet() -> Image.Image:
     """Return all panels, three in a row, each with its caption."""
     rows = -(-len(PANELS) // 3)
-    out = Image.new("RGB", (3 * WIDTH_PX + 4 * GAP_PX, rows * (HEIGHT_PX + 2 * TEXT_PX + GAP_PX) + GAP_PX), PAPER)
-    draw, font = ImageDraw.Draw(out), ImageFont.load_default(TEXT_PX)
+    canvas = Image.new("RGB", (3 * WIDTH_PX + 4 * GAP_PX, rows * (HEIGHT_PX + 2 * TEXT_PX + GAP_PX) + GAP_PX), PAPER)
+    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(TEXT_PX)
     with TemporaryDirectory() as folder:
         for number, (caption, make) in enumerate(PANELS.items()):
             left = GAP_PX + number % 3 * (WIDTH_PX + GAP_PX)
             top = GAP_PX + number // 3 * (HEIGHT_PX + 2 * TEXT_PX + GAP_PX)
-            out.paste(make(Trial("", False, Path(folder))), (left, top))
+            canvas.paste(make(Trial("", False, Path(folder))), (left, top))
             draw.text((left, top + HEIGHT_PX + 4), caption, INK, font)
-    return out
+    return canvas
 
 
 if __name__ == "__main__":
-    sheet().save(sys.argv[1] if len(sys.argv) > 1 else "docs/images/hard-cases.webp", quality=82, method=6)
+    contact_sheet().save(sys.argv[1] if len(sys.argv) > 1 else "docs/images/hard-cases.webp", quality=82, method=6)

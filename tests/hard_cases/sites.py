@@ -9,10 +9,10 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import Seen, Trial, View
+from tests.hard_cases.cases import RenderedView, Trial, View
 from tests.rasters import ENGINEERING
 
-HOUSES_AT = [[-60.3, 20.7], [-20.1, -40.9], [33.7, 5.3], [55.9, -70.1], [10.3, 71.7]]
+HOUSE_POSITIONS_M = [[-60.3, 20.7], [-20.1, -40.9], [33.7, 5.3], [55.9, -70.1], [10.3, 71.7]]
 """Metres east and north of the ground's middle."""
 
 CELLS, CELL_M = 96, 4.0
@@ -38,7 +38,7 @@ def site(
     houses: dict = {}
     if trial.algorithm != "sweep":
         trimesh.creation.box(extents=(21.0, 13.0, 24.0)).export(trial.folder / "house.ply")
-        houses = {"meshes": [{"source": "house.ply", "at": HOUSES_AT, "turn": 17.3}]}
+        houses = {"meshes": [{"source": "house.ply", "at": HOUSE_POSITIONS_M, "turn": 17.3}]}
     oblique = {"kind": "perspective", "eye": [150.3, 110.7, 70], "target": [0, 0, 0], "fov": 45, "size": [128, 96]}
     return trial.scene(raster, sun, name=name, views={"oblique": oblique}, **houses)
 
@@ -50,8 +50,8 @@ def views_of(trial: Trial, scene: Scene, px: int) -> Iterator[View]:
         yield scene.view(size=(px, px))
 
 
-def differing(one: Seen, other: Seen) -> float:
+def differing_share(first: RenderedView, second: RenderedView) -> float:
     """Return the share of the pixels whose class differs between two pictures; each picture must have both light and shadow."""
-    valid = one.buffer.valid
-    assert 0.02 < one.dark[valid].mean() < 0.98, "light and shadow"
-    return float(((one.dark != other.dark) | (valid != other.buffer.valid)).mean())
+    valid = first.buffer.valid
+    assert 0.02 < first.dark[valid].mean() < 0.98, "light and shadow"
+    return float(((first.dark != second.dark) | (valid != second.buffer.valid)).mean())

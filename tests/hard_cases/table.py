@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, over, untested
+from tests.hard_cases.cases import ENGINE, RECORD_PROPERTY, SHADOW_ALGORITHMS, exceeded_bounds, untested_figures
 
 COLUMNS = {
     "shadow_map": "map", "perspective_shadow_map": "perspective", "shadow_volume": "volumes", "hybrid": "hybrid",
@@ -46,7 +46,7 @@ class _Table:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call":
-            self.records += [json.loads(str(value)) for key, value in report.user_properties if key == RECORD]
+            self.records += [json.loads(str(value)) for key, value in report.user_properties if key == RECORD_PROPERTY]
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         for thorough in (False, True):
@@ -57,7 +57,7 @@ class _Table:
                     terminalreporter.write_line(line)
         target = self.config.getoption("--hard-cases-table")
         if target and not hasattr(self.config, "workerinput"):
-            put_into(Path(target), as_markdown([record for record in self.records if record["thorough"]]))
+            replace_table(Path(target), as_markdown([record for record in self.records if record["thorough"]]))
             terminalreporter.write_line(f"the table lies in {target}")
 
 
@@ -70,36 +70,36 @@ def _order(case: str) -> tuple[int, str, int]:
 def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, dict[str, str]]]:
     """Return (case, figure's name, {algorithm: cell}) in the catalogue's order.
 
-    A cell is ``refused`` or a figure, with ``!`` if it exceeds its bound, and with the text of ``in_brackets``.
+    A cell is ``refused`` or a figure, with ``!`` if it exceeds its bound, and with the text of ``coverage_text``.
     """
     by_case: dict[str, list[dict[str, Any]]] = {}
     for record in records:
         by_case.setdefault(record["id"], []).append(record)
-    out = []
+    result = []
     for case in sorted(by_case, key=_order):
-        ours = by_case[case]
-        for name in ours[0]["bounds"]:
+        case_records = by_case[case]
+        for name in case_records[0]["bounds"]:
             cells = {}
-            for record in ours:
+            for record in case_records:
                 if "refusal" in record:
                     cells[record["algorithm"]] = "refused"
                 else:
-                    figure = f"{record['figures'][name]:.2g}" + ("!" if name in over(record) else "")
-                    cells[record["algorithm"]] = f"{figure} {in_brackets(record, name)}".rstrip()
-            out.append((ours[0], name, cells))
-    return out
+                    figure = f"{record['figures'][name]:.2g}" + ("!" if name in exceeded_bounds(record) else "")
+                    cells[record["algorithm"]] = f"{figure} {coverage_text(record, name)}".rstrip()
+            result.append((case_records[0], name, cells))
+    return result
 
 
-def in_brackets(record: dict[str, Any], name: str) -> str:
+def coverage_text(record: dict[str, Any], name: str) -> str:
     """Return ``wrong_cast`` of the worst picture and the figure's coverage of the cast shadow, in per cent, as ``(0.3 %, 82)``.
 
     ``not tested`` precedes it if the coverage is too small. Figures that do not judge cast shadow get an empty text.
     """
-    sight = record.get("sights", {}).get(name)
-    if not sight:
+    coverage = record.get("sights", {}).get(name)
+    if not coverage:
         return ""
-    wrong = f"{100.0 * sight['wrong_cast']:.2g}"
-    return f"({'not tested: ' if name in untested(record) else ''}{wrong}, {100.0 * sight['sees']:.0f})"
+    wrong_percent = f"{100.0 * coverage['wrong_cast']:.2g}"
+    return f"({'not tested: ' if name in untested_figures(record) else ''}{wrong_percent}, {100.0 * coverage['sees']:.0f})"
 
 
 def as_text(records: Iterable[dict[str, Any]]) -> list[str]:
@@ -114,13 +114,13 @@ def as_text(records: Iterable[dict[str, Any]]) -> list[str]:
 def as_markdown(records: Iterable[dict[str, Any]]) -> str:
     """Return the table for a document, with the set-ups, what must hold, and the reasons of the refusals below it."""
     records = list(records)
-    shown = [algorithm for algorithm in COLUMNS if algorithm in {record["algorithm"] for record in records}]
-    lines = ["| case | what must hold | figure | bound | " + " | ".join(COLUMNS[a] for a in shown) + " |"]
-    lines.append("| --- | --- | --- | ---: |" + " ---: |" * len(shown))
+    algorithms = [algorithm for algorithm in COLUMNS if algorithm in {record["algorithm"] for record in records}]
+    lines = ["| case | what must hold | figure | bound | " + " | ".join(COLUMNS[a] for a in algorithms) + " |"]
+    lines.append("| --- | --- | --- | ---: |" + " ---: |" * len(algorithms))
     last = None
     for case, name, cells in rows(records):
         head = ("", "") if case["id"] == last else (f"**{case['id']}**", f"{case['title']}. *{case['set_up']}.*")
-        figures = " | ".join(cells.get(algorithm, "") for algorithm in shown)
+        figures = " | ".join(cells.get(algorithm, "") for algorithm in algorithms)
         lines.append(f"| {head[0]} | {head[1]} | {name} | {case['bounds'][name]:.2g} | {figures} |")
         last = case["id"]
     refusals: dict[tuple[str, str], list[str]] = {}
@@ -129,13 +129,13 @@ def as_markdown(records: Iterable[dict[str, Any]]) -> str:
             refusals.setdefault((record["algorithm"], record["refusal"]), []).append(record["id"])
     if refusals:
         lines += ["", "Refused:", ""]
-        order = {algorithm: number for number, algorithm in enumerate(SHADOWING)}
-        for (algorithm, why), cases in sorted(refusals.items(), key=lambda item: order[item[0][0]]):
-            lines.append(f"- `{algorithm}`, in {', '.join(dict.fromkeys(cases))}: {why}.")
+        order = {algorithm: number for number, algorithm in enumerate(SHADOW_ALGORITHMS)}
+        for (algorithm, reason), cases in sorted(refusals.items(), key=lambda item: order[item[0][0]]):
+            lines.append(f"- `{algorithm}`, in {', '.join(dict.fromkeys(cases))}: {reason}.")
     return "\n".join(lines)
 
 
-def put_into(path: Path, table: str) -> None:
+def replace_table(path: Path, table: str) -> None:
     """Replace the text between a document's marks. Raises ``ValueError`` if a mark is absent."""
     text = path.read_text(encoding="utf-8")
     head, start, rest = text.partition(START)

@@ -12,17 +12,17 @@ from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import Seen, Trial, hard_case
-from tests.hard_cases.landscapes import Change, changed, normal_of, tilted_plane, views_of
+from tests.hard_cases.cases import RenderedView, Trial, hard_case
+from tests.hard_cases.landscapes import SettingsChange, plane_normal, tilted_plane, views_of, with_changed_settings
 from tests.rasters import ENGINEERING
 from tests.shadows.boxes import box
 
-MAPS = ("shadow_map", "perspective_shadow_map")
+MAP_ALGORITHMS = ("shadow_map", "perspective_shadow_map")
 
 
-def not_wholly_lit(seen: Seen) -> float:
+def share_not_lit(rendered: RenderedView) -> float:
     """Return the share of the surface that is not fully lit."""
-    return float((seen.visibility[seen.buffer.valid] < 1.0).mean())
+    return float((rendered.visibility[rendered.buffer.valid] < 1.0).mean())
 
 
 @hard_case(
@@ -36,16 +36,16 @@ def test_level_ground_is_lit(trial: Trial) -> dict[str, float]:
     eye = {"kind": "perspective", "eye": [-420, -450, 120], "target": [0, 0, 0]}
     ground = {"flat": {"size": [1000, 1000], "cells": [40, 40]}}
     scene = trial.scene(ground, (200, 45), views={"eye": eye}, effects={"cast_shadows": "on"})
-    every = np.append(np.arange(90.0, 20.0, -2.5), np.arange(20.0, 0.0, -0.5))
-    altitudes = every if trial.thorough else np.array([90.0, 45.0, 10.0, 2.0, 0.5])
+    all_altitudes = np.append(np.arange(90.0, 20.0, -2.5), np.arange(20.0, 0.0, -0.5))
+    altitudes = all_altitudes if trial.thorough else np.array([90.0, 45.0, 10.0, 2.0, 0.5])
     size = 192 if trial.thorough else 128
     worst = 0.0
     for altitude in altitudes:
-        under = scene.with_sun(SunSpec(azimuth=200.0, altitude=float(altitude)))
-        for view in views_of(trial, under, size):
-            seen = trial.see(under, view, map_size=1024)
-            assert [step.algorithm for step in seen.plan.steps] == [trial.algorithm], "the ground is a caster"
-            worst = max(worst, not_wholly_lit(seen))
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=200.0, altitude=float(altitude)))
+        for view in views_of(trial, sunlit_scene, size):
+            rendered = trial.render_view(sunlit_scene, view, map_size=1024)
+            assert [step.algorithm for step in rendered.plan.steps] == [trial.algorithm], "the ground is a caster"
+            worst = max(worst, share_not_lit(rendered))
     return {"false_shadow": worst}
 
 
@@ -58,16 +58,18 @@ def planes(trial: Trial) -> Iterator[tuple[Scene, float]]:
 
     In a thorough run the suns take turns over the planes, and every slope has them all.
     """
-    every = [(slope, 22.5 + towards) for slope in (0, 15, 30, 45, 60, 70, 80, 85, 88, 89.5) for towards in range(0, 360, 45)]
-    for number, (slope, towards) in enumerate(every if trial.thorough else PLANES):
-        normal = normal_of(slope, towards)
-        across = np.radians(towards) + np.array([0.0, 0.5 * np.pi])
-        east, north = 280.0 * normal[:2] + 250.0 * np.cos(across)  # aslant: along the contour
+    all_planes = [
+        (slope, 22.5 + aspect_deg) for slope in (0, 15, 30, 45, 60, 70, 80, 85, 88, 89.5) for aspect_deg in range(0, 360, 45)
+    ]
+    for number, (slope, aspect_deg) in enumerate(all_planes if trial.thorough else PLANES):
+        normal = plane_normal(slope, aspect_deg)
+        contour_angles = np.radians(aspect_deg) + np.array([0.0, 0.5 * np.pi])
+        east, north = 280.0 * normal[:2] + 250.0 * np.cos(contour_angles)  # aslant: along the contour
         eye = {"kind": "perspective", "eye": [east, north, 280.0 / normal[2]], "target": [0, 0, 0], "fov": 30}
-        raster = tilted_plane(trial, slope, towards)
-        suns = ((203.0, 90.0), (towards - 80.0, 20.0), (towards + 50.0, 55.0))
+        raster = tilted_plane(trial, slope, aspect_deg)
+        suns = ((203.0, 90.0), (aspect_deg - 80.0, 20.0), (aspect_deg + 50.0, 55.0))
         for azimuth, altitude in suns[number % 3 :][:1] if trial.thorough else suns[:2]:
-            to_sun = normal_of(90.0 - altitude, azimuth)
+            to_sun = plane_normal(90.0 - altitude, azimuth)
             if normal @ to_sun > 0.008:
                 scene = trial.scene(raster, (azimuth, altitude), views={"eye": eye}, effects={"cast_shadows": "on"})
                 yield scene, float(np.degrees(np.arccos(min(normal @ to_sun, 1.0))))
@@ -86,19 +88,21 @@ def test_tilted_planes_are_lit(trial: Trial) -> dict[str, float]:
     hundreds of metres high.
     """
     taps, biases = (1, 2, 3, 5), ("receiver_plane", "normal_offset") if trial.algorithm == "shadow_map" else ("auto",)
-    ways = [{"filter": count, "bias": bias} for count in taps for bias in biases] if trial.algorithm in MAPS else [{}]
+    option_sets = (
+        [{"filter": count, "bias": bias} for count in taps for bias in biases] if trial.algorithm in MAP_ALGORITHMS else [{}]
+    )
     worst = 0.0
     for number, (scene, _) in enumerate(planes(trial)):
         for view in views_of(trial, scene, 192 if trial.thorough else 96, bounds=(-150, -150, 150, 150)):
-            for turn in range(2 if trial.thorough else 1):
-                asked = ways[(number + 3 * turn) % len(ways)]
-                worst = max(worst, not_wholly_lit(trial.see(scene, view, map_size=512, **asked)))
+            for repetition in range(2 if trial.thorough else 1):
+                options = option_sets[(number + 3 * repetition) % len(option_sets)]
+                worst = max(worst, share_not_lit(trial.render_view(scene, view, map_size=512, **options)))
     return {"false_shadow": worst}
 
 
-def scaled(scale: float) -> Change:
+def scale_bias(scale: float) -> SettingsChange:
     """Return a change that multiplies the bias."""
-    return lambda its: its.model_copy(update={"bias_scale": scale})
+    return lambda settings: settings.model_copy(update={"bias_scale": scale})
 
 
 @hard_case(
@@ -106,7 +110,7 @@ def scaled(scale: float) -> Change:
     "The bias is no more than planes need",
     "planes that the sun meets at over 60 degrees from their normals, with all of the bias and with 0.7 of it",
     {"false_shadow": 0.0, "planes without acne at 0.7": 0.0},
-    MAPS,
+    MAP_ALGORITHMS,
 )
 def test_less_bias_shows_acne(trial: Trial) -> dict[str, float]:
     """``receiver_plane`` has no bias that could be less on a plane that it knows. The scale applies to how far it uses the
@@ -114,19 +118,19 @@ def test_less_bias_shows_acne(trial: Trial) -> dict[str, float]:
 
     ``polygon_offset`` is no part of this: its customary factor is not derived, and is sufficient for one tap only.
     """
-    acne, spare, count = 0.0, 0, 0
+    acne, unchanged_count, count = 0.0, 0, 0
     for scene, angle_deg in planes(trial):
         if angle_deg <= 60.0:
             continue
         (view, *_) = views_of(trial, scene, 256 if trial.thorough else 128, bounds=(-150, -150, 150, 150))
         for bias in ("receiver_plane", "normal_offset") if trial.algorithm == "shadow_map" else ("receiver_plane",):
-            asked = {"filter": 1, "map_size": 512, "bias": bias}
-            seen = trial.see(scene, view, **asked)
-            acne = max(acne, not_wholly_lit(seen))
-            spare += not_wholly_lit(changed(seen, scaled(0.7))) == 0.0
+            options = {"filter": 1, "map_size": 512, "bias": bias}
+            rendered = trial.render_view(scene, view, **options)
+            acne = max(acne, share_not_lit(rendered))
+            unchanged_count += share_not_lit(with_changed_settings(rendered, scale_bias(0.7))) == 0.0
             count += 1
     assert count >= 4, "planes that the sun grazes"
-    return {"false_shadow": acne, "planes without acne at 0.7": spare / count}
+    return {"false_shadow": acne, "planes without acne at 0.7": unchanged_count / count}
 
 
 @hard_case(
@@ -138,32 +142,37 @@ def test_less_bias_shows_acne(trial: Trial) -> dict[str, float]:
 def test_a_cube_touches_its_shadow(trial: Trial) -> dict[str, float]:
     """For maps also with the bias ``normal_offset``, whose bound 0.71 t sin(theta) / tan(a) is below a texel's t / sin(a)."""
     azimuth, size = 211.0, 256 if trial.thorough else 128
-    away = -normal_of(90.0, azimuth)[:2]
+    from_sun = -plane_normal(90.0, azimuth)[:2]
     cube = box((1.0, 1.0, 1.0))
     cube.apply_transform(trimesh.transformations.rotation_matrix(np.radians(-azimuth), [0, 0, 1]))
-    eye = {"kind": "perspective", "eye": [*(4.0 * away + 3.0 * away[::-1] * [1, -1]), 5.0], "target": [*(0.8 * away), 0], "fov": 50}
+    eye = {
+        "kind": "perspective",
+        "eye": [*(4.0 * from_sun + 3.0 * from_sun[::-1] * [1, -1]), 5.0],
+        "target": [*(0.8 * from_sun), 0],
+        "fov": 50,
+    }
     scene = trial.scene({"flat": {"size": [12, 12], "cells": [4, 4]}}, (azimuth, 45), [cube], views={"eye": eye})
     worst = 0.0
     for altitude in range(10, 85, 5) if trial.thorough else (10, 45, 80):
-        under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=float(altitude)))
-        for view in views_of(trial, under, size, bounds=(-6, -6, 6, 6)):
-            ways = [{}] if trial.algorithm != "shadow_map" else [{}, {"filter": 1}, {"filter": 1, "bias": "normal_offset"}]
-            for asked in ways:
-                seen = trial.see(under, view, map_size=96, **asked)
-                assert altitude > 10 or (seen.dark & (seen.buffer.kind == RELIEF)).any(), "there is a shadow"
-                worst = max(worst, gap_texels(seen, away, 0.5, 1.0 / np.tan(np.radians(altitude))))
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=float(altitude)))
+        for view in views_of(trial, sunlit_scene, size, bounds=(-6, -6, 6, 6)):
+            option_sets = [{}] if trial.algorithm != "shadow_map" else [{}, {"filter": 1}, {"filter": 1, "bias": "normal_offset"}]
+            for options in option_sets:
+                rendered = trial.render_view(sunlit_scene, view, map_size=96, **options)
+                assert altitude > 10 or (rendered.dark & (rendered.buffer.kind == RELIEF)).any(), "there is a shadow"
+                worst = max(worst, gap_texels(rendered, from_sun, 0.5, 1.0 / np.tan(np.radians(altitude))))
     return {"gap_texels": worst}
 
 
-def gap_texels(seen: Seen, away: np.ndarray, foot_m: float, length_m: float) -> float:
-    """Return how far lit ground reaches from a wall's foot into its shadow, in texels or pixels; ``away`` (2,) from the sun."""
-    point = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
-    along, aside = point[..., :2] @ away - foot_m, point[..., :2] @ (away[::-1] * [1, -1])
-    pixel_m = describe(seen.scene, seen.view).pixel_m
-    texel_px = texel_footprint_px(seen.scene, seen.plan.steps[0], seen.buffer, pixel_m)
-    unit_m = pixel_m * np.broadcast_to(np.maximum(texel_px, 1.0), along.shape)
-    behind = (seen.buffer.kind == RELIEF) & (along > 0.0) & (along < 0.6 * length_m) & (np.abs(aside) < 0.3)
-    return float((along / unit_m)[behind & ~seen.dark].max(initial=0.0))
+def gap_texels(rendered: RenderedView, from_sun: np.ndarray, foot_m: float, length_m: float) -> float:
+    """Return how far lit ground reaches from a wall's foot into its shadow, in texels or pixels; ``from_sun`` (2,) from the sun."""
+    point = rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m
+    distance_m, lateral_m = point[..., :2] @ from_sun - foot_m, point[..., :2] @ (from_sun[::-1] * [1, -1])
+    pixel_m = describe(rendered.scene, rendered.view).pixel_m
+    texel_px = texel_footprint_px(rendered.scene, rendered.plan.steps[0], rendered.buffer, pixel_m)
+    unit_m = pixel_m * np.broadcast_to(np.maximum(texel_px, 1.0), distance_m.shape)
+    behind_wall = (rendered.buffer.kind == RELIEF) & (distance_m > 0.0) & (distance_m < 0.6 * length_m) & (np.abs(lateral_m) < 0.3)
+    return float((distance_m / unit_m)[behind_wall & ~rendered.dark].max(initial=0.0))
 
 
 @hard_case(
@@ -189,6 +198,6 @@ def test_a_footprint_in_the_ground(trial: Trial) -> dict[str, float]:
         for altitude in (85.0, 60.0, 30.0, 10.0, 3.0) if trial.thorough else (60.0, 3.0):
             scene = trial.scene(ground, (251.0, altitude), [sheet], views={"eye": eye})
             for view in views_of(trial, scene, 256 if trial.thorough else 128, bounds=(-10, -10, 26, 26)):
-                seen = trial.see(scene, view)
-                worst = max(worst, not_wholly_lit(seen))
+                rendered = trial.render_view(scene, view)
+                worst = max(worst, share_not_lit(rendered))
     return {"false_shadow": worst}

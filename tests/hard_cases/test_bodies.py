@@ -14,23 +14,23 @@ from tests.hard_cases.bodies import (
     SPOT,
     errors,
     eye,
-    grounded,
+    flip_faces,
     half_sphere,
-    inside_out,
-    interior_sight,
-    joined,
-    not_a_number,
+    interior_coverage,
+    invalid_pixel_count,
+    join_meshes,
+    picture_size,
     sheet,
-    size_of,
-    soup,
     three_walls,
-    without,
+    triangle_soup,
+    with_ground_pebble,
+    without_triangles,
 )
 from tests.hard_cases.cases import Trial, hard_case
-from tests.hard_cases.reach_of_error import beyond, beyond_sight
+from tests.hard_cases.reach_of_error import unexplained_coverage, unexplained_errors
 from tests.shadows.boxes import box
 
-HALL = box((8, 6, 5))
+HOUSE = box((8, 6, 5))
 
 VIEWS: dict[str, dict[str, Any]] = {
     "eye": eye((22, 42, 26), (0, 2, 0)),
@@ -39,7 +39,9 @@ VIEWS: dict[str, dict[str, Any]] = {
 }
 
 
-def worst_of(trial: Trial, bodies: trimesh.Trimesh, name: str, views: Mapping[str, Any] = VIEWS, **keys: Any) -> dict[str, float]:
+def worst_over_views(
+    trial: Trial, bodies: trimesh.Trimesh, name: str, views: Mapping[str, Any] = VIEWS, **keys: Any
+) -> dict[str, float]:
     """Return the worst interior error over some views of bodies, and the number of pixels without a valid visibility.
 
     Algorithms without maps get all views but the map. A shadow map's texels reach round the foot of a sheet and over a face at a
@@ -47,63 +49,65 @@ def worst_of(trial: Trial, bodies: trimesh.Trimesh, name: str, views: Mapping[st
     that its reach does not explain. That reach is known for the sun only. Under a lamp interior errors count if 8 px or more are
     connected.
     """
-    interior, nothing = 0.0, 0
+    interior, invalid_count = 0.0, 0
     scene = trial.scene(FLOOR, meshes=[bodies], name=name, views=dict(views), **keys)
     for view, spec in views.items():
         if spec["kind"] == "perspective" or trial.algorithm != "perspective_shadow_map":
-            seen = trial.see(scene, scene.view(view, size=size_of(trial.thorough)))
-            assert (seen.truth.valid & ~seen.truth.lit & ~seen.truth.attached).any()
-            if "map" in trial.algorithm and seen.light == SUN:
-                interior = max(interior, float(beyond(seen).mean()))
-                trial.saw("interior", beyond_sight(seen))
+            rendered = trial.render_view(scene, scene.view(view, size=picture_size(trial.thorough)))
+            assert (rendered.truth.valid & ~rendered.truth.lit & ~rendered.truth.attached).any()
+            if "map" in trial.algorithm and rendered.light == SUN:
+                interior = max(interior, float(unexplained_errors(rendered).mean()))
+                trial.record_coverage("interior", unexplained_coverage(rendered))
             else:
-                found = errors(seen)
-                trial.saw("interior", interior_sight(seen))
-                interior = max(interior, found.interior if found.interior_parts or "map" not in trial.algorithm else 0.0)
-            nothing += not_a_number(seen)
-    return {"interior": interior, "pixels that are no number": nothing}
+                metrics = errors(rendered)
+                trial.record_coverage("interior", interior_coverage(rendered))
+                interior = max(interior, metrics.interior if metrics.interior_parts or "map" not in trial.algorithm else 0.0)
+            invalid_count += invalid_pixel_count(rendered)
+    return {"interior": interior, "pixels that are no number": invalid_count}
 
 
-def some(views: Mapping[str, Any], *names: str) -> dict[str, Any]:
+def select_views(views: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {name: views[name] for name in names}
 
 
-def worst(found: list[dict[str, float]]) -> dict[str, float]:
-    return {name: max(each[name] for each in found) for name in found[0]}
+def max_by_figure(figure_sets: list[dict[str, float]]) -> dict[str, float]:
+    return {name: max(figures[name] for figures in figure_sets) for name in figure_sets[0]}
 
 
 def moebius_strip(sections: int = 48) -> trimesh.Trimesh:
     """Return a strip 2.4 m wide round a circle of 3.5 m, 4 m up, with one half twist."""
-    turn, side = np.linspace(0.0, 2.0 * np.pi, sections, endpoint=False), np.array([-1.2, 1.2])
-    away = 3.5 + side * np.cos(turn[:, None] / 2.0)
+    angle, side = np.linspace(0.0, 2.0 * np.pi, sections, endpoint=False), np.array([-1.2, 1.2])
+    radius_m = 3.5 + side * np.cos(angle[:, None] / 2.0)
     strip = np.stack(
-        [away * np.cos(turn)[:, None], away * np.sin(turn)[:, None], 4.0 + side * np.sin(turn[:, None] / 2.0)], axis=-1
+        [radius_m * np.cos(angle)[:, None], radius_m * np.sin(angle)[:, None], 4.0 + side * np.sin(angle[:, None] / 2.0)], axis=-1
     )
-    here = np.arange(2 * sections).reshape(-1, 2)
-    next_ring = np.roll(here, -1, axis=0)
+    ring_indices = np.arange(2 * sections).reshape(-1, 2)
+    next_ring = np.roll(ring_indices, -1, axis=0)
     next_ring[-1] = next_ring[-1, ::-1]  # where the strip's ends meet, left becomes right
-    triangles = np.concatenate([np.column_stack([here, next_ring[:, :1]]), np.column_stack([here[:, 1:], next_ring[:, ::-1]])])
+    triangles = np.concatenate(
+        [np.column_stack([ring_indices, next_ring[:, :1]]), np.column_stack([ring_indices[:, 1:], next_ring[:, ::-1]])]
+    )
     return trimesh.Trimesh(strip.reshape(-1, 3), triangles, process=False)
 
 
 PLATE = [[-3, -2, 4], [3, -2, 4], [0, 3, 5]]
 
-HOSTILE = {
+UNUSUAL_BODIES = {
     "open sheet": sheet(), "three walls at an edge": three_walls(), "Moebius strip": moebius_strip(),
-    "triangle thrice": soup([PLATE, PLATE[::-1], PLATE]),
+    "triangle thrice": triangle_soup([PLATE, PLATE[::-1], PLATE]),
     "upper half of a sphere": half_sphere(False), "bowl": half_sphere(True),
-    "without a triangle": without(HALL, 3), "inside out": inside_out(HALL), "the same twice": joined(HALL, HALL),
-    "one in another": joined(box((8, 8, 6)), box((3, 3, 2), 1.0)),
-    "one through another": joined(box((8, 8, 3)), box((3, 3, 9), 1.0, (1, 1))),
-    "sharing an edge": joined(box((4, 4, 4), at_m=(-2, -2)), box((4, 4, 4), at_m=(2, 2))),
+    "without a triangle": without_triangles(HOUSE, 3), "inside out": flip_faces(HOUSE), "the same twice": join_meshes(HOUSE, HOUSE),
+    "one in another": join_meshes(box((8, 8, 6)), box((3, 3, 2), 1.0)),
+    "one through another": join_meshes(box((8, 8, 3)), box((3, 3, 9), 1.0, (1, 1))),
+    "sharing an edge": join_meshes(box((4, 4, 4), at_m=(-2, -2)), box((4, 4, 4), at_m=(2, 2))),
 }  # fmt: skip
 
 
-def in_rows(bodies: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+def arrange_in_rows(bodies: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Return six bodies on the floor, apart from one another, and a pebble."""
     places = [(x, y, 0.0) for y in (7.0, -9.0) for x in (-16.0, 0.0, 16.0)]
-    moved = [body.copy().apply_translation(place) for body, place in zip(bodies, places, strict=True)]
-    return grounded(joined(*moved))
+    placed_bodies = [body.copy().apply_translation(place) for body, place in zip(bodies, places, strict=True)]
+    return with_ground_pebble(join_meshes(*placed_bodies))
 
 
 @hard_case(
@@ -115,22 +119,22 @@ def in_rows(bodies: list[trimesh.Trimesh]) -> trimesh.Trimesh:
 def test_bodies_that_are_none(trial: Trial) -> dict[str, float]:
     """A picture shows six bodies. The quick way draws the first six under the spot, without the low eyes."""
     lamp = {**SPOT, "position": [-25, -40, 60], "target": [0, 0, 0], "cutoff": 45}
-    bodies, found = list(HOSTILE.values()), []
+    bodies, results = list(UNUSUAL_BODIES.values()), []
     for first in (0, 6):
-        these = in_rows(bodies[first : first + 6])
-        in_sun = VIEWS if trial.thorough else some(VIEWS, "eye", "map")
-        found.append(worst_of(trial, these, f"sun_{first}", in_sun, sun=(200, 35)))
+        row = arrange_in_rows(bodies[first : first + 6])
+        sun_views = VIEWS if trial.thorough else select_views(VIEWS, "eye", "map")
+        results.append(worst_over_views(trial, row, f"sun_{first}", sun_views, sun=(200, 35)))
         if trial.thorough or not first:
-            under_spot = VIEWS if trial.thorough else some(VIEWS, "eye")
-            found.append(worst_of(trial, these, f"spot_{first}", under_spot, lights={"spot": lamp}))
-    return worst(found)
+            spot_views = VIEWS if trial.thorough else select_views(VIEWS, "eye")
+            results.append(worst_over_views(trial, row, f"spot_{first}", spot_views, lights={"spot": lamp}))
+    return max_by_figure(results)
 
 
-EDGE_ON = soup([[[-3, 0, 1], [3, 0, 1], [0, 0, 6]], [[-3, 0, 0], [-3, 2, 0], [-5, 1, 4]]])
+EDGE_ON_TRIANGLES = triangle_soup([[[-3, 0, 1], [3, 0, 1], [0, 0, 6]], [[-3, 0, 0], [-3, 2, 0], [-5, 1, 4]]])
 """A triangle in the plane y = 0, and another one."""
 
 
-def with_corner_moved(steps: int) -> trimesh.Trimesh:
+def house_with_moved_corner(steps: int) -> trimesh.Trimesh:
     """Return a house beside them, with one corner of its roof moved north by steps of float32."""
     house = box((5, 4, 4), at_m=(9, -4))
     vertices = np.asarray(house.vertices, np.float32)
@@ -147,14 +151,23 @@ def with_corner_moved(steps: int) -> trimesh.Trimesh:
 )
 def test_edge_on_to_the_sun(trial: Trial) -> dict[str, float]:
     ulps = [float(np.nextafter(90.0, end)) for end in (0.0, 180.0)]
-    offs = [90.0 + off for off in (0.0, 1e-12, -1e-12, 1e-7, -1e-7, 1e-3, -1e-3)]
-    ways = [(azimuth, 30.0, corner) for azimuth in [*ulps, *offs] for corner in (0, 1, -1)] + [(90.0, 90.0, c) for c in (0, 1, -1)]
+    azimuths = [90.0 + offset_deg for offset_deg in (0.0, 1e-12, -1e-12, 1e-7, -1e-7, 1e-3, -1e-3)]
+    sun_and_corner_cases = [(azimuth, 30.0, corner) for azimuth in [*ulps, *azimuths] for corner in (0, 1, -1)] + [
+        (90.0, 90.0, c) for c in (0, 1, -1)
+    ]
     if not trial.thorough:
-        ways = [(90.0, 30.0, 0), (90.0, 30.0, 1), (90.0, 30.0, -1), (ulps[0], 30.0, 0), (ulps[1], 30.0, 0), (90.0, 90.0, 1)]
+        sun_and_corner_cases = [
+            (90.0, 30.0, 0),
+            (90.0, 30.0, 1),
+            (90.0, 30.0, -1),
+            (ulps[0], 30.0, 0),
+            (ulps[1], 30.0, 0),
+            (90.0, 90.0, 1),
+        ]
     views = {"eye": eye((5, 8, 9), (1, -2, 0), fov=60)}
-    return worst([
-        worst_of(trial, joined(EDGE_ON, with_corner_moved(corner)), f"way_{number}", views, sun=(azimuth, altitude))
-        for number, (azimuth, altitude, corner) in enumerate(ways)
+    return max_by_figure([
+        worst_over_views(trial, join_meshes(EDGE_ON_TRIANGLES, house_with_moved_corner(corner)), f"way_{number}", views, sun=(azimuth, altitude))
+        for number, (azimuth, altitude, corner) in enumerate(sun_and_corner_cases)
     ])  # fmt: skip
 
 
@@ -165,8 +178,8 @@ def slivers(aspect: float) -> trimesh.Trimesh:
     closed.
     """
     a, b, c, d = [-4, -3], [4, -3], [4, 3], [-4, 3]
-    beside = [[-4.0 + 8.0 * k / aspect, -3.0] for k in range(1, 6)]
-    rim = [a, *beside, b, c, d]
+    close_points = [[-4.0 + 8.0 * k / aspect, -3.0] for k in range(1, 6)]
+    rim = [a, *close_points, b, c, d]
     top, floor = [[*p, 5.0] for p in rim], [[*p, 0.0] for p in rim]
     points = np.array([*top, *floor], float)
     n = len(rim)
@@ -176,11 +189,13 @@ def slivers(aspect: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(points, np.array([*roof, *walls, *below]), process=False)
 
 
-def without_area() -> trimesh.Trimesh:
+def degenerate_triangles() -> trimesh.Trimesh:
     """Return triangles that are a line or a point, alone and on a house; and needles."""
     flat = [[[9, 9, 0], [9, 9, 4], [9, 9, 2]], [[-9, 9, 3], [-9, 9, 3], [-9, 9, 3]], [[-9, -3, 1], [-5, -3, 1], [-5, -3, 1]]]
     needles = [[[x, 8, 3], [x + 1e-5, 8, 3], [x, -2, 3.5]] for x in np.linspace(-12, 12, 9)]
-    return joined(box((8, 6, 5)), soup(flat), soup(needles), soup([[[-4, -3, 5], [4, -3, 5], [0, -3, 5]]]))
+    return join_meshes(
+        box((8, 6, 5)), triangle_soup(flat), triangle_soup(needles), triangle_soup([[[-4, -3, 5], [4, -3, 5], [0, -3, 5]]])
+    )
 
 
 @hard_case(
@@ -191,7 +206,13 @@ def without_area() -> trimesh.Trimesh:
 )
 def test_slivers(trial: Trial) -> dict[str, float]:
     views = {"eye": eye((14, 26, 12), (0, 3, 0)), "map": {"kind": "map", "bounds": [-16, -12, 16, 12]}}
-    both = [worst_of(trial, joined(slivers(1e6), without_area()), "sun", views, sun=(180, 35))]
-    both.append(worst_of(trial, joined(slivers(1e6), without_area()), "spot", some(views, "eye"), lights={"spot": SPOT}))
+    results = [worst_over_views(trial, join_meshes(slivers(1e6), degenerate_triangles()), "sun", views, sun=(180, 35))]
+    results.append(
+        worst_over_views(
+            trial, join_meshes(slivers(1e6), degenerate_triangles()), "spot", select_views(views, "eye"), lights={"spot": SPOT}
+        )
+    )
     aspects = (1e3, 1e4, 1e5, 1e6) if trial.thorough else ()
-    return worst([*both, *(worst_of(trial, slivers(a), f"slivers_{a:g}", views, sun=(200, 35)) for a in aspects)])
+    return max_by_figure(
+        [*results, *(worst_over_views(trial, slivers(a), f"slivers_{a:g}", views, sun=(200, 35)) for a in aspects)]
+    )

@@ -15,63 +15,63 @@ from skugga.shadows.truth.metrics import MetricCoverage
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
-from tests.hard_cases.cases import SHADOWING, Trial, hard_case
+from tests.hard_cases.cases import SHADOW_ALGORITHMS, Trial, hard_case
 from tests.hard_cases.test_every_side import grounds
 from tests.rasters import ENGINEERING
 
 CELL_M = 8.0
 
-ALGORITHMS = (*SHADOWING, "truth")
+ALGORITHMS = (*SHADOW_ALGORITHMS, "truth")
 
-EXACT = ("sweep", "truth")
+EXACT_ALGORITHMS = ("sweep", "truth")
 """Algorithms that follow each column's own ray."""
 
 TIE_M = 1e-3
 """A ray this near to the top of a column may be blocked or not: rays of truth start higher by as much."""
 
 
-def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels_a_cell: int = 1) -> np.ndarray:
+def column_shadow(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels_per_cell: int = 1) -> np.ndarray:
     """Return the shadow of columns in a flat world, all in the view, with some pixels a side to a cell."""
     rows, cols = heights.shape
     path = trial.raster(np.ascontiguousarray(heights, np.float32), ENGINEERING, 0.0, rows * CELL_M, CELL_M)
     scene = trial.scene({"source": str(path), "surface": "blocks"}, sun)
-    view = scene.view(bounds=(0.0, 0.0, cols * CELL_M, rows * CELL_M), size=(cols * pixels_a_cell, rows * pixels_a_cell))
+    view = scene.view(bounds=(0.0, 0.0, cols * CELL_M, rows * CELL_M), size=(cols * pixels_per_cell, rows * pixels_per_cell))
     if trial.algorithm == "truth":
         buffer = geometry_buffer(scene, view)
         rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
         return buffer.valid & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
-    return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
+    return trial.render_view(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
-def cells_on_the_way(azimuth_deg: float, reach: int) -> Iterator[tuple[int, int, float]]:
+def cells_along_ray(azimuth_deg: float, reach: int) -> Iterator[tuple[int, int, float]]:
     """Return the cells (row and column offsets) on the ray from a cell's middle, in order, and their distances in cells.
 
     The ray crosses the cells' borders as in J. Amanatides and A. Woo 1987, "A fast voxel traversal algorithm for ray tracing".
     """
-    away = -np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
-    step = [0 if abs(way) < 1e-12 else int(np.sign(way)) for way in away]
-    place = [0, 0]
-    while max(map(abs, place)) <= reach:
-        far = [(abs(place[k]) + 0.5) / abs(away[k]) if step[k] else np.inf for k in (0, 1)]
-        axis = int(far[1] < far[0])
-        place[axis] += step[axis]
-        yield place[0], place[1], far[axis]
+    direction = -np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
+    step = [0 if abs(component) < 1e-12 else int(np.sign(component)) for component in direction]
+    offset = [0, 0]
+    while max(map(abs, offset)) <= reach:
+        exit_distance = [(abs(offset[k]) + 0.5) / abs(direction[k]) if step[k] else np.inf for k in (0, 1)]
+        axis = int(exit_distance[1] < exit_distance[0])
+        offset[axis] += step[axis]
+        yield offset[0], offset[1], exit_distance[axis]
 
 
-def shaded_by_columns(heights: np.ndarray, sun: tuple[float, float], cell_m: float) -> tuple[np.ndarray, np.ndarray]:
+def expected_shadow(heights: np.ndarray, sun: tuple[float, float], cell_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return which cells' middles columns shadow, and for which the answer depends on less than ``TIE_M``: bool (rows, cols)."""
     heights = heights.astype(np.float64)
     rows, cols = heights.shape
     azimuth_deg, slope = sun[0], np.tan(np.radians(sun[1]))
     dark, tie = np.zeros(heights.shape, bool), np.zeros(heights.shape, bool)
-    for down, right, far in cells_on_the_way(azimuth_deg, max(rows, cols)):
+    for down, right, distance in cells_along_ray(azimuth_deg, max(rows, cols)):
         if abs(down) >= rows or abs(right) >= cols:
             break
-        here = slice(max(-down, 0), rows - max(down, 0)), slice(max(-right, 0), cols - max(right, 0))
-        target = slice(max(down, 0), rows + min(down, 0)), slice(max(right, 0), cols + min(right, 0))
-        above_m = heights[target] - (heights[here] + far * cell_m * slope)
-        dark[here] |= above_m > 0.0
-        tie[here] |= np.abs(above_m) < TIE_M
+        receivers = slice(max(-down, 0), rows - max(down, 0)), slice(max(-right, 0), cols - max(right, 0))
+        occluders = slice(max(down, 0), rows + min(down, 0)), slice(max(right, 0), cols + min(right, 0))
+        above_m = heights[occluders] - (heights[receivers] + distance * cell_m * slope)
+        dark[receivers] |= above_m > 0.0
+        tie[receivers] |= np.abs(above_m) < TIE_M
     return dark, tie
 
 
@@ -98,35 +98,38 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
     pass beside the solid touch it, along the edges of its walls: either answer is right for them.
     """
     row, col = np.indices((CELLS, CELLS))
-    dark_roof, wrong = 0, 0
+    dark_roof, wrong_count = 0, 0
     for solid in SOLIDS.values():
         roof = np.zeros((CELLS, CELLS), bool)
         roof[solid, solid] = True
         for octant, (down, right) in enumerate(((1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1))):
             rise = 0.5**0.5 if down and right else 1.0
-            dark = dark_at(trial, roof * HEIGHT_CELLS * CELL_M, (45.0 * octant, float(np.degrees(np.arctan(rise)))))
+            dark = column_shadow(trial, roof * HEIGHT_CELLS * CELL_M, (45.0 * octant, float(np.degrees(np.arctan(rise)))))
             expected = np.logical_or.reduce([np.roll(roof, (far * down, far * right), (0, 1)) for far in range(1, 11)]) & ~roof
-            across = row * abs(right) - col * down * (right or down)
-            beside = (across == across[roof].min() - 1) | (across == across[roof].max() + 1)
-            touched = beside if down and right else np.zeros_like(roof)
+            diagonal_index = row * abs(right) - col * down * (right or down)
+            is_beside = (diagonal_index == diagonal_index[roof].min() - 1) | (diagonal_index == diagonal_index[roof].max() + 1)
+            touched = is_beside if down and right else np.zeros_like(roof)
             dark_roof += int(dark[roof].sum())
             ground = ~roof & ~touched
-            off, cast = int((dark != expected)[ground].sum()), int(expected[ground].sum())
-            wrong += off
-            trial.saw("wrong cells on the ground", MetricCoverage(cast, cast, off, int((dark | expected)[ground].sum())))
-    return {"dark roof cells": dark_roof, "wrong cells on the ground": wrong}
+            octant_wrong_count, expected_count = int((dark != expected)[ground].sum()), int(expected[ground].sum())
+            wrong_count += octant_wrong_count
+            trial.record_coverage(
+                "wrong cells on the ground",
+                MetricCoverage(expected_count, expected_count, octant_wrong_count, int((dark | expected)[ground].sum())),
+            )
+    return {"dark roof cells": dark_roof, "wrong cells on the ground": wrong_count}
 
 
 SUNS = ((113.0, 30.0), (202.0, 10.0), (67.0, 20.0), (341.0, 45.0), (19.0, 3.0))
 """Azimuth and altitude, degrees: off the axes and diagonals."""
 
-MAY_DIFFER = {"sweep": 0.0, "truth": 0.0, "shadow_volume": 3e-3, "hybrid": 3e-3, "shadow_map": 1e-2}
+MAX_DIFFERING_SHARE = {"sweep": 0.0, "truth": 0.0, "shadow_volume": 3e-3, "hybrid": 3e-3, "shadow_map": 1e-2}
 """Share of the cells. Rasterisers snap corners to a grid, and so move rays across them; maps have texels."""
 
 
-def share_over(share: float, most: float) -> float:
+def share_of_bound(share: float, bound: float) -> float:
     """Return a share divided by its bound; infinite if the bound is 0 and the share is not."""
-    return share / most if most else (np.inf if share else 0.0)
+    return share / bound if bound else (np.inf if share else 0.0)
 
 
 @hard_case(
@@ -142,17 +145,17 @@ def test_rays_over_cells(trial: Trial) -> dict[str, float]:
     random = np.random.default_rng(5).uniform(0.0, 40.0, (cells, cells)).astype(np.float32)
     pillar = np.zeros((cells, cells), np.float32)
     pillar[cells // 2, cells // 2] = 40.0 * CELL_M
-    found = {"cells": 0.0, "pixels of one class": 0.0}
+    result = {"cells": 0.0, "pixels of one class": 0.0}
     for heights in (random, pillar):
         for sun in SUNS if trial.thorough else SUNS[:3]:
-            expected, tie = shaded_by_columns(heights, sun, CELL_M)
-            dark = dark_at(trial, heights, sun)
+            expected, tie = expected_shadow(heights, sun, CELL_M)
+            dark = column_shadow(trial, heights, sun)
             differ = float(((dark != expected) & ~tie).mean())
-            found["cells"] = max(found["cells"], share_over(differ, MAY_DIFFER.get(trial.algorithm, 0.0)))
-            fine = dark_at(trial, heights, sun, 3)
-            apart = (fine != dark.repeat(3, axis=0).repeat(3, axis=1)).mean()
-            found["pixels of one class"] = max(found["pixels of one class"], apart * (trial.algorithm in EXACT))
-    return found
+            result["cells"] = max(result["cells"], share_of_bound(differ, MAX_DIFFERING_SHARE.get(trial.algorithm, 0.0)))
+            fine_shadow = column_shadow(trial, heights, sun, 3)
+            mixed_share = (fine_shadow != dark.repeat(3, axis=0).repeat(3, axis=1)).mean()
+            result["pixels of one class"] = max(result["pixels of one class"], mixed_share * (trial.algorithm in EXACT_ALGORITHMS))
+    return result
 
 
 @hard_case(
@@ -163,25 +166,25 @@ def test_rays_over_cells(trial: Trial) -> dict[str, float]:
     algorithms=ALGORITHMS,
 )
 def test_eight_symmetries(trial: Trial) -> dict[str, float]:
-    most, worst = 1e-5 if trial.algorithm in EXACT else 3e-3, 0.0
+    max_share, worst = 1e-5 if trial.algorithm in EXACT_ALGORITHMS else 3e-3, 0.0
     suns = {"random heights": (90.0, 45.0), "city": (113.0, 30.0), "canopy": (67.0, 20.0)}
     for ground, (azimuth, altitude) in suns.items():
         heights = grounds(80 if trial.thorough else 32)[ground]
-        seen = [
-            moved_back(dark_at(trial, moved(heights, side), (azimuth_of(azimuth, side), altitude)), side)
+        shadows = [
+            moved_back(column_shadow(trial, moved(heights, side), (azimuth_of(azimuth, side), altitude)), side)
             for side in (SIDES if trial.thorough else (SIDES[0], SIDES[1], SIDES[6]))
         ]
-        assert 0.02 < seen[0].mean() < 0.98
-        worst = max(worst, *(float((other != seen[0]).mean()) for other in seen[1:]))
-    return {"cells": worst / most}
+        assert 0.02 < shadows[0].mean() < 0.98
+        worst = max(worst, *(float((other != shadows[0]).mean()) for other in shadows[1:]))
+    return {"cells": worst / max_share}
 
 
 @pytest.mark.parametrize("sun", SUNS)
 def test_a_city_by_the_sweep_is_that_of_a_walk_over_its_cells(shared_data: Path, tmp_path: Path, sun: tuple[float, float]):
     with rasterio.open(shared_data / "urban/goteborg_1m/DSM.tif") as dataset:
         heights = CELL_M * dataset.read(1).astype(np.float32)  # in cells of this size, with the city's proportions unchanged
-    expected, tie = shaded_by_columns(heights, sun, CELL_M)
-    dark = dark_at(Trial("sweep", False, tmp_path), heights, sun)
+    expected, tie = expected_shadow(heights, sun, CELL_M)
+    dark = column_shadow(Trial("sweep", False, tmp_path), heights, sun)
     assert 0.2 < dark.mean() < 0.95
     assert tie.mean() < 0.02
     assert not ((dark != expected) & ~tie).any()

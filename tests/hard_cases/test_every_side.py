@@ -15,7 +15,7 @@ from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
-from tests.hard_cases.cases import SHADOWING, Trial, hard_case
+from tests.hard_cases.cases import SHADOW_ALGORITHMS, Trial, hard_case
 from tests.hard_cases.test_sweep_azimuths import hills
 from tests.rasters import ENGINEERING
 
@@ -24,10 +24,10 @@ CELL_M = 8.0
 SUNS = {"random heights": (90.0, 45.0), "city": (113.0, 30.0), "canopy": (67.0, 20.0), "mountains": (202.0, 10.0)}
 """Suns by kind of ground: along an axis, and off the axes and diagonals."""
 
-EXACT = 1e-5
+MAX_EXACT_SHARE = 1e-5
 """Share of the pixels that may differ at nodes, for algorithms that sample exactly at the nodes."""
 
-GROUNDS_MAY_DIFFER = {"random heights": 1e-3, "city": 1e-3, "canopy": 1e-3, "mountains": 2e-4}
+MAX_DIFFERING_SHARE = {"random heights": 1e-3, "city": 1e-3, "canopy": 1e-3, "mountains": 2e-4}
 """Share that may differ for maps and volumes, and between nodes."""
 
 
@@ -46,7 +46,7 @@ def grounds(cells: int) -> dict[str, np.ndarray]:
     }
 
 
-def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels: int) -> np.ndarray:
+def raster_shadow(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels: int) -> np.ndarray:
     """Return the shadow (pixels, pixels) of a raster in a flat world, all in the view."""
     side_m = len(heights) * CELL_M
     scene = trial.scene(trial.raster(np.ascontiguousarray(heights), ENGINEERING, 0.0, side_m, CELL_M), (0.0, 45.0))
@@ -57,7 +57,7 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels:
         buffer = geometry_buffer(scene, view)
         rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
         return buffer.valid & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
-    return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
+    return trial.render_view(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
 @hard_case(
@@ -66,26 +66,26 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels:
     "random heights, a city, a canopy and mountains, each eight ways, on nodes and between; as a share of what may differ: 0.001 % "
     "by the sweep and rays at nodes, else 0.02 % of mountains and 0.1 % of the others",
     {"at nodes": 1.0, "between nodes": 1.0},
-    algorithms=(*SHADOWING, "truth"),
+    algorithms=(*SHADOW_ALGORITHMS, "truth"),
 )
 def test_eight_symmetries(trial: Trial) -> dict[str, float]:
     cells = 80 if trial.thorough else 32
-    found = {"at nodes": 0.0, "between nodes": 0.0}
+    result = {"at nodes": 0.0, "between nodes": 0.0}
     for ground, heights in grounds(cells).items():
         azimuth, altitude = SUNS[ground]
         for name, pixels in (("at nodes", cells), ("between nodes", cells * 3 // 2)):
             exact = name == "at nodes" and trial.algorithm in ("sweep", "truth")
-            seen = [
-                moved_back(dark_at(trial, moved(heights, side), (azimuth_of(azimuth, side), altitude), pixels), side)
+            shadows = [
+                moved_back(raster_shadow(trial, moved(heights, side), (azimuth_of(azimuth, side), altitude), pixels), side)
                 for side in (SIDES if trial.thorough else (SIDES[0], SIDES[1], SIDES[6]))
             ]
-            assert 0.02 < seen[0].mean() < 0.98
-            differ = max(float((other != seen[0]).mean()) for other in seen[1:])
-            found[name] = max(found[name], differ / (EXACT if exact else GROUNDS_MAY_DIFFER[ground]))
-    return found
+            assert 0.02 < shadows[0].mean() < 0.98
+            differ = max(float((other != shadows[0]).mean()) for other in shadows[1:])
+            result[name] = max(result[name], differ / (MAX_EXACT_SHARE if exact else MAX_DIFFERING_SHARE[ground]))
+    return result
 
 
-ROOF = 20
+ROOF_NODES = 20
 """Nodes along the roof of the box."""
 
 HEIGHT_CELLS = 10.5
@@ -96,7 +96,7 @@ HEIGHT_CELLS = 10.5
     "A flat roof is lit up to its edges from every side, and its box throws the shadow that can be counted",
     "a box of 20 x 20 nodes, 10.5 cells high, under suns from the eight directions of the compass, 1 high per node passed",
     {"dark roof nodes": 0.0, "wrong nodes on the ground": 0.01},
-    algorithms=(*SHADOWING, "truth"),
+    algorithms=(*SHADOW_ALGORITHMS, "truth"),
     thorough=False,
 )
 def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
@@ -109,21 +109,23 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
     """
     cells = 64
     heights = np.zeros((cells, cells), np.float32)
-    first = (cells - ROOF) // 2
-    roof = slice(first, first + ROOF)
+    first = (cells - ROOF_NODES) // 2
+    roof = slice(first, first + ROOF_NODES)
     heights[roof, roof] = HEIGHT_CELLS * CELL_M
-    dark_roof, wrong = 0, 0.0
+    dark_roof, wrong_share = 0, 0.0
     for octant in range(8):
         diagonal = octant % 2 == 1
         altitude = np.degrees(np.arctan(0.5**0.5)) if diagonal else 45.0
-        dark = dark_at(trial, heights, (45.0 * octant, float(altitude)), cells)
+        dark = raster_shadow(trial, heights, (45.0 * octant, float(altitude)), cells)
         dark_roof += int(dark[roof, roof].sum())
         dark[roof, roof] = False
-        expected = 39 * 10 + 2 * 5 if diagonal else ROOF * 10
-        off = abs(int(dark.sum()) - expected)
-        wrong = max(wrong, off / expected)
-        trial.saw("wrong nodes on the ground", MetricCoverage(expected, expected, off, max(expected, int(dark.sum()))))
-    return {"dark roof nodes": dark_roof, "wrong nodes on the ground": wrong}
+        expected = 39 * 10 + 2 * 5 if diagonal else ROOF_NODES * 10
+        count_error = abs(int(dark.sum()) - expected)
+        wrong_share = max(wrong_share, count_error / expected)
+        trial.record_coverage(
+            "wrong nodes on the ground", MetricCoverage(expected, expected, count_error, max(expected, int(dark.sum())))
+        )
+    return {"dark roof nodes": dark_roof, "wrong nodes on the ground": wrong_share}
 
 
 DOME_CELL_M = 30.0
@@ -138,7 +140,7 @@ DOME_SUN_DEG = 9.0
     "Where light grazes a slope, light and shadow part where they do on the smooth ground: near by",
     "a paraboloid of coarse cells, whose terminator is a straight line in plan, in perspective under suns from four sides",
     {"wrong pixels": 0.0},
-    algorithms=(*SHADOWING, "truth"),
+    algorithms=(*SHADOW_ALGORITHMS, "truth"),
 )
 def test_no_teeth_at_the_terminator(trial: Trial) -> dict[str, float]:
     """Heights are -(x^2 + y^2) / 2R, so the normal is proportional to (x, y, R).
@@ -147,15 +149,15 @@ def test_no_teeth_at_the_terminator(trial: Trial) -> dict[str, float]:
     line is the terminator. A dome shadows no part of itself that faces the sun. Wrong pixels are those on the wrong side of that
     line and more than a pixel from it.
     """
-    wrong = 0.0
-    trial.saw("wrong pixels")  # a dome casts no shadow
-    for azimuth, line, towards in _terminators(trial.thorough):
-        aside = np.array([-towards[1], towards[0]])
-        eye, target = line + 260.0 * aside + 60.0 * towards, line - 40.0 * aside
-        wrong = max(wrong, _wrong_beyond_a_pixel(trial, azimuth, {
+    wrong_count = 0.0
+    trial.record_coverage("wrong pixels")  # a dome casts no shadow
+    for azimuth, terminator_point, to_sun in _terminators(trial.thorough):
+        along_terminator = np.array([-to_sun[1], to_sun[0]])
+        eye, target = terminator_point + 260.0 * along_terminator + 60.0 * to_sun, terminator_point - 40.0 * along_terminator
+        wrong_count = max(wrong_count, _wrong_beyond_a_pixel(trial, azimuth, {
             "kind": "perspective", "eye": [*eye.tolist(), 90.0], "target": [*target.tolist(), 0.0], "fov": 50, "size": [96, 72],
         }))  # fmt: skip
-    return {"wrong pixels": wrong}
+    return {"wrong pixels": wrong_count}
 
 
 @hard_case(
@@ -163,25 +165,25 @@ def test_no_teeth_at_the_terminator(trial: Trial) -> dict[str, float]:
     "Where light grazes a slope, light and shadow part where they do on the smooth ground: in maps",
     "the same dome in maps of 6 pixels a cell, and of 1.5",
     {"magnified": 0.0, "between nodes": 0.0},
-    algorithms=(*SHADOWING, "truth"),
+    algorithms=(*SHADOW_ALGORITHMS, "truth"),
 )
 def test_no_teeth_in_maps(trial: Trial) -> dict[str, float]:
-    found = {"magnified": 0.0, "between nodes": 0.0}
-    for azimuth, line, _ in _terminators(trial.thorough):
+    result = {"magnified": 0.0, "between nodes": 0.0}
+    for azimuth, terminator_point, _ in _terminators(trial.thorough):
         for name, half_m, pixels in (("magnified", 150.0, 60), ("between nodes", 400.0, 40)):
-            bounds = [*(line - half_m).tolist(), *(line + half_m).tolist()]
-            wrong = _wrong_beyond_a_pixel(trial, azimuth, {"kind": "map", "bounds": bounds, "size": [pixels, pixels]})
-            found[name] = max(found[name], wrong)
-    return found
+            bounds = [*(terminator_point - half_m).tolist(), *(terminator_point + half_m).tolist()]
+            wrong_count = _wrong_beyond_a_pixel(trial, azimuth, {"kind": "map", "bounds": bounds, "size": [pixels, pixels]})
+            result[name] = max(result[name], wrong_count)
+    return result
 
 
 def _terminators(thorough: bool) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Yield azimuths; the point of the terminator nearest to the dome's top, and the horizontal direction to the sun."""
-    found = []
+    result = []
     for azimuth in (237.0, 90.0, 18.0, 315.0) if thorough else (237.0, 90.0):
-        towards = np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
-        found.append((azimuth, -RADIUS_M * np.tan(np.radians(DOME_SUN_DEG)) * towards, towards))
-    return found
+        to_sun = np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
+        result.append((azimuth, -RADIUS_M * np.tan(np.radians(DOME_SUN_DEG)) * to_sun, to_sun))
+    return result
 
 
 def _wrong_beyond_a_pixel(trial: Trial, azimuth: float, view: dict[str, Any]) -> float:
@@ -197,12 +199,12 @@ def _wrong_beyond_a_pixel(trial: Trial, azimuth: float, view: dict[str, Any]) ->
         rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
         dark = attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays)
     else:
-        seen = trial.see(scene, scene.view("main"))
-        buffer, dark = seen.buffer, seen.dark
+        rendered = trial.render_view(scene, scene.view("main"))
+        buffer, dark = rendered.buffer, rendered.dark
     east, north, _ = scene.world.map_position(scene.map_crs, buffer.frame.points_to_earth(buffer.position_frame_m))
     line_m = RADIUS_M * np.tan(np.radians(DOME_SUN_DEG))
-    away = east * np.sin(np.radians(azimuth)) + north * np.cos(np.radians(azimuth)) < -line_m
-    expected = away & buffer.valid
+    turned_away = east * np.sin(np.radians(azimuth)) + north * np.cos(np.radians(azimuth)) < -line_m
+    expected = turned_away & buffer.valid
     assert 0.1 < expected[buffer.valid].mean() < 0.9, "light and shadow"
-    sure = minimum_filter(expected, 3) | minimum_filter(~away & buffer.valid, 3)
-    return float(((dark != expected) & sure).sum())
+    comparable = minimum_filter(expected, 3) | minimum_filter(~turned_away & buffer.valid, 3)
+    return float(((dark != expected) & comparable).sum())

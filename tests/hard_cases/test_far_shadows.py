@@ -22,10 +22,12 @@ from tests.shadows.boxes import box
 PEAK_M = 1500.0
 
 
-def worst_length(trial: Trial, peak: FarPeak) -> float:
+def worst_length_error(trial: Trial, peak: FarPeak) -> float:
     """Return the largest relative error of the length of a peak's shadow, from above and from a camera."""
     size = 320 if trial.thorough else 96
-    return max(peak.length_error(trial.see(peak.scene, view)) for view in views_of(trial, peak.scene, size, bounds=peak.map_bounds))
+    return max(
+        peak.length_error(trial.render_view(peak.scene, view)) for view in views_of(trial, peak.scene, size, bounds=peak.map_bounds)
+    )
 
 
 @hard_case(
@@ -36,9 +38,9 @@ def worst_length(trial: Trial, peak: FarPeak) -> float:
 )
 def test_a_peak_shades_what_lies_far_away(trial: Trial) -> dict[str, float]:
     """On WGS 84, where the shadow's end is solved numerically; the sphere's formula gives 39.46 km."""
-    peak = far_peak(trial, PEAK_M, 2.0, round_m=2000.0, curved=True)
+    peak = far_peak(trial, PEAK_M, 2.0, view_radius_m=2000.0, curved=True)
     assert peak.length_m == pytest.approx(longest_shadow_m(PEAK_M, 2.0), rel=0.001)
-    return {"length": worst_length(trial, peak)}
+    return {"length": worst_length_error(trial, peak)}
 
 
 @hard_case(
@@ -49,10 +51,10 @@ def test_a_peak_shades_what_lies_far_away(trial: Trial) -> dict[str, float]:
 )
 def test_curvature_shortens_long_shadows(trial: Trial) -> dict[str, float]:
     """The sun's altitude applies where the shadow ends: seen from the peak it stands 0.84 degrees higher."""
-    flat, curved = (far_peak(trial, PEAK_M, 0.5, round_m=4000.0, curved=curved) for curved in (False, True))
+    flat, curved = (far_peak(trial, PEAK_M, 0.5, view_radius_m=4000.0, curved=curved) for curved in (False, True))
     assert flat.length_m == pytest.approx(171_890, rel=0.001)
     assert curved.length_m == pytest.approx(longest_shadow_m(PEAK_M, 0.5), rel=0.001) == pytest.approx(93_400, rel=0.001)
-    return {"flat": worst_length(trial, flat), "curved": worst_length(trial, curved)}
+    return {"flat": worst_length_error(trial, flat), "curved": worst_length_error(trial, curved)}
 
 
 @hard_case(
@@ -73,15 +75,15 @@ def test_the_sun_crosses_the_horizon(trial: Trial) -> dict[str, float]:
         before = None
         buffer = geometry_buffer(scene, view)
         for altitude in np.linspace(0.01, -0.01, steps):
-            now = scene.with_sun(SunSpec(azimuth=250.0, altitude=float(altitude)))
-            frame = render(now, view, algorithm=trial.algorithm)
-            to_sun = buffer.frame.frame_from_earth @ now.sun.to_sun_earth
+            sunlit_scene = scene.with_sun(SunSpec(azimuth=250.0, altitude=float(altitude)))
+            frame = render(sunlit_scene, view, algorithm=trial.algorithm)
+            to_sun = buffer.frame.frame_from_earth @ sunlit_scene.sun.to_sun_earth
             facing = facing_normals(buffer, light_position(to_sun, 0.0))
-            away = frame.valid & ~(facing.normal_frame @ to_sun > 0.0)
+            turned_away = frame.valid & ~(facing.normal_frame @ to_sun > 0.0)
             color = frame.color[frame.valid].astype(float)
             worst["not_a_number"] = max(worst["not_a_number"], float((~np.isfinite(frame.visibility[frame.valid])).mean()))
             worst["lit_though_turned_away"] = max(
-                worst["lit_though_turned_away"], float(np.count_nonzero(frame.visibility[away] > 0.0) / away.size)
+                worst["lit_though_turned_away"], float(np.count_nonzero(frame.visibility[turned_away] > 0.0) / turned_away.size)
             )
             if before is None:
                 assert (frame.visibility[frame.valid] > 0.0).any(), "the sun is up at first"
@@ -120,19 +122,19 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     ground = {"flat": {"size": [24_000, 24_000], "cells": [24, 24]}}
     scene = trial.scene(ground, (90, altitude), [beam], views={"eye": eye})
     size, map_size = (512, 2048) if trial.thorough else (256, 1024)
-    asked = {"cascades": 4} if trial.algorithm == "shadow_map" else {}
-    seen = trial.see(scene, scene.view("eye", size=(size, size)), map_size=map_size, **asked)
-    assert not (seen.buffer.kind == MESHES).any(), "the beam is not in the view"
-    point = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
+    options = {"cascades": 4} if trial.algorithm == "shadow_map" else {}
+    rendered = trial.render_view(scene, scene.view("eye", size=(size, size)), map_size=map_size, **options)
+    assert not (rendered.buffer.kind == MESHES).any(), "the beam is not in the view"
+    point = rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m
     half_m = thick_m / 2 + thick_m / 2 / np.tan(np.radians(altitude))
     beyond_m = np.abs(point[..., 0]) - half_m  # from the strip's edge
-    distance_m = distances(seen.buffer.position_frame_m, seen.view.in_frame(seen.buffer.frame)[0])
-    margin_m = distance_m * seen.view.pixel
+    distance_m = distances(rendered.buffer.position_frame_m, rendered.view.in_frame(rendered.buffer.frame)[0])
+    margin_m = distance_m * rendered.view.pixel
     if trial.algorithm == "shadow_map":
-        cascades = seen.plan.steps[0].settings.cascades
+        cascades = rendered.plan.steps[0].settings.cascades
         number = np.searchsorted([cascade.far_m for cascade in cascades[:-1]], distance_m)
         margin_m = np.array([cascade.texel_m[1] for cascade in cascades])[number] / np.sin(np.radians(altitude))
         assert set(number[beyond_m < -margin_m]) == {0, 1, 2, 3}, "the strip lies in all cascades"
     inside, outside = beyond_m < -margin_m, beyond_m > margin_m
-    trial.saw("missed_shadow", metric_coverage(seen.dark, seen.truth, inside))
-    return {"missed_shadow": float((~seen.dark)[inside].mean()), "false_shadow": float(seen.dark[outside].mean())}
+    trial.record_coverage("missed_shadow", metric_coverage(rendered.dark, rendered.truth, inside))
+    return {"missed_shadow": float((~rendered.dark)[inside].mean()), "false_shadow": float(rendered.dark[outside].mean())}

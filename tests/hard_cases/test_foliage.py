@@ -24,23 +24,23 @@ from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
-from skugga.terrain.trees.foliage import TEXTURE_PX, THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips
+from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, TEXTURE_PX, TREE_VARIANTS, Foliage, coverage_mips
 from tests.hard_cases.blocks import UP
-from tests.hard_cases.cases import Seen, Trial, hard_case
+from tests.hard_cases.cases import RenderedView, Trial, hard_case
 from tests.metrics import flicker
 from tests.rasters import ENGINEERING
 
-FOLIAGE = ("shadow_map", "perspective_shadow_map", "planar")
+FOLIAGE_ALGORITHMS = ("shadow_map", "perspective_shadow_map", "planar")
 
 
-def planted(
-    trial: Trial, places: Sequence, sun: tuple[float, float], terrain: object = None, species: str = "mixed", **keys: object
+def forest_scene(
+    trial: Trial, locations: Sequence, sun: tuple[float, float], terrain: object = None, species: str = "mixed", **keys: object
 ) -> Scene:
     """Return the scene of trees at points (east, north), or of polygons with a density, on level ground or other terrain."""
-    given = [shapely.Point(*place) if not isinstance(place, shapely.Geometry) else place for place in places]
-    path, kind = trial.folder / "stand.gpkg", given[0].geom_type
+    geometries = [shapely.Point(*place) if not isinstance(place, shapely.Geometry) else place for place in locations]
+    path, kind = trial.folder / "stand.gpkg", geometries[0].geom_type
     path.unlink(missing_ok=True)
-    wkb = shapely.to_wkb(np.array(given, object))
+    wkb = shapely.to_wkb(np.array(geometries, object))
     pyogrio.raw.write(path, wkb, [], [], geometry_type=kind, crs=keys.pop("crs", ENGINEERING))
     ground = terrain or trial.raster(np.zeros((41, 41), np.float32), ENGINEERING, -2050.0, 2050.0, 100.0)
     return trial.scene(ground, sun=sun, forest=[{"source": path.name, "species": species, **keys}])
@@ -50,18 +50,22 @@ def planted(
 
 
 @lru_cache
-def cut_outs(share: float) -> Foliage:
+def cutout_foliage(share: float) -> Foliage:
     """Return pictures of one coverage: nothing from the side, blobs of a few texels from above. They are cached as those of
     trees are.
     """
     field = gaussian_filter(np.random.default_rng(7).random((TEXTURE_PX, TEXTURE_PX)), 3.0, mode="wrap")
     alpha = np.where(field <= np.quantile(field, share), 255, 0).astype(np.uint8)
-    clear, blobs = (coverage_mips(np.dstack([np.full_like(a, 80)] * 3 + [a]), THRESHOLD) for a in (np.zeros_like(alpha), alpha))
-    return Foliage(tuple(np.stack([one, other] * len(TREE_VARIANTS)) for one, other in zip(clear, blobs, strict=True)))
+    clear, blobs = (
+        coverage_mips(np.dstack([np.full_like(a, 80)] * 3 + [a]), ALPHA_THRESHOLD) for a in (np.zeros_like(alpha), alpha)
+    )
+    return Foliage(
+        tuple(np.stack([clear_mip, blob_mip] * len(TREE_VARIANTS)) for clear_mip, blob_mip in zip(clear, blobs, strict=True))
+    )
 
 
 @contextmanager
-def painted(pictures: Foliage) -> Iterator[None]:
+def patched_foliage(pictures: Foliage) -> Iterator[None]:
     """Draw trees with other pictures; cached maps do not know them."""
     device().depth_targets.clear()
     with patch.multiple(map_drawing, foliage=lambda: pictures), patch.multiple(planar, foliage=lambda: pictures), \
@@ -77,7 +81,7 @@ EAST_M, NORTH_M = 42.0, 96.0
 @hard_case(
     "H29", "The coverage of an alpha billboard's shadow is kept at every mip level",
     "level billboards of coverage 0.1 to 0.9, of 256 down to 8 texels of the map, between levels too", {"coverage": 0.02},
-    algorithms=FOLIAGE,
+    algorithms=FOLIAGE_ALGORITHMS,
 )  # fmt: skip
 def test_billboards(trial: Trial) -> dict[str, float]:
     """A row of crowns under a sun at 60 degrees, seen from 20 km above, beside their shadows.
@@ -97,18 +101,18 @@ def test_billboards(trial: Trial) -> dict[str, float]:
         i, j = np.divmod(np.arange(rows * cols), cols)
         places = np.column_stack([(j - (cols - 1) / 2) * EAST_M, (i - (rows - 1) / 2) * NORTH_M - NORTH_M / 3])
         places += rng.uniform(-1.0, 1.0, places.shape)
-        scene = planted(trial, places, (180.0, ALTITUDE), species="broadleaf", height=[HEIGHT_M] * 2, crown=[CROWN_M] * 2)
+        scene = forest_scene(trial, places, (180.0, ALTITUDE), species="broadleaf", height=[HEIGHT_M] * 2, crown=[CROWN_M] * 2)
         px = int(np.clip(side_m / texel_m, 256, 640))
         high_m = 20e3
         view = look_at(np.array([0, 0, high_m]), np.zeros(3), UP, float(np.degrees(2 * np.arctan(0.5 * side_m / high_m))), px, px)
         for share in np.arange(1, 10) / 10 if trial.thorough else (0.1, 0.5, 0.9):
-            with painted(cut_outs(float(share))):
-                asked = {"map_size": round(side_m / texel_m) + 25, "filter": 1, "cascades": 1, "fit": "tight"}
-                seen = trial.see(scene, view, **asked)
-            assert len(seen.buffer.tree_instances) == len(places)
-            area = (seen.dark & (seen.buffer.kind == RELIEF)).sum() * (side_m / px) ** 2
-            off = area / (len(places) * CROWN_M**2) - share
-            worst = max(worst, abs(off))
+            with patched_foliage(cutout_foliage(float(share))):
+                options = {"map_size": round(side_m / texel_m) + 25, "filter": 1, "cascades": 1, "fit": "tight"}
+                rendered = trial.render_view(scene, view, **options)
+            assert len(rendered.buffer.tree_instances) == len(places)
+            area = (rendered.dark & (rendered.buffer.kind == RELIEF)).sum() * (side_m / px) ** 2
+            coverage_difference = area / (len(places) * CROWN_M**2) - share
+            worst = max(worst, abs(coverage_difference))
     return {"coverage": worst}
 
 
@@ -117,46 +121,48 @@ def test_billboards(trial: Trial) -> dict[str, float]:
 
 def pixels_of(view: PerspectiveView, points_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the nearest pixels of points (n, 3) before a camera: rows and columns (n,), some outside the picture."""
-    x, y, ahead = ((points_earth_m - view.eye_earth_m) @ view.earth_from_camera).T
-    row, col = (((v / ahead) * view.focal_px - first) / view.step for v, first in ((y, view.row0), (x, view.col0)))
+    x, y, depth_m = ((points_earth_m - view.eye_earth_m) @ view.earth_from_camera).T
+    row, col = (((v / depth_m) * view.focal_px - first) / view.step for v, first in ((y, view.row0), (x, view.col0)))
     return np.rint(row).astype(int), np.rint(col).astype(int)
 
 
-def flickering(one: Seen, other: Seen) -> tuple[float, int]:
+def flicker_between(first: RenderedView, second: RenderedView) -> tuple[float, int]:
     """Return the share of one picture's ground points whose class changes in another although truth does not.
 
     The second result is the number of these points in shadow.
     """
-    row, col = np.nonzero(one.truth.decidable & (one.buffer.kind == RELIEF))
-    frame = one.buffer.frame
-    i, j = pixels_of(other.view, one.buffer.position_frame_m[row, col] @ frame.frame_from_earth + frame.origin_earth_m)  # type: ignore[arg-type]
-    rows, cols = other.dark.shape
+    row, col = np.nonzero(first.truth.decidable & (first.buffer.kind == RELIEF))
+    frame = first.buffer.frame
+    i, j = pixels_of(second.view, first.buffer.position_frame_m[row, col] @ frame.frame_from_earth + frame.origin_earth_m)  # type: ignore[arg-type]
+    rows, cols = second.dark.shape
     inside = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
     row, col, i, j = row[inside], col[inside], i[inside], j[inside]
-    both = other.truth.decidable[i, j] & (other.buffer.kind[i, j] == RELIEF)
-    changed = flicker(one.dark[row, col], other.dark[i, j], ~one.truth.lit[row, col], ~other.truth.lit[i, j], both)
-    return changed, int((both & ~one.truth.lit[row, col]).sum())
+    comparable = second.truth.decidable[i, j] & (second.buffer.kind[i, j] == RELIEF)
+    changed = flicker(first.dark[row, col], second.dark[i, j], ~first.truth.lit[row, col], ~second.truth.lit[i, j], comparable)
+    return changed, int((comparable & ~first.truth.lit[row, col]).sum())
 
 
 @hard_case(
     "H30", "A billboard tree's shadow does not turn with the camera",
-    "a camera that goes 180 degrees round a tree, and one overhead that turns", {"flicker": 1e-3}, algorithms=FOLIAGE,
+    "a camera that goes 180 degrees round a tree, and one overhead that turns", {"flicker": 1e-3}, algorithms=FOLIAGE_ALGORITHMS,
 )  # fmt: skip
 def test_camera_round_a_tree(trial: Trial) -> dict[str, float]:
     """Points of the first picture, as the others see them. Points must be decidable in both, which excludes fringes of leaves."""
-    scene = planted(trial, [(0.0, 0.0)], (110.0, 35.0), height=[20.0] * 2, crown=[9.0] * 2, species="conifer")
+    scene = forest_scene(trial, [(0.0, 0.0)], (110.0, 35.0), height=[20.0] * 2, crown=[9.0] * 2, species="conifer")
     px, target = (640 if trial.thorough else 224), np.array([-12.0, 4.0, 0.0])
-    round_it, overhead = [], []
-    for turn in np.radians(np.linspace(0.0, 180.0, 7 if trial.thorough else 3)):
-        way = np.array([np.sin(turn), np.cos(turn), 0.0])
-        round_it.append(look_at(target + 60.0 * way + [0, 0, 70.0], target, UP, 26.0, px, px))
+    orbit_views, overhead_views = [], []
+    for azimuth_rad in np.radians(np.linspace(0.0, 180.0, 7 if trial.thorough else 3)):
+        direction = np.array([np.sin(azimuth_rad), np.cos(azimuth_rad), 0.0])
+        orbit_views.append(look_at(target + 60.0 * direction + [0, 0, 70.0], target, UP, 26.0, px, px))
         above = target + [3.0, 0.0, 110.0]
-        overhead.append(look_at(above, above - [0, 0, 100.0] + 1e-7 * way, UP, 30.0, px, px))
+        overhead_views.append(look_at(above, above - [0, 0, 100.0] + 1e-7 * direction, UP, 30.0, px, px))
     worst = 0.0
-    for views in (round_it, overhead):
-        first, *others = [trial.see(scene, view, map_size=4096 if trial.thorough else 2048, filter=1) for view in views]
-        for other in others:
-            changed, shadow = flickering(first, other)
+    for views in (orbit_views, overhead_views):
+        first_view, *later_views = [
+            trial.render_view(scene, view, map_size=4096 if trial.thorough else 2048, filter=1) for view in views
+        ]
+        for other in later_views:
+            changed, shadow = flicker_between(first_view, other)
             assert shadow > 100, f"{shadow} points of shadow are compared"
             worst = max(worst, changed)
     return {"flicker": worst}
@@ -165,32 +171,32 @@ def test_camera_round_a_tree(trial: Trial) -> dict[str, float]:
 # -- stands
 
 
-SIDE = 2
+SAMPLES_PER_SIDE = 2
 """Samples a side that a pixel's visibility is the mean of, as in a finished picture."""
 
 
-def shares_of(seen: Seen) -> np.ndarray:
-    """Return shares of shadow over blocks of 16 pixels with ``SIDE`` x ``SIDE`` samples."""
-    rows, cols = (n // SIDE for n in seen.visibility.shape)
-    return block_shares(1.0 - seen.visibility.reshape(rows, SIDE, cols, SIDE).mean(axis=(1, 3)))
+def shadow_shares(rendered: RenderedView) -> np.ndarray:
+    """Return shares of shadow over blocks of 16 pixels with ``SAMPLES_PER_SIDE`` x ``SAMPLES_PER_SIDE`` samples."""
+    rows, cols = (n // SAMPLES_PER_SIDE for n in rendered.visibility.shape)
+    return block_shares(1.0 - rendered.visibility.reshape(rows, SAMPLES_PER_SIDE, cols, SAMPLES_PER_SIDE).mean(axis=(1, 3)))
 
 
-def coverage_of(seen: Seen, blocks: int) -> tuple[float, float]:
+def shadow_coverage_error(rendered: RenderedView, blocks: int) -> tuple[float, float]:
     """Return the error of the shadow's coverage over blocks, and truth's mean share of shadow there."""
-    true = coverage_truth(seen.buffer, seen.scene, seen.casters, 16 * SIDE, blocks, 4)
-    return coverage_error(shares_of(seen), true), float(np.nanmean(true))
+    true = coverage_truth(rendered.buffer, rendered.scene, rendered.casters, 16 * SAMPLES_PER_SIDE, blocks, 4)
+    return coverage_error(shadow_shares(rendered), true), float(np.nanmean(true))
 
 
 @contextmanager
-def whole_stands() -> Iterator[None]:
+def undecimated_stands() -> Iterator[None]:
     """Draw whole stands: no stand is decimated, however small its trees are."""
-    forget = tree_instances.tree_instances_in_perspective.cache.clear, tree_instances.tree_instances_in_map.cache.clear
-    [each() for each in forget]
+    cache_clearers = tree_instances.tree_instances_in_perspective.cache.clear, tree_instances.tree_instances_in_map.cache.clear
+    [clear_cache() for clear_cache in cache_clearers]
     try:
         with patch.object(tree_instances, "MIN_DRAWN_SHARE", 1.0):
             yield
     finally:
-        [each() for each in forget]
+        [clear_cache() for clear_cache in cache_clearers]
 
 
 def cliff(trial: Trial) -> tuple[Scene, PerspectiveView]:
@@ -198,7 +204,7 @@ def cliff(trial: Trial) -> tuple[Scene, PerspectiveView]:
     heights = np.where(np.arange(100)[None, :] < 50, 100.0, 0.0) * np.ones((100, 1))
     ground = trial.raster(heights.astype(np.float32), ENGINEERING, -250.0, 250.0, 5.0, name="cliff")
     places = [(-4.5 + 0.4 * (n % 3), -120.0 + 6.0 * n) for n in range(41)]
-    scene = planted(trial, places, (265.0, 60.0), ground, height=[18.0, 24.0], crown=[6.0, 9.0])
+    scene = forest_scene(trial, places, (265.0, 60.0), ground, height=[18.0, 24.0], crown=[6.0, 9.0])
     eye = np.array([190.0, -60.0, 120.0])
     return scene, look_at(eye, np.array([60.0, 0.0, 0.0]), UP, 50.0, *_size(trial))
 
@@ -207,7 +213,7 @@ def border(trial: Trial) -> tuple[Scene, PerspectiveView]:
     """Return trees 30 m high a few metres from the edge of the data, towards the sun: crowns extend beyond the rim."""
     ground = trial.raster(np.zeros((41, 41), np.float32), ENGINEERING, -102.5, 102.5, 5.0, name="end")
     places = [(-90.0 + 12.0 * n, -98.0 + 2.0 * (n % 3)) for n in range(16)] + [(97.0, -80.0 + 20.0 * n) for n in range(9)]
-    scene = planted(trial, places, (150.0, 30.0), ground, height=[30.0, 30.0], crown=[8.0, 9.0])
+    scene = forest_scene(trial, places, (150.0, 30.0), ground, height=[30.0, 30.0], crown=[8.0, 9.0])
     eye = np.array([-20.0, 20.0, 140.0])
     return scene, look_at(eye, np.array([10.0, -45.0, 0.0]), UP, 55.0, *_size(trial))
 
@@ -234,23 +240,23 @@ def test_stands(trial: Trial) -> dict[str, float]:
     side_m, blocks = (3200.0, 160) if trial.thorough else (450.0, 96)
     half, texels = side_m / 2.0, 4096 if trial.thorough else 2048
     area, small = [shapely.box(-half, -half, half, half)], {"height": [3.0, 5.0], "crown": [1.8, 2.6]}
-    scene = planted(trial, area, (240.0, 40.0), density=1000.0, **small)
+    scene = forest_scene(trial, area, (240.0, 40.0), density=1000.0, **small)
     eye = np.array([0.0, -0.75 * side_m, 0.3 * side_m])
     view = look_at(eye, np.array([0.0, -0.1 * side_m, 0.0]), UP, 40.0, *_size(trial))
     assert scene.objects.trees is not None
     count = len(scene.objects.trees.rank)
     assert count > (990_000 if trial.thorough else 19_000)
-    seen = trial.see(scene, view.finer(SIDE), map_size=texels)
-    error, shadow = coverage_of(seen, blocks)
-    assert seen.buffer.tree_instances is not None and len(seen.buffer.tree_instances) < 0.7 * count and 0.1 < shadow < 0.9
+    rendered = trial.render_view(scene, view.finer(SAMPLES_PER_SIDE), map_size=texels)
+    error, shadow = shadow_coverage_error(rendered, blocks)
+    assert rendered.buffer.tree_instances is not None and len(rendered.buffer.tree_instances) < 0.7 * count and 0.1 < shadow < 0.9
     errors = [error]
-    with whole_stands():
-        everything = geometry_buffer(scene, view.finer(SIDE))
-        true = coverage_truth(everything, scene, find_casters(scene, everything), 16 * SIDE, blocks, 4)
-    shares = shares_of(seen)
+    with undecimated_stands():
+        full_buffer = geometry_buffer(scene, view.finer(SAMPLES_PER_SIDE))
+        true = coverage_truth(full_buffer, scene, find_casters(scene, full_buffer), 16 * SAMPLES_PER_SIDE, blocks, 4)
+    shares = shadow_shares(rendered)
     valid = np.isfinite(true) & np.isfinite(shares)
     for scene, view in (cliff(trial), border(trial)):
-        error, shadow = coverage_of(trial.see(scene, view.finer(SIDE), map_size=texels), blocks)
+        error, shadow = shadow_coverage_error(trial.render_view(scene, view.finer(SAMPLES_PER_SIDE), map_size=texels), blocks)
         assert 0.02 < shadow < 0.9, f"{shadow:.1%} of what is seen is in shadow"
         errors.append(error)
     return {"coverage": max(errors), "coverage against all trees": abs(float(shares[valid].mean() - true[valid].mean()))}

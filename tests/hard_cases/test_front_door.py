@@ -30,7 +30,7 @@ from tests.rasters import ENGINEERING, write_geotiff
 
 UTM = "EPSG:32633"
 
-HANG_S = 10.0
+TIMEOUT_S = 10.0
 
 NAN, INF = float("nan"), float("inf")
 
@@ -62,10 +62,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_geotiff(folder / "rgb_site.tif", np.full((3, 40, 40), 90, np.uint8), ENGINEERING, 0, 400, 10)
     with pytest.warns(match="geotransform"):
         write_geotiff(folder / "nowhere.tif", heights, UTM, 0, 0, 1, transform=Affine.identity())
-    whole = (folder / "ok.tif").read_bytes()
+    valid_content = (folder / "ok.tif").read_bytes()
     for name, content in (
-        ("cut.tif", whole[: len(whole) // 2]),
-        ("head.tif", whole[:100]),
+        ("cut.tif", valid_content[: len(valid_content) // 2]),
+        ("head.tif", valid_content[:100]),
         ("text.tif", b"hello"),
         ("empty.tif", b""),
     ):
@@ -99,11 +99,11 @@ def ground(name: str, **keys: Any) -> dict[str, Any]:
     return {"terrain": {"source": name, **keys}}
 
 
-def looking(*position: float, **keys: Any) -> dict[str, Any]:
+def perspective_level(*position: float, **keys: Any) -> dict[str, Any]:
     return {"views": {"map": {"kind": "perspective", "eye": position, "target": [*PLACE, 0], "size": [40, 30], **keys}}}
 
 
-def standing(name: str, **keys: Any) -> dict[str, Any]:
+def mesh_level(name: str, **keys: Any) -> dict[str, Any]:
     return {"terrain": FLAT, "meshes": [{"source": name, "at": [0, 0], **keys}]}
 
 
@@ -119,7 +119,7 @@ def houses(name: str, height: Any) -> dict[str, Any]:
     return {"meshes": [{"source": name, "height": height}]}
 
 
-REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+INVALID_LEVELS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "half a raster": (ground("cut.tif"), ("cut.tif", "undamaged")),
     "the head of a raster": (ground("head.tif"), ("head.tif", "GDAL reads")),
     "an empty raster": (ground("empty.tif"), ("empty.tif", "GDAL reads")),
@@ -166,16 +166,16 @@ REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "a lamp off the ground": ({"lights": {"lamp": {"kind": "omni", "position": [100, 0, 50]}}}, ("lights.lamp.position", "data")),
     "a lamp at 1e300 m": (lamp(0, 0, 1e300), ("lights.lamp.position.2", "1e+300")),
     "a lamp of half the sky": (lamp(0, 0, 9, kind="spot", target=[0, 0, 0], cutoff=90), ("lights.lamp.cutoff", "90", "85")),
-    "a mesh with NaN": (standing("nan.obj"), ("nan.obj", "finite")),
-    "a mesh with infinity": (standing("inf.obj"), ("inf.obj", "finite")),
-    "a mesh of nothing": (standing("none.obj"), ("none.obj", "no triangle")),
-    "a mesh of points": (standing("points.obj"), ("points.obj", "no triangle")),
-    "a mesh with a wrong index": (standing("index.obj"), ("index.obj", "99")),
-    "a mesh of text": (standing("text.glb"), ("text.glb", "cannot be read")),
-    "no such mesh": (standing("absent.obj"), ("absent.obj", "no such file")),
-    "a mesh off the ground": (standing("ok.obj", at=[1e6, 0]), ("meshes.0.at", "1000000", "terrain")),
-    "a mesh at 1e300 m": (standing("ok.obj", at=[[0, 0], [1e300, 0]]), ("meshes.0.at.1.0", "1e+300")),
-    "a mesh that whirls": (standing("ok.obj", motion={"spin": 1e300}), ("meshes.0.motion.spin", "1e+300")),
+    "a mesh with NaN": (mesh_level("nan.obj"), ("nan.obj", "finite")),
+    "a mesh with infinity": (mesh_level("inf.obj"), ("inf.obj", "finite")),
+    "a mesh of nothing": (mesh_level("none.obj"), ("none.obj", "no triangle")),
+    "a mesh of points": (mesh_level("points.obj"), ("points.obj", "no triangle")),
+    "a mesh with a wrong index": (mesh_level("index.obj"), ("index.obj", "99")),
+    "a mesh of text": (mesh_level("text.glb"), ("text.glb", "cannot be read")),
+    "no such mesh": (mesh_level("absent.obj"), ("absent.obj", "no such file")),
+    "a mesh off the ground": (mesh_level("ok.obj", at=[1e6, 0]), ("meshes.0.at", "1000000", "terrain")),
+    "a mesh at 1e300 m": (mesh_level("ok.obj", at=[[0, 0], [1e300, 0]]), ("meshes.0.at.1.0", "1e+300")),
+    "a mesh that whirls": (mesh_level("ok.obj", motion={"spin": 1e300}), ("meshes.0.motion.spin", "1e+300")),
     "the end of time": ({"seconds": INF}, ("seconds", "inf", "finite")),
     "houses in the sea": (houses("sea.geojson", "h"), ("sea.geojson", "100, 0")),
     "houses of text": (houses("square.geojson", "word"), ("square.geojson", "word = tall", "numbers")),
@@ -198,19 +198,20 @@ REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "a view turned round": ({"views": {"map": {"kind": "map", "bounds": [5, 5, 1, 1]}}}, ("views.map.bounds", "west < east")),
     "a view in no CRS": ({"views": {"map": {"kind": "map", "crs": "hello"}}}, ("crs", "hello", "PROJ")),
     "a geocentric view": ({"views": {"map": {"kind": "map", "crs": "EPSG:4978"}}}, ("crs", "EPSG:4978", "projected")),
-    "a view of half a turn": (looking(*PLACE, 10, fov=180), ("views.map.fov", "180", "179")),
-    "an eye in its target": (looking(*PLACE, 0), ("views.map", "other than")),
-    "an eye off the ground": (looking(15.002, 45.1, 10), ("views.map.eye", "45.1", "data")),
-    "an eye at 1e300 m": (looking(*PLACE, 1e300), ("views.map.eye.2", "1e+300")),
+    "a view of half a turn": (perspective_level(*PLACE, 10, fov=180), ("views.map.fov", "180", "179")),
+    "an eye in its target": (perspective_level(*PLACE, 0), ("views.map", "other than")),
+    "an eye off the ground": (perspective_level(15.002, 45.1, 10), ("views.map.eye", "45.1", "data")),
+    "an eye at 1e300 m": (perspective_level(*PLACE, 1e300), ("views.map.eye.2", "1e+300")),
     "a magic algorithm": ({"shadows": {"algorithm": "magic"}}, ("shadows.algorithm", "magic", "shadow_map")),
     "maps of no texel": ({"shadows": {"map_size": 0}}, ("shadows.map_size", "'0'", "64")),
     "an error of NaN": ({"shadows": {"max_error": NAN}}, ("shadows.max_error", "nan", "finite")),
-    "a sweep of meshes": ({**standing("ok.obj"), "shadows": {"algorithm": "sweep"}}, ("shadows.algorithm", "sweep", "shadow_map")),
+    ("a sweep of "
+        "meshes"): ({**mesh_level("ok.obj"), "shadows": {"algorithm": "sweep"}}, ("shadows.algorithm", "sweep", "shadow_map")),
     "an unknown key": ({"forrest": []}, ("forrest", "unknown key", "forest")),
 }  # fmt: skip
 """Invalid levels -> keys of a level over ``ok.tif``, and words that its error line must have."""
 
-DRAWN: dict[str, dict[str, Any]] = {
+UNUSUAL_LEVELS: dict[str, dict[str, Any]] = {
     "hardly any heights": ground("ok.tif", exaggeration=1e-300),
     "detail of 1e300 m": ground("ok.tif", resolution=1e300),
     "detail of 1e-300 m": ground("ok.tif", resolution=1e-300),
@@ -219,16 +220,16 @@ DRAWN: dict[str, dict[str, Any]] = {
     "a lamp in the ground": lamp(0, 0, -50),
     "a lamp on the ground": {**lamp(0, 0, 0), "sun": "none"},
     "a lamp at 1e9 m": {**lamp(0, 0, 1e9), "sun": "none"},
-    "a mesh of 1e30 m": standing("huge.obj"),
-    "a mesh of 1e-30 m": standing("tiny.obj"),
-    "a mesh without height": standing("sheet.obj"),
-    "a mesh times 1e6": standing("ok.obj", scale=1e6),
-    "200 meshes": standing("ok.obj", at=[[i % 20, i // 20] for i in range(200)]),
+    "a mesh of 1e30 m": mesh_level("huge.obj"),
+    "a mesh of 1e-30 m": mesh_level("tiny.obj"),
+    "a mesh without height": mesh_level("sheet.obj"),
+    "a mesh times 1e6": mesh_level("ok.obj", scale=1e6),
+    "200 meshes": mesh_level("ok.obj", at=[[i % 20, i // 20] for i in range(200)]),
     "houses that cross themselves": houses("bow.geojson", "h"),
     "a view of somewhere else": {"views": {"map": {"kind": "map", "bounds": [1e6, 1e6, 1e6 + 100, 1e6 + 100]}}},
     "a view in a CRS of the antipodes": {"views": {"map": {"kind": "map", "crs": "EPSG:2193"}}},
-    "an eye in the ground": looking(*PLACE, -500),
-    "an eye at 1e9 m": looking(*PLACE, 1e9),
+    "an eye in the ground": perspective_level(*PLACE, -500),
+    "an eye at 1e9 m": perspective_level(*PLACE, 1e9),
 }
 """Unusual but valid levels."""
 
@@ -236,7 +237,13 @@ DRAWN: dict[str, dict[str, Any]] = {
 @pytest.fixture(scope="module")
 def compiled(files: Path) -> None:
     """Compile every loop that these levels run: a first run on a machine compiles for half a minute, and does not hang."""
-    for keys in (ground("ok.tif"), looking(*PLACE, 300), standing("ok.obj"), houses("square.geojson", 10), lamp(0, 0, 50)):
+    for keys in (
+        ground("ok.tif"),
+        perspective_level(*PLACE, 300),
+        mesh_level("ok.obj"),
+        houses("square.geojson", 10),
+        lamp(0, 0, 50),
+    ):
         level = {"version": 1, **ground("ok.tif"), "sun": {"azimuth": 200, "altitude": 20}, **keys}
         (files / "first.yaml").write_text(json.dumps(level), encoding="utf-8")
         with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
@@ -261,35 +268,35 @@ def render(files, compiled, monkeypatch, capfd) -> Callable[..., tuple[int, str]
         start = time.perf_counter()
         with pytest.raises(SystemExit) as ended:
             cli.main()
-        assert time.perf_counter() - start < HANG_S
+        assert time.perf_counter() - start < TIMEOUT_S
         return int(ended.value.code), capfd.readouterr().err
 
     return call
 
 
-@pytest.mark.parametrize("what", REFUSED)
+@pytest.mark.parametrize("what", INVALID_LEVELS)
 def test_hostile_levels_are_one_line(gl, render, tmp_path, what):
-    keys, words = REFUSED[what]
-    sized = () if "views" in keys else ("--size", "32x32")
-    status, said = render(keys, *sized, "-o", str(tmp_path / "out.png"))
-    assert status == 2, said
-    assert said.count("\n") == 1 and "Traceback" not in said and "internal" not in said
+    keys, words = INVALID_LEVELS[what]
+    size_options = () if "views" in keys else ("--size", "32x32")
+    status, message = render(keys, *size_options, "-o", str(tmp_path / "out.png"))
+    assert status == 2, message
+    assert message.count("\n") == 1 and "Traceback" not in message and "internal" not in message
     for word in words:
-        assert word in said
+        assert word in message
     assert not (tmp_path / "out.png").exists()
 
 
-@pytest.mark.parametrize("what", DRAWN)
+@pytest.mark.parametrize("what", UNUSUAL_LEVELS)
 def test_odd_levels_are_pictures_of_numbers(gl, render, tmp_path, what):
-    keys = DRAWN[what]
+    keys = UNUSUAL_LEVELS[what]
     target = tmp_path / "out.npy"
-    status, said = render(keys, "--size", "40x30", "--layer", "visibility", "-o", str(target))
-    assert (status, said) == (0, "")
+    status, message = render(keys, "--size", "40x30", "--layer", "visibility", "-o", str(target))
+    assert (status, message) == (0, "")
     visibility = np.load(target)
     assert visibility.shape == (30, 40)
-    seen = visibility[~np.isnan(visibility)]
-    assert ((seen >= 0.0) & (seen <= 1.0)).all()
-    assert seen.size or what in ("a view of somewhere else", "an eye in the ground", "an eye at 1e9 m")
+    valid_visibility = visibility[~np.isnan(visibility)]
+    assert ((valid_visibility >= 0.0) & (valid_visibility <= 1.0)).all()
+    assert valid_visibility.size or what in ("a view of somewhere else", "an eye in the ground", "an eye at 1e9 m")
 
 
 X, Y = CORNER
@@ -333,7 +340,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     level = write_level(tmp_path_factory.mktemp("served"), "hills")
     with running(create_app(Settings(workers=1), [level])) as client:
         assert client.get(f"{SNAPSHOT}?size=16x16").status_code == 200
-        client.timeout = HANG_S
+        client.timeout = TIMEOUT_S
         yield client
 
 

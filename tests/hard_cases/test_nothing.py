@@ -13,7 +13,7 @@ from skugga.shadows.visibility import fill_steps
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
-from tests.hard_cases.bodies import FLOOR, SPOT, eye, joined, not_a_number, soup
+from tests.hard_cases.bodies import FLOOR, SPOT, eye, invalid_pixel_count, join_meshes, triangle_soup
 from tests.hard_cases.cases import Trial, View, hard_case
 from tests.shadows.boxes import box
 
@@ -27,28 +27,28 @@ VIEWS: dict[str, dict[str, Any]] = {
 
 LIGHTS: dict[str, dict[str, Any]] = {"sun": {"sun": (200, 35)}, "spot": {"lights": {"spot": SPOT}}}
 
-POINT = joined(box((0.02, 0.02, 0.02), at_m=(14, 14)), soup([[[0, 0, 2], [1e-6, 0, 2], [0, 1e-6, 2]]]))
+POINT = join_meshes(box((0.02, 0.02, 0.02), at_m=(14, 14)), triangle_soup([[[0, 0, 2], [1e-6, 0, 2], [0, 1e-6, 2]]]))
 """A triangle of a micrometre, and a pebble on the ground below it."""
 
 
-FORCED = {"cast_shadows": "on", "lamps": "on"}
+FORCED_EFFECTS = {"cast_shadows": "on", "lamps": "on"}
 """Ensures that there is a step even if no surface is visible."""
 
 
-def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, int]) -> tuple[np.ndarray, bool, int]:
+def fill_visibility(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, int]) -> tuple[np.ndarray, bool, int]:
     """Return the visibility (n,) of points of a view of ``scene`` that face the light, with the settings for a view of ``full``.
 
     The other results tell whether there is any surface, and give the number of draws.
     """
-    asked: View = full.view("eye" if trial.algorithm == "perspective_shadow_map" else view, size=size)
-    step = trial.see(full, asked).plan.steps[0]
+    full_view: View = full.view("eye" if trial.algorithm == "perspective_shadow_map" else view, size=size)
+    step = trial.render_view(full, full_view).plan.steps[0]
     # level ground, which nothing rises above, or absent meshes
     kinds = ("relief",) if trial.algorithm == "sweep" else ("meshes",)
     buffer, log = geometry_buffer(scene, scene.view(view, size=size)), PassLog()
     forced = Step(step.light, kinds, step.algorithm, step.settings)
     visibility = fill_steps([forced], buffer, scene, find_casters(scene, buffer), (), log)
-    receives = buffer.valid & ~attached(buffer, scene, step.light)
-    return visibility[receives], bool(buffer.valid.any()), sum(record.draws for record in log.records.values())
+    receivers = buffer.valid & ~attached(buffer, scene, step.light)
+    return visibility[receivers], bool(buffer.valid.any()), sum(record.draws for record in log.records.values())
 
 
 @hard_case(
@@ -60,21 +60,21 @@ def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, 
 )
 def test_nothing_and_single_points(trial: Trial) -> dict[str, float]:
     """Plans list no step for absent casters: the test calls the algorithms as if one did."""
-    draws, dark, nothing = 0, 0.0, 0
+    draws, dark, invalid_count = 0, 0.0, 0
     views = list(VIEWS)[: 2 if trial.algorithm == "perspective_shadow_map" else None]
     for light, keys in list(LIGHTS.items())[: 1 if trial.algorithm == "sweep" else None]:
         empty = trial.scene(FLOOR, name=f"{light}_empty", views=VIEWS, **keys)
         meshes = [] if trial.algorithm == "sweep" else [box((8, 6, 5))]
-        full = trial.scene(FLOOR, meshes=meshes, name=f"{light}_full", views=VIEWS, effects=FORCED, **keys)
+        full = trial.scene(FLOOR, meshes=meshes, name=f"{light}_full", views=VIEWS, effects=FORCED_EFFECTS, **keys)
         for view in views:
-            visibility, valid, count = filled(trial, full, empty, view, (96, 72))
+            visibility, valid, count = fill_visibility(trial, full, empty, view, (96, 72))
             assert valid == (view in ("eye", "map"))
-            draws, nothing = draws + count, nothing + int((~np.isfinite(visibility)).sum())
+            draws, invalid_count = draws + count, invalid_count + int((~np.isfinite(visibility)).sum())
             dark = max(dark, float((visibility < 1.0).mean()) if valid else 0.0)
             if not valid:
-                draws += filled(trial, full, full, view, (96, 72))[2]
+                draws += fill_visibility(trial, full, full, view, (96, 72))[2]
         if meshes:
             point = trial.scene(FLOOR, meshes=[POINT], name=f"{light}_point", views=VIEWS, **keys)
-            nothing += sum(not_a_number(trial.see(point, point.view(view, size=(96, 72)))) for view in views)
-        nothing += sum(not_a_number(trial.see(full, full.view(view, size=(1, 1)))) for view in views)
-    return {"draws": draws, "false_shadow": dark, "pixels that are no number": nothing}
+            invalid_count += sum(invalid_pixel_count(trial.render_view(point, point.view(view, size=(96, 72)))) for view in views)
+        invalid_count += sum(invalid_pixel_count(trial.render_view(full, full.view(view, size=(1, 1)))) for view in views)
+    return {"draws": draws, "false_shadow": dark, "pixels that are no number": invalid_count}

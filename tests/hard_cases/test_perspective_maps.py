@@ -11,13 +11,23 @@ import trimesh
 from skugga.shadows.truth.metrics import metric_coverage
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.scene import Scene
-from tests.hard_cases.blocks import OnGround, axis_off, block, camera, figures_on_ground, flat, shade, towards, true_shade
-from tests.hard_cases.cases import Seen, Trial, hard_case
+from tests.hard_cases.blocks import (
+    GroundErrorMetrics,
+    axis_at_angle,
+    block,
+    camera,
+    closed_form_truth,
+    flat_terrain,
+    ground_error_metrics,
+    shadow_polygons,
+    unit_direction,
+)
+from tests.hard_cases.cases import RenderedView, Trial, hard_case
 
-MAPS = ("shadow_map", "perspective_shadow_map")
-PERSPECTIVE = "perspective_shadow_map"
+MAP_ALGORITHMS = ("shadow_map", "perspective_shadow_map")
+PERSPECTIVE_ALGORITHM = "perspective_shadow_map"
 
-CONE_DEG = 3.0
+UNIFORM_MAP_CONE_DEG = 3.0
 """Within this angle of the view's axis a perspective map reports that it is uniform."""
 
 DISPLACED = "wrong, of what texels displace"
@@ -28,7 +38,7 @@ UP = np.array([0.0, 0.0, 1.0])
 TOWERS = [
     block((5, 5, 25), (45 * np.sin(a), 45 * np.cos(a)), turn_deg=20 * n) for n, a in enumerate(np.radians(range(15, 375, 45)))
 ]
-THINGS = [*TOWERS, block((2, 2, 2), (-3, -8)), block((4, 3, 5), (5, 4)), block((5, 5, 0.3), (-8, 6), 6), block((30, 1, 4), (0, 40))]
+BODIES = [*TOWERS, block((2, 2, 2), (-3, -8)), block((4, 3, 5), (5, 4)), block((5, 5, 0.3), (-8, 6), 6), block((30, 1, 4), (0, 40))]
 """Towers all round and bodies of all sizes in between, 90 m across: some behind any eye, some beside it, some in view."""
 
 
@@ -36,90 +46,97 @@ def level(
     trial: Trial, blocks: Sequence[trimesh.Trimesh], sun: tuple[float, float], side_m: float = 200.0, cells: int = 20
 ) -> Scene:
     """Return blocks on level ground."""
-    return trial.scene(flat(side_m, cells), sun=sun, meshes=[trimesh.util.concatenate(blocks)])
+    return trial.scene(flat_terrain(side_m, cells), sun=sun, meshes=[trimesh.util.concatenate(blocks)])
 
 
-def size(trial: Trial) -> tuple[int, int]:
+def picture_and_map_size(trial: Trial) -> tuple[int, int]:
     """Return pixels and texels a side: half the table's, since a frame's truth takes a second at 1024 pixels."""
     return (288, 2048) if trial.thorough else (160, 1024)
 
 
-def look(
-    trial: Trial, scene: Scene, blocks: Sequence[trimesh.Trimesh], view: PerspectiveView, **asked: object
-) -> tuple[Seen, dict[str, float], OnGround]:
+def render_and_measure(
+    trial: Trial, scene: Scene, blocks: Sequence[trimesh.Trimesh], view: PerspectiveView, **options: object
+) -> tuple[RenderedView, dict[str, float], GroundErrorMetrics]:
     """Draw blocks under the level's sun; return errors, the share of pixels without a valid visibility, and that of shadow on
     the ground.
 
     The trial records the coverage of the shadow by the errors.
     """
     sun = scene.loaded.level.sun
-    seen = trial.see(scene, view, **{"map_size": size(trial)[1], **asked})
-    hulls = shade(blocks, (sun.azimuth, sun.altitude))
-    truth = true_shade(seen, hulls)
-    found = figures_on_ground(seen, truth, hulls)
-    trial.saw("interior", found.interior_sight)
-    trial.saw(DISPLACED, metric_coverage(seen.dark, truth, truth.decidable))
+    rendered = trial.render_view(scene, view, **{"map_size": picture_and_map_size(trial)[1], **options})
+    hulls = shadow_polygons(blocks, (sun.azimuth, sun.altitude))
+    truth = closed_form_truth(rendered, hulls)
+    metrics = ground_error_metrics(rendered, truth, hulls)
+    trial.record_coverage("interior", metrics.interior_coverage)
+    trial.record_coverage(DISPLACED, metric_coverage(rendered.dark, truth, truth.decidable))
     shadow = float((truth.valid & ~truth.lit).sum() / max(truth.valid.sum(), 1))
-    nowhere = float((~np.isfinite(seen.visibility) & seen.buffer.valid).mean())
-    return seen, {
-        "interior": found.interior, "edge_p95_px": found.edge_p95_px, DISPLACED: found.displaced, "not finite": nowhere,
+    not_finite = float((~np.isfinite(rendered.visibility) & rendered.buffer.valid).mean())
+    return rendered, {
+        "interior": metrics.interior, "edge_p95_px": metrics.edge_p95_px, DISPLACED: metrics.displaced, "not finite": not_finite,
         "shadow": shadow,
-    }, found  # fmt: skip
+    }, metrics  # fmt: skip
 
 
-def worst(found: Sequence[dict[str, float]]) -> dict[str, float]:
+def max_by_figure(figure_sets: Sequence[dict[str, float]]) -> dict[str, float]:
     """Return the largest of each figure."""
-    assert np.mean([0.01 < each["shadow"] < 0.99 for each in found]) > 0.5, f"there is light and shadow: {found}"
-    return {name: float(np.max([each[name] for each in found])) for name in found[0]}
+    assert np.mean([0.01 < figures["shadow"] < 0.99 for figures in figure_sets]) > 0.5, f"there is light and shadow: {figure_sets}"
+    return {name: float(np.max([figures[name] for figures in figure_sets])) for name in figure_sets[0]}
 
 
-def notes(seen: Seen) -> str:
-    return " ".join(record.note for record in seen.log.records.values())
+def pass_notes(rendered: RenderedView) -> str:
+    return " ".join(record.note for record in rendered.log.records.values())
 
 
 @hard_case(
     "H9", "With the sun in the view's axis the map is finite and right, and uniform within a stated cone alone",
     "the sun 0, 1e-8 to 10 degrees off the view's axis", {"interior": 0.0, "not finite": 0.0, "uniform beyond the cone": 0.0},
-    algorithms=MAPS,
+    algorithms=MAP_ALGORITHMS,
 )  # fmt: skip
 def test_sun_in_the_axis(trial: Trial) -> dict[str, float]:
     """Both ways off the axis, up and sideways: the eye looks at a low sun."""
     sun, eye = (0.0, 12.0), (0, -20, 5)
-    scene, found, beyond = level(trial, THINGS, sun), [], 0
-    off = [0.0, 1e-8, 1e-4, 1.0, 2.9, 3.1, 10.0]
+    scene, results, uniform_count = level(trial, BODIES, sun), [], 0
+    offsets_deg = [0.0, 1e-8, 1e-4, 1.0, 2.9, 3.1, 10.0]
     if trial.thorough:
-        off += [1e-7, 1e-6, 1e-5, 1e-3, 1e-2, 0.1, 0.5, 2.0, 5.0]
-    for number, angle in enumerate(off):
-        aside = UP if number % 2 else np.array([1.0, 0.0, -0.2])
-        seen, figures, _ = look(trial, scene, THINGS, camera(eye, axis_off(towards(*sun), aside, angle), 70.0, size(trial)[0]))
-        found.append(figures)
-        if trial.algorithm == PERSPECTIVE:
-            uniform = "a uniform map" in notes(seen)
-            assert uniform or angle > CONE_DEG, "within the cone a map says that it is uniform"
-            beyond += uniform and angle > CONE_DEG
-    figures = worst(found)
-    return {"interior": figures["interior"], "not finite": figures["not finite"], "uniform beyond the cone": beyond}
+        offsets_deg += [1e-7, 1e-6, 1e-5, 1e-3, 1e-2, 0.1, 0.5, 2.0, 5.0]
+    for number, angle in enumerate(offsets_deg):
+        other_direction = UP if number % 2 else np.array([1.0, 0.0, -0.2])
+        rendered, figures, _ = render_and_measure(
+            trial,
+            scene,
+            BODIES,
+            camera(eye, axis_at_angle(unit_direction(*sun), other_direction, angle), 70.0, picture_and_map_size(trial)[0]),
+        )
+        results.append(figures)
+        if trial.algorithm == PERSPECTIVE_ALGORITHM:
+            uniform = "a uniform map" in pass_notes(rendered)
+            assert uniform or angle > UNIFORM_MAP_CONE_DEG, "within the cone a map says that it is uniform"
+            uniform_count += uniform and angle > UNIFORM_MAP_CONE_DEG
+    figures = max_by_figure(results)
+    return {"interior": figures["interior"], "not finite": figures["not finite"], "uniform beyond the cone": uniform_count}
 
 
 @hard_case(
     "H10", "With the sun behind the viewer a perspective map is as right as a shadow map",
     "the sun 180 degrees off the view's axis, +-1e-6 to 10 degrees",
-    {"interior": 0.0, "not finite": 0.0, "edge p95 beyond a shadow map's, px": 1.0}, algorithms=(PERSPECTIVE,),
+    {"interior": 0.0, "not finite": 0.0, "edge p95 beyond a shadow map's, px": 1.0}, algorithms=(PERSPECTIVE_ALGORITHM,),
 )  # fmt: skip
 def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
     """The shadow map is one tightly fitted map of as many texels."""
     sun, eye = (180.0, 30.0), (0, -25, 14)
-    scene, plain, found = level(trial, THINGS, sun), replace(trial, algorithm="shadow_map"), []
-    off = [0.0, 1e-6, -1e-6, 3.1, -3.1] + ([1e-8, -1e-8, 1e-4, -1e-4, 1.0, -1.0, 2.9, -2.9, 5.0, -5.0] if trial.thorough else [])
-    for angle in off:
-        view = camera(eye, axis_off(towards(*sun), UP, 180.0 + angle), 60.0, size(trial)[0])
-        _, figures, own = look(trial, scene, THINGS, view)
-        other = plain.see(scene, view, map_size=size(trial)[1], cascades=1, fit="tight", filter=1)
-        hulls = shade(THINGS, sun)
-        beside = figures_on_ground(other, true_shade(other, hulls), hulls)
-        trial.saw("edge p95 beyond a shadow map's, px", own.edge_metric_coverage)
-        found.append({**figures, "beyond": figures["edge_p95_px"] - beside.edge_p95_px})
-    figures = worst(found)
+    scene, map_trial, results = level(trial, BODIES, sun), replace(trial, algorithm="shadow_map"), []
+    offsets_deg = [0.0, 1e-6, -1e-6, 3.1, -3.1] + (
+        [1e-8, -1e-8, 1e-4, -1e-4, 1.0, -1.0, 2.9, -2.9, 5.0, -5.0] if trial.thorough else []
+    )
+    for angle in offsets_deg:
+        view = camera(eye, axis_at_angle(unit_direction(*sun), UP, 180.0 + angle), 60.0, picture_and_map_size(trial)[0])
+        _, figures, metrics = render_and_measure(trial, scene, BODIES, view)
+        other = map_trial.render_view(scene, view, map_size=picture_and_map_size(trial)[1], cascades=1, fit="tight", filter=1)
+        hulls = shadow_polygons(BODIES, sun)
+        reference_metrics = ground_error_metrics(other, closed_form_truth(other, hulls), hulls)
+        trial.record_coverage("edge p95 beyond a shadow map's, px", metrics.edge_metric_coverage)
+        results.append({**figures, "beyond": figures["edge_p95_px"] - reference_metrics.edge_p95_px})
+    figures = max_by_figure(results)
     return {
         "interior": figures["interior"], "not finite": figures["not finite"],
         "edge p95 beyond a shadow map's, px": figures["beyond"],
@@ -137,16 +154,16 @@ def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
 
     The jump is that from one frame to the next.
     """
-    sun, eye, things = (80.0, 35.0), (2, -14, 9), [*THINGS, block((9, 9, 0.3), (8, 0), 5)]
-    scene, found = level(trial, things, sun), []
+    sun, eye, bodies = (80.0, 35.0), (2, -14, 9), [*BODIES, block((9, 9, 0.3), (8, 0), 5)]
+    scene, results = level(trial, bodies, sun), []
     steps = 1e-4 * np.arange(-10, 11) if trial.thorough else 1e-4 * np.arange(-2, 3)
     for angle in (-2.0, -0.1, -0.01, *steps, 0.01, 0.1, 2.0) if trial.thorough else (-1.0, *steps, 1.0):
-        axis = axis_off(towards(*sun), np.array([0.0, 1.0, -0.5]), 90.0 + angle)
-        _, figures, own = look(trial, scene, things, camera(eye, axis, 60.0, size(trial)[0]))
-        trial.saw("jump of edge_p95_px", own.edge_metric_coverage)
-        found.append(figures)
-    edges = [each["edge_p95_px"] for each in found]
-    figures = worst(found)
+        axis = axis_at_angle(unit_direction(*sun), np.array([0.0, 1.0, -0.5]), 90.0 + angle)
+        _, figures, metrics = render_and_measure(trial, scene, bodies, camera(eye, axis, 60.0, picture_and_map_size(trial)[0]))
+        trial.record_coverage("jump of edge_p95_px", metrics.edge_metric_coverage)
+        results.append(figures)
+    edges = [item["edge_p95_px"] for item in results]
+    figures = max_by_figure(results)
     jump = float(np.abs(np.diff(edges)).max())
     return {"interior": figures["interior"], "not finite": figures["not finite"], "jump of edge_p95_px": jump}
 
@@ -158,7 +175,7 @@ def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
 )  # fmt: skip
 def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
     """The eye looks north from y = 0, the sun stands behind it. Missed shadow is counted three pixels inside the outline."""
-    sun, found = (170.0, 40.0), []
+    sun, results = (170.0, 40.0), []
     for end_m in (0.0, 1e-6, -1e-6):
         walls = [
             block((4, 2, 30), (0, -8)),  # behind the eye
@@ -166,18 +183,20 @@ def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
             block((3, 6, 0.5), (4, end_m), 8),  # half behind the eye
         ]  # fmt: skip
         for tilt_deg in (0.0, -15.0):
-            axis = towards(0.0, tilt_deg)
+            axis = unit_direction(0.0, tilt_deg)
             scene = level(trial, walls, sun)
-            seen, figures, _ = look(trial, scene, walls, camera((0, 0, 3), axis, 75.0, size(trial)[0]))
-            truth = true_shade(seen, shade(walls, sun))
-            deep = truth.decidable & ~truth.lit
+            rendered, figures, _ = render_and_measure(
+                trial, scene, walls, camera((0, 0, 3), axis, 75.0, picture_and_map_size(trial)[0])
+            )
+            truth = closed_form_truth(rendered, shadow_polygons(walls, sun))
+            shadow_interior = truth.decidable & ~truth.lit
             for shift in (-3, 3):
                 for side in (0, 1):
-                    deep &= np.roll(truth.decidable & ~truth.lit, shift, axis=side)
-            trial.saw("missed_shadow", metric_coverage(seen.dark, truth, deep))
-            assert deep.sum() > 300 * (size(trial)[0] / 160) ** 2
-            found.append({**figures, "missed_shadow": float((deep & ~seen.dark).sum() / deep.sum())})
-    figures = worst(found)
+                    shadow_interior &= np.roll(truth.decidable & ~truth.lit, shift, axis=side)
+            trial.record_coverage("missed_shadow", metric_coverage(rendered.dark, truth, shadow_interior))
+            assert shadow_interior.sum() > 300 * (picture_and_map_size(trial)[0] / 160) ** 2
+            results.append({**figures, "missed_shadow": float((shadow_interior & ~rendered.dark).sum() / shadow_interior.sum())})
+    figures = max_by_figure(results)
     return {name: figures[name] for name in ("missed_shadow", "interior", "not finite")}
 
 
@@ -187,16 +206,16 @@ def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
 )  # fmt: skip
 def test_sun_on_the_rim_of_the_picture(trial: Trial) -> dict[str, float]:
     """The light's image in post-perspective space lies at the corner of the unit cube, at its far plane."""
-    found, px = [], size(trial)[0]
-    view = camera((1, -30, 6), towards(0.0, -12.0), 60.0, px, 1.25)
+    results, px = [], picture_and_map_size(trial)[0]
+    view = camera((1, -30, 6), unit_direction(0.0, -12.0), 60.0, px, 1.25)
     half = np.array([view.cols, view.rows]) / 2.0 / view.focal_px
     for corner in ((-1.0, -1.0), (1.0, -1.0), (0.0, -1.0)):
         for share in (0.999, 1.0, 1.001) if trial.thorough else (1.0,):
-            way = view.earth_from_camera @ np.array([*(share * np.array(corner) * half), 1.0])
-            way /= np.linalg.norm(way)
-            sun = float(np.degrees(np.arctan2(way[0], way[1]))) % 360.0, float(np.degrees(np.arcsin(way[2])))
-            found.append(look(trial, level(trial, THINGS, sun), THINGS, view)[1])
-    figures = worst(found)
+            direction = view.earth_from_camera @ np.array([*(share * np.array(corner) * half), 1.0])
+            direction /= np.linalg.norm(direction)
+            sun = float(np.degrees(np.arctan2(direction[0], direction[1]))) % 360.0, float(np.degrees(np.arcsin(direction[2])))
+            results.append(render_and_measure(trial, level(trial, BODIES, sun), BODIES, view)[1])
+    figures = max_by_figure(results)
     return {name: figures[name] for name in ("interior", "not finite")}
 
 
@@ -209,16 +228,16 @@ ROOF = block((14, 12, 0.3), (2, -16), 6)
     "fields of view of 1 degree, 1 km away, and of 150 degrees", {"interior": 0.0, DISPLACED: 1.0, "not finite": 0.0},
 )  # fmt: skip
 def test_fields_of_view(trial: Trial) -> dict[str, float]:
-    found = []
-    things = [*THINGS, ROOF, block((6, 5, 0.3), (10, 2), 6)]
+    results = []
+    bodies = [*BODIES, ROOF, block((6, 5, 0.3), (10, 2), 6)]
     for sun in ((75.0, 40.0), (200.0, 25.0), (300.0, 30.0)):
-        scene = level(trial, things, sun, 4000.0, 80)
-        far = np.array([60.0, -900.0, 450.0])
-        for eye, target, fov_deg in ((far, (5, 0, 2), 1.0), ((2, -18, 5), (0, 10, 1), 150.0)):
+        scene = level(trial, bodies, sun, 4000.0, 80)
+        far_eye = np.array([60.0, -900.0, 450.0])
+        for eye, target, fov_deg in ((far_eye, (5, 0, 2), 1.0), ((2, -18, 5), (0, 10, 1), 150.0)):
             axis = np.subtract(target, eye)
-            view = camera(eye, axis / np.linalg.norm(axis), fov_deg, size(trial)[0])
-            found.append(look(trial, scene, things, view)[1])
-    figures = worst(found)
+            view = camera(eye, axis / np.linalg.norm(axis), fov_deg, picture_and_map_size(trial)[0])
+            results.append(render_and_measure(trial, scene, bodies, view)[1])
+    figures = max_by_figure(results)
     return {name: figures[name] for name in ("interior", DISPLACED, "not finite")}
 
 
@@ -229,15 +248,19 @@ def test_fields_of_view(trial: Trial) -> dict[str, float]:
 )  # fmt: skip
 def test_from_a_pebble_to_a_mountain(trial: Trial) -> dict[str, float]:
     """Mountains are 4 km high: their shadows take some rows of pixels below the horizon. A boulder stands behind the eye."""
-    found = []
+    results = []
     for sun in ((60.0, 8.0), (300.0, 20.0), (190.0, 30.0)):
-        things = [
+        bodies = [
             block((0.1, 0.1, 0.1), (0.1, 0.5)), block((0.3, 0.3, 0.6), (-0.6, 1.2)), block((2, 1, 3), (3, 9)),
             block((0.6, 0.2, 0.9), (0.2, -0.7)), block((3e3, 3e3, 4e3), (-8e3, 3e4)), block((8e3, 4e3, 4e3), (9e3, 8e4)),
         ]  # fmt: skip
-        scene = level(trial, things, sun, 200e3, 400)
-        found.append(look(trial, scene, things, camera((0, 0, 0.2), towards(0.0, -16.0), 70.0, size(trial)[0]))[1])
-    figures = worst(found)
+        scene = level(trial, bodies, sun, 200e3, 400)
+        results.append(
+            render_and_measure(
+                trial, scene, bodies, camera((0, 0, 0.2), unit_direction(0.0, -16.0), 70.0, picture_and_map_size(trial)[0])
+            )[1]
+        )
+    figures = max_by_figure(results)
     return {name: figures[name] for name in ("interior", DISPLACED, "not finite")}
 
 
@@ -250,15 +273,15 @@ def test_grazing_and_upright_suns(trial: Trial) -> dict[str, float]:
 
     A texel on the ground is as long as the sun is low: by 115 times at half a degree. These maps therefore have 4096 texels a side.
     """
-    found = []
+    results = []
     walls = [block((60, 1, 6), (-30, -60)), block((1, 44, 6), (60, -4)), block((60, 1, 6), (-30, 60))]
-    things = [*THINGS, *walls, block((14, 10, 0.3), (1, 2), 7)]
+    bodies = [*BODIES, *walls, block((14, 10, 0.3), (1, 2), 7)]
     for azimuth in (90.0, 180.0, 0.0) if trial.thorough else (90.0, 180.0):
         for altitude in (0.5, 2.0, 89.9, 90.0):
-            scene, asked = level(trial, things, (azimuth, altitude), 400.0), {"map_size": 4096} if altitude < 5.0 else {}
-            view = camera((0, -12, 4), towards(0.0, -12.0), 60.0, size(trial)[0])
-            found.append(look(trial, scene, things, view, **asked)[1])
-    figures = worst(found)
+            scene, options = level(trial, bodies, (azimuth, altitude), 400.0), {"map_size": 4096} if altitude < 5.0 else {}
+            view = camera((0, -12, 4), unit_direction(0.0, -12.0), 60.0, picture_and_map_size(trial)[0])
+            results.append(render_and_measure(trial, scene, bodies, view, **options)[1])
+    figures = max_by_figure(results)
     return {name: figures[name] for name in ("interior", DISPLACED, "not finite")}
 
 
@@ -272,10 +295,10 @@ def test_huge_triangles(trial: Trial) -> dict[str, float]:
 
     The shadow map's texels are fitted tightly: wider ones would hide the error.
     """
-    found, closely = [], {"map_size": 2048, "depth_bits": 24, "fit": "tight", "cascades": 1, "filter": 1}
+    results, tight_options = [], {"map_size": 2048, "depth_bits": 24, "fit": "tight", "cascades": 1, "filter": 1}
     for cells in (1, 3):
-        scene = level(trial, THINGS, (180.0, 60.0), 60e3, cells)
+        scene = level(trial, BODIES, (180.0, 60.0), 60e3, cells)
         for high_m, fov_deg in ((200.0, 50.0), (20e3, 0.55)):
-            found.append(look(trial, scene, THINGS, camera((0, 0, high_m), -UP, fov_deg, 400), **closely)[1])
-    figures = worst(found)
+            results.append(render_and_measure(trial, scene, BODIES, camera((0, 0, high_m), -UP, fov_deg, 400), **tight_options)[1])
+    figures = max_by_figure(results)
     return {name: figures[name] for name in ("interior", "not finite")}

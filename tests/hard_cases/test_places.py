@@ -20,7 +20,7 @@ from skugga.terrain.geo.sun import apparent_position
 from skugga.terrain.geo.world import WGS84
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import Seen, Trial, View, hard_case
+from tests.hard_cases.cases import RenderedView, Trial, View, hard_case
 
 MAST_M = 100.0
 """Height of a mast: a block of 5 x 5 cells on level ground, whose walls are a cell wide."""
@@ -79,15 +79,15 @@ def view_of(trial: Trial, scene: Scene, px: int) -> View:
     return look_at(eye, anchor, axes[:, 2], 50.0, px, px)
 
 
-def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> float:
+def outline_error_m(rendered: RenderedView, place: Place, azimuth: float, altitude: float) -> float:
     """Return the largest distance of wrong pixels from the outline of the mast's shadow, metres: lit inside or dark outside.
 
     Outline and points are compared in east, north and up at the mast by PROJ's topocentric conversion. The class of a point is
     exact there, so pixels need not be small.
     """
     local = _to_local(place.lon, place.lat)
-    frame = seen.buffer.frame
-    earth_m = seen.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
+    frame = rendered.buffer.frame
+    earth_m = rendered.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
     points = np.stack(local.transform(*np.moveaxis(earth_m, -1, 0)), axis=-1)
     x, y = place.xy
     # Quads are cut along the higher diagonal: a ridge runs down from each of the mast's corners to that of its foot.
@@ -96,46 +96,48 @@ def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> 
         at = half_cells * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * place.cell
         lon, lat = Transformer.from_crs(place.crs, "OGC:CRS84", always_xy=True).transform(x + at[:, 0], y + at[:, 1])
         corners.append(np.stack(local.transform(*_to_earth().transform(lon, lat, np.full(len(lon), height_m))), axis=-1))
-    away = -np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))]) / np.tan(np.radians(altitude))
-    to_level = [corner[:, :2] + corner[:, 2:] * away for corner in (*corners, points.reshape(-1, 3))]
-    hull = ConvexHull(np.concatenate(to_level[:2]))
-    outside = np.max(to_level[2] @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1).reshape(points.shape[:2])
-    ground = seen.buffer.valid & (np.abs(seen.buffer.height_m) < 1e-3)
+    shadow_offset = -np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))]) / np.tan(np.radians(altitude))
+    projected = [corner[:, :2] + corner[:, 2:] * shadow_offset for corner in (*corners, points.reshape(-1, 3))]
+    hull = ConvexHull(np.concatenate(projected[:2]))
+    outside = np.max(projected[2] @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1).reshape(points.shape[:2])
+    ground = rendered.buffer.valid & (np.abs(rendered.buffer.height_m) < 1e-3)
     foot_hull = ConvexHull(corners[1][:, :2])
-    beside = np.max(points[..., :2] @ foot_hull.equations[:, :2].T + foot_hull.equations[:, 2], axis=-1) > 0.05
-    ground &= beside
+    outside_foot = np.max(points[..., :2] @ foot_hull.equations[:, :2].T + foot_hull.equations[:, 2], axis=-1) > 0.05
+    ground &= outside_foot
     assert (ground & (outside < -2.0)).any() and (ground & (outside > 2.0)).any(), "ground inside of the outline and outside"
-    return float(np.abs(outside[ground & (seen.dark != (outside < 0.0))]).max(initial=0.0))
+    return float(np.abs(outside[ground & (rendered.dark != (outside < 0.0))]).max(initial=0.0))
 
 
-def texel_m(seen: Seen) -> float:
+def texel_m(rendered: RenderedView) -> float:
     """Return the longer side of an algorithm's largest texels on the ground; 0 without texels."""
-    pixel_m = describe(seen.scene, seen.view).pixel_m
-    (step,) = seen.plan.steps
-    return float(np.max(texel_footprint_px(seen.scene, step, seen.buffer, pixel_m))) * pixel_m
+    pixel_m = describe(rendered.scene, rendered.view).pixel_m
+    (step,) = rendered.plan.steps
+    return float(np.max(texel_footprint_px(rendered.scene, step, rendered.buffer, pixel_m))) * pixel_m
 
 
-def resampled_m(seen: Seen) -> float:
+def resampled_m(rendered: RenderedView) -> float:
     """Return the distance of the nodes of a camera's ground mesh if these are not the raster's own; else 0."""
-    ground = seen.buffer.ground
-    return 0.0 if ground is None or ground.grid.crs == seen.scene.elevation.crs else describe(seen.scene, seen.view).node_m
+    ground = rendered.buffer.ground
+    return (
+        0.0 if ground is None or ground.grid.crs == rendered.scene.elevation.crs else describe(rendered.scene, rendered.view).node_m
+    )
 
 
-def worst_of_tolerance(
+def worst_outline_error(
     trial: Trial, place: Place, suns: list[tuple[float, float]], tolerance_m: float, name: str = "mast"
 ) -> float:
     """Return the largest distance of a mast's shadow from its outline under some suns.
 
     The unit is the tolerance, or a texel if that is larger.
     """
-    return max(of_tolerance(trial, mast(trial, place, sun, name), place, sun, tolerance_m) for sun in suns)
+    return max(relative_outline_error(trial, mast(trial, place, sun, name), place, sun, tolerance_m) for sun in suns)
 
 
-def of_tolerance(trial: Trial, scene: Scene, place: Place, sun: tuple[float, float], tolerance_m: float) -> float:
+def relative_outline_error(trial: Trial, scene: Scene, place: Place, sun: tuple[float, float], tolerance_m: float) -> float:
     """Return the same for a scene whose sun should be the one given."""
     px, size = (320, 2048) if trial.thorough else (160, 1024)
-    seen = trial.see(scene, view_of(trial, scene, px), map_size=size, filter=1)
-    return off_outline_m(seen, place, *sun) / max(tolerance_m, texel_m(seen), resampled_m(seen))
+    rendered = trial.render_view(scene, view_of(trial, scene, px), map_size=size, filter=1)
+    return outline_error_m(rendered, place, *sun) / max(tolerance_m, texel_m(rendered), resampled_m(rendered))
 
 
 @hard_case(
@@ -149,10 +151,10 @@ def test_true_north(trial: Trial) -> dict[str, float]:
     place = Place("EPSG:32633", 18.0, 57.7, 1.0, cells=261)
     suns = [(67.0, 40.0), (180.0, 40.0), (222.0, 40.0), (300.0, 50.0)]
     suns = suns if trial.thorough else suns[:1]
-    return {"off its outline, of 0.1 m or a texel": worst_of_tolerance(trial, place, suns, 0.1)}
+    return {"off its outline, of 0.1 m or a texel": worst_outline_error(trial, place, suns, 0.1)}
 
 
-SAME_PLACE = {
+SAME_PLACE_BY_CRS = {
     "geographic": Place("EPSG:4326", -85.3, 36.1, 2e-5, cells=321),
     "utm": Place("EPSG:32616", -85.3, 36.1, 4.0),
     "mercator": Place("EPSG:3857", -85.3, 36.1, 5.0),
@@ -170,14 +172,16 @@ def test_same_scene_in_every_crs(trial: Trial) -> dict[str, float]:
     """The sun is that of a time, by the library that the engine uses, at the place itself."""
     time = datetime.fromisoformat("2024-10-21T15:00:00-05:00")
     azimuth, altitude, _ = apparent_position(time, -85.3, 36.1)
-    length_m, off, apart = MAST_M / np.tan(np.radians(altitude)), 0.0, 0.0
-    some = SAME_PLACE if trial.thorough else {name: SAME_PLACE[name] for name in ("geographic", "state plane in feet")}
-    for name, place in some.items():
-        off = max(off, worst_of_tolerance(trial, place, [(azimuth, altitude)], 0.01 * length_m, name))
+    length_m, outline_error, sun_error_deg = MAST_M / np.tan(np.radians(altitude)), 0.0, 0.0
+    tested_places = (
+        SAME_PLACE_BY_CRS if trial.thorough else {name: SAME_PLACE_BY_CRS[name] for name in ("geographic", "state plane in feet")}
+    )
+    for name, place in tested_places.items():
+        outline_error = max(outline_error, worst_outline_error(trial, place, [(azimuth, altitude)], 0.01 * length_m, name))
         sun = mast(trial, place, (0.0, 10.0), name).with_sun(SunSpec(time=time)).sun
         assert sun is not None
-        apart = max(apart, abs(sun.azimuth_deg - azimuth), abs(sun.altitude_deg - altitude))
-    return {"off its outline, of 1 % of its length": off, "sun_deg": apart}
+        sun_error_deg = max(sun_error_deg, abs(sun.azimuth_deg - azimuth), abs(sun.altitude_deg - altitude))
+    return {"off its outline, of 1 % of its length": outline_error, "sun_deg": sun_error_deg}
 
 
 @hard_case(
@@ -187,11 +191,11 @@ def test_same_scene_in_every_crs(trial: Trial) -> dict[str, float]:
     {"off its outline, of 0.5 % of 173.2 m": 1.0},
 )
 def test_web_mercator(trial: Trial) -> dict[str, float]:
-    off = 0.0
+    outline_error = 0.0
     for lat in (0.0, 45.0, 60.0, 80.0) if trial.thorough else (0.0, 80.0):
         place = Place("EPSG:3857", 24.0, lat, 4.0 / np.cos(np.radians(lat)))
-        off = max(off, worst_of_tolerance(trial, place, [(222.0, 30.0)], 0.005 * 173.2, f"at{lat:.0f}"))
-    return {"off its outline, of 0.5 % of 173.2 m": off}
+        outline_error = max(outline_error, worst_outline_error(trial, place, [(222.0, 30.0)], 0.005 * 173.2, f"at{lat:.0f}"))
+    return {"off its outline, of 0.5 % of 173.2 m": outline_error}
 
 
 POLAR = "+proj=stere +lat_0=90 +lat_ts=70 +lon_0={} +datum=WGS84"
@@ -217,7 +221,7 @@ def test_edges_of_the_map(trial: Trial) -> dict[str, float]:
 
     ``seam_255`` is the largest difference of the picture of a smooth hill from one at a place without a break.
     """
-    azimuth_deg, off, seam = 0.0, 0.0, 0.0
+    azimuth_deg, outline_error, seam_error = 0.0, 0.0, 0.0
     for name, (place, twin) in EDGES_OF_THE_MAP.items():
         if name == "85 degrees north" and not trial.thorough:
             continue
@@ -225,11 +229,11 @@ def test_edges_of_the_map(trial: Trial) -> dict[str, float]:
         sun = apparent_position(time, place.lon, place.lat)[:2]
         scene = mast(trial, place, (0.0, 10.0), name).with_sun(SunSpec(time=time))
         tolerance_m = np.radians(0.1) * MAST_M / np.sin(np.radians(sun[1]))
-        off = max(off, of_tolerance(trial, scene, place, sun, tolerance_m))
+        outline_error = max(outline_error, relative_outline_error(trial, scene, place, sun, tolerance_m))
         azimuth_deg = max(azimuth_deg, _azimuth_error_deg(scene, place, time))
-        pictures = [_hill(trial, its, f"{kind} at {name}") for kind, its in (("hill", place), ("twin", twin))]
-        seam = max(seam, float(np.abs(pictures[0] - pictures[1]).max()))
-    return {"azimuth_deg": azimuth_deg, "off its outline, of 0.1 degrees": off, "seam_255": seam}
+        pictures = [_hill(trial, hill_place, f"{kind} at {name}") for kind, hill_place in (("hill", place), ("twin", twin))]
+        seam_error = max(seam_error, float(np.abs(pictures[0] - pictures[1]).max()))
+    return {"azimuth_deg": azimuth_deg, "off its outline, of 0.1 degrees": outline_error, "seam_255": seam_error}
 
 
 def _azimuth_error_deg(scene: Scene, place: Place, time: datetime) -> float:
@@ -237,17 +241,17 @@ def _azimuth_error_deg(scene: Scene, place: Place, time: datetime) -> float:
     worst = 0.0
     for bearing in (10.0, 100.0, 190.0, 280.0):
         lon, lat, _ = WGS84.fwd(place.lon, place.lat, bearing, 10_000.0)
-        here = np.array(_to_earth().transform(lon, lat, 0.0))
-        east, north, _ = _to_local(lon, lat).transform(*(here + 1e6 * scene.sun.to_sun_earth))
-        apart = np.degrees(np.arctan2(east, north)) - apparent_position(time, lon, lat)[0]
-        worst = max(worst, abs(float((apart + 180.0) % 360.0 - 180.0)))
+        origin_m = np.array(_to_earth().transform(lon, lat, 0.0))
+        east, north, _ = _to_local(lon, lat).transform(*(origin_m + 1e6 * scene.sun.to_sun_earth))
+        error_deg = np.degrees(np.arctan2(east, north)) - apparent_position(time, lon, lat)[0]
+        worst = max(worst, abs(float((error_deg + 180.0) % 360.0 - 180.0)))
     return worst
 
 
 def _hill(trial: Trial, place: Place, name: str) -> np.ndarray:
     """Return the picture (rows, cols, 3) of a smooth hill at a place, of 255. Grid north is true north there."""
-    across = (np.arange(place.cells) - place.cells // 2) / place.cells
-    heights = (40.0 * np.exp(-8.0 * (across[:, None] ** 2 + across**2))).astype(np.float32)
+    axis = (np.arange(place.cells) - place.cells // 2) / place.cells
+    heights = (40.0 * np.exp(-8.0 * (axis[:, None] ** 2 + axis**2))).astype(np.float32)
     scene = trial.scene(_raster(trial, heights, place, name), (143.0, 27.0), name=name)
     scene = scene.with_style("swiss", None)  # the twin has another latitude: the colours must not depend on it
     view = view_of(trial, scene, 96)

@@ -1,6 +1,6 @@
 """Random terrain, place, sun and eye: values are finite and within [0, 1], and errors within the algorithm's bounds.
 
-``FOUND`` names the counter-examples that were found; they run with the others.
+``COUNTEREXAMPLES`` names the counter-examples that were found; they run with the others.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import Seen, Trial, View, hard_case
-from tests.hard_cases.reach_of_error import beyond, beyond_sight
+from tests.hard_cases.cases import RenderedView, Trial, View, hard_case
+from tests.hard_cases.reach_of_error import unexplained_coverage, unexplained_errors
 from tests.rasters import ENGINEERING
 
 PX = 64
@@ -80,97 +80,101 @@ class Situation:
     houses: bool
 
 
-def _evenly(low: float, high: float, steps: int = 1000) -> st.SearchStrategy[float]:
+def _evenly_distributed(low: float, high: float, steps: int = 1000) -> st.SearchStrategy[float]:
     """Return a strategy of evenly distributed numbers: floats would come mostly from the range's ends."""
     return st.integers(0, steps).map(lambda step: round(low + (high - low) * step / steps, 4))
 
 
-_SHARE = _evenly(0.1, 0.9)
+_SHARE = _evenly_distributed(0.1, 0.9)
 EYES = st.builds(
     Eye, st.tuples(_SHARE, _SHARE), st.tuples(_SHARE, _SHARE),
-    st.one_of(_evenly(0.01, 3.0), _evenly(3.0, 300.0)), st.one_of(_evenly(20.0, 70.0), _evenly(0.5, 150.0)),
+    st.one_of(_evenly_distributed(0.01, 3.0), _evenly_distributed(3.0, 300.0)), st.one_of(_evenly_distributed(20.0, 70.0), _evenly_distributed(0.5, 150.0)),
 ).filter(lambda eye: max(abs(a - b) for a, b in zip(eye.at, eye.target, strict=True)) > 0.01)  # fmt: skip
 SITUATIONS = st.builds(
     Situation,
     ground=st.sampled_from(GROUNDS),
     cells=st.integers(12, 40),
-    cell_m=_evenly(-1.0, 3.0).map(lambda power: round(10.0**power, 3)),
-    relief_cells=_evenly(-2.0, 1.5).map(lambda power: round(10.0**power, 4)),
+    cell_m=_evenly_distributed(-1.0, 3.0).map(lambda power: round(10.0**power, 3)),
+    relief_cells=_evenly_distributed(-2.0, 1.5).map(lambda power: round(10.0**power, 4)),
     seed=st.integers(0, 2**16),
     place=st.sampled_from(sorted(PLACES)),
-    azimuth_deg=st.one_of(_evenly(0.0, 360.0), st.sampled_from([0.0, 45.0, 90.0, 135.0, 180.0, 270.0])),
-    altitude_deg=st.one_of(_evenly(-2.0, 90.0), _evenly(0.01, 10.0), st.sampled_from([0.0, 45.0, 90.0])),
+    azimuth_deg=st.one_of(_evenly_distributed(0.0, 360.0), st.sampled_from([0.0, 45.0, 90.0, 135.0, 180.0, 270.0])),
+    altitude_deg=st.one_of(_evenly_distributed(-2.0, 90.0), _evenly_distributed(0.01, 10.0), st.sampled_from([0.0, 45.0, 90.0])),
     eye=st.one_of(st.none(), EYES),
     houses=st.booleans(),
 )
 
 
-def heights_of(it: Situation) -> np.ndarray:
+def heights_of(situation: Situation) -> np.ndarray:
     """Return heights in metres (cells, cells) float32, NaN without data."""
-    rng = np.random.default_rng(it.seed)
-    n, relief = it.cells, min(it.relief_cells * it.cell_m, 8000.0)
+    rng = np.random.default_rng(situation.seed)
+    n, relief = situation.cells, min(situation.relief_cells * situation.cell_m, 8000.0)
     row, col = np.mgrid[:n, :n]
     base = np.zeros((n, n))
-    if it.ground == "cliff":
+    if situation.ground == "cliff":
         base = np.where(col + row * rng.uniform(-1, 1) > n / 2, relief, 0.0)
-    elif it.ground == "spikes":
+    elif situation.ground == "spikes":
         base[tuple(rng.integers(2, n - 2, (2, 3)))] = relief
-    elif it.ground == "plateaus":
+    elif situation.ground == "plateaus":
         base = relief * np.round(rng.random((n // 4 + 2, n // 4 + 2)) * 2)[row // 4, col // 4] / 2
-    elif it.ground == "plane":
+    elif situation.ground == "plane":
         base = relief * (rng.uniform(-1, 1) * row + rng.uniform(-1, 1) * col) / n
-    elif it.ground == "rough":
+    elif situation.ground == "rough":
         base = relief * rng.random((n, n))
-    elif it.ground == "saw":
+    elif situation.ground == "saw":
         base = relief * ((row + col) % 2)
     else:
         base = relief * rng.random((n, n))
         base[rng.random((n, n)) < 0.3] = np.nan
-        for east, north in [(0.5, 0.5)] if it.eye is None else [it.eye.at, it.eye.target]:  # ground to stand on and to look at
+        for east, north in (
+            [(0.5, 0.5)] if situation.eye is None else [situation.eye.at, situation.eye.target]
+        ):  # ground to stand on and to look at
             base[np.hypot(row - (1 - north) * n, col - east * n) < 2.0] = relief / 2
     return base.astype(np.float32)
 
 
-def scene_of(it: Situation, folder: Path) -> Scene:
+def scene_of(situation: Situation, folder: Path) -> Scene:
     """Return the scene of a situation; its only camera is ``eye``."""
     trial = Trial("", False, folder)
-    crs, x, y, units = PLACES[it.place]
-    side = it.cell_m * units
-    raster = trial.raster(heights_of(it), crs, x - it.cells * side / 2, y + it.cells * side / 2, side, nodata=float("nan"))
+    crs, x, y, units = PLACES[situation.place]
+    side = situation.cell_m * units
+    raster = trial.raster(
+        heights_of(situation), crs, x - situation.cells * side / 2, y + situation.cells * side / 2, side, nodata=float("nan")
+    )
     meshes: list[Any] = []
-    if it.houses:
+    if situation.houses:
         box = trimesh.creation.box(extents=(2.2, 1.4, 1.7))
-        box.apply_scale(it.cell_m)
+        box.apply_scale(situation.cell_m)
         box.export(folder / "house.ply")
-        meshes.append({"source": "house.ply", "at": _place(it, (0.5, 0.5)), "turn": 20})
+        meshes.append({"source": "house.ply", "at": _place(situation, (0.5, 0.5)), "turn": 20})
     views: dict[str, Any] = {}
-    if it.eye is not None:
-        above_m = it.eye.above_cells * it.cell_m
+    if situation.eye is not None:
+        above_m = situation.eye.above_cells * situation.cell_m
         views["views"] = {"eye": {
-            "kind": "perspective", "fov": it.eye.fov_deg, "size": [PX, PX * 3 // 4],
-            "eye": [*_place(it, it.eye.at), above_m], "target": [*_place(it, it.eye.target), 0.0],
+            "kind": "perspective", "fov": situation.eye.fov_deg, "size": [PX, PX * 3 // 4],
+            "eye": [*_place(situation, situation.eye.at), above_m], "target": [*_place(situation, situation.eye.target), 0.0],
         }}  # fmt: skip
-    return trial.scene(raster, (it.azimuth_deg, it.altitude_deg), meshes, **views)
+    return trial.scene(raster, (situation.azimuth_deg, situation.altitude_deg), meshes, **views)
 
 
-def view_of(it: Situation, scene: Scene) -> View:
+def view_of(situation: Situation, scene: Scene) -> View:
     """Return the camera, or a map of the whole ground.
 
     Across the antimeridian the map is in degrees, since UTM zones end there. Its pixels are at least 1e-9 of its coordinates, which
     such a view must be able to resolve.
     """
-    if it.eye is not None:
+    if situation.eye is not None:
         return scene.view("eye")
-    if it.place != "degrees past 180":
+    if situation.place != "degrees past 180":
         return scene.view(size=(PX, PX))
-    px = min(PX, int(it.cells * it.cell_m * PLACES[it.place][3] / (1e-9 * 181.0)))
+    px = min(PX, int(situation.cells * situation.cell_m * PLACES[situation.place][3] / (1e-9 * 181.0)))
     return scene.view(size=(px, px), crs="EPSG:4326")
 
 
-def _place(it: Situation, share: tuple[float, float]) -> list[float]:
+def _place(situation: Situation, share: tuple[float, float]) -> list[float]:
     """Return metres from the middle, or degrees, of a place given as shares of the ground's sides."""
-    crs, x, y, units = PLACES[it.place]
-    distance_m = [(s - 0.5) * it.cells * it.cell_m for s in share]
+    crs, x, y, units = PLACES[situation.place]
+    distance_m = [(s - 0.5) * situation.cells * situation.cell_m for s in share]
     if crs == ENGINEERING:
         return distance_m
     return list(
@@ -178,26 +182,26 @@ def _place(it: Situation, share: tuple[float, float]) -> list[float]:
     )
 
 
-def matrices(seen: Seen) -> tuple[float, float]:
+def matrix_errors(rendered: RenderedView) -> tuple[float, float]:
     """Return the largest error of the rotations of a view and its light, and the largest condition number of its projections.
 
     A projection applies to the cube round the visible points: the origin's distance does not count.
     """
-    buffer, scene = seen.buffer, seen.scene
+    buffer, scene = rendered.buffer, rendered.scene
     assert scene.light is not None
     rotations = [scene.light.light_from_earth, buffer.frame.frame_from_earth]
     projections = []
-    if isinstance(seen.view, PerspectiveView):
-        rotations.append(seen.view.earth_from_camera)
+    if isinstance(rendered.view, PerspectiveView):
+        rotations.append(rendered.view.earth_from_camera)
         points = buffer.position_frame_m[buffer.valid]
         if len(points):
             middle, half = (points.max(axis=0) + points.min(axis=0)) / 2.0, max(float(np.ptp(points, axis=0).max()) / 2.0, 1e-3)
             cube = np.block([[half * np.eye(3), middle[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
-            settings = [step.settings for step in seen.plan.steps if isinstance(step.settings, PerspectiveMapSettings)]
+            settings = [step.settings for step in rendered.plan.steps if isinstance(step.settings, PerspectiveMapSettings)]
             receivers = buffer.valid & ~attached(buffer, scene)
             if settings and receivers.any():
-                for each in perspective_maps(buffer, receivers, scene, SUN, settings[0], None):
-                    projections.append(np.reshape(each.drawn.uniforms["clip_rows"], (4, 4)) @ cube)
+                for perspective_map in perspective_maps(buffer, receivers, scene, SUN, settings[0], None):
+                    projections.append(np.reshape(perspective_map.depth_map.uniforms["clip_rows"], (4, 4)) @ cube)
     assert all(np.isfinite(matrix).all() for matrix in (*rotations, *projections)), "a matrix is not finite"
     skew = max(float(np.abs(matrix.T @ matrix - np.eye(3)).max()) for matrix in rotations)
     return skew, max(
@@ -205,7 +209,7 @@ def matrices(seen: Seen) -> tuple[float, float]:
     )
 
 
-FOUND = {
+COUNTEREXAMPLES = {
     "a sun on the horizon over the teeth of a saw: level faces of volumes have no slope": Situation(
         "saw", 8, 1.0, 1.0, 293, "zone's edge", 270.0, 0.0, None, True
     ),
@@ -243,27 +247,27 @@ EXAMPLES, THOROUGH_EXAMPLES = 10, 100
 _BOUNDS = {"rotation_skew": ORTHOGONAL, "condition": CONDITION, "wrong beyond its reach": 0.0}
 
 
-def outcome(trial: Trial, it: Situation) -> dict[str, float]:
+def outcome(trial: Trial, situation: Situation) -> dict[str, float]:
     """Return the figures of a situation; all 0 where the algorithm refuses it."""
     with TemporaryDirectory() as folder:
-        scene = scene_of(it, Path(folder))
+        scene = scene_of(situation, Path(folder))
         try:
-            seen = trial.see(scene, view_of(it, scene))
+            rendered = trial.render_view(scene, view_of(situation, scene))
         except UnsupportedError:
             return dict.fromkeys(_BOUNDS, 0.0)
-    valid = seen.visibility[seen.buffer.valid]
+    valid = rendered.visibility[rendered.buffer.valid]
     assert ((valid >= 0.0) & (valid <= 1.0)).all(), "a visibility that is none"
-    skew, condition = matrices(seen)
-    trial.saw("wrong beyond its reach", beyond_sight(seen))
-    return {"rotation_skew": skew, "condition": condition, "wrong beyond its reach": float(beyond(seen).mean())}
+    skew, condition = matrix_errors(rendered)
+    trial.record_coverage("wrong beyond its reach", unexplained_coverage(rendered))
+    return {"rotation_skew": skew, "condition": condition, "wrong beyond its reach": float(unexplained_errors(rendered).mean())}
 
 
-def within_bounds(found: dict[str, float]) -> bool:
-    return all(found[name] <= bound for name, bound in _BOUNDS.items())
+def within_bounds(figures: dict[str, float]) -> bool:
+    return all(figures[name] <= bound for name, bound in _BOUNDS.items())
 
 
-def _worse(worst: dict[str, float], found: dict[str, float]) -> None:
-    for name, value in found.items():
+def _worse(worst: dict[str, float], figures: dict[str, float]) -> None:
+    for name, value in figures.items():
         worst[name] = max(worst.get(name, 0.0), value)
 
 
@@ -290,11 +294,11 @@ def test_any_situation(trial: Trial) -> dict[str, float]:
 
 
 @hard_case(
-    "X2", "The same for situations that once broke something", "; ".join(FOUND), _BOUNDS,
+    "X2", "The same for situations that once broke something", "; ".join(COUNTEREXAMPLES), _BOUNDS,
     algorithms=ALGORITHMS, thorough=False,
 )  # fmt: skip
 def test_found_situations(trial: Trial) -> dict[str, float]:
     worst: dict[str, float] = {}
-    for it in FOUND.values():
-        _worse(worst, outcome(trial, it))
+    for situation in COUNTEREXAMPLES.values():
+        _worse(worst, outcome(trial, situation))
     return worst

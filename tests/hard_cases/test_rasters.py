@@ -14,8 +14,8 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.world import geocentric, geodetic
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
-from tests.hard_cases.cases import ENGINE, SHADOWING, Trial, hard_case
-from tests.hard_cases.ground import CORNER_M, UTM, places, share, whole
+from tests.hard_cases.cases import ENGINE, SHADOW_ALGORITHMS, Trial, hard_case
+from tests.hard_cases.ground import CORNER_M, UTM, map_positions, share_of_mask, view_from_above
 from tests.rasters import ENGINEERING
 from tests.render import render
 
@@ -24,7 +24,7 @@ SENTINELS = (np.nan, np.inf, -np.inf, -32768.0, 3.4e38, -9999.0)
 
 CELL_M = 8.0
 
-ON = {"cast_shadows": "on"}
+FORCED_EFFECTS = {"cast_shadows": "on"}
 """Prevents that level ground is left out because it casts nothing."""
 
 
@@ -36,16 +36,20 @@ ON = {"cast_shadows": "on"}
 )
 def test_holes_cast_nothing(trial: Trial) -> dict[str, float]:
     side = 1024 if trial.thorough else 128
-    scene = trial.scene(trial.raster(plateau_with_holes(side), UTM, *CORNER_M, CELL_M, nodata=-9999.0), (200, 45), effects=ON)
+    scene = trial.scene(
+        trial.raster(plateau_with_holes(side), UTM, *CORNER_M, CELL_M, nodata=-9999.0), (200, 45), effects=FORCED_EFFECTS
+    )
     ground_m = scene.elevation.ground_m
     false_shadow = wrong_surface = 0.0
     for azimuth, altitude in ((200, 45), (75, 5), (310, 0.5))[0 if trial.thorough else 1 :]:
-        under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-        seen = trial.see(under, whole(trial, under, side), map_size=2048 if trial.thorough else 512)
-        valid = seen.buffer.valid
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+        rendered = trial.render_view(
+            sunlit_scene, view_from_above(trial, sunlit_scene, side), map_size=2048 if trial.thorough else 512
+        )
+        valid = rendered.buffer.valid
         assert 0.3 < valid.mean() < 0.95
-        false_shadow = max(false_shadow, share(seen.dark, valid))
-        wrong_surface = max(wrong_surface, share(~np.isfinite(ground_m(*places(seen))), valid))
+        false_shadow = max(false_shadow, share_of_mask(rendered.dark, valid))
+        wrong_surface = max(wrong_surface, share_of_mask(~np.isfinite(ground_m(*map_positions(rendered))), valid))
         if trial.algorithm != "perspective_shadow_map":
             wrong_surface = max(wrong_surface, abs(valid.mean() - np.isfinite(plateau_with_holes(side, np.nan)).mean()))
     return {"false_shadow": false_shadow, "surface lost or made up": wrong_surface}
@@ -54,22 +58,23 @@ def test_holes_cast_nothing(trial: Trial) -> dict[str, float]:
 def plateau_with_holes(side: int, sentinel: float | None = None) -> np.ndarray:
     """Return 100 m everywhere, and holes: one of each sentinel, random single cells, a sea with an island and one with one cell."""
     heights = np.full((side, side), 100.0, np.float32)
-    part = side // 8
+    eighth = side // 8
 
-    def dig(where: tuple[slice, slice], number: int) -> None:
-        heights[where] = SENTINELS[number] if sentinel is None else sentinel
+    def dig(window: tuple[slice, slice], number: int) -> None:
+        heights[window] = SENTINELS[number] if sentinel is None else sentinel
 
     for number in range(len(SENTINELS)):
-        dig((slice(part, 2 * part), slice((number + 1) * part, (number + 1) * part + part // 2)), number)
+        dig((slice(eighth, 2 * eighth), slice((number + 1) * eighth, (number + 1) * eighth + eighth // 2)), number)
     for row in range(5):
         for col in range(10):
             dig(
-                (slice(3 * part + 3 * row, 3 * part + 3 * row + 1), slice(part + 7 * col, part + 7 * col + 1)), col % len(SENTINELS)
+                (slice(3 * eighth + 3 * row, 3 * eighth + 3 * row + 1), slice(eighth + 7 * col, eighth + 7 * col + 1)),
+                col % len(SENTINELS),
             )
-    for left, number in ((0, 3), (4 * part, 0)):
-        dig((slice(5 * part, 8 * part), slice(left, left + 3 * part)), number)
-    heights[6 * part : 6 * part + part // 2, part : 2 * part] = 100.0
-    heights[6 * part, 5 * part] = 100.0
+    for left, number in ((0, 3), (4 * eighth, 0)):
+        dig((slice(5 * eighth, 8 * eighth), slice(left, left + 3 * eighth)), number)
+    heights[6 * eighth : 6 * eighth + eighth // 2, eighth : 2 * eighth] = 100.0
+    heights[6 * eighth, 5 * eighth] = 100.0
     return heights
 
 
@@ -92,14 +97,14 @@ def test_shadows_cross_holes(trial: Trial) -> dict[str, float]:
     rim_deg = np.degrees(np.arctan(60.0 / (beyond_m - crest_m)))
     false_shadow = tip_px = 0.0
     for altitude in (rim_deg + 2.0, rim_deg - 2.0):
-        under = scene.with_sun(SunSpec(azimuth=270, altitude=altitude))
-        seen = trial.see(under, whole(trial, under, side), map_size=2048)
-        x, y = places(seen)
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=270, altitude=altitude))
+        rendered = trial.render_view(sunlit_scene, view_from_above(trial, sunlit_scene, side), map_size=2048)
+        x, y = map_positions(rendered)
         middle = np.abs(y - (CORNER_M[1] - side / 2 * CELL_M)) < (side / 2 - 20) * CELL_M
         tip_m = crest_m + 60.0 / np.tan(np.radians(altitude))
-        false_shadow = max(false_shadow, share(seen.dark, middle & (x > max(beyond_m, tip_m + CELL_M))))
+        false_shadow = max(false_shadow, share_of_mask(rendered.dark, middle & (x > max(beyond_m, tip_m + CELL_M))))
         if altitude < rim_deg:
-            tip_px = abs(x[seen.dark & middle].max() - tip_m) / CELL_M
+            tip_px = abs(x[rendered.dark & middle].max() - tip_m) / CELL_M
     return {"false_shadow": false_shadow, "tip_px": tip_px}
 
 
@@ -108,7 +113,7 @@ BLOCK_BOUNDS = {"tip_px": 2.0, "side_px": 1.0, "surface lost or made up": 0.0}
 
 
 @dataclass(frozen=True)
-class Lying:
+class RasterOrientation:
     """The orientation of a raster: its cells' size, and its axes, rotated or mirrored; metres per column and per row."""
 
     per_col_m: tuple[float, float]
@@ -120,17 +125,25 @@ class Lying:
         return Affine(a, b, -(a * cols + b * rows) / 2, d, e, -(d * cols + e * rows) / 2)
 
 
-def turned(deg: float, width_m: float = CELL_M, height_m: float = CELL_M) -> Lying:
+def rotated_raster(deg: float, width_m: float = CELL_M, height_m: float = CELL_M) -> RasterOrientation:
     """Return a raster rotated counter-clockwise."""
     sin, cos = np.sin(np.radians(deg)), np.cos(np.radians(deg))
-    return Lying((width_m * cos, width_m * sin), (height_m * sin, -height_m * cos))
+    return RasterOrientation((width_m * cos, width_m * sin), (height_m * sin, -height_m * cos))
 
 
-TURNED = (turned(30.0), turned(-71.0), turned(180.0))
+ROTATED = (rotated_raster(30.0), rotated_raster(-71.0), rotated_raster(180.0))
 
-STRETCHED = (turned(25.0, 3.0, 9.0), Lying((2.0, 0.0), (0.0, -10.0)), Lying((10.0, 0.0), (0.0, -2.0)))
+STRETCHED = (
+    rotated_raster(25.0, 3.0, 9.0),
+    RasterOrientation((2.0, 0.0), (0.0, -10.0)),
+    RasterOrientation((10.0, 0.0), (0.0, -2.0)),
+)
 
-MIRRORED = (Lying((CELL_M, 0.0), (0.0, CELL_M)), Lying((-CELL_M, 0.0), (0.0, -CELL_M)), Lying((0.0, CELL_M), (CELL_M, 0.0)))
+MIRRORED = (
+    RasterOrientation((CELL_M, 0.0), (0.0, CELL_M)),
+    RasterOrientation((-CELL_M, 0.0), (0.0, -CELL_M)),
+    RasterOrientation((0.0, CELL_M), (CELL_M, 0.0)),
+)
 
 
 @hard_case(
@@ -140,7 +153,7 @@ MIRRORED = (Lying((CELL_M, 0.0), (0.0, CELL_M)), Lying((-CELL_M, 0.0), (0.0, -CE
     BLOCK_BOUNDS,
 )
 def test_turned_rasters(trial: Trial) -> dict[str, float]:
-    return shadows_of_blocks(trial, TURNED)
+    return shadows_of_blocks(trial, ROTATED)
 
 
 @hard_case(
@@ -153,55 +166,57 @@ def test_stretched_and_mirrored_rasters(trial: Trial) -> dict[str, float]:
     return shadows_of_blocks(trial, (*STRETCHED, *MIRRORED))
 
 
-def shadows_of_blocks(trial: Trial, layings: tuple[Lying, ...]) -> dict[str, float]:
+def shadows_of_blocks(trial: Trial, orientations: tuple[RasterOrientation, ...]) -> dict[str, float]:
     """Return the largest errors over rasters of 480 m a side; a quick run takes every third one."""
     worst: dict[str, float] = {}
-    for number, lying in enumerate(layings if trial.thorough else layings[::3]):
-        shape = tuple(int(np.rint(480.0 / np.hypot(*step))) for step in (lying.per_row_m, lying.per_col_m))
-        worst = larger(worst, shadow_of_block(trial, lying, shape, f"level{number}"))
+    for number, orientation in enumerate(orientations if trial.thorough else orientations[::3]):
+        shape = tuple(int(np.rint(480.0 / np.hypot(*step))) for step in (orientation.per_row_m, orientation.per_col_m))
+        worst = larger_figures(worst, shadow_of_block(trial, orientation, shape, f"level{number}"))
     return worst
 
 
-def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: str = "level") -> dict[str, float]:
+def shadow_of_block(trial: Trial, orientation: RasterOrientation, shape: tuple[int, int], name: str = "level") -> dict[str, float]:
     """Compare a block's shadow along its raster's axes with the edge of the block's top, moved by the shadow's length."""
     (rows, cols), pixels = shape, 256 if trial.thorough else 96
-    placing, sides_m = lying.transform(rows, cols), (np.hypot(*lying.per_row_m), np.hypot(*lying.per_col_m))
+    geotransform, sides_m = orientation.transform(rows, cols), (np.hypot(*orientation.per_row_m), np.hypot(*orientation.per_col_m))
     height_m, altitude = max(rows * sides_m[0], cols * sides_m[1]) / 12, 24.0
     block = np.ix_(*(np.arange(n // 2 - n // 15, n // 2 + n // 15 + 1) for n in shape))
     heights = np.zeros(shape, np.float32)
     heights[block] = height_m
-    path = trial.raster(heights, ENGINEERING, 0.0, 0.0, 1.0, name=name, transform=placing)
+    path = trial.raster(heights, ENGINEERING, 0.0, 0.0, 1.0, name=name, transform=geotransform)
     # Through clear air: with cells of 1 km the camera is so far away that any other air would hide the shadow.
     scene = trial.scene(path, (0, altitude), name=name, weather={"visibility": 1e7})
     # Nodes are the centres of cells, and the top ends at the outermost nodes.
-    corners = np.array([placing @ (c + 0.5, r + 0.5) for r in block[0].ravel()[[0, -1]] for c in block[1].ravel()[[0, -1]]])
+    corners = np.array([geotransform @ (c + 0.5, r + 0.5) for r in block[0].ravel()[[0, -1]] for c in block[1].ravel()[[0, -1]]])
     worst: dict[str, float] = {}
-    for axis_m, cells in ((lying.per_col_m, cols), (lying.per_row_m, rows)):
+    for axis_m, cells in ((orientation.per_col_m, cols), (orientation.per_row_m, rows)):
         if cells < 8:
             continue
-        away = np.array(axis_m) / np.hypot(*axis_m)
-        aside = np.array([-away[1], away[0]])
-        under = scene.with_sun(SunSpec(azimuth=float(np.degrees(np.arctan2(-away[0], -away[1]))) % 360.0, altitude=altitude))
-        seen = trial.see(under, whole(trial, under, pixels), map_size=2048)
-        at = np.stack(places(seen), axis=-1)
+        from_sun = np.array(axis_m) / np.hypot(*axis_m)
+        perpendicular = np.array([-from_sun[1], from_sun[0]])
+        sunlit_scene = scene.with_sun(
+            SunSpec(azimuth=float(np.degrees(np.arctan2(-from_sun[0], -from_sun[1]))) % 360.0, altitude=altitude)
+        )
+        rendered = trial.render_view(sunlit_scene, view_from_above(trial, sunlit_scene, pixels), map_size=2048)
+        at = np.stack(map_positions(rendered), axis=-1)
         steps_m = (np.linalg.norm(np.diff(at, axis=axis), axis=-1).ravel() for axis in (0, 1))
         pixel_m = float(np.fmax.reduce(np.concatenate([*steps_m])))
-        foot_m = (corners @ away).max() + np.hypot(*axis_m)
-        cast = at[seen.dark & (at @ away > foot_m)]
-        tip_m = (corners @ away).max() + height_m / np.tan(np.radians(altitude))
-        side_m = (np.ptp(cast @ aside) / 2 + (cast @ aside).min()) - (corners @ aside).mean()
-        col, row = ~placing @ at.transpose(2, 0, 1)
-        off = (np.abs(row - rows / 2) > rows / 2 + 1e-6) | (np.abs(col - cols / 2) > cols / 2 + 1e-6)
-        worst = larger(worst, {
-            "tip_px": abs((cast @ away).max() - tip_m) / pixel_m, "side_px": abs(side_m) / pixel_m,
-            "surface lost or made up": share(off, seen.buffer.valid),
+        foot_m = (corners @ from_sun).max() + np.hypot(*axis_m)
+        cast = at[rendered.dark & (at @ from_sun > foot_m)]
+        tip_m = (corners @ from_sun).max() + height_m / np.tan(np.radians(altitude))
+        side_m = (np.ptp(cast @ perpendicular) / 2 + (cast @ perpendicular).min()) - (corners @ perpendicular).mean()
+        col, row = ~geotransform @ at.transpose(2, 0, 1)
+        outside_raster = (np.abs(row - rows / 2) > rows / 2 + 1e-6) | (np.abs(col - cols / 2) > cols / 2 + 1e-6)
+        worst = larger_figures(worst, {
+            "tip_px": abs((cast @ from_sun).max() - tip_m) / pixel_m, "side_px": abs(side_m) / pixel_m,
+            "surface lost or made up": share_of_mask(outside_raster, rendered.buffer.valid),
         })  # fmt: skip
     return worst
 
 
-def larger(one: dict[str, float], other: dict[str, float]) -> dict[str, float]:
+def larger_figures(first: dict[str, float], second: dict[str, float]) -> dict[str, float]:
     """Return the larger value of each figure."""
-    return {name: max(value, one.get(name, value)) for name, value in other.items()}
+    return {name: max(value, first.get(name, value)) for name, value in second.items()}
 
 
 @hard_case(
@@ -219,7 +234,7 @@ def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
     for number, (cell_m, shape) in enumerate(grids):
         if trial.algorithm == "perspective_shadow_map" and min(shape) < 2:
             continue
-        worst = larger(worst, shadow_of_block(trial, turned(0.0, cell_m, cell_m), shape, f"level{number}"))
+        worst = larger_figures(worst, shadow_of_block(trial, rotated_raster(0.0, cell_m, cell_m), shape, f"level{number}"))
     return worst
 
 
@@ -228,26 +243,28 @@ def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
     "The smallest rasters are a lit picture",
     "level ground of 1 x 1, 1 x 5, 2 x 2 cells, and one cell with a height in 64 x 64 without",
     {"false_shadow": 0.0, "surface lost or made up": 0.0},
-    algorithms=tuple(name for name in SHADOWING if name != "perspective_shadow_map"),
+    algorithms=tuple(name for name in SHADOW_ALGORITHMS if name != "perspective_shadow_map"),
     thorough=False,
 )
 def test_smallest_rasters(trial: Trial) -> dict[str, float]:
     """As maps: a camera sees triangles between nodes, and a single node has none."""
-    lonely = np.full((64, 64), np.nan, np.float32)
-    lonely[30, 33] = 5.0
+    single_cell = np.full((64, 64), np.nan, np.float32)
+    single_cell[30, 33] = 5.0
     worst: dict[str, float] = {}
-    for number, heights in enumerate([*(np.full(shape, 5.0, np.float32) for shape in ((1, 1), (1, 5), (2, 2))), lonely]):
+    for number, heights in enumerate([*(np.full(shape, 5.0, np.float32) for shape in ((1, 1), (1, 5), (2, 2))), single_cell]):
         name = f"level{number}"
-        scene = trial.scene(trial.raster(heights, UTM, *CORNER_M, CELL_M, name=name), (75, 3), name=name, effects=ON)
+        scene = trial.scene(trial.raster(heights, UTM, *CORNER_M, CELL_M, name=name), (75, 3), name=name, effects=FORCED_EFFECTS)
         pixels = 192 if np.isnan(heights).any() else 32
-        seen = trial.see(scene, whole(trial, scene, pixels), map_size=512)
-        x, y = places(seen)
+        rendered = trial.render_view(scene, view_from_above(trial, scene, pixels), map_size=512)
+        x, y = map_positions(rendered)
         col, row = np.floor((x - CORNER_M[0]) / CELL_M), np.floor((CORNER_M[1] - y) / CELL_M)
-        valid = seen.buffer.valid
+        valid = rendered.buffer.valid
         assert valid.any()
         inside = np.isfinite(heights[np.clip(np.nan_to_num(row), 0, heights.shape[0] - 1).astype(int),
                                      np.clip(np.nan_to_num(col), 0, heights.shape[1] - 1).astype(int)])  # fmt: skip
-        worst = larger(worst, {"false_shadow": share(seen.dark, valid), "surface lost or made up": share(~inside, valid)})
+        worst = larger_figures(
+            worst, {"false_shadow": share_of_mask(rendered.dark, valid), "surface lost or made up": share_of_mask(~inside, valid)}
+        )
     return worst
 
 
@@ -281,7 +298,7 @@ def test_numbers_of_every_kind(trial: Trial) -> dict[str, float]:
         row, col = np.indices(height_m.shape, np.float64)
         read_m, valid = Elevation(str(path)).heights_at(0, row, col)
         wrong_m = float(np.abs(read_m - height_m)[~hole].max())
-        worst = larger(worst, {"height_m": wrong_m, "holes filled or dug": float((valid == hole).mean())})
+        worst = larger_figures(worst, {"height_m": wrong_m, "holes filled or dug": float((valid == hole).mean())})
     return worst
 
 
@@ -305,23 +322,25 @@ def test_grids_of_the_earth(trial: Trial) -> dict[str, float]:
     )  # fmt: skip
     for number, (crs, x0, y0, cell, shape) in enumerate(grids if trial.thorough else grids[:2]):
         name = f"level{number}"
-        scene = trial.scene(trial.raster(np.zeros(shape, np.float32), crs, x0, y0, cell, name=name), (75, 3), name=name, effects=ON)
-        seen = trial.see(scene, whole(trial, scene, pixels), map_size=512)
-        valid, frame = seen.buffer.valid, seen.buffer.frame
-        earth_m = frame.origin_earth_m + seen.buffer.position_frame_m @ frame.frame_from_earth
+        scene = trial.scene(
+            trial.raster(np.zeros(shape, np.float32), crs, x0, y0, cell, name=name), (75, 3), name=name, effects=FORCED_EFFECTS
+        )
+        rendered = trial.render_view(scene, view_from_above(trial, scene, pixels), map_size=512)
+        valid, frame = rendered.buffer.valid, rendered.buffer.frame
+        earth_m = frame.origin_earth_m + rendered.buffer.position_frame_m @ frame.frame_from_earth
         lon, lat, height_m = geodetic(earth_m[valid])
         _, up = geocentric(lon, lat)
         altitude = np.full(valid.shape, np.nan)
         altitude[valid] = np.degrees(np.arcsin(np.clip(up @ scene.sun.to_sun_earth, -1.0, 1.0)))
-        trial.saw("missed_shadow", metric_coverage(seen.dark, seen.truth, np.abs(altitude) > 1.0))
-        worst = larger(worst, {
-            "false_shadow": share(seen.dark, altitude > 1.0), "missed_shadow": share(~seen.dark, altitude < -1.0),
+        trial.record_coverage("missed_shadow", metric_coverage(rendered.dark, rendered.truth, np.abs(altitude) > 1.0))
+        worst = larger_figures(worst, {
+            "false_shadow": share_of_mask(rendered.dark, altitude > 1.0), "missed_shadow": share_of_mask(~rendered.dark, altitude < -1.0),
             "surface lost or made up": 1.0 - float(valid[1:-1, 1:-1].mean()),
         })  # fmt: skip
     return worst
 
 
-REAL = {
+UNUSUAL_RASTERS = {
     "autzen_feet_DSM.tif": 0.4, "autzen_feet_DTM.tif": 0.2, "etopo1_1deg_global.tif": 0.9, "eudem_25km_3035.tif": 0.7,
     "nz_elev_1km_oceanholes.tif": 0.15, "slovenia_TM1_564_146_nodata.tif": 0.9, "texas_flat_3arcsec_4326.tif": 0.9,
     "vanderford_64m_epsg3031.tif": 0.05,
@@ -329,15 +348,15 @@ REAL = {
 """Unusual rasters of the world, and the least share of their map that shows data."""
 
 
-@pytest.mark.parametrize("file", REAL)
+@pytest.mark.parametrize("file", UNUSUAL_RASTERS)
 def test_odd_rasters_of_the_world_are_drawn(gl, shared_data, make_scene, file):
     """R6: with the selector's plan under a low sun. The map is neither all lit nor all dark, and finite on all ground."""
     scene = make_scene(shared_data / "odd" / file, 75.0, 3.0)
     frame = render(scene, scene.view(size=(96, 96)))
-    assert frame.valid.mean() > REAL[file]
-    seen = frame.visibility[frame.valid]
-    assert ((seen >= 0.0) & (seen <= 1.0)).all() and np.isnan(frame.visibility[~frame.valid]).all()
-    assert 0.001 < (seen < 0.5).mean() < 0.95
+    assert frame.valid.mean() > UNUSUAL_RASTERS[file]
+    ground_visibility = frame.visibility[frame.valid]
+    assert ((ground_visibility >= 0.0) & (ground_visibility <= 1.0)).all() and np.isnan(frame.visibility[~frame.valid]).all()
+    assert 0.001 < (ground_visibility < 0.5).mean() < 0.95
     assert frame.color[frame.valid].any() and not frame.color[~frame.valid].any()
 
 

@@ -9,8 +9,8 @@ from skugga.shadows.truth.metrics import metric_coverage
 from skugga.terrain.describe import describe
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import Seen, Trial, hard_case
-from tests.hard_cases.ground import close, places, share, whole
+from tests.hard_cases.cases import RenderedView, Trial, hard_case
+from tests.hard_cases.ground import close_view, map_positions, share_of_mask, view_from_above
 from tests.rasters import ENGINEERING
 
 CELL_M = 32.0
@@ -22,11 +22,11 @@ def on_plain(trial: Trial, heights: np.ndarray) -> Scene:
     return trial.scene(trial.raster(heights.astype(np.float32), ENGINEERING, 0.0, 0.0, CELL_M), (270, 45))
 
 
-def texel_m(seen: Seen) -> float:
+def texel_m(rendered: RenderedView) -> float:
     """Return the largest texel on the ground of the maps that were used; 0 without maps."""
-    pixel_m = describe(seen.scene, seen.view).pixel_m
-    steps = seen.plan.steps_under(seen.light)
-    return pixel_m * max(float(np.max(texel_footprint_px(seen.scene, step, seen.buffer, pixel_m))) for step in steps)
+    pixel_m = describe(rendered.scene, rendered.view).pixel_m
+    steps = rendered.plan.steps_under(rendered.light)
+    return pixel_m * max(float(np.max(texel_footprint_px(rendered.scene, step, rendered.buffer, pixel_m))) for step in steps)
 
 
 @hard_case(
@@ -50,20 +50,22 @@ def test_a_needle(trial: Trial) -> dict[str, float]:
     scene = on_plain(trial, heights)
     length = interior = not_finite = 0.0
     for altitude in (45.0, 30.0, 25.0) if trial.thorough else (45.0,):
-        under = scene.with_sun(SunSpec(azimuth=270, altitude=altitude))
-        seen = trial.see(under, whole(trial, under, cells), map_size=2048)
-        x, y = places(seen)
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=270, altitude=altitude))
+        rendered = trial.render_view(sunlit_scene, view_from_above(trial, sunlit_scene, cells), map_size=2048)
+        x, y = map_positions(rendered)
         expected_m = 3000.0 / np.tan(np.radians(altitude))
-        cast = seen.dark & (np.abs(y - top_m[1]) < 1.5 * CELL_M) & (x > top_m[0] + CELL_M)
+        cast = rendered.dark & (np.abs(y - top_m[1]) < 1.5 * CELL_M) & (x > top_m[0] + CELL_M)
         assert cast.any()
-        pixel_m = describe(under, seen.view).pixel_m
+        pixel_m = describe(sunlit_scene, rendered.view).pixel_m
         beside_m = float(np.nanmedian(np.fmin.reduce(np.abs(y - top_m[1]), axis=0)))
-        hidden_m = (texel_m(seen) + 2 * beside_m) / (2 * CELL_M) * expected_m + pixel_m
+        hidden_m = (texel_m(rendered) + 2 * beside_m) / (2 * CELL_M) * expected_m + pixel_m
         length = max(length, max(abs(x[cast].max() - top_m[0] - expected_m) - hidden_m, 0.0) / expected_m)
-        near = trial.see(under, close(trial, under, (top_m[0] + 9 * CELL_M, top_m[1]), 0.0, 16 * CELL_M, 160), map_size=2048)
-        interior = max(interior, seen.errors.interior, near.errors.interior)
-        trial.saw("interior", near.interior_sight)
-        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.valid))
+        near = trial.render_view(
+            sunlit_scene, close_view(trial, sunlit_scene, (top_m[0] + 9 * CELL_M, top_m[1]), 0.0, 16 * CELL_M, 160), map_size=2048
+        )
+        interior = max(interior, rendered.errors.interior, near.errors.interior)
+        trial.record_coverage("interior", near.interior_coverage)
+        not_finite = max(not_finite, share_of_mask(~np.isfinite(rendered.visibility), rendered.buffer.valid))
     return {"length": length, "interior": interior, "not finite": not_finite}
 
 
@@ -84,21 +86,21 @@ def test_a_cliff(trial: Trial) -> dict[str, float]:
     end_px = false_shadow = missed_shadow = 0.0
     suns = ((270.0, 40.0), (90.0, 5.0), (270.0, 60.0), (90.0, 40.0))
     for azimuth, altitude in suns if trial.thorough else suns[:2]:
-        under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-        seen = trial.see(under, whole(trial, under, cells), map_size=2048)
-        x, y = places(seen)
-        pixel_m = describe(under, seen.view).pixel_m
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+        rendered = trial.render_view(sunlit_scene, view_from_above(trial, sunlit_scene, cells), map_size=2048)
+        x, y = map_positions(rendered)
+        pixel_m = describe(sunlit_scene, rendered.view).pixel_m
         inside = np.abs(y + cells / 2 * CELL_M) < (cells / 2 - 4) * CELL_M
         if azimuth == 90.0:
-            false_shadow = max(false_shadow, share(seen.dark, seen.buffer.valid))
+            false_shadow = max(false_shadow, share_of_mask(rendered.dark, rendered.buffer.valid))
             continue
         end_m = brink_m + 2000.0 / np.tan(np.radians(altitude))
-        cast = inside & seen.dark
-        end_px = max(end_px, (abs(x[cast].max() - end_m) - texel_m(seen)) / pixel_m)
+        cast = inside & rendered.dark
+        end_px = max(end_px, (abs(x[cast].max() - end_m) - texel_m(rendered)) / pixel_m)
         deep = inside & (x > brink_m + CELL_M) & (x < end_m - 2 * pixel_m)
-        missed_shadow = max(missed_shadow, share(~seen.dark, deep))
-        trial.saw("missed_shadow", metric_coverage(seen.dark, seen.truth, deep))
-        false_shadow = max(false_shadow, share(seen.dark, inside & ((x < brink_m - 1.0) | (x > end_m + 2 * pixel_m))))
+        missed_shadow = max(missed_shadow, share_of_mask(~rendered.dark, deep))
+        trial.record_coverage("missed_shadow", metric_coverage(rendered.dark, rendered.truth, deep))
+        false_shadow = max(false_shadow, share_of_mask(rendered.dark, inside & ((x < brink_m - 1.0) | (x > end_m + 2 * pixel_m))))
     return {"end_px": end_px, "false_shadow": false_shadow, "missed_shadow": missed_shadow}
 
 
@@ -120,21 +122,21 @@ def test_saw_teeth(trial: Trial) -> dict[str, float]:
     wrong = not_finite = 0.0
     suns = [(270.0, 20.0), (300.0, 45.0), (80.0, 35.0), (200.0, 12.0), (270.0, 60.0)]
     for azimuth, altitude in suns if trial.thorough else suns[:2]:
-        under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-        seen = trial.see(under, whole(trial, under, cells - 7), map_size=2048, filter=1)
-        x, y = places(seen)
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+        rendered = trial.render_view(sunlit_scene, view_from_above(trial, sunlit_scene, cells - 7), map_size=2048, filter=1)
+        x, y = map_positions(rendered)
         rise = np.tan(np.radians(altitude)) / abs(np.sin(np.radians(azimuth)))  # metres up per metre east or west
-        towards = np.sign(np.sin(np.radians(azimuth)))
-        phase = (x / CELL_M - 0.5) * towards % 2.0  # cells towards the sun from a crest
+        sun_side = np.sign(np.sin(np.radians(azimuth)))
+        phase = (x / CELL_M - 0.5) * sun_side % 2.0  # cells towards the sun from a crest
         z = height_m * np.abs(phase - 1.0)
         ahead_m = (2.0 - phase) * CELL_M
         clear_m = z + rise * ahead_m - height_m
         dark = clear_m < 0.0
-        margin_m = 2.0 * texel_m(seen) * (rise + height_m / CELL_M) + 0.5
+        margin_m = 2.0 * texel_m(rendered) * (rise + height_m / CELL_M) + 0.5
         inside = (x > 6 * CELL_M) & (x < (cells - 6) * CELL_M) & (np.abs(y + cells / 2 * CELL_M) < (cells / 2 - 8) * CELL_M)
-        sure = inside & (np.abs(clear_m) > margin_m) & (np.abs(phase - 1.0) < 0.98)
-        assert 0.1 < sure.mean()
-        wrong = max(wrong, share(seen.dark != dark, sure))
-        trial.saw("wrong", metric_coverage(seen.dark, seen.truth, sure))
-        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.valid))
+        comparable = inside & (np.abs(clear_m) > margin_m) & (np.abs(phase - 1.0) < 0.98)
+        assert 0.1 < comparable.mean()
+        wrong = max(wrong, share_of_mask(rendered.dark != dark, comparable))
+        trial.record_coverage("wrong", metric_coverage(rendered.dark, rendered.truth, comparable))
+        not_finite = max(not_finite, share_of_mask(~np.isfinite(rendered.visibility), rendered.buffer.valid))
     return {"wrong": wrong, "not finite": not_finite}

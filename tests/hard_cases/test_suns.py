@@ -15,7 +15,7 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World
 from skugga.terrain.level.level import load_level, parse_sun
 from skugga.terrain.level.parts import SunSpec
 from tests.hard_cases.cases import Trial, hard_case
-from tests.hard_cases.ground import places, share, whole
+from tests.hard_cases.ground import map_positions, share_of_mask, view_from_above
 from tests.hard_cases.test_sweep_azimuths import hills
 from tests.rasters import ENGINEERING
 
@@ -36,16 +36,16 @@ def test_suns_at_the_limits(trial: Trial) -> dict[str, float]:
     scene = trial.scene(trial.raster(hills(cells, 200.0), ENGINEERING, 0.0, 0.0, CELL_M), (200, 45))
     not_finite = light = wrong = 0.0
     for altitude in (90.0, 1e-9, 0.0, -1e-9, -90.0) if trial.thorough else (1e-9, 0.0, -90.0):
-        under = scene.with_sun(SunSpec(azimuth=200.0, altitude=altitude))
-        seen = trial.see(under, whole(trial, under, cells), map_size=2048)
-        valid = seen.buffer.valid
+        sunlit_scene = scene.with_sun(SunSpec(azimuth=200.0, altitude=altitude))
+        rendered = trial.render_view(sunlit_scene, view_from_above(trial, sunlit_scene, cells), map_size=2048)
+        valid = rendered.buffer.valid
         assert valid.any()
-        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), valid))
+        not_finite = max(not_finite, share_of_mask(~np.isfinite(rendered.visibility), valid))
         if altitude <= 0.0:
-            light = max(light, share(~seen.dark, valid))
+            light = max(light, share_of_mask(~rendered.dark, valid))
         else:
-            wrong = max(wrong, seen.errors.wrong)
-            trial.saw("wrong", metric_coverage(seen.dark, seen.truth, seen.truth.decidable))
+            wrong = max(wrong, rendered.errors.wrong)
+            trial.record_coverage("wrong", metric_coverage(rendered.dark, rendered.truth, rendered.truth.decidable))
     return {"not finite": not_finite, "light at night": light, "wrong": wrong}
 
 
@@ -63,22 +63,25 @@ def test_midnight_sun_and_polar_night(trial: Trial) -> dict[str, float]:
     path = trial.raster(heights, "EPSG:32633", 500_000.0, 8_683_000.0, 16.0)
     scene = trial.scene(path, (0, 45))
     night = scene.with_sun(parse_sun("2024-12-21T11:00:00Z", None, None))
-    seen = trial.see(night, whole(trial, night, cells))
-    light, not_finite = share(~seen.dark, seen.buffer.valid), share(~np.isfinite(seen.visibility), seen.buffer.valid)
+    rendered = trial.render_view(night, view_from_above(trial, night, cells))
+    light, not_finite = (
+        share_of_mask(~rendered.dark, rendered.buffer.valid),
+        share_of_mask(~np.isfinite(rendered.visibility), rendered.buffer.valid),
+    )
     day = scene.with_sun(parse_sun("2024-06-21T23:00:00Z", None, None))
-    seen = trial.see(day, whole(trial, day, cells), map_size=2048)
-    x, y = places(seen)
+    rendered = trial.render_view(day, view_from_above(trial, day, cells), map_size=2048)
+    x, y = map_positions(rendered)
     middle = scene.world.anchor_x, scene.world.anchor_y
-    far = seen.dark & (np.hypot(x - middle[0], y - middle[1]) > 160.0)
+    far = rendered.dark & (np.hypot(x - middle[0], y - middle[1]) > 160.0)
     bearing_deg = np.degrees(np.arctan2(x[far].mean() - middle[0], y[far].mean() - middle[1])) % 360.0
     apart_deg = abs((bearing_deg - day.sun.azimuth_deg) % 360.0 - 180.0)
     assert 5.0 < day.sun.altitude_deg < 15.0 and abs((day.sun.azimuth_deg + 180.0) % 360.0 - 180.0) < 5.0
     return {"bearing_deg": apart_deg, "light at night": light, "not finite": not_finite}
 
 
-AT_A_PLACE = World(LONGITUDE_LATITUDE, False, 12.0, 57.7, 12.0, 57.7)
+PLACE_WORLD = World(LONGITUDE_LATITUDE, False, 12.0, 57.7, 12.0, 57.7)
 
-REFUSED = {
+INVALID_TIMES = {
     "2016-12-31T23:59:60Z": "ISO 8601",  # a leap second: no clock of this machine has it
     "0001-01-01T00:00:00Z": f"years {YEARS[0]}",
     "0001-01-01T00:00:00+14:00": f"years {YEARS[0]}",
@@ -97,21 +100,21 @@ REFUSED = {
 """Invalid times, and a word of the message that says what is allowed."""
 
 
-@pytest.mark.parametrize("time", REFUSED)
+@pytest.mark.parametrize("time", INVALID_TIMES)
 def test_times_that_are_none_are_refused_by_name(time):
-    with pytest.raises(InputError, match=REFUSED[time]) as caught:
-        sun_of(parse_sun(time, None, None), AT_A_PLACE)
+    with pytest.raises(InputError, match=INVALID_TIMES[time]) as caught:
+        sun_of(parse_sun(time, None, None), PLACE_WORLD)
     assert str(caught.value).startswith("time") and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("time", REFUSED)
+@pytest.mark.parametrize("time", INVALID_TIMES)
 @pytest.mark.parametrize("quote", ['"', ""])
 def test_a_level_with_such_a_time_is_refused(tmp_path, time, quote):
     path = tmp_path / "level.yaml"
     sun = f"{quote}{time}{quote}" if time or quote else "~"
     path.write_text(f"version: 1\nterrain: {{flat: {{size: [9, 9], cells: [3, 3]}}}}\nsun:\n  time: {sun}\n", encoding="utf-8")
     with pytest.raises((LevelError, InputError)) as caught:
-        sun_of(load_level(path).level.sun, AT_A_PLACE)
+        sun_of(load_level(path).level.sun, PLACE_WORLD)
     assert "time" in str(caught.value) or "level.yaml" in str(caught.value)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
 

@@ -9,19 +9,19 @@ import pytest
 
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.camera import PerspectiveView
-from tests.hard_cases.bodies import FLOOR, errors, eye, interior_sight, joined, not_a_number
-from tests.hard_cases.cases import ENGINE, SHADOWING, Seen, Trial, hard_case
+from tests.hard_cases.bodies import FLOOR, errors, eye, interior_coverage, invalid_pixel_count, join_meshes
+from tests.hard_cases.cases import ENGINE, SHADOW_ALGORITHMS, RenderedView, Trial, hard_case
 from tests.render import render
 from tests.shadows.boxes import box
 
-HOUSE = joined(box((8, 6, 5)), box((1, 1, 9), at_m=(9, 2)))
+HOUSE = join_meshes(box((8, 6, 5)), box((1, 1, 9), at_m=(9, 2)))
 
 SIDE_PX = {False: 96, True: 192}
 
 
-def looks(
+def render_views(
     trial: Trial, views: dict[str, tuple[dict[str, Any], tuple[int, int] | None]], size_m: tuple[float, float] = (1400.0, 1400.0)
-) -> dict[str, Seen]:
+) -> dict[str, RenderedView]:
     """Draw views of a house on a floor, or by ``sweep`` of ridges, at their sizes or else in a square."""
     specs = {name: spec for name, (spec, _) in views.items()}
     if trial.algorithm == "sweep":
@@ -31,16 +31,22 @@ def looks(
         floor = {"flat": {"size": size_m, "cells": [40, 4]}}
         scene = trial.scene(floor, sun=(200, 35), meshes=[HOUSE], views=specs, name=f"floor_{size_m[0]:g}")
     side = SIDE_PX[trial.thorough]
-    return {name: trial.see(scene, scene.view(name, size=size or (side, side))) for name, (_, size) in views.items()}
+    return {name: trial.render_view(scene, scene.view(name, size=size or (side, side))) for name, (_, size) in views.items()}
 
 
-def figures(trial: Trial, seen: dict[str, Seen]) -> dict[str, float]:
+def worst_figures(trial: Trial, pictures: dict[str, RenderedView]) -> dict[str, float]:
     """Return the worst figures of some views: interior errors, and pixels whose point or visibility is not a number."""
-    trial.saw("interior", *(interior_sight(each) for each in seen.values()))
-    for name, each in seen.items():
-        assert each.buffer.valid.any(), name
-    none = [not_a_number(each) + (~np.isfinite(each.buffer.position_frame_m[each.buffer.valid])).sum() for each in seen.values()]
-    return {"interior": max(errors(each).interior for each in seen.values()), "pixels that are no number": sum(none)}
+    trial.record_coverage("interior", *(interior_coverage(picture) for picture in pictures.values()))
+    for name, picture in pictures.items():
+        assert picture.buffer.valid.any(), name
+    invalid_counts = [
+        invalid_pixel_count(picture) + (~np.isfinite(picture.buffer.position_frame_m[picture.buffer.valid])).sum()
+        for picture in pictures.values()
+    ]
+    return {
+        "interior": max(errors(picture).interior for picture in pictures.values()),
+        "pixels that are no number": sum(invalid_counts),
+    }
 
 
 @hard_case(
@@ -49,32 +55,34 @@ def figures(trial: Trial, seen: dict[str, Seen]) -> dict[str, float]:
     "1 x 1 and 4096 x 1 pixels, 0.01 and 179 degrees, an eye 0.1 m and 500 km up; maps of 4096 x 1 and 1 x 1 pixels",
     {"interior": 0, "pixels that are no number": 0},
     # From 500 km one pixel of the ground, within a texel of the foot of a lit wall: the texel's middle is on the wall.
-    falls_short={("shadow_map", "interior"): 2.8e-5},
+    known_shortfalls={("shadow_map", "interior"): 2.8e-5},
 )
 def test_sizes_and_angles(trial: Trial) -> dict[str, float]:
-    long = 16384 if trial.thorough else 512
+    line_px = 16384 if trial.thorough else 512
     views: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
         "one": (eye((12, 25, 6), (0, 9, 0)), (1, 1)),
-        "row": (eye((6, 40, 12), (0, 6, 0), fov=0.05), (min(long, 4096), 1)),
-        "column": (eye((6, 40, 12), (0, 6, 0), fov=60), (1, min(long, 4096))),
+        "row": (eye((6, 40, 12), (0, 6, 0), fov=0.05), (min(line_px, 4096), 1)),
+        "column": (eye((6, 40, 12), (0, 6, 0), fov=60), (1, min(line_px, 4096))),
         "narrow": (eye((90, 90, 60), (4.2, 3.4, 0), fov=0.01), None),
         "wide": (eye((2, 8, 1.5), (0, 3, 0.5), fov=179), None),
         "low": (eye((12, 25, 0.1), (0, 3, 0.5)), None),
         "orbit": (eye((20, 30, 500_000), (2, 5, 0), fov=0.01), None),
     }
-    long = min(long, 4096)  # the largest size of one draw: wider maps are drawn by the block
-    half_m = long / 4.0  # pixels of half a metre
+    line_px = min(line_px, 4096)  # the largest size of one draw: wider maps are drawn by the block
+    half_m = line_px / 4.0  # pixels of half a metre
     lines: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
-        "map row": ({"kind": "map", "bounds": [-half_m, 6, half_m, 6.5]}, (long, 1)),
+        "map row": ({"kind": "map", "bounds": [-half_m, 6, half_m, 6.5]}, (line_px, 1)),
         "map point": ({"kind": "map", "bounds": [2, 5, 2.5, 5.5]}, (1, 1)),
     }
     column: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
-        "map column": ({"kind": "map", "bounds": [1.5, -half_m, 2, half_m]}, (1, long)),
+        "map column": ({"kind": "map", "bounds": [1.5, -half_m, 2, half_m]}, (1, line_px)),
     }
-    seen = looks(trial, views)
+    pictures = render_views(trial, views)
     if trial.algorithm != "perspective_shadow_map":
-        seen |= looks(trial, lines, (2.0 * half_m + 60.0, 80.0)) | looks(trial, column, (80.0, 2.0 * half_m + 60.0))
-    return figures(trial, seen)
+        pictures |= render_views(trial, lines, (2.0 * half_m + 60.0, 80.0)) | render_views(
+            trial, column, (80.0, 2.0 * half_m + 60.0)
+        )
+    return worst_figures(trial, pictures)
 
 
 @hard_case(
@@ -95,15 +103,15 @@ def test_places_of_the_eye(trial: Trial) -> dict[str, float]:
     }
     if trial.algorithm == "sweep":  # no house to be in, nor above one
         del views["in a house"], views["up"]
-    return figures(trial, looks(trial, views))
+    return worst_figures(trial, render_views(trial, views))
 
 
-def _distance_m(seen: Seen) -> np.ndarray:
+def _distance_m(rendered: RenderedView) -> np.ndarray:
     """Return the distance of the visible surface from the eye, metres (rows, cols); infinite off the surface."""
-    view = seen.view
+    view = rendered.view
     assert isinstance(view, PerspectiveView)
-    away = np.linalg.norm(seen.buffer.position_frame_m - view.in_frame(seen.buffer.frame)[0], axis=-1)
-    return np.where(seen.buffer.valid, away, np.inf)
+    distance_m = np.linalg.norm(rendered.buffer.position_frame_m - view.in_frame(rendered.buffer.frame)[0], axis=-1)
+    return np.where(rendered.buffer.valid, distance_m, np.inf)
 
 
 @hard_case(
@@ -111,15 +119,18 @@ def _distance_m(seen: Seen) -> np.ndarray:
     "What is right before the eye is seen, and hides what is behind it",
     "an eye 10, 3 and 1 cm before a wall, straight and along it",
     {"pixels seen through": 0, "interior": 0},
-    tuple(name for name in SHADOWING if name != "sweep"),
+    tuple(name for name in SHADOW_ALGORITHMS if name != "sweep"),
 )
 def test_close_to_a_wall(trial: Trial) -> dict[str, float]:
     """Seen straight on, every pixel shows the wall."""
-    views = {f"{away:g}": (eye((0, 3 + away, 2), (0, -10, 2)), None) for away in (0.1, 0.03, 0.01)}
-    views |= {f"along {away:g}": (eye((0, 3 + away, 2), (8, 3 + away, 1)), None) for away in (0.1, 0.01)}
-    seen = looks(trial, views)
-    through = sum(int((_distance_m(seen[name]) > 2.0 * float(name)).sum()) for name in views if "along" not in name)
-    return {"pixels seen through": through, "interior": figures(trial, seen)["interior"]}
+    views = {f"{eye_distance_m:g}": (eye((0, 3 + eye_distance_m, 2), (0, -10, 2)), None) for eye_distance_m in (0.1, 0.03, 0.01)}
+    views |= {
+        f"along {eye_distance_m:g}": (eye((0, 3 + eye_distance_m, 2), (8, 3 + eye_distance_m, 1)), None)
+        for eye_distance_m in (0.1, 0.01)
+    }
+    pictures = render_views(trial, views)
+    seen_through_count = sum(int((_distance_m(pictures[name]) > 2.0 * float(name)).sum()) for name in views if "along" not in name)
+    return {"pixels seen through": seen_through_count, "interior": worst_figures(trial, pictures)["interior"]}
 
 
 @pytest.mark.long
@@ -138,17 +149,17 @@ def test_a_line_of_pixels_is_drawn_by_the_block(gl, tmp_path, algorithm, size):
     assert 0 < (frame.visibility < 0.5).sum() < 100
 
 
-REFUSED: dict[str, tuple[dict[str, Any], tuple[int, int], str]] = {
+INVALID_VIEWS: dict[str, tuple[dict[str, Any], tuple[int, int], str]] = {
     "too many pixels": (eye((12, 25, 6), (0, 3, 0)), (16384, 1), r"size: 16384x1, more than the limit of 4096 pixels a side"),
     "off the data": (eye((1000, 0, 6), (0, 3, 0)), (64, 64), r"views.eye.eye: .* Allowed: a position on the terrain's data"),
 }
 
 
-@pytest.mark.parametrize("why", REFUSED)
+@pytest.mark.parametrize("why", INVALID_VIEWS)
 def test_what_cannot_be_seen_is_said(tmp_path, why):
     """One line names the key, the value and what is allowed."""
-    spec, size, said = REFUSED[why]
+    spec, size, message = INVALID_VIEWS[why]
     scene = Trial(ENGINE, False, tmp_path).scene(FLOOR, sun=(200, 35), views={"eye": spec})
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         scene.view("eye", size=size)
     assert "\n" not in str(caught.value)

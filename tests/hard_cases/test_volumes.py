@@ -14,15 +14,15 @@ from tests.hard_cases.bodies import (
     EYES,
     FLOOR,
     SPOT,
-    differing,
+    decidable_coverage,
+    differing_pixel_count,
     errors,
     eye,
-    interior_sight,
-    joined,
-    plates,
-    size_of,
+    interior_coverage,
+    join_meshes,
+    picture_size,
+    stacked_plates,
     truth_of_boxes,
-    whole_sight,
 )
 from tests.hard_cases.cases import Trial, hard_case
 from tests.shadows.boxes import box
@@ -31,7 +31,7 @@ HOUSE = box((8, 6, 5))
 
 QUICK_EYES = 4
 
-BEFORE_THE_EYE = {"leaf": box((0.3, 0.01, 0.3), 5.9, (9.95, 19.9)), "wire": box((0.01, 0.01, 8.0), 0.0, (9.95, 19.9)),
+NEAR_OCCLUDERS = {"leaf": box((0.3, 0.01, 0.3), 5.9, (9.95, 19.9)), "wire": box((0.01, 0.01, 8.0), 0.0, (9.95, 19.9)),
                   "rope": box((0.02, 9.0, 0.02), 5.9, (9.95, 19.9))}  # fmt: skip
 
 LIGHTS: dict[str, dict[str, Any]] = {"sun": {"sun": (200, 35)}, "spot": {"lights": {"spot": SPOT}}}
@@ -48,34 +48,36 @@ def test_eye_in_a_volume(trial: Trial) -> dict[str, float]:
     differ, interior = 0, 0.0
     for light, keys in LIGHTS.items():
         eyes = list(EYES)[: None if trial.thorough else QUICK_EYES if light == "sun" else 1]
-        looks = [(trial.scene(FLOOR, meshes=[HOUSE], name=light, views=EYES, **keys), eyes)]
-        for name, body in list(BEFORE_THE_EYE.items())[: None if trial.thorough else 1]:
+        scenes_and_views = [(trial.scene(FLOOR, meshes=[HOUSE], name=light, views=EYES, **keys), eyes)]
+        for name, body in list(NEAR_OCCLUDERS.items())[: None if trial.thorough else 1]:
             view = {name: eye((10, 20, 6.05), (0, 2, 0))}
-            looks.append((trial.scene(FLOOR, meshes=[joined(HOUSE, body)], name=f"{light}_{name}", views=view, **keys), [name]))
-        for scene, names in looks:
+            scenes_and_views.append(
+                (trial.scene(FLOOR, meshes=[join_meshes(HOUSE, body)], name=f"{light}_{name}", views=view, **keys), [name])
+            )
+        for scene, names in scenes_and_views:
             for name in names:
-                view = scene.view(name, size=size_of(trial.thorough))
-                seen = trial.see(scene, view)
-                assert (seen.truth.valid & ~seen.truth.lit).any(), name
-                differ += differing(seen, trial.see(scene, view, counting="z_fail"))
-                interior = max(interior, errors(seen).interior)
-                trial.saw("interior", interior_sight(seen))
+                view = scene.view(name, size=picture_size(trial.thorough))
+                rendered = trial.render_view(scene, view)
+                assert (rendered.truth.valid & ~rendered.truth.lit).any(), name
+                differ += differing_pixel_count(rendered, trial.render_view(scene, view, counting="z_fail"))
+                interior = max(interior, errors(rendered).interior)
+                trial.record_coverage("interior", interior_coverage(rendered))
     return {"pixels that differ": differ, "interior": interior}
 
 
-STEPS = ("0", "+1 ulp", "-1 ulp", -0.3, 1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
+HEIGHT_OFFSETS = ("0", "+1 ulp", "-1 ulp", -0.3, 1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
 """Distance of the caster's bottom above the near-clip volume, metres or float32 steps; 30 cm below, its volume cuts the near
 plane.
 """
 
 
-def _moved(height_m: float, step: str | float) -> float:
+def _offset_height(height_m: float, offset: str | float) -> float:
     """Return a height moved by a step."""
-    if isinstance(step, float):
-        return height_m + step
+    if isinstance(offset, float):
+        return height_m + offset
     single = np.float32(height_m)
     return float(
-        {"0": single, "+1 ulp": np.nextafter(single, np.float32(np.inf)), "-1 ulp": np.nextafter(single, np.float32(0))}[step]
+        {"0": single, "+1 ulp": np.nextafter(single, np.float32(np.inf)), "-1 ulp": np.nextafter(single, np.float32(0))}[offset]
     )
 
 
@@ -93,22 +95,22 @@ def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
     """
     view = {"eye": eye((0, -20, 4), (0, 0, 4), fov=50)}
     wall = box((30, 1, 32), at_m=(0, 30))  # extends above the picture
-    size = size_of(trial.thorough)
+    size = picture_size(trial.thorough)
     plain = trial.scene(FLOOR, sun=(180, 45), meshes=[wall], name="plain", views=view)
-    first = trial.see(plain, plain.view("eye", size=size))
+    first = trial.render_view(plain, plain.view("eye", size=size))
     near_m = near_plane_m(first.buffer)
     upper_m = 4.0 + near_m * np.tan(np.radians(25.0))
     touching_m = upper_m + (-20.0 + near_m) - (-34.0)
     differ, interior, darkened = 0, 0.0, 0
-    for number, step in enumerate(STEPS if trial.thorough else STEPS[:4]):
-        beam = box((10, 2, 1), _moved(touching_m, step), (0, -33))
-        scene = trial.scene(FLOOR, sun=(180, 45), meshes=[joined(wall, beam)], name=f"beam_{number}", views=view)
-        seen = trial.see(scene, scene.view("eye", size=size))
-        assert near_plane_m(seen.buffer) == near_m
-        differ += differing(seen, trial.see(scene, scene.view("eye", size=size), counting="z_fail"))
-        interior = max(interior, errors(seen).interior)
-        trial.saw("interior", interior_sight(seen))
-        darkened = max(darkened, int((seen.truth.valid & ~seen.truth.lit & first.truth.lit).sum()))
+    for number, step in enumerate(HEIGHT_OFFSETS if trial.thorough else HEIGHT_OFFSETS[:4]):
+        beam = box((10, 2, 1), _offset_height(touching_m, step), (0, -33))
+        scene = trial.scene(FLOOR, sun=(180, 45), meshes=[join_meshes(wall, beam)], name=f"beam_{number}", views=view)
+        rendered = trial.render_view(scene, scene.view("eye", size=size))
+        assert near_plane_m(rendered.buffer) == near_m
+        differ += differing_pixel_count(rendered, trial.render_view(scene, scene.view("eye", size=size), counting="z_fail"))
+        interior = max(interior, errors(rendered).interior)
+        trial.record_coverage("interior", interior_coverage(rendered))
+        darkened = max(darkened, int((rendered.truth.valid & ~rendered.truth.lit & first.truth.lit).sum()))
     assert darkened > 100
     return {"pixels that differ": differ, "interior": interior}
 
@@ -130,20 +132,22 @@ def test_caster_without_end(trial: Trial) -> dict[str, float]:
     boxes = [box((2, 80_000, 6)), box((1, 1, 9), at_m=(-4, -39_980))]
     worst, classes = 0.0, np.zeros(2)
     for altitude in (5.0, 40.0) if "map" in trial.algorithm else (0.5, 5.0, 40.0):
-        scene = trial.scene(world, sun=(80, altitude), meshes=[joined(*boxes)], name=f"wall_{altitude:g}", views=views)
+        scene = trial.scene(world, sun=(80, altitude), meshes=[join_meshes(*boxes)], name=f"wall_{altitude:g}", views=views)
         assert scene.sun is not None
         for name in views:
-            seen = trial.see(scene, scene.view(name, size=(512, 384) if trial.thorough else (240, 180)))
-            truth = truth_of_boxes(seen, boxes, scene.sun.to_sun_earth)
+            rendered = trial.render_view(scene, scene.view(name, size=(512, 384) if trial.thorough else (240, 180)))
+            truth = truth_of_boxes(rendered, boxes, scene.sun.to_sun_earth)
             classes += [(truth.decidable & truth.lit).sum(), (truth.decidable & ~truth.lit).sum()]
-            found = errors(seen, truth)
-            worst = max(worst, found.interior if "map" in trial.algorithm else found.wrong)
-            trial.saw("wrong or interior", (interior_sight if "map" in trial.algorithm else whole_sight)(seen, truth))
+            metrics = errors(rendered, truth)
+            worst = max(worst, metrics.interior if "map" in trial.algorithm else metrics.wrong)
+            trial.record_coverage(
+                "wrong or interior", (interior_coverage if "map" in trial.algorithm else decidable_coverage)(rendered, truth)
+            )
     assert classes.min() > 1000
     return {"wrong or interior": worst}
 
 
-COUNTS = (127, 128, 129, 255, 256, 257, 512)
+PLATE_COUNTS = (127, 128, 129, 255, 256, 257, 512)
 
 
 @hard_case(
@@ -162,17 +166,17 @@ def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
         "above": {"kind": "map", "bounds": [-12, -12, 12, 12]},
     }  # fmt: skip
     missed, false = 0.0, 0.0
-    for count in COUNTS if trial.thorough else (128, 256, 257):
-        scene = trial.scene(FLOOR, sun=(180, 60), meshes=[plates(count)], name=f"plates_{count}", views=views)
+    for count in PLATE_COUNTS if trial.thorough else (128, 256, 257):
+        scene = trial.scene(FLOOR, sun=(180, 60), meshes=[stacked_plates(count)], name=f"plates_{count}", views=views)
         for name in views if trial.algorithm != "perspective_shadow_map" else list(views)[:2]:
-            seen = trial.see(scene, scene.view(name, size=size_of(trial.thorough)))
-            floor = (seen.buffer.kind == RELIEF) & seen.buffer.valid
-            x, y, _ = np.moveaxis(seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m, -1, 0)
+            rendered = trial.render_view(scene, scene.view(name, size=picture_size(trial.thorough)))
+            floor = (rendered.buffer.kind == RELIEF) & rendered.buffer.valid
+            x, y, _ = np.moveaxis(rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m, -1, 0)
             first_m, last_m = np.array([1.0, 1.0 + 0.05 * (count - 1)]) / np.tan(np.radians(60.0))
             inside_m = np.minimum(3.0 - np.abs(x), np.minimum(y - first_m + 3.0, last_m + 3.0 - y))
             dark, lit = floor & (inside_m > 0.5), floor & (inside_m < -0.5)
             assert dark.sum() > 100 and lit.sum() > 100
-            missed, false = max(missed, float((~seen.dark)[dark].mean())), max(false, float(seen.dark[lit].mean()))
-            on_floor = replace(seen.truth, decidable=seen.truth.decidable & floor)
-            trial.saw("missed_shadow", metric_coverage(seen.dark, on_floor, dark))
+            missed, false = max(missed, float((~rendered.dark)[dark].mean())), max(false, float(rendered.dark[lit].mean()))
+            on_floor = replace(rendered.truth, decidable=rendered.truth.decidable & floor)
+            trial.record_coverage("missed_shadow", metric_coverage(rendered.dark, on_floor, dark))
     return {"missed_shadow": missed, "false_shadow": false}

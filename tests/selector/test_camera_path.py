@@ -33,20 +33,20 @@ from skugga.terrain.ground.generated_ground import ENGINEERING
 from skugga.terrain.level.level import SUN, Level, Pin, SunSpec, load_level
 from skugga.terrain.scene import Scene, build_scene
 
-Place = tuple[tuple[float, float, float], tuple[float, float, float]]
+CameraPose = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Camera position and target: metres east, north and above the ground."""
 
 ROWS, COLS, FOV_DEG = 192, 256, 50.0
-OFF, NEARER = ((-150.0, -120.0, 45.0), (-330.0, -290.0, 0.0)), ((-130.0, -110.0, 45.0), (-310.0, -280.0, 0.0))
+HOUSES_START, HOUSES_END = ((-150.0, -120.0, 45.0), (-330.0, -290.0, 0.0)), ((-130.0, -110.0, 45.0), (-310.0, -280.0, 0.0))
 """Ends of the first glide: houses are visible, and the wood lies behind the camera."""
 
-UNDER, FARTHER = ((190.0, 180.0, 14.0), (270.0, 280.0, 2.0)), ((205.0, 200.0, 13.0), (285.0, 300.0, 2.0))
+WOOD_START, WOOD_END = ((190.0, 180.0, 14.0), (270.0, 280.0, 2.0)), ((205.0, 200.0, 13.0), (285.0, 300.0, 2.0))
 """Ends of the second glide, among trees."""
 
-ACROSS = ((-160.0, -150.0, 60.0), (100.0, 100.0, 0.0))
+HOUSES_AND_WOOD = ((-160.0, -150.0, 60.0), (100.0, 100.0, 0.0))
 """Houses, and the wood beyond them."""
 
-GLIDE, DIVE, SEEN = 20, 12, 8
+GLIDE_FRAMES, DIVE_FRAMES, COMPARED_FRAMES = 20, 12, 8
 """Frames of a glide, frames of the dive, and drawn frames of a switch."""
 
 RATES_NS = {
@@ -72,7 +72,7 @@ RATES_NS = {
 }  # fmt: skip
 """Rates of a device that renders on the CPU: each algorithm is the cheapest somewhere."""
 
-predicted = partial(
+predict_plan = partial(
     select,
     policy="predict",
     device=DeviceProfile(
@@ -118,13 +118,13 @@ def level(scene) -> Level:
     return scene.loaded.level
 
 
-def moment(scene: Scene, place: Place) -> Moment:
-    (eye, up), (target, _) = (scene.place.above_ground(point, "place") for point in place)
-    view = look_at(eye, target, up, FOV_DEG, ROWS, COLS)
+def moment(scene: Scene, pose: CameraPose) -> Moment:
+    (eye, up_vector), (target, _) = (scene.geolocator.above_ground(point, "place") for point in pose)
+    view = look_at(eye, target, up_vector, FOV_DEG, ROWS, COLS)
     return Moment(scene, view, describe(scene, view, "flight"))
 
 
-def between(start: Place, end: Place, frames: int) -> list[Place]:
+def interpolate_poses(start: CameraPose, end: CameraPose, frames: int) -> list[CameraPose]:
     steps = np.linspace(np.array(start), np.array(end), frames, endpoint=False)
     return [tuple(map(tuple, step.tolist())) for step in steps]
 
@@ -133,39 +133,45 @@ def between(start: Place, end: Place, frames: int) -> list[Place]:
 def flight(scene) -> Callable[[float, float], list[Moment]]:
     """Return ``flight(azimuth, altitude)``, the whole path under a sun that is down in the last frames."""
 
-    def under(azimuth: float, altitude: float) -> list[Moment]:
-        day, night = (scene.with_sun(SunSpec(azimuth=azimuth, altitude=each)) for each in (altitude, -1.0))
-        places = [*between(OFF, NEARER, GLIDE), *between(NEARER, UNDER, DIVE), *between(UNDER, FARTHER, GLIDE)]
-        return [*(moment(day, place) for place in places), *(moment(night, FARTHER) for _ in range(3))]
+    def moments_under_sun(azimuth: float, altitude: float) -> list[Moment]:
+        day_scene, night_scene = (
+            scene.with_sun(SunSpec(azimuth=azimuth, altitude=sun_altitude)) for sun_altitude in (altitude, -1.0)
+        )
+        poses = [
+            *interpolate_poses(HOUSES_START, HOUSES_END, GLIDE_FRAMES),
+            *interpolate_poses(HOUSES_END, WOOD_START, DIVE_FRAMES),
+            *interpolate_poses(WOOD_START, WOOD_END, GLIDE_FRAMES),
+        ]
+        return [*(moment(day_scene, pose) for pose in poses), *(moment(night_scene, WOOD_END) for _ in range(3))]
 
-    return cache(under)
+    return cache(moments_under_sun)
 
 
-Chosen = dict[tuple[str, str], tuple[str, int | None, int | None]]
+ChosenAlgorithms = dict[tuple[str, str], tuple[str, int | None, int | None]]
 
 
-def chosen(plan: Plan) -> Chosen:
+def chosen_algorithms(plan: Plan) -> ChosenAlgorithms:
     """Return algorithm, map size and number of cascades by light and caster kind, of the kinds that cast."""
-    found: Chosen = {}
+    result: ChosenAlgorithms = {}
     for light, per_kind in plan.algorithm.items():
         for kind, name in per_kind.items():
             settings = plan.settings.get(light, {}).get(kind)
-            of_map = getattr(settings, "map", settings)
-            cascades = getattr(of_map, "cascades", None)
+            map_settings = getattr(settings, "map", settings)
+            cascades = getattr(map_settings, "cascades", None)
             if name != "none":
-                found[light, kind] = (name, getattr(of_map, "map_size", None), None if cascades is None else len(cascades))
-    return found
+                result[light, kind] = (name, getattr(map_settings, "map_size", None), None if cascades is None else len(cascades))
+    return result
 
 
-def changes(plans: list[Plan]) -> list[int]:
+def caster_change_counts(plans: list[Plan]) -> list[int]:
     """Return the cumulative count of real changes before each frame: changes of the set of casters."""
-    return np.cumsum([0, *(casting(one) != casting(other) for one, other in pairwise(plans))]).tolist()
+    return np.cumsum([0, *(casting(previous) != casting(current) for previous, current in pairwise(plans))]).tolist()
 
 
-def switches(plans: list[Plan]) -> list[int]:
+def switch_counts(plans: list[Plan]) -> list[int]:
     """Return the cumulative count of switches before each frame: a caster of both frames changes its algorithm or settings."""
-    seen = [chosen(plan) for plan in plans]
-    return np.cumsum([0, *(any(a[key] != b[key] for key in a.keys() & b.keys()) for a, b in pairwise(seen))]).tolist()
+    choices = [chosen_algorithms(plan) for plan in plans]
+    return np.cumsum([0, *(any(a[key] != b[key] for key in a.keys() & b.keys()) for a, b in pairwise(choices))]).tolist()
 
 
 @pytest.mark.parametrize(
@@ -174,17 +180,22 @@ def switches(plans: list[Plan]) -> list[int]:
 def test_replanner_switches_no_more_often_than_casters_change(flight, level, sun):
     """The bound holds at every frame of the flight. Plans made anew for each frame switch back and forth."""
     moments = flight(*sun)
-    director = Replanner(plans=predicted)
-    plans = [director.plan(each.descriptor, level) for each in moments]
-    anew = [predicted(each.descriptor, level) for each in moments]
-    cast = [casting(plan)[SUN] for plan in plans]
-    assert "forest" not in cast[0] and "forest" in cast[GLIDE + DIVE] and cast[-1] == frozenset()
-    assert changes(plans) == changes(anew) and changes(plans)[-1] >= 2
-    assert all(switched <= changed for switched, changed in zip(switches(plans), changes(plans), strict=True))
-    assert switches(anew)[-1] > changes(anew)[-1]
+    replanner = Replanner(plans=predict_plan)
+    plans = [replanner.plan(frame_moment.descriptor, level) for frame_moment in moments]
+    fresh_plans = [predict_plan(frame_moment.descriptor, level) for frame_moment in moments]
+    caster_kinds = [casting(plan)[SUN] for plan in plans]
+    assert (
+        "forest" not in caster_kinds[0] and "forest" in caster_kinds[GLIDE_FRAMES + DIVE_FRAMES] and caster_kinds[-1] == frozenset()
+    )
+    assert caster_change_counts(plans) == caster_change_counts(fresh_plans) and caster_change_counts(plans)[-1] >= 2
+    assert all(
+        switch_count <= change_count
+        for switch_count, change_count in zip(switch_counts(plans), caster_change_counts(plans), strict=True)
+    )
+    assert switch_counts(fresh_plans)[-1] > caster_change_counts(fresh_plans)[-1]
 
 
-def changed(before: np.ndarray, after: np.ndarray) -> float:
+def changed_share(before: np.ndarray, after: np.ndarray) -> float:
     """Return the share of the surface's pixels whose class changes."""
     valid = ~np.isnan(after)
     return float(((before < 0.5) != (after < 0.5))[valid].mean())
@@ -192,20 +203,24 @@ def changed(before: np.ndarray, after: np.ndarray) -> float:
 
 def test_replanner_switch_in_flight_changes_few_pixels(gl, flight, level):
     """The first frames of a switch are compared with the previous frame's mixture, drawn from the present camera."""
-    director, share, steps, differing = Replanner(plans=predicted), 0.0, [], []
-    for each in flight(200.0, 35.0):
-        plan = director.plan(each.descriptor, level)
-        if len(steps) == SEEN:
+    replanner, share, frame_changes, full_changes = Replanner(plans=predict_plan), 0.0, [], []
+    for frame_moment in flight(200.0, 35.0):
+        plan = replanner.plan(frame_moment.descriptor, level)
+        if len(frame_changes) == COMPARED_FRAMES:
             break
-        if director.transition is None:
+        if replanner.transition is None:
             continue
-        old, new = (render_frame(each.scene, each.view, its) for its in (director.transition.plan, plan))
-        before, share = share, director.share(old.visibilities, new.visibilities)
+        old, new = (
+            render_frame(frame_moment.scene, frame_moment.view, drawn_plan) for drawn_plan in (replanner.transition.plan, plan)
+        )
+        before, share = share, replanner.share(old.visibilities, new.visibilities)
         assert share > before
-        steps.append(changed(*(mix_pictures(old.visibility, new.visibility, shown) for shown in (before, share))))
-        differing.append(changed(old.visibility, new.visibility))
-    assert len(steps) == SEEN and max(differing) > 3.0 * MAX_CHANGED  # otherwise the test would be vacuous
-    assert max(steps) <= MAX_CHANGED
+        frame_changes.append(
+            changed_share(*(mix_pictures(old.visibility, new.visibility, mix_share) for mix_share in (before, share)))
+        )
+        full_changes.append(changed_share(old.visibility, new.visibility))
+    assert len(frame_changes) == COMPARED_FRAMES and max(full_changes) > 3.0 * MAX_CHANGED  # otherwise the test would be vacuous
+    assert max(frame_changes) <= MAX_CHANGED
 
 
 @settings(max_examples=20)
@@ -215,161 +230,178 @@ def test_next_share_ends_and_changes_few_pixels_a_frame(rows, cols, seed):
     rng = np.random.default_rng(seed)
     valid = rng.random((rows, cols)) < 0.5
     before, after = ({light: np.where(valid, rng.random((rows, cols)), np.nan) for light in (SUN, "lamp")} for _ in range(2))
-    most, share, frames = max(int(MAX_CHANGED * valid.sum()), 1), 0.0, 0
+    max_changed_pixels, share, frames = max(int(MAX_CHANGED * valid.sum()), 1), 0.0, 0
     while share < 1.0:
-        shown, share, frames = share, next_share(before, after, share), frames + 1
-        classes = [np.stack([mix_pictures(before[k], after[k], each) < 0.5 for k in before]) for each in (shown, share)]
-        assert (classes[0] != classes[1]).any(axis=0).sum() <= most
+        previous_share, share, frames = share, next_share(before, after, share), frames + 1
+        classes = [
+            np.stack([mix_pictures(before[k], after[k], mix_share) < 0.5 for k in before]) for mix_share in (previous_share, share)
+        ]
+        assert (classes[0] != classes[1]).any(axis=0).sum() <= max_changed_pixels
     differ = np.any([(before[k] < 0.5) != (after[k] < 0.5) for k in before], axis=0)
-    assert frames == max(np.ceil(differ.sum() / most), 1)
+    assert frames == max(np.ceil(differ.sum() / max_changed_pixels), 1)
 
 
-def choice(algorithms: str, **settings: int) -> Choice:
+def make_choice(algorithms: str, **settings: int) -> Choice:
     """Return a choice of algorithms for relief, meshes and foliage."""
     return Choice(algorithms, dict(zip(("relief", "meshes", "forest"), algorithms.split(), strict=True)), settings)
 
 
-COARSE = choice("shadow_map shadow_map shadow_map", map_size=1024, cascades=1)
-CASCADES = choice("shadow_map shadow_map shadow_map", map_size=2048, cascades=4)
-PERSPECTIVE = choice("perspective_shadow_map perspective_shadow_map perspective_shadow_map", map_size=4096)
-EXACT = choice("sweep shadow_volume shadow_map", map_size=4096)
+COARSE_MAP = make_choice("shadow_map shadow_map shadow_map", map_size=1024, cascades=1)
+CASCADED_MAP = make_choice("shadow_map shadow_map shadow_map", map_size=2048, cascades=4)
+PERSPECTIVE_MAP = make_choice("perspective_shadow_map perspective_shadow_map perspective_shadow_map", map_size=4096)
+EXACT_SHADOWS = make_choice("sweep shadow_volume shadow_map", map_size=4096)
 
 
-class Turning:
+class SwitchablePolicy:
     """A policy that always takes one of its choices, and that a test switches to another.
 
     The current choice is predicted to take ``min_ms``, others ``other_ms``, and all to be without error.
     """
 
     def __init__(self, *choices: Choice, min_ms: float = 1.0, other_ms: float = 10.0) -> None:
-        self.choices, self.now, self.min_ms, self.other_ms = choices, 0, min_ms, other_ms
+        self.choices, self.current_index, self.min_ms, self.other_ms = choices, 0, min_ms, other_ms
 
     def __call__(self, descriptor: Descriptor, plan_request: Level, overrides: dict | None) -> Plan:
-        taken = {SUN: self.choices[self.now]}
-        plan = make_plan(descriptor, plan_request, overrides, taken)
-        own = chosen(plan) == chosen(make_plan(descriptor, plan_request, None, taken))
-        predicted = Predicted(ms=self.min_ms if own else self.other_ms, wrong=0.0, wrong_cast=0.0)
-        return plan.model_copy(update={"policy": "predict", "predicted": predicted})
+        choice_by_light = {SUN: self.choices[self.current_index]}
+        plan = make_plan(descriptor, plan_request, overrides, choice_by_light)
+        is_current = chosen_algorithms(plan) == chosen_algorithms(make_plan(descriptor, plan_request, None, choice_by_light))
+        prediction = Predicted(ms=self.min_ms if is_current else self.other_ms, wrong=0.0, wrong_cast=0.0)
+        return plan.model_copy(update={"policy": "predict", "predicted": prediction})
 
 
-@pytest.mark.parametrize("place", [OFF, UNDER], ids=["in the open", "in the wood"])
-@pytest.mark.parametrize("pair", [(COARSE, CASCADES), (PERSPECTIVE, EXACT), (CASCADES, COARSE)])
+@pytest.mark.parametrize("place", [HOUSES_START, WOOD_START], ids=["in the open", "in the wood"])
+@pytest.mark.parametrize("pair", [(COARSE_MAP, CASCADED_MAP), (PERSPECTIVE_MAP, EXACT_SHADOWS), (CASCADED_MAP, COARSE_MAP)])
 def test_replanner_switch_at_rest_changes_few_pixels_a_frame(gl, scene, level, place, pair):
     """The bound holds whatever errors were predicted.
 
     The number of frames follows from it, and the last frame is the new plan's.
     """
-    at, policy = moment(scene, place), Turning(*pair)
-    director, pictures = Replanner(plans=policy), {}
+    rest_moment, policy = moment(scene, place), SwitchablePolicy(*pair)
+    replanner, pictures = Replanner(plans=policy), {}
 
-    def drawn(plan: Plan) -> dict[str, np.ndarray]:
+    def render_visibilities(plan: Plan) -> dict[str, np.ndarray]:
         key = repr((plan.algorithm, plan.settings))
         if key not in pictures:
-            pictures[key] = render_frame(at.scene, at.view, plan).visibilities
+            pictures[key] = render_frame(rest_moment.scene, rest_moment.view, plan).visibilities
         return pictures[key]
 
-    shown = [drawn(director.plan(at.descriptor, level))[SUN]]
-    policy.now, mixed = 1, 0
+    shown_pictures = [render_visibilities(replanner.plan(rest_moment.descriptor, level))[SUN]]
+    policy.current_index, mixed_count = 1, 0
     for _ in range(PATIENCE + 200):
-        visibilities = drawn(director.plan(at.descriptor, level))
+        visibilities = render_visibilities(replanner.plan(rest_moment.descriptor, level))
         picture = visibilities[SUN]
-        if director.transition is not None:
-            left = drawn(director.transition.plan)
-            picture, mixed = mix_pictures(left[SUN], picture, director.share(left, visibilities)), mixed + 1
-        shown.append(picture)
-    steps = [changed(before, after) for before, after in pairwise(shown)]
-    valid_count = int((~np.isnan(shown[0])).sum())
-    assert 0.0 < max(steps) <= MAX_CHANGED
-    assert mixed == np.ceil(round(changed(shown[0], shown[-1]) * valid_count) / int(MAX_CHANGED * valid_count))
-    assert np.array_equal(shown[-1], drawn(director.plan(at.descriptor, level))[SUN], equal_nan=True)
-    assert director.transition is None and len(pictures) == 2
+        if replanner.transition is not None:
+            old_visibilities = render_visibilities(replanner.transition.plan)
+            picture, mixed_count = (
+                mix_pictures(old_visibilities[SUN], picture, replanner.share(old_visibilities, visibilities)),
+                mixed_count + 1,
+            )
+        shown_pictures.append(picture)
+    frame_changes = [changed_share(before, after) for before, after in pairwise(shown_pictures)]
+    valid_count = int((~np.isnan(shown_pictures[0])).sum())
+    assert 0.0 < max(frame_changes) <= MAX_CHANGED
+    assert mixed_count == np.ceil(
+        round(changed_share(shown_pictures[0], shown_pictures[-1]) * valid_count) / int(MAX_CHANGED * valid_count)
+    )
+    assert np.array_equal(
+        shown_pictures[-1], render_visibilities(replanner.plan(rest_moment.descriptor, level))[SUN], equal_nan=True
+    )
+    assert replanner.transition is None and len(pictures) == 2
 
 
 def test_replanner_draws_new_casters_at_once_and_mixes_the_rest(gl, scene, level):
     """Foliage comes into view beside houses, and all kinds change their algorithm. Leaves cast under both plans."""
-    inside, policy = moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE)
-    director = Replanner(plans=policy)
-    outside = director.plan(moment(scene, OFF).descriptor, level)
-    assert (SUN, "forest") not in chosen(outside)
-    policy.now = 1
-    plan = director.plan(inside.descriptor, level)
-    assert chosen(plan)[SUN, "forest"][0] == "perspective_shadow_map"
-    assert director.transition is not None and chosen(director.transition.plan)[SUN, "forest"][0] == "shadow_map"
-    old, new = (render_frame(scene, inside.view, its) for its in (director.transition.plan, plan))
-    share = director.share(old.visibilities, new.visibilities)
-    assert changed(old.visibility, mix_pictures(old.visibility, new.visibility, share)) <= MAX_CHANGED
-    assert changed(old.visibility, new.visibility) > MAX_CHANGED
+    wood_moment, policy = moment(scene, HOUSES_AND_WOOD), SwitchablePolicy(COARSE_MAP, PERSPECTIVE_MAP)
+    replanner = Replanner(plans=policy)
+    plan_without_wood = replanner.plan(moment(scene, HOUSES_START).descriptor, level)
+    assert (SUN, "forest") not in chosen_algorithms(plan_without_wood)
+    policy.current_index = 1
+    plan = replanner.plan(wood_moment.descriptor, level)
+    assert chosen_algorithms(plan)[SUN, "forest"][0] == "perspective_shadow_map"
+    assert replanner.transition is not None and chosen_algorithms(replanner.transition.plan)[SUN, "forest"][0] == "shadow_map"
+    old, new = (render_frame(scene, wood_moment.view, drawn_plan) for drawn_plan in (replanner.transition.plan, plan))
+    share = replanner.share(old.visibilities, new.visibilities)
+    assert changed_share(old.visibility, mix_pictures(old.visibility, new.visibility, share)) <= MAX_CHANGED
+    assert changed_share(old.visibility, new.visibility) > MAX_CHANGED
 
 
 def test_replanner_keeps_the_choice_of_returning_casters(scene, level):
     """Foliage was chosen for, left the view and returns. An equal alternative does not replace its choice."""
-    off, across, policy = moment(scene, OFF), moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE, min_ms=1.0, other_ms=1.0)
-    director = Replanner(plans=policy)
-    plans = [director.plan(off.descriptor, level), director.plan(across.descriptor, level)]
-    policy.now = 1
-    plans += [director.plan(each.descriptor, level) for each in (off, across)]
-    assert [(SUN, "forest") in chosen(plan) for plan in plans] == [False, True, False, True]
-    assert switches(plans)[-1] == 0 and chosen(plans[-1]) == chosen(plans[1])
+    houses_moment, wood_moment, policy = (
+        moment(scene, HOUSES_START),
+        moment(scene, HOUSES_AND_WOOD),
+        SwitchablePolicy(COARSE_MAP, PERSPECTIVE_MAP, min_ms=1.0, other_ms=1.0),
+    )
+    replanner = Replanner(plans=policy)
+    plans = [replanner.plan(houses_moment.descriptor, level), replanner.plan(wood_moment.descriptor, level)]
+    policy.current_index = 1
+    plans += [replanner.plan(frame_moment.descriptor, level) for frame_moment in (houses_moment, wood_moment)]
+    assert [(SUN, "forest") in chosen_algorithms(plan) for plan in plans] == [False, True, False, True]
+    assert switch_counts(plans)[-1] == 0 and chosen_algorithms(plans[-1]) == chosen_algorithms(plans[1])
 
 
-def crossings(descriptor: Descriptor, level: Level, swing: float, frames: int, runs: int) -> int:
+def count_tie_switches(descriptor: Descriptor, level: Level, time_gain: float, frames: int, runs: int) -> int:
     """Return the switches of a camera that crosses a tie of two plans again and again.
 
-    For ``frames`` frames one plan takes less time by the share ``swing``, then the other one does.
+    For ``frames`` frames one plan takes less time by the share ``time_gain``, then the other one does.
     """
-    policy, plans = Turning(COARSE, CASCADES, min_ms=1.0 - swing, other_ms=1.0), []
-    director = Replanner(plans=policy)
+    policy, plans = SwitchablePolicy(COARSE_MAP, CASCADED_MAP, min_ms=1.0 - time_gain, other_ms=1.0), []
+    replanner = Replanner(plans=policy)
     for run in range(runs):
-        policy.now = run % 2
-        plans += [director.plan(descriptor, level) for _ in range(frames)]
-    return switches(plans)[-1]
+        policy.current_index = run % 2
+        plans += [replanner.plan(descriptor, level) for _ in range(frames)]
+    return switch_counts(plans)[-1]
 
 
 def test_replanner_at_a_tie_switches_only_without_hysteresis(scene, level, monkeypatch):
-    descriptor = moment(scene, UNDER).descriptor
-    crossed = partial(crossings, descriptor, level, swing=0.1, frames=2 * PATIENCE, runs=6)
-    assert crossed() == 0
+    descriptor = moment(scene, WOOD_START).descriptor
+    count_switches = partial(count_tie_switches, descriptor, level, time_gain=0.1, frames=2 * PATIENCE, runs=6)
+    assert count_switches() == 0
     monkeypatch.setattr(replanning, "PATIENCE", 1)
-    assert crossed() == 0  # the margin alone prevents a switch
+    assert count_switches() == 0  # the margin alone prevents a switch
     monkeypatch.setattr(replanning, "SWITCH_TIME_GAIN", 0.0)
-    assert crossed() >= 3
+    assert count_switches() >= 3
 
 
 def test_replanner_needs_more_patience_for_each_switch(scene, level):
     """The prediction swings by half for 3 x ``PATIENCE`` frames: longer than the first and second wait, shorter than the third."""
-    assert crossings(moment(scene, UNDER).descriptor, level, swing=0.5, frames=3 * PATIENCE, runs=10) == 2
+    assert count_tie_switches(moment(scene, WOOD_START).descriptor, level, time_gain=0.5, frames=3 * PATIENCE, runs=10) == 2
 
 
-def day(scene: Scene, place: Place) -> list[Moment]:
+def day_moments(scene: Scene, pose: CameraPose) -> list[Moment]:
     """Return a view at rest from before sunrise to after sunset, every five minutes of thirteen hours."""
     moments, hours = [], np.arange(-0.5, 12.5 + 1e-9, 5.0 / 60.0)
     for hour in hours.tolist():
         sun = SunSpec(azimuth=90.0 + 15.0 * hour, altitude=float(np.degrees(np.arcsin(0.77 * np.sin(np.pi * hour / 12.0)))))
-        moments.append(moment(scene.with_sun(sun), place))
+        moments.append(moment(scene.with_sun(sun), pose))
     return moments
 
 
-@pytest.mark.parametrize("place", [ACROSS, pytest.param(UNDER, marks=pytest.mark.long)], ids=["houses and wood", "in the wood"])
+@pytest.mark.parametrize(
+    "place", [HOUSES_AND_WOOD, pytest.param(WOOD_START, marks=pytest.mark.long)], ids=["houses and wood", "in the wood"]
+)
 def test_replanner_at_rest_keeps_its_plan_through_a_day(scene, level, place):
     """Other plans are often slightly better. At most two switches are added to the changes of casters."""
-    moments, director = day(scene, place), Replanner(plans=predicted)
-    plans = [director.plan(each.descriptor, level) for each in moments]
-    anew = [predicted(each.descriptor, level) for each in moments]
+    moments, replanner = day_moments(scene, place), Replanner(plans=predict_plan)
+    plans = [replanner.plan(frame_moment.descriptor, level) for frame_moment in moments]
+    fresh_plans = [predict_plan(frame_moment.descriptor, level) for frame_moment in moments]
     assert casting(plans[0])[SUN] == casting(plans[-1])[SUN] == frozenset() and "forest" in casting(plans[len(plans) // 2])[SUN]
-    assert changes(plans) == changes(anew) and changes(plans)[-1] >= 2
-    assert switches(plans)[-1] <= changes(plans)[-1] + 2
-    assert switches(anew)[-1] > switches(plans)[-1], "else nothing is tested"
+    assert caster_change_counts(plans) == caster_change_counts(fresh_plans) and caster_change_counts(plans)[-1] >= 2
+    assert switch_counts(plans)[-1] <= caster_change_counts(plans)[-1] + 2
+    assert switch_counts(fresh_plans)[-1] > switch_counts(plans)[-1], "else nothing is tested"
 
 
 def test_replanner_with_pins_switches_at_their_border(scene, level):
     """The plan switches at the first sun beyond the border and nowhere else, without a mixture."""
-    low = Pin(sun_altitude_deg=(0.0, 20.0), algorithm={"relief": "sweep", "meshes": "hybrid", "forest": "shadow_map"}, map_size=512)
-    high = Pin(sun_altitude_deg=(20.0, 90.0), algorithm="shadow_map", map_size=1024, cascades=1)
-    pinned = level.model_copy(update={"shadows": level.shadows.model_copy(update={"pins": (low, high)})})
-    director, moments = Replanner(plans=predicted), day(scene, ACROSS)[::3]
-    for each in moments:
-        plan, altitude = director.plan(each.descriptor, pinned), each.descriptor.sun_altitude_deg
-        names = {name for (_, kind), (name, *_) in chosen(plan).items() if kind in ("relief", "meshes")}
+    low_sun_pin = Pin(
+        sun_altitude_deg=(0.0, 20.0), algorithm={"relief": "sweep", "meshes": "hybrid", "forest": "shadow_map"}, map_size=512
+    )
+    high_sun_pin = Pin(sun_altitude_deg=(20.0, 90.0), algorithm="shadow_map", map_size=1024, cascades=1)
+    pinned = level.model_copy(update={"shadows": level.shadows.model_copy(update={"pins": (low_sun_pin, high_sun_pin)})})
+    replanner, moments = Replanner(plans=predict_plan), day_moments(scene, HOUSES_AND_WOOD)[::3]
+    for frame_moment in moments:
+        plan, altitude = replanner.plan(frame_moment.descriptor, pinned), frame_moment.descriptor.sun_altitude_deg
+        names = {name for (_, kind), (name, *_) in chosen_algorithms(plan).items() if kind in ("relief", "meshes")}
         if names:
-            assert names <= ({"sweep", "hybrid"} if altitude <= 20.0 else {"shadow_map"}) and director.transition is None
-    assert any(each.descriptor.sun_altitude_deg <= 20.0 for each in moments)
+            assert names <= ({"sweep", "hybrid"} if altitude <= 20.0 else {"shadow_map"}) and replanner.transition is None
+    assert any(frame_moment.descriptor.sun_altitude_deg <= 20.0 for frame_moment in moments)

@@ -39,19 +39,21 @@ CASTERS: tuple[CasterKind, ...] = get_args(CasterKind)
 LIGHTS: tuple[LightKind, ...] = get_args(LightKind)
 VIEWS: tuple[ViewKind, ...] = get_args(ViewKind)
 GROUNDS: tuple[GroundKind, ...] = get_args(GroundKind)
-EVERY = [each for each in product(ALGORITHMS, LIGHTS, CASTERS, VIEWS, GROUNDS) if each[3:] != ("bent map", "level")]
+COMBINATIONS = [
+    combination for combination in product(ALGORITHMS, LIGHTS, CASTERS, VIEWS, GROUNDS) if combination[3:] != ("bent map", "level")
+]
 """All valid combinations: level ground belongs to a flat world, whose maps never bend."""
 
-TERRAIN = {
+TERRAINS = {
     "level": {"flat": {"size": [60, 60], "cells": [30, 30]}},
     "uneven": {"generate": {"kind": "landscape", "size": [60, 60], "cell": 2, "relief": 6, "seed": 3}},
     "earth": {"source": "jacksboro", "resolution": 2500},  # otherwise pixels of 2.5 km are subdivided, and the parts do not bend
 }
 SPOT = {"kind": "spot", "position": [-14, -10, 22], "target": [0, 0, 0], "cutoff": 45}
 OMNI = {"kind": "omni", "position": [5, -8, 16]}
-FORCED = {"cast_shadows": "on"}  # on empty level ground nothing casts
+FORCED_SHADOWS = {"cast_shadows": "on"}  # on empty level ground nothing casts
 EYE = {"kind": "perspective", "eye": [-25, -30, 14], "target": [2, 2, 2], "fov": 45, "size": [48, 36]}
-PLACE = [-84.25, 36.3133]
+EARTH_POSITION = [-84.25, 36.3133]
 """Position of the objects on the earth, degrees."""
 
 
@@ -62,21 +64,21 @@ def level_file(tmp_path_factory):
     ``earth`` is a ground on the round earth.
     """
     folder: Path = tmp_path_factory.mktemp("capabilities")
-    for name, places, crs in (("trees", ((-8, 6), (9, -4), (12, 10)), ENGINEERING), ("pines", (PLACE,), "EPSG:4326")):
+    for name, places, crs in (("trees", ((-8, 6), (9, -4), (12, 10)), ENGINEERING), ("pines", (EARTH_POSITION,), "EPSG:4326")):
         points = shapely.to_wkb(np.array([shapely.Point(*place) for place in places], object))
         pyogrio.raw.write(folder / f"{name}.gpkg", points, [], [], geometry_type="Point", crs=crs)
 
     def path(ground: GroundKind | Literal["earth"], **keys) -> Path:
         if ground == "earth":
-            up = {"position": [*PLACE, 900]}
+            above_ground = {"position": [*EARTH_POSITION, 900]}
             keys = {
-                "lights": {"spot": {**SPOT, **up, "target": [*PLACE, 0]}, "omni": {**OMNI, **up}}, "views": {},
-                "meshes": [{"generate": "tetrahedra", "at": PLACE}], "forest": [{"source": "pines.gpkg", "height": [20, 30]}],
+                "lights": {"spot": {**SPOT, **above_ground, "target": [*EARTH_POSITION, 0]}, "omni": {**OMNI, **above_ground}}, "views": {},
+                "meshes": [{"generate": "tetrahedra", "at": EARTH_POSITION}], "forest": [{"source": "pines.gpkg", "height": [20, 30]}],
                 "effects": {"alpha_test": "on"},  # the trees are too small to be drawn
                 **keys,
             }  # fmt: skip
         level = {
-            "version": 1, "terrain": TERRAIN[ground],
+            "version": 1, "terrain": TERRAINS[ground],
             "sun": {"azimuth": 215, "altitude": 30}, "lights": {"spot": SPOT, "omni": OMNI},
             "meshes": [{"generate": "tetrahedra"}], "forest": [{"source": "trees.gpkg", "height": [6, 8]}],
             "views": {"perspective": EYE, "map": {"kind": "map", "bounds": [-25, -25, 25, 25], "size": [47, 47]}}, **keys,
@@ -95,8 +97,8 @@ def scene_on(level_file):
 
 
 @pytest.fixture(scope="module")
-def seen(scene_on):
-    """Return ``seen(kind, ground)``, a scene and a view of it."""
+def scene_and_view_of(scene_on):
+    """Return ``scene_and_view_of(kind, ground)``, a scene and a view of it."""
 
     def scene_and_view(kind: ViewKind, ground: GroundKind) -> tuple[Scene, MapView | PerspectiveView]:
         scene = scene_on("earth" if kind == "bent map" else ground)
@@ -105,50 +107,50 @@ def seen(scene_on):
     return scene_and_view
 
 
-def parts_of(light: LightKind, caster: CasterKind, kind: ViewKind, ground: GroundKind) -> tuple[Requirement, ...]:
+def requirements_of(light: LightKind, caster: CasterKind, kind: ViewKind, ground: GroundKind) -> tuple[Requirement, ...]:
     """Return the requirements of a combination. A bent map is also a map."""
     return (*(("map",) if kind == "bent map" else ()), kind, light, caster, ground)
 
 
-def only(name: AlgorithmName, light: LightKind, caster: CasterKind) -> dict:
+def single_algorithm_override(name: AlgorithmName, light: LightKind, caster: CasterKind) -> dict:
     """Return an override with one algorithm for one light and one caster kind. Nothing else casts."""
-    choice = {each: {kind: "none" for kind in CASTERS} for each in LIGHTS}
+    choice = {light_kind: {kind: "none" for kind in CASTERS} for light_kind in LIGHTS}
     choice[light][caster] = name
     return choice
 
 
-@pytest.mark.parametrize(("name", "light", "caster", "kind", "ground"), EVERY)
-def test_algorithm_renders_or_gives_its_refusal(gl, seen, name, light, caster, kind, ground):
-    (scene, view), algorithm = seen(kind, ground), ALGORITHMS[name]
-    why = algorithm.refusal(parts_of(light, caster, kind, ground))
-    if why is None:
-        plan = plan_of(scene, view, algorithm=only(name, light, caster), map_size=64)
+@pytest.mark.parametrize(("name", "light", "caster", "kind", "ground"), COMBINATIONS)
+def test_algorithm_renders_or_gives_its_refusal(gl, scene_and_view_of, name, light, caster, kind, ground):
+    (scene, view), algorithm = scene_and_view_of(kind, ground), ALGORITHMS[name]
+    refusal = algorithm.refusal(requirements_of(light, caster, kind, ground))
+    if refusal is None:
+        plan = plan_of(scene, view, algorithm=single_algorithm_override(name, light, caster), map_size=64)
         assert plan.algorithm[light][caster] == name
         frame = render_frame(scene, view, plan)
         assert [record.name for record in frame.passes] == plan.passes
-        ran = [each for each in plan.passes if each.startswith(f"{light}/{caster}: ")]
-        assert [each.split(": ")[1] for each in ran] == list(algorithm.passes)
+        light_passes = [pass_name for pass_name in plan.passes if pass_name.startswith(f"{light}/{caster}: ")]
+        assert [pass_name.split(": ")[1] for pass_name in light_passes] == list(algorithm.passes)
         assert np.isfinite(frame.visibilities[light][frame.valid]).all()
     else:
         with pytest.raises(UnsupportedError) as caught:
-            plan_of(scene, view, algorithm=only(name, light, caster))
-        said = str(caught.value)
+            plan_of(scene, view, algorithm=single_algorithm_override(name, light, caster))
+        message = str(caught.value)
         refused = f"algorithm: '{name} for {caster} under {light}' is not supported here"
-        assert said.startswith(f"{refused}: {why}; algorithms that can: ")
-        assert "\n" not in said and name not in said.split("algorithms that can: ")[1]
+        assert message.startswith(f"{refused}: {refusal}; algorithms that can: ")
+        assert "\n" not in message and name not in message.split("algorithms that can: ")[1]
 
 
 def test_registry_refuses_only_known_requirements():
-    known = {*CASTERS, *LIGHTS, *VIEWS, *GROUNDS, *get_args(RayKind), *get_args(ExtentKind)}
+    known_requirements = {*CASTERS, *LIGHTS, *VIEWS, *GROUNDS, *get_args(RayKind), *get_args(ExtentKind)}
     for algorithm in ALGORITHMS.values():
-        assert set(algorithm.refuses) <= known
-        assert all(why and why[0].islower() and not why.endswith(".") for why in algorithm.refuses.values())
-        assert all(set(kinds) - set(algorithm.refuses) for kinds in (CASTERS, LIGHTS, VIEWS, GROUNDS)), "serves nothing at all"
+        assert set(algorithm.refusals) <= known_requirements
+        assert all(reason and reason[0].islower() and not reason.endswith(".") for reason in algorithm.refusals.values())
+        assert all(set(kinds) - set(algorithm.refusals) for kinds in (CASTERS, LIGHTS, VIEWS, GROUNDS)), "serves nothing at all"
 
 
 def test_registry_serves_every_combination():
     for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
-        serve = algorithms_serving(parts_of(light, caster, kind, ground))
+        serve = algorithms_serving(requirements_of(light, caster, kind, ground))
         assert "shadow_map" in serve and not {"truth", "none"} & set(serve)
 
 
@@ -169,9 +171,9 @@ def test_registry_lists_passes_of_every_fill():
 )
 def test_registry_refusals(name, refused):
     for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
-        why = ALGORITHMS[name].refusal(parts_of(light, caster, kind, ground))
+        refusal = ALGORITHMS[name].refusal(requirements_of(light, caster, kind, ground))
         words = [refused[part] for part in (light, caster, kind, ground) if part in refused]
-        assert why is None if not words else any(word in why for word in words)
+        assert refusal is None if not words else any(word in refusal for word in words)
 
 
 def test_plan_refuses_the_levels_algorithm_by_its_key(level_file):
@@ -193,10 +195,10 @@ def test_plan_replaces_a_sweep_by_maps_where_rays_bend(gl, write_raster, make_sc
         assert plan.algorithm["sun"]["relief"] == name
         frame = render_frame(scene, view, plan)
         assert [record.name for record in frame.passes] == plan.passes
-        (why,) = [each.reason for each in plan.reasons if each.name == f"sun/relief: {name}"]
+        (reason,) = [named_reason.reason for named_reason in plan.reasons if named_reason.name == f"sun/relief: {name}"]
         bends = "the view is so wide that the sun's rays bend across it; shadow_map can draw it"
-        assert why == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
-        rejected = {each.name: each.reason for each in plan.rejected}
+        assert reason == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
+        rejected = {named_reason.name: named_reason.reason for named_reason in plan.rejected}
         assert rejected.get("sweep") == (bends if name == "shadow_map" else None)
 
 
@@ -221,11 +223,11 @@ def test_plan_gives_the_refusal_of_rejected_algorithms(scene_on):
 def test_plan_refuses_planar_on_the_round_earth(write_raster, make_scene):
     """Level ground bends with the earth. Planar needs a flat world, where a raster of constant height is a plane."""
     heights = np.full((64, 64), 12.0, np.float32)
-    flat = make_scene(write_raster(heights, ENGINEERING, 0, 64, 1.0, name="flat.tif"), effects=FORCED)
-    assert plan_of(flat, flat.view(), algorithm="planar").headline == "planar"
-    bent = make_scene(write_raster(heights, "EPSG:32632", 500000, 5200000, 1.0, name="bent.tif"), effects=FORCED)
+    flat_scene = make_scene(write_raster(heights, ENGINEERING, 0, 64, 1.0, name="flat.tif"), effects=FORCED_SHADOWS)
+    assert plan_of(flat_scene, flat_scene.view(), algorithm="planar").headline == "planar"
+    earth_scene = make_scene(write_raster(heights, "EPSG:32632", 500000, 5200000, 1.0, name="bent.tif"), effects=FORCED_SHADOWS)
     with pytest.raises(UnsupportedError, match="not flat"):
-        plan_of(bent, bent.view(), algorithm="planar")
+        plan_of(earth_scene, earth_scene.view(), algorithm="planar")
 
 
 def test_candidates_leave_out_unsupported_algorithms(scene_on):
@@ -240,15 +242,17 @@ def test_candidates_use_maps_for_what_an_algorithm_refuses(scene_on):
     scene = scene_on("uneven")
     plans = candidates(scene, scene.view("perspective"), "perspective")
     assert len({plan.model_dump_json() for plan in plans}) == len(plans) <= MAX_CANDIDATES
-    of = {name: [plan for plan in plans if name in plan.algorithm["sun"].values()] for name in ALGORITHMS}
-    assert {name for name, found in of.items() if not found} == {"planar", "truth"}
+    plans_by_algorithm = {name: [plan for plan in plans if name in plan.algorithm["sun"].values()] for name in ALGORITHMS}
+    assert {name for name, matching_plans in plans_by_algorithm.items() if not matching_plans} == {"planar", "truth"}
     for name, kinds in (("shadow_volume", 2), ("hybrid", 2), ("perspective_shadow_map", 2), ("sweep", 1)):
-        served, left = [name] * kinds, ["shadow_map"] * (3 - kinds)
-        assert list(of[name][0].algorithm["sun"].values()) == served + left
-        assert all(set(plan.algorithm["omni"].values()) == {"shadow_map"} for plan in of[name])
-    assert {plan.settings["sun"]["meshes"].mask for plan in of["hybrid"]} == {"conservative", "original"}
-    whole = [plan for plan in of["perspective_shadow_map"] if plan.algorithm["sun"]["meshes"] == "perspective_shadow_map"]
-    assert {plan.settings["sun"]["meshes"].map_size for plan in whole} == {512, 1024, 2048}
+        served_kinds, fallback_kinds = [name] * kinds, ["shadow_map"] * (3 - kinds)
+        assert list(plans_by_algorithm[name][0].algorithm["sun"].values()) == served_kinds + fallback_kinds
+        assert all(set(plan.algorithm["omni"].values()) == {"shadow_map"} for plan in plans_by_algorithm[name])
+    assert {plan.settings["sun"]["meshes"].mask for plan in plans_by_algorithm["hybrid"]} == {"conservative", "original"}
+    perspective_plans = [
+        plan for plan in plans_by_algorithm["perspective_shadow_map"] if plan.algorithm["sun"]["meshes"] == "perspective_shadow_map"
+    ]
+    assert {plan.settings["sun"]["meshes"].map_size for plan in perspective_plans} == {512, 1024, 2048}
 
 
 def test_candidates_mix_algorithms_per_caster_kind(scene_on):
@@ -263,9 +267,9 @@ def test_candidates_mix_algorithms_per_caster_kind(scene_on):
 def test_plan_names_a_filter_without_effect(scene_on):
     scene = scene_on("level")
     view = scene.view("map")
-    for name, (filter, named) in product(("planar", "shadow_volume", "hybrid"), ((3, True), (1, False))):
+    for name, (filter, is_named) in product(("planar", "shadow_volume", "hybrid"), ((3, True), (1, False))):
         plan = plan_of(scene, view, algorithm={"meshes": name}, filter=filter)
-        assert any(f"{name} has hard edges only" in reason.reason for reason in plan.reasons) is named
+        assert any(f"{name} has hard edges only" in reason.reason for reason in plan.reasons) is is_named
     volumes = plan_of(scene, view, algorithm={"meshes": "shadow_volume"}, filter="sun")
     assert volumes.settings["sun"]["meshes"].filter == "sun"
     sweep = plan_of(scene_on("uneven"), view, algorithm={"relief": "sweep"}, filter="sun")
@@ -286,18 +290,20 @@ def test_plan_mixes_volumes_with_maps_for_trees(gl, scene_on):
     for name in ("shadow_volume", "hybrid"):
         with pytest.raises(UnsupportedError) as caught:
             plan_of(scene, view, algorithm=name)
-        said = str(caught.value)
-        assert f"'{name} for forest under sun'" in said and "every picture of leaves would cast a full rectangle" in said
-        assert said.endswith("; algorithms that can: shadow_map, perspective_shadow_map.")
+        message = str(caught.value)
+        assert f"'{name} for forest under sun'" in message and "every picture of leaves would cast a full rectangle" in message
+        assert message.endswith("; algorithms that can: shadow_map, perspective_shadow_map.")
     choice = {"relief": "shadow_volume", "meshes": "shadow_volume", "forest": "shadow_map", "spot": "none", "omni": "none"}
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=choice))
     assert [step.algorithm for step in frame.plan.steps[:2]] == ["shadow_volume", "shadow_map"]
     assert [record.name for record in frame.passes] == frame.plan.passes
-    solid, trees = ({**choice, **change} for change in ({"forest": "none"}, {"relief": "none", "meshes": "none"}))
-    alone = [render_frame(scene, view, plan_of(scene, view, algorithm=each)).visibility for each in (solid, trees)]
-    np.testing.assert_array_equal(frame.visibility, alone[0] * alone[1])
-    both, *each = ((visibility[frame.valid] < 0.5).sum() for visibility in (frame.visibility, *alone))
-    assert both > max(each) > min(each) > 0
+    without_trees, trees_only = ({**choice, **change} for change in ({"forest": "none"}, {"relief": "none", "meshes": "none"}))
+    partial_visibilities = [
+        render_frame(scene, view, plan_of(scene, view, algorithm=part)).visibility for part in (without_trees, trees_only)
+    ]
+    np.testing.assert_array_equal(frame.visibility, partial_visibilities[0] * partial_visibilities[1])
+    combined_count, *part = ((visibility[frame.valid] < 0.5).sum() for visibility in (frame.visibility, *partial_visibilities))
+    assert combined_count > max(part) > min(part) > 0
 
 
 def test_plan_refuses_volumes_in_maps_of_small_scale(gl, tmp_path):
@@ -318,27 +324,27 @@ def test_plan_refuses_volumes_in_maps_of_small_scale(gl, tmp_path):
 # -- user interfaces
 
 
-REFUSED = [
+REFUSAL_CASES = [
     ("planar", "uneven", "the ground is not flat"), ("sweep", "level", "trees are not a heightfield"),
     ("shadow_volume", "level", "knows no texture"), ("hybrid", "uneven", "knows no texture"),
     ("perspective_shadow_map", "level", "a map view has no perspective"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "ground", "sentence"), REFUSED)
+@pytest.mark.parametrize(("name", "ground", "sentence"), REFUSAL_CASES)
 def test_cli_reports_a_refusal_in_one_line(level_file, monkeypatch, capsys, tmp_path, name, ground, sentence):
     path = level_file(ground)
     spelling = f"relief=none,meshes=none,forest={name}"
     arguments = ["skugga", "render", str(path), "--algorithm", spelling, "-o", str(tmp_path / "x.png")]
     monkeypatch.setattr(sys, "argv", arguments)
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as exit_info:
         cli.main()
-    said = capsys.readouterr()
-    assert ended.value.code == 2 and said.out == ""
+    output = capsys.readouterr()
+    assert exit_info.value.code == 2 and output.out == ""
     assert (
-        said.err.count("\n") == 1
-        and said.err.startswith(f"skugga: algorithm: '{name} for forest under sun'")
-        and sentence in said.err
+        output.err.count("\n") == 1
+        and output.err.startswith(f"skugga: algorithm: '{name} for forest under sun'")
+        and sentence in output.err
     )
     assert not (tmp_path / "x.png").exists()
 
@@ -346,14 +352,14 @@ def test_cli_reports_a_refusal_in_one_line(level_file, monkeypatch, capsys, tmp_
 def test_http_reports_a_refusal_as_a_problem(level_file):
     """The status is 422, the type ``application/problem+json``, and the parameter is named. Supported requests are drawn."""
     with running(create_app(Settings(workers=1), [level_file(ground) for ground in ("level", "uneven", "earth")])) as client:
-        for name, ground, sentence in REFUSED:
-            answer = client.get(f"/levels/{ground}/snapshot.png", params={"view": "map", "algorithm": f"forest={name}"})
-            assert answer.status_code == 422 and answer.headers["content-type"].startswith("application/problem+json")
-            problem = answer.json()
+        for name, ground, sentence in REFUSAL_CASES:
+            response = client.get(f"/levels/{ground}/snapshot.png", params={"view": "map", "algorithm": f"forest={name}"})
+            assert response.status_code == 422 and response.headers["content-type"].startswith("application/problem+json")
+            problem = response.json()
             assert problem["code"] == "unsupported" and problem["parameter"] == "algorithm" and sentence in problem["detail"]
-        drawn = client.get("/levels/level/snapshot.png", params={"view": "perspective", "algorithm": "planar"})
-        assert drawn.status_code == 200 and "planar" in drawn.headers["x-skugga-algorithm"]
+        picture_response = client.get("/levels/level/snapshot.png", params={"view": "perspective", "algorithm": "planar"})
+        assert picture_response.status_code == 200 and "planar" in picture_response.headers["x-skugga-algorithm"]
         tiles, query = "/levels/earth/tiles/WebMercatorQuad", "algorithm=relief%3Dshadow_volume"
-        bent, straight = (client.get(f"{tiles}/{zxy}.png?{query}") for zxy in ("9/136/200", "12/1089/1603"))
-        assert bent.status_code == 422 and "at this scale no affine camera fits" in bent.json()["detail"]
-        assert straight.status_code == 200 and "relief=shadow_volume" in straight.headers["x-skugga-algorithm"]
+        bent_response, straight_response = (client.get(f"{tiles}/{zxy}.png?{query}") for zxy in ("9/136/200", "12/1089/1603"))
+        assert bent_response.status_code == 422 and "at this scale no affine camera fits" in bent_response.json()["detail"]
+        assert straight_response.status_code == 200 and "relief=shadow_volume" in straight_response.headers["x-skugga-algorithm"]

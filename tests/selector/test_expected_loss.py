@@ -71,9 +71,9 @@ def test_least_expected_loss_takes_the_nearest_if_all_are_late():
 
 
 def test_least_expected_loss_takes_none_only_if_alone():
-    nothing = forecast("none", 0.0, 0.0, error=0.0)
-    assert least_expected_loss([nothing, forecast("map", 50.0, 1.0, error=0.5)], 0.01).winner.name == "map"
-    assert least_expected_loss([nothing], 0.01).winner.name == "none"
+    none_forecast = forecast("none", 0.0, 0.0, error=0.0)
+    assert least_expected_loss([none_forecast, forecast("map", 50.0, 1.0, error=0.5)], 0.01).winner.name == "map"
+    assert least_expected_loss([none_forecast], 0.01).winner.name == "none"
     with pytest.raises(ValueError, match="no candidates"):
         least_expected_loss([], 0.01)
 
@@ -97,24 +97,26 @@ forecasts = st.lists(
 @given(forecasts, st.floats(1e-4, 0.2), st.none() | st.floats(0.1, 1e4))
 def test_least_expected_loss_is_minimal(candidates, max_error, max_ms):
     verdict = least_expected_loss(candidates, max_error, max_ms)
-    likely = [one for one in candidates if one.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
-    taken = next(one for one in candidates if one.figures == verdict.winner)
-    assert not likely or taken in likely
-    missed = MISS_PENALTY * sorted([one.figures.ms for one in likely] or [0.0])[len(likely) // 2]
+    likely_candidates = [candidate for candidate in candidates if candidate.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
+    chosen = next(candidate for candidate in candidates if candidate.figures == verdict.winner)
+    assert not likely_candidates or chosen in likely_candidates
+    miss_cost = (
+        MISS_PENALTY * sorted([candidate.figures.ms for candidate in likely_candidates] or [0.0])[len(likely_candidates) // 2]
+    )
 
-    def loss(one: Forecast) -> float:
-        chance = one.miss_chance(max_ms)
-        return (1.0 - chance) * one.figures.ms + chance * missed
+    def loss(candidate: Forecast) -> float:
+        chance = candidate.miss_chance(max_ms)
+        return (1.0 - chance) * candidate.figures.ms + chance * miss_cost
 
-    assert all(loss(taken) <= loss(one) * (1 + 1e-9) for one in likely)
+    assert all(loss(chosen) <= loss(candidate) * (1 + 1e-9) for candidate in likely_candidates)
 
 
 @given(forecasts, st.floats(1e-4, 0.2), st.sampled_from([0.25, 0.5, 2.0, 1024.0]))
 def test_least_expected_loss_ignores_the_unit_of_time(candidates, max_error, factor):
-    longer = [
+    scaled_candidates = [
         Forecast(
-            CandidateFigures(one.figures.name, one.figures.ms * factor, one.figures.error, one.figures.interior),
-            one.error_miss_chance, one.time_spread
+            CandidateFigures(candidate.figures.name, candidate.figures.ms * factor, candidate.figures.error, candidate.figures.interior),
+            candidate.error_miss_chance, candidate.time_spread
         )
-              for one in candidates]  # fmt: skip
-    assert least_expected_loss(candidates, max_error).winner.name == least_expected_loss(longer, max_error).winner.name
+              for candidate in candidates]  # fmt: skip
+    assert least_expected_loss(candidates, max_error).winner.name == least_expected_loss(scaled_candidates, max_error).winner.name

@@ -34,7 +34,7 @@ FIGURE = {
     "meshes": [{"generate": "tetrahedra", "motion": {"spin": 30}}], "sun": {"azimuth": 200, "altitude": 35}, "seconds": 2.0,
     "views": {"eye": {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 128]}},
 }  # fmt: skip
-ROUND = CameraPathSpec.model_validate({
+CAMERA_PATH = CameraPathSpec.model_validate({
     "size": SIZE,
     "keys": [
         {"at": "0s", "eye": [-30, -48, 15], "target": [3, 2, 2]},
@@ -65,8 +65,8 @@ def still_of(scene: Scene, frame: FilmFrame) -> np.ndarray:
     """Return the picture of a frame's time, clock, view and plan, drawn with a fresh scene object that shares nothing."""
     moment = frame.moment
     sun = None if moment.time is None else SunSpec(time=moment.time)
-    fresh = build_scene(scene.loaded).with_sun(sun).at_second(moment.second)
-    return render_frame(fresh, moment.view, frame.plan).color
+    fresh_scene = build_scene(scene.loaded).with_sun(sun).at_second(moment.second)
+    return render_frame(fresh_scene, moment.view, frame.plan).color
 
 
 def test_film_frames_of_a_moving_sun_equal_stills(gl, hills):
@@ -80,7 +80,7 @@ def test_film_frames_of_a_moving_sun_equal_stills(gl, hills):
 
 
 def test_film_frames_of_moving_camera_and_meshes_equal_stills(gl, figure):
-    request = FilmRequest(FilmSpan(7, 0.5), path=ROUND)
+    request = FilmRequest(FilmSpan(7, 0.5), path=CAMERA_PATH)
     frames = list(frames_of(figure, request))
     assert [frame.moment.second for frame in frames] == [2.0 + 0.5 * n for n in range(7)]
     assert len({frame.color.tobytes() for frame in frames}) == 7
@@ -91,39 +91,39 @@ def test_film_frames_of_moving_camera_and_meshes_equal_stills(gl, figure):
 def test_film_starts_at_the_second_of_its_scene(tmp_path):
     """Only a lamp moves, which leaves the meshes unchanged. The frames' lamps follow the clock."""
     keys = [{"seconds": 0, "position": [-20, 0, 9]}, {"seconds": 10, "position": [20, 0, 9]}]
-    lit = {**FIGURE, "meshes": [{"generate": "tetrahedra"}], "lights": {"lamp": {"kind": "omni", "motion": {"path": keys}}}}
-    (tmp_path / "lit.yaml").write_text(json.dumps(lit), encoding="utf-8")
+    level = {**FIGURE, "meshes": [{"generate": "tetrahedra"}], "lights": {"lamp": {"kind": "omni", "motion": {"path": keys}}}}
+    (tmp_path / "lit.yaml").write_text(json.dumps(level), encoding="utf-8")
     scene = build_scene(load_level(tmp_path / "lit.yaml"))
-    for at, begins in ((scene, 2.0), (scene.at_second(5.0), 5.0)):
-        moments = frame_moments(at, FilmRequest(FilmSpan(2, 5.0), "eye"))
-        assert [moment.second for moment in moments] == [begins, begins + 5.0]
+    for start_scene, start_second in ((scene, 2.0), (scene.at_second(5.0), 5.0)):
+        moments = frame_moments(start_scene, FilmRequest(FilmSpan(2, 5.0), "eye"))
+        assert [moment.second for moment in moments] == [start_second, start_second + 5.0]
     assert [moment.scene(scene).lamps["lamp"].position_earth_m[0] for moment in moments] == pytest.approx([0.0, 20.0])
 
 
 def test_film_frames_are_drawn_lazily(figure, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(film, "draw", lambda *of: drawn.append(1) or draw(*of))
-    frames = frames_of(figure, FilmRequest(FilmSpan(100, 0.01), path=ROUND))
-    assert drawn == []
+    draw_calls = []
+    monkeypatch.setattr(film, "draw", lambda *args: draw_calls.append(1) or draw(*args))
+    frames = frames_of(figure, FilmRequest(FilmSpan(100, 0.01), path=CAMERA_PATH))
+    assert draw_calls == []
     next(frames), next(frames)
-    assert len(drawn) == 2
+    assert len(draw_calls) == 2
 
 
-class Turn:
+class SwitchingPolicy:
     """A policy that takes one algorithm for a number of calls, then prefers another one."""
 
-    def __init__(self, first: str, then: str, calls: int) -> None:
-        self.names, self.calls = (first, then), calls
+    def __init__(self, first: str, second: str, calls: int) -> None:
+        self.names, self.calls = (first, second), calls
 
     def __call__(self, descriptor, plan_request, overrides) -> Plan:
-        asked = (overrides or {}).get("algorithm")
-        self.calls -= asked is None
-        name = asked["sun"]["meshes"] if asked else self.names[self.calls < 0]
+        requested = (overrides or {}).get("algorithm")
+        self.calls -= requested is None
+        name = requested["sun"]["meshes"] if requested else self.names[self.calls < 0]
         ms = 5.0 if name == self.names[self.calls < 0] else 10.0
-        asked_for = {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}}
+        plan_overrides = {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}}
         if name == "shadow_map":
-            asked_for |= {"map_size": 64, "cascades": 1, "filter": 1}
-        plan = make_plan(descriptor, plan_request, asked_for)
+            plan_overrides |= {"map_size": 64, "cascades": 1, "filter": 1}
+        plan = make_plan(descriptor, plan_request, plan_overrides)
         return plan.model_copy(update={"policy": "predict", "predicted": Predicted(ms=ms, wrong=0.001, wrong_cast=0.01)})
 
 
@@ -135,25 +135,27 @@ def test_film_switch_is_spread_logged_and_recorded(gl, figure, caplog):
     caplog.set_level(logging.INFO, "skugga")
     logging.getLogger("skugga").propagate = True
     request = FilmRequest(FilmSpan(PATIENCE + 40, 1e-3), "eye")  # the camera is at rest, and the body hardly moves
-    frames = list(frames_of(figure, request, Replanner(plans=Turn("shadow_map", "shadow_volume", 3))))
-    (switched,) = (frame for frame in frames if frame.switch is not None)
-    switch, mixed = switched.switch, [frame for frame in frames if frame.transition is not None]
+    frames = list(frames_of(figure, request, Replanner(plans=SwitchingPolicy("shadow_map", "shadow_volume", 3))))
+    (switch_frame,) = (frame for frame in frames if frame.switch is not None)
+    switch, transition_frames = switch_frame.switch, [frame for frame in frames if frame.transition is not None]
     assert (switch.number, switch.before, switch.after) == (3 + PATIENCE - 1, "shadow_map 64 1", "shadow_volume")
-    assert "5.0 ms" in switch.why and "10 ms" in switch.why and f"{PATIENCE} frames in a row" in switch.why
-    assert mixed[0] is switched and 4 <= len(mixed) < 40 and mixed[-1].transition.share == 1.0
-    (said,) = (record.getMessage() for record in caplog.records if "instead of" in record.getMessage())
-    assert said == f"frame {switch.number + 1} (0.007 s): {switch.after} instead of {switch.before}: {switch.why}"
+    assert "5.0 ms" in switch.reason and "10 ms" in switch.reason and f"{PATIENCE} frames in a row" in switch.reason
+    assert (
+        transition_frames[0] is switch_frame and 4 <= len(transition_frames) < 40 and transition_frames[-1].transition.share == 1.0
+    )
+    (message,) = (record.getMessage() for record in caplog.records if "instead of" in record.getMessage())
+    assert message == f"frame {switch.number + 1} (0.007 s): {switch.after} instead of {switch.before}: {switch.reason}"
     valid_count = render_frame(figure, frames[0].moment.view, frames[0].plan).valid.sum()
-    for one, other in zip(frames, frames[1:], strict=False):
-        if one.transition or other.transition:
+    for previous, current in zip(frames, frames[1:], strict=False):
+        if previous.transition or current.transition:
             # The sun rests and the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.
-            flipped = (np.abs(one.color.astype(int) - other.color).max(axis=-1) > 40).sum()
-            assert flipped <= 1.5 * max(MAX_CHANGED * valid_count, 1.0)
-    whole = np.abs(frames[switch.number - 1].color.astype(int) - frames[-1].color).max(axis=-1) > 40
-    assert whole.sum() > 2 * MAX_CHANGED * valid_count  # otherwise the test would be vacuous
+            changed_count = (np.abs(previous.color.astype(int) - current.color).max(axis=-1) > 40).sum()
+            assert changed_count <= 1.5 * max(MAX_CHANGED * valid_count, 1.0)
+    total_change = np.abs(frames[switch.number - 1].color.astype(int) - frames[-1].color).max(axis=-1) > 40
+    assert total_change.sum() > 2 * MAX_CHANGED * valid_count  # otherwise the test would be vacuous
     for frame in (*frames[:3], *frames[-2:]):
         assert (frame.color == still_of(figure, frame)).all()
-    assert not (switched.color == still_of(figure, switched)).all()
+    assert not (switch_frame.color == still_of(figure, switch_frame)).all()
 
 
 def test_film_reports_the_switch_at_night(gl, hills, caplog):
@@ -161,8 +163,8 @@ def test_film_reports_the_switch_at_night(gl, hills, caplog):
     logging.getLogger("skugga").propagate = True
     evening = datetime.fromisoformat("2024-06-21T20:00:00-04:00")
     frames = list(frames_of(hills, FilmRequest(FilmSpan(3, 3600.0, evening), "map", size=(32, 32))))
-    (switched,) = (frame for frame in frames if frame.switch is not None)
-    assert switched.switch.after == "none" and switched.switch.why == "nothing casts shadows now"
+    (switch_frame,) = (frame for frame in frames if frame.switch is not None)
+    assert switch_frame.switch.after == "none" and switch_frame.switch.reason == "nothing casts shadows now"
 
 
 def test_frame_moments_at_rest_share_one_view(hills):
@@ -179,37 +181,37 @@ def test_frame_moments_start_at_the_requested_second(figure):
 
 
 def test_frame_moments_take_size_from_request_or_path(figure):
-    one = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=ROUND))[0].view
-    other = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=ROUND, size=(50, 40)))[0].view
-    assert ((one.cols, one.rows), (other.cols, other.rows)) == (SIZE, (50, 40))
+    path_view = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=CAMERA_PATH))[0].view
+    sized_view = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=CAMERA_PATH, size=(50, 40)))[0].view
+    assert ((path_view.cols, path_view.rows), (sized_view.cols, sized_view.rows)) == (SIZE, (50, 40))
 
 
-def low(height: float) -> CameraPathSpec:
+def low_camera_path(height: float) -> CameraPathSpec:
     keys = [{"at": at, "eye": [x, 0, z], "target": [0, 9, 0]} for at, x, z in (("0s", 0, 5), ("4s", 50, height))]
     return CameraPathSpec.model_validate({"keys": keys})
 
 
-WRONG = {
+INVALID_REQUESTS = {
     "no frame": (FilmRequest(FilmSpan(0, 1.0), "eye"), "frames: '0'", "1 to 10000 frames"),
     "many frames": (FilmRequest(FilmSpan(10_001, 1.0), "eye"), "frames: '10001'", "1 to 10000 frames"),
     "a date on a floor": (FilmRequest(FilmSpan(2, 1.0, NOON), "eye"), "time: '2024-06-21T12:00:00-04:00'", "not georeferenced"),
     "no view": (FilmRequest(FilmSpan(2, 1.0), "hill"), "view: 'hill'", "map, eye"),
     "no bounds of a perspective": (FilmRequest(FilmSpan(2, 1.0), "eye", bounds=(0, 0, 1, 1)), "bounds:", "perspective view"),
     "under the ground": (
-        FilmRequest(FilmSpan(5, 1.0), path=low(-3.3333333333333335)),
+        FilmRequest(FilmSpan(5, 1.0), path=low_camera_path(-3.3333333333333335)),
         "path, frame 4 (3 s): eye: the camera is 2.03 m below the ground",
         "above",
     ),
-    "a large picture": (FilmRequest(FilmSpan(5, 1.0), path=ROUND, size=(5000, 9)), "size: '5000x9'", "at most 4096"),
+    "a large picture": (FilmRequest(FilmSpan(5, 1.0), path=CAMERA_PATH, size=(5000, 9)), "size: '5000x9'", "at most 4096"),
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_REQUESTS)
 def test_frame_moments_refuse_invalid_requests(figure, name):
-    request, told, allowed = WRONG[name]
+    request, problem, allowed = INVALID_REQUESTS[name]
     with pytest.raises(InputError) as caught:
         frame_moments(figure, request)
-    assert told in str(caught.value) and allowed in str(caught.value)
+    assert problem in str(caught.value) and allowed in str(caught.value)
 
 
 def test_frame_moments_respect_max_frames(figure):

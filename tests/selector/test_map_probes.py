@@ -13,7 +13,7 @@ from skugga.selector.probe_store import load_probes, probes_folder, save_probes
 from tests.api.workers.fake_probes import seen
 
 
-def of(scale: int, sun: int, *choices: str) -> MapProbes:
+def make_probes(scale: int, sun: int, *choices: str) -> MapProbes:
     return MapProbes(classes=(ProbedClass(scale=scale, sun=sun, seen={"sun": tuple(map(seen, choices))}),))
 
 
@@ -39,28 +39,30 @@ def test_map_class_contains_its_middle(sun):
 
 
 def test_map_probes_add_noise_for_other_blocks():
-    probes = of(3, -1, "sweep").merged_with(of(4, -1, "shadow_map 512"))
-    found = probes.of(MapClass(4, -1))
-    assert found is not None and [each.choice for each in found["sun"]] == ["shadow_map 512"]
-    each, is_positional = found["sun"][0], seen()
-    assert (each.error, each.ms) == (is_positional.error, is_positional.ms)
-    assert each.error_noise == hypot(is_positional.error_noise, BLOCK_ERROR_SD) > each.ms_noise
-    assert each.ms_noise == hypot(is_positional.ms_noise, BLOCK_TIME_SD) > is_positional.ms_noise
+    probes = make_probes(3, -1, "sweep").merged_with(make_probes(4, -1, "shadow_map 512"))
+    observations = probes.of(MapClass(4, -1))
+    assert observations is not None and [observation.choice for observation in observations["sun"]] == ["shadow_map 512"]
+    observation, original = observations["sun"][0], seen()
+    assert (observation.error, observation.ms) == (original.error, original.ms)
+    assert observation.error_noise == hypot(original.error_noise, BLOCK_ERROR_SD) > observation.ms_noise
+    assert observation.ms_noise == hypot(original.ms_noise, BLOCK_TIME_SD) > original.ms_noise
     assert probes.of(MapClass(5, -1)) is None and probes.of(MapClass(3, 0)) is None and probes.of(None) is None
 
 
 def test_map_probes_merge_replaces_the_same_class():
-    both = of(4, 0, "b").merged_with(of(3, 0, "a")).merged_with(of(4, 0, "c"))
-    assert both == of(3, 0, "a").merged_with(of(4, 0, "c")) and both != of(3, 0, "a").merged_with(of(4, 0, "b"))
-    assert [each.scale for each in both.classes] == [3, 4]
+    merged = make_probes(4, 0, "b").merged_with(make_probes(3, 0, "a")).merged_with(make_probes(4, 0, "c"))
+    assert merged == make_probes(3, 0, "a").merged_with(make_probes(4, 0, "c")) and merged != make_probes(3, 0, "a").merged_with(
+        make_probes(4, 0, "b")
+    )
+    assert [probed_class.scale for probed_class in merged.classes] == [3, 4]
 
 
 def test_save_probes_merges_with_the_stored_file(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    path = save_probes("device", "1", "level", of(3, 0, "a"))
+    path = save_probes("device", "1", "level", make_probes(3, 0, "a"))
     assert path.parent == probes_folder("device", "1") != probes_folder("device", "2")
-    assert save_probes("device", "1", "level", of(4, 0, "b")) == path
-    assert load_probes(path) == of(3, 0, "a").merged_with(of(4, 0, "b"))
+    assert save_probes("device", "1", "level", make_probes(4, 0, "b")) == path
+    assert load_probes(path) == make_probes(3, 0, "a").merged_with(make_probes(4, 0, "b"))
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"classes": [{"scale": 1}]}', '{"other": 1}', "\xff"])
@@ -73,7 +75,7 @@ def test_load_probes_ignores_a_broken_file(tmp_path, text):
 
 def test_save_probes_evicts_the_oldest_files(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(probe_store, "MAX_KEPT", 2)
+    monkeypatch.setattr(probe_store, "MAX_FILES", 2)
     for number in range(4):
-        os.utime(save_probes("device", "1", f"level{number}", of(number, 0, "a")), (number, number))
+        os.utime(save_probes("device", "1", f"level{number}", make_probes(number, 0, "a")), (number, number))
     assert sorted(path.stem for path in probes_folder("device", "1").iterdir()) == ["level2", "level3"]

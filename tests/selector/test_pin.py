@@ -21,11 +21,11 @@ from skugga.terrain.level.level import load_level, override
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 
-WHY = ["Pinned by skugga select on 2026-11-22: view map.", "sun/relief: sweep, for it is exact."]
-CHOSEN = {"algorithm": {"relief": "sweep", "forest": "shadow_map"}, "map_size": 2048}
+PIN_REASONS = ["Pinned by skugga select on 2026-11-22: view map.", "sun/relief: sweep, for it is exact."]
+PIN_SETTINGS = {"algorithm": {"relief": "sweep", "forest": "shadow_map"}, "map_size": 2048}
 
 HEAD = "version: 1\ntitle: 'Hänge  am  Öst'   # ö\nterrain: {source: jacksboro}\n"
-FILES = {
+LEVEL_TEXTS = {
     "no shadows": HEAD,
     "no final newline": HEAD.removesuffix("\n"),
     "flow style": f"{HEAD}shadows: {{map_size: auto}}   # said\n# tail\n",
@@ -49,35 +49,35 @@ def load(text: str) -> dict:
     return YAML(typ="safe", pure=True).load(text)
 
 
-def lines_gone(before: str, after: str) -> list[str]:
+def removed_lines(before: str, after: str) -> list[str]:
     return [line[2:] for line in difflib.ndiff(before.splitlines(), after.splitlines()) if line.startswith("- ")]
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", LEVEL_TEXTS)
 def test_pinned_text_sets_choices_and_keeps_the_rest(name):
-    before = FILES[name]
-    after = pinned_text(before, CHOSEN, WHY)
+    before = LEVEL_TEXTS[name]
+    after = pinned_text(before, PIN_SETTINGS, PIN_REASONS)
     assert after is not None
     old, new = load(before), load(after)
-    assert new["shadows"] == {**old.get("shadows", {}), **CHOSEN}
+    assert new["shadows"] == {**old.get("shadows", {}), **PIN_SETTINGS}
     assert {**new, "shadows": None} == {**old, "shadows": None}
     touched = ("shadows", "algorithm", "map_size", "relief", "filter")
-    assert all(any(word in line for word in touched) for line in lines_gone(before, after) if "JSON" not in name)
+    assert all(any(word in line for word in touched) for line in removed_lines(before, after) if "JSON" not in name)
     assert after.count(PIN_COMMENT) == 1 and "sweep, for it is exact" in after
     assert ("\r\n" in before) == ("\r\n" in after) and "\n" not in after.replace("\r\n", "") if "\r\n" in before else True
     for comment in ("# ö", "# said", "# tail", "# small", "# coarse", "# keep", "# after", "# in\n", "# as the water"):
         assert (comment in before) == (comment in after)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", LEVEL_TEXTS)
 def test_pinned_text_replaces_the_previous_pin(name):
-    once = pinned_text(FILES[name], CHOSEN, WHY)
-    assert once is not None and pinned_text(once, CHOSEN, WHY) == once
-    other = pinned_text(once, {"algorithm": {"relief": "hybrid"}}, [WHY[0], "For another reason."])
-    assert other is not None and other.count(PIN_COMMENT) == 1 and "sweep, for it is exact" not in other
-    assert load(other)["shadows"] == {**load(once)["shadows"], "algorithm": {"relief": "hybrid"}, "map_size": "auto"}
-    back = pinned_text(other, CHOSEN, WHY)
-    assert back == once
+    pinned = pinned_text(LEVEL_TEXTS[name], PIN_SETTINGS, PIN_REASONS)
+    assert pinned is not None and pinned_text(pinned, PIN_SETTINGS, PIN_REASONS) == pinned
+    repinned = pinned_text(pinned, {"algorithm": {"relief": "hybrid"}}, [PIN_REASONS[0], "For another reason."])
+    assert repinned is not None and repinned.count(PIN_COMMENT) == 1 and "sweep, for it is exact" not in repinned
+    assert load(repinned)["shadows"] == {**load(pinned)["shadows"], "algorithm": {"relief": "hybrid"}, "map_size": "auto"}
+    restored = pinned_text(repinned, PIN_SETTINGS, PIN_REASONS)
+    assert restored == pinned
 
 
 PIN_LIST = {
@@ -86,7 +86,7 @@ PIN_LIST = {
         {"view": "grüne Au", "algorithm": {"sun": {"relief": "hybrid"}, "lamp": {"meshes": "planar"}}},
     ]
 }
-LISTS = {
+LEVEL_TEXTS_WITH_PINS = {
     "a list of hand": f"{HEAD}shadows:\n  pins:   # mine\n  - {{view: a, filter: 1}}\n  map_size: 64  # kept\n",
     "a list over lines": f"{HEAD}shadows:\n    pins:\n      - view: a\n        filter: 1\n      - filter: 2\n\n# tail\nsun: none\n",
     "a list in brackets": f"{HEAD}shadows:\n  pins: [{{view: a, filter: 1}}]  # mine\n  map_size: 64  # kept\n",
@@ -97,28 +97,28 @@ LISTS = {
 }
 
 
-@pytest.mark.parametrize("name", [*FILES, *LISTS])
+@pytest.mark.parametrize("name", [*LEVEL_TEXTS, *LEVEL_TEXTS_WITH_PINS])
 def test_pinned_text_replaces_the_previous_list(name):
-    before = {**FILES, **LISTS}[name]
-    once = pinned_text(before, PIN_LIST, WHY)
-    assert once is not None and pinned_text(once, PIN_LIST, WHY) == once
+    before = {**LEVEL_TEXTS, **LEVEL_TEXTS_WITH_PINS}[name]
+    pinned = pinned_text(before, PIN_LIST, PIN_REASONS)
+    assert pinned is not None and pinned_text(pinned, PIN_LIST, PIN_REASONS) == pinned
     old = load(before)
-    assert load(once) == {**old, "shadows": {**old.get("shadows", {}), **PIN_LIST}}
-    assert "\n" not in once.replace("\r\n", "") if "\r\n" in before else "\r" not in once
+    assert load(pinned) == {**old, "shadows": {**old.get("shadows", {}), **PIN_LIST}}
+    assert "\n" not in pinned.replace("\r\n", "") if "\r\n" in before else "\r" not in pinned
     for comment in ("# ö", "# said", "# tail", "# small", "# coarse", "# keep", "# after", "# in\n", "# mine", "# kept", "# x"):
-        assert (comment in before) == (comment in once)
-    assert "grüne Au" in once
-    whole = pinned_text(once, CHOSEN, WHY)
-    assert whole is not None and load(whole)["shadows"] == {**load(once)["shadows"], **CHOSEN, "pins": []}
-    back = pinned_text(whole, PIN_LIST, WHY)
-    assert back is not None
-    assert load(back)["shadows"] == {**load(once)["shadows"], **dict.fromkeys(CHOSEN, "auto")}
-    assert pinned_text(back, PIN_LIST, WHY) == back
+        assert (comment in before) == (comment in pinned)
+    assert "grüne Au" in pinned
+    without_pins = pinned_text(pinned, PIN_SETTINGS, PIN_REASONS)
+    assert without_pins is not None and load(without_pins)["shadows"] == {**load(pinned)["shadows"], **PIN_SETTINGS, "pins": []}
+    restored = pinned_text(without_pins, PIN_LIST, PIN_REASONS)
+    assert restored is not None
+    assert load(restored)["shadows"] == {**load(pinned)["shadows"], **dict.fromkeys(PIN_SETTINGS, "auto")}
+    assert pinned_text(restored, PIN_LIST, PIN_REASONS) == restored
     for comment in ("# ö", "# said", "# tail", "# mine", "# kept"):
-        assert (comment in before) == (comment in back)
+        assert (comment in before) == (comment in restored)
 
 
-SAID = {
+COMMENTED_SHADOWS = {
     "lines and ends of lines": """  pins:   # mine
     # <1> all of them
     - {view: away, filter: 1}   # <2>
@@ -150,7 +150,7 @@ SAID = {
     "nothing in brackets": "  pins: [   # <1>\n    # <2>\n  ]  # tail\n",
     "other keys": "  filter: 1\n  algorithm:\n    # <1>\n    relief: sweep  # <2>\n    meshes: hybrid  # tail\n  pins: []\n",
 }
-SAID_IN_BRACES = {
+COMMENTED_SHADOWS_IN_BRACES = {
     "braces": """shadows:
   {map_size: 64,   # tail
    algorithm: {relief: sweep,   # <1>
@@ -161,16 +161,18 @@ SAID_IN_BRACES = {
 }
 
 
-@pytest.mark.parametrize("first", [PIN_LIST, {**CHOSEN, **PIN_LIST}])
+@pytest.mark.parametrize("first", [PIN_LIST, {**PIN_SETTINGS, **PIN_LIST}])
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
-@pytest.mark.parametrize("name", [*SAID, *SAID_IN_BRACES])
+@pytest.mark.parametrize("name", [*COMMENTED_SHADOWS, *COMMENTED_SHADOWS_IN_BRACES])
 def test_pinned_text_keeps_user_comments_in_replaced_values(name, line_end, first):
-    text = (f"{HEAD}shadows:\n{SAID[name]}" if name in SAID else HEAD + SAID_IN_BRACES[name]).replace("\n", line_end)
+    text = (
+        f"{HEAD}shadows:\n{COMMENTED_SHADOWS[name]}" if name in COMMENTED_SHADOWS else HEAD + COMMENTED_SHADOWS_IN_BRACES[name]
+    ).replace("\n", line_end)
     comments = re.findall(r"#[^\r\n]*", re.sub(r"""(["'])[^"'].*?\1""", "", text))
     assert len(comments) >= 3
-    for chosen in (first, {"pins": []}, CHOSEN, PIN_LIST, {"pins": PIN_LIST["pins"][::-1]}):
-        text = pinned_text(text, chosen, WHY)
-        assert text is not None and pinned_text(text, chosen, WHY) == text
+    for chosen in (first, {"pins": []}, PIN_SETTINGS, PIN_LIST, {"pins": PIN_LIST["pins"][::-1]}):
+        text = pinned_text(text, chosen, PIN_REASONS)
+        assert text is not None and pinned_text(text, chosen, PIN_REASONS) == text
         assert [text.count(comment) for comment in comments] == [1] * len(comments)
         lines = text.split(line_end)
         assert all(any(line.endswith(comment) for line in lines) for comment in comments), "none is a part of another one"
@@ -178,7 +180,9 @@ def test_pinned_text_keeps_user_comments_in_replaced_values(name, line_end, firs
 
 
 def test_pinned_text_moves_comments_with_their_pin():
-    after = pinned_text(f"version: 1\nshadows:\n{SAID['lines and ends of lines']}", PIN_LIST, ["Pinned by skugga select."])
+    after = pinned_text(
+        f"version: 1\nshadows:\n{COMMENTED_SHADOWS['lines and ends of lines']}", PIN_LIST, ["Pinned by skugga select."]
+    )
     assert after == (
         "version: 1\n#: Pinned by skugga select.\n#: Pinned keys: pins.\nshadows:\n"
         "  # <1> all of them\n  # <2>\n  # <6>\n  # <7>\n  pins:   # mine\n    # <3> the map\n    #<4>  of tiles\n"
@@ -186,7 +190,7 @@ def test_pinned_text_moves_comments_with_their_pin():
         "  # <5> # it is\n"
         '    - {view: "grüne Au", algorithm: {sun: {relief: hybrid}, lamp: {meshes: planar}}}\n  # tail\n  map_size: 64\n'
     )
-    in_blocks = pinned_text(f"version: 1\nshadows:\n{SAID['blocks']}", PIN_LIST, WHY)
+    in_blocks = pinned_text(f"version: 1\nshadows:\n{COMMENTED_SHADOWS['blocks']}", PIN_LIST, PIN_REASONS)
     assert in_blocks is not None
     assert '    # <1>\n    # <2>\n    # <3>\n    # <4>\n    - {view: "grüne Au"' in in_blocks
     assert "shadows:\n  # <5>\n  # <6>\n  # <7>\n  pins:\n" in in_blocks
@@ -194,7 +198,7 @@ def test_pinned_text_moves_comments_with_their_pin():
 
 def test_pinned_text_drops_its_old_comment_in_a_list():
     before = f"version: 1\nshadows:\n  pins:\n    {PIN_COMMENT} of old.\n    #: And why.\n    # mine\n    - {{filter: 1}}\n"
-    after = pinned_text(before, PIN_LIST, WHY)
+    after = pinned_text(before, PIN_LIST, PIN_REASONS)
     assert after is not None and "# mine" in after and "of old" not in after and "And why" not in after
 
 
@@ -209,7 +213,7 @@ def test_pinned_text_writes_one_line_per_pin():
 
 
 def test_pinned_text_of_block_style():
-    before = FILES["block style"]
+    before = LEVEL_TEXTS["block style"]
     after = pinned_text(before, {"algorithm": {"relief": "sweep"}, "map_size": 1024}, ["Pinned by skugga select."])
     assert after == (
         f"{HEAD}#: Pinned by skugga select.\n#: Pinned keys: algorithm, map_size.\nshadows:\n  # coarse\n"
@@ -234,12 +238,12 @@ def test_pinned_text_of_block_style():
 def test_pinned_text_handles_any_block_of_settings(keys, indent, head, tail, line_end, chosen):
     shadows = "".join(f"\n{' ' * indent}{key}: {value}" for key, value in keys.items()) or " {}"
     before = f"{head}version: 1 # v\nshadows:{shadows}{tail}".replace("\n", line_end)
-    after = pinned_text(before, chosen, WHY)
+    after = pinned_text(before, chosen, PIN_REASONS)
     assert after is not None
     assert load(after) == {**load(before), "shadows": {**(load(before)["shadows"] or {}), **chosen}}
-    gone = [line for line in lines_gone(before, after) if not line.startswith("shadows:")]
-    assert all(line.split(":")[0].strip() in chosen for line in gone)
-    assert pinned_text(after, chosen, WHY) == after
+    removed = [line for line in removed_lines(before, after) if not line.startswith("shadows:")]
+    assert all(line.split(":")[0].strip() in chosen for line in removed)
+    assert pinned_text(after, chosen, PIN_REASONS) == after
 
 
 def test_pin_refuses_an_edit_that_would_change_other_keys(tmp_path):
@@ -247,7 +251,7 @@ def test_pin_refuses_an_edit_that_would_change_other_keys(tmp_path):
     text = f"{HEAD}shadows: {{algorithm: &name sweep}}\nsun: none\nattribution: *name\n"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(LevelError, match="by hand") as error:
-        pin(path, CHOSEN, WHY)
+        pin(path, PIN_SETTINGS, PIN_REASONS)
     assert "\n" not in str(error.value) and path.read_text(encoding="utf-8") == text
 
 
@@ -256,7 +260,7 @@ def test_pin_refuses_a_read_only_file(tmp_path):
     path.write_text(HEAD, encoding="utf-8")
     path.chmod(0o444)
     with pytest.raises(LevelError, match="read-only"):
-        pin(path, CHOSEN, WHY)
+        pin(path, PIN_SETTINGS, PIN_REASONS)
     assert path.read_text(encoding="utf-8") == HEAD and os.listdir(tmp_path) == ["level.yaml"]
 
 
@@ -264,12 +268,12 @@ def test_pin_is_atomic(tmp_path, monkeypatch):
     path = tmp_path / "level.yaml"
     path.write_text(HEAD, encoding="utf-8")
 
-    def full(*_: object) -> None:
+    def raise_disk_full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("skugga.selector.pin.os.replace", full)
+    monkeypatch.setattr("skugga.selector.pin.os.replace", raise_disk_full)
     with pytest.raises(LevelError, match="No space left"):
-        pin(path, CHOSEN, WHY)
+        pin(path, PIN_SETTINGS, PIN_REASONS)
     assert path.read_text(encoding="utf-8") == HEAD and os.listdir(tmp_path) == ["level.yaml"]
 
 
@@ -278,15 +282,15 @@ def test_pin_keeps_permissions_and_symbolic_links(tmp_path):
     path.write_bytes(HEAD.replace("\n", "\r\n").encode())
     path.chmod(0o640)
     link.symlink_to(path)
-    pin(link, CHOSEN, WHY)
+    pin(link, PIN_SETTINGS, PIN_REASONS)
     assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
     assert path.read_bytes().startswith(HEAD.replace("\n", "\r\n").encode())
     assert pinned_keys(link) == ("algorithm", "map_size")
 
 
 def test_pinned_text_escapes_and_wraps_its_comment():
-    after = pinned_text(HEAD, CHOSEN, [f"{WHY[0]} view a\nb: \x07\u2028 {{c}}", "word " * 60])
-    assert after is not None and load(after)["shadows"] == CHOSEN
+    after = pinned_text(HEAD, PIN_SETTINGS, [f"{PIN_REASONS[0]} view a\nb: \x07\u2028 {{c}}", "word " * 60])
+    assert after is not None and load(after)["shadows"] == PIN_SETTINGS
     assert all(len(line) <= 130 for line in after.splitlines())
 
 
@@ -308,9 +312,9 @@ def test_pins_of_a_choice_reproduce_its_plan(scene):
     plan = make_plan(facts, level, choices={"sun": choice})
     chosen = pins(plan, facts, level)
     assert chosen == {"algorithm": {"relief": "shadow_map"}, "map_size": 1024, "filter": 1}
-    again = make_plan(facts, StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects))
-    assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
-    assert "set by the level" in again.reasons[0].reason
+    replanned = make_plan(facts, StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects))
+    assert (replanned.algorithm, replanned.settings) == (plan.algorithm, plan.settings)
+    assert "set by the level" in replanned.reasons[0].reason
 
 
 def test_pins_refuse_a_plan_without_cast_shadow(scene):

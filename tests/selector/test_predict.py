@@ -22,12 +22,12 @@ from skugga.selector.predict import predicted_plan
 from skugga.shadows.plan import Plan
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
+from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
 from skugga.terrain.level.level import SUN, Shadows
 
-TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "selection.jsonl"
+SELECTION_TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "selection.jsonl"
 
-ERRORS = ErrorModel(
+ERROR_MODEL = ErrorModel(
     counted={kind: HillCurve(most=1.0, half_px=1.0, steepness=1.0) for kind in ("relief", "meshes", "forest")},
     perspective=2.0,
     floor=dict.fromkeys(error_groups(), 1e-4),
@@ -53,36 +53,36 @@ RATES_NS: dict[str, dict[str, float]] = {
 """Rates under which a map of 4096 texels a side takes some 22 ms, volumes of 1200 faces some 26 ms, and planar shadows 2 ms."""
 
 
-def casting(cast: float = 0.2) -> LightFacts:
+def shadow_facts(cast: float = 0.2) -> LightFacts:
     """Return shadows with an edge every hundred pixels or so, a quarter of them on bodies."""
-    differs = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
+    differs = tuple(px / 320.0 for px in TEXEL_SIZES_PX)
     bands = (CastBand(near_m=32.0, far_m=64.0, share=1.0, cast=cast, pixel_m=0.1, light_m=50.0, differs=differs),)
     casts = {"meshes": Casting(share=cast, on_bodies=cast / 4.0, bands=bands)}
     return LightFacts(cast_share=cast, silhouette_edges=200, volume_layers=1.0, casts=casts)
 
 
-def described(**changes) -> Descriptor:
+def make_descriptor(**changes) -> Descriptor:
     """Return bodies on level ground, seen from nearby under the sun: 640 x 512 pixels of 0.1 m."""
     bodies = CasterFacts(kind="meshes", count=10, triangles=2000, closed_share=1.0, height_m=4.0, width_m=5.0)
-    given = {
+    fields = {
         "view": "main", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": 0.0015, "rows": 512, "cols": 640,
         "node_m": 2.0, "casters": ("relief", "meshes"), "stands": (bodies,), "relief_m": 0.0, "block_relief_m": 4.0,
         "tallest_m": 4.0, "sun_azimuth_deg": 140.0, "sun_altitude_deg": 30.0, "highest_sun_deg": 30.0,
-        "receivers_light_m": (100.0, 100.0, 100.0), "lights": {SUN: casting()},
+        "receivers_light_m": (100.0, 100.0, 100.0), "lights": {SUN: shadow_facts()},
     }  # fmt: skip
-    return Descriptor(**(given | changes))
+    return Descriptor(**(fields | changes))
 
 
 def device(scale: Callable[[str, str], float] = lambda part, name: 1.0, rates_ns: dict = RATES_NS) -> DeviceProfile:
     """Return a device with the given rates, multiplied by ``scale(part, name)``."""
-    rates_ns = {part: {name: ns * scale(part, name) for name, ns in its.items()} for part, its in rates_ns.items()}
+    rates_ns = {part: {name: ns * scale(part, name) for name, ns in rates.items()} for part, rates in rates_ns.items()}
     return DeviceProfile(
         renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=1.0,
         rates_ns=rates_ns,
     )  # fmt: skip
 
 
-def dear_texels(part: str, name: str) -> float:
+def expensive_texels(part: str, name: str) -> float:
     return 50.0 if name.startswith("texels") else 1.0
 
 
@@ -90,18 +90,18 @@ def cheap_faces(part: str, name: str) -> float:
     return 0.01 if name.startswith("faces") else 1.0
 
 
-def asked(descriptor: Descriptor, **shadows) -> StandaloneRequest:
+def make_request(descriptor: Descriptor, **shadows) -> StandaloneRequest:
     return StandaloneRequest(Shadows(**shadows), tuple(descriptor.lights))
 
 
-def planned(
+def plan_view(
     descriptor: Descriptor,
     profile: DeviceProfile | None = None,
     overrides: dict[str, Any] | None = None,
-    errors: ErrorModel | None = ERRORS,
+    errors: ErrorModel | None = ERROR_MODEL,
     **shadows,
 ) -> Plan:
-    return predicted_plan(descriptor, asked(descriptor, **shadows), overrides, profile or device(), errors)
+    return predicted_plan(descriptor, make_request(descriptor, **shadows), overrides, profile or device(), errors)
 
 
 def name_of(plan: Plan, light: str = SUN) -> str:
@@ -110,28 +110,30 @@ def name_of(plan: Plan, light: str = SUN) -> str:
     return plan.algorithm[light]["meshes"] + ("" if size is None else f" {size}")
 
 
-def option_of(
-    plan: Plan, planner: Planner, light: str, profile: DeviceProfile, errors: ErrorModel | None = ERRORS
+def predicted_option(
+    plan: Plan, planner: Planner, light: str, profile: DeviceProfile, errors: ErrorModel | None = ERROR_MODEL
 ) -> PredictedChoice:
     """Return the option that a plan took under a light."""
     steps = tuple(step for step in plan.steps if step.light == light and step.algorithm != "none")
-    return next(one for one in predicted_choices(planner, light, planner.casting(light), profile, errors) if one.steps == steps)
+    return next(
+        option for option in predicted_choices(planner, light, planner.casting(light), profile, errors) if option.steps == steps
+    )
 
 
 @pytest.fixture(scope="module")
-def kept() -> dict[str, dict[str, Any]]:
+def measured_views() -> dict[str, dict[str, Any]]:
     """Return the measured views by name."""
-    _, *lines = TABLE.read_text(encoding="utf-8").splitlines()
+    _, *lines = SELECTION_TABLE.read_text(encoding="utf-8").splitlines()
     return {view["name"]: view for view in map(json.loads, lines)}
 
 
 @pytest.fixture(scope="module")
-def own() -> DeviceProfile:
+def measured_device() -> DeviceProfile:
     """Return the device on which the views were measured."""
-    return DeviceProfile.model_validate_json(TABLE.read_text(encoding="utf-8").splitlines()[0])
+    return DeviceProfile.model_validate_json(SELECTION_TABLE.read_text(encoding="utf-8").splitlines()[0])
 
 
-def of(record: dict[str, Any], **changes) -> Descriptor:
+def descriptor_of(record: dict[str, Any], **changes) -> Descriptor:
     return Descriptor.model_validate({**record["descriptor"], **changes})
 
 
@@ -140,15 +142,17 @@ def test_predict_takes_the_coarsest_map_that_meets_the_target():
 
     Planar shadows are the quickest by far, but 25 % wrong.
     """
-    assert name_of(planned(described(), max_error=0.5)) == "planar"
-    plan = planned(described(), max_error=0.02)
+    assert name_of(plan_view(make_descriptor(), max_error=0.5)) == "planar"
+    plan = plan_view(make_descriptor(), max_error=0.02)
     assert name_of(plan) == "shadow_map 1024"
     assert plan.predicted.wrong_cast == pytest.approx(0.5 / 320.0 / 0.2 + 1e-4, rel=0.05)
     assert plan.target.met and plan.policy == "predict"
     # The same map meets 1 % with 98 % probability: the expected miss costs more than the 3 ms that a map of 2048 adds.
-    plan = planned(described(), max_error=0.01)
-    assert name_of(plan) == "shadow_map 2048" and plan.predicted.ms - planned(described(), max_error=0.02).predicted.ms > 3.0
-    assert name_of(planned(described(), max_error=0.005)) == "shadow_map 2048"
+    plan = plan_view(make_descriptor(), max_error=0.01)
+    assert (
+        name_of(plan) == "shadow_map 2048" and plan.predicted.ms - plan_view(make_descriptor(), max_error=0.02).predicted.ms > 3.0
+    )
+    assert name_of(plan_view(make_descriptor(), max_error=0.005)) == "shadow_map 2048"
 
 
 def test_predict_follows_a_changed_calibration():
@@ -156,96 +160,101 @@ def test_predict_follows_a_changed_calibration():
 
     Volumes with 1000 caps and 200 sides take longer for counting alone.
     """
-    view = described()
-    assert name_of(planned(view, max_error=0.0015)) == "shadow_map 4096"
-    assert name_of(planned(view, device(dear_texels), max_error=0.0015)) == "shadow_volume"
-    assert name_of(planned(view, device(cheap_faces), max_error=0.0015)) == "shadow_volume"
+    view = make_descriptor()
+    assert name_of(plan_view(view, max_error=0.0015)) == "shadow_map 4096"
+    assert name_of(plan_view(view, device(expensive_texels), max_error=0.0015)) == "shadow_volume"
+    assert name_of(plan_view(view, device(cheap_faces), max_error=0.0015)) == "shadow_volume"
     # Expensive texels alone do not displace a coarse map.
-    assert name_of(planned(view, max_error=0.04)) == "shadow_map 512"
-    assert name_of(planned(view, device(dear_texels), max_error=0.04)) == "shadow_map 512"
+    assert name_of(plan_view(view, max_error=0.04)) == "shadow_map 512"
+    assert name_of(plan_view(view, device(expensive_texels), max_error=0.04)) == "shadow_map 512"
     slow_maps = device(lambda part, name: 50.0 if part.startswith("shadow_map") else 100.0 if part.startswith("counting") else 1.0)
-    assert name_of(planned(view, slow_maps, max_error=0.04)) == "perspective_shadow_map 512"
+    assert name_of(plan_view(view, slow_maps, max_error=0.04)) == "perspective_shadow_map 512"
 
 
-def test_predict_follows_a_changed_calibration_on_measured_views(kept, own):
-    view = kept["boxgrid, spot, main"]
+def test_predict_follows_a_changed_calibration_on_measured_views(measured_views, measured_device):
+    view = measured_views["boxgrid, spot, main"]
 
-    def taken(scale: Callable[[str, str], float]) -> str:
-        return planned(of(view), device(scale, own.rates_ns), errors=None, max_error=0.01).algorithm["lamp"]["meshes"]
+    def chosen_algorithm(scale: Callable[[str, str], float]) -> str:
+        return plan_view(descriptor_of(view), device(scale, measured_device.rates_ns), errors=None, max_error=0.01).algorithm[
+            "lamp"
+        ]["meshes"]
 
-    assert taken(lambda part, name: 1.0) == "shadow_map"
-    assert taken(lambda part, name: 50.0 if " map" in part or "_map" in part else 1.0) == "shadow_volume"
-    assert taken(lambda part, name: 0.01 if part.startswith(("silhouettes", "counting")) else 1.0) == "shadow_volume"
+    assert chosen_algorithm(lambda part, name: 1.0) == "shadow_map"
+    assert chosen_algorithm(lambda part, name: 50.0 if " map" in part or "_map" in part else 1.0) == "shadow_volume"
+    assert chosen_algorithm(lambda part, name: 0.01 if part.startswith(("silhouettes", "counting")) else 1.0) == "shadow_volume"
 
 
-def test_predict_is_independent_of_the_unit_of_rates(kept, own):
+def test_predict_is_independent_of_the_unit_of_rates(measured_views, measured_device):
     """A device that is thirty times slower in everything takes the same choice, in thirty times the time."""
-    slow = device(lambda part, name: 30.0, own.rates_ns)
+    slow = device(lambda part, name: 30.0, measured_device.rates_ns)
     for name in ("rocks, sun, main", "village, map, 9", "goteborg, eye, 22"):
-        descriptor = of(kept[name])
-        quick_plan, slow_plan = (planned(descriptor, profile, errors=None, max_error=0.01) for profile in (own, slow))
+        descriptor = descriptor_of(measured_views[name])
+        quick_plan, slow_plan = (plan_view(descriptor, profile, errors=None, max_error=0.01) for profile in (measured_device, slow))
         assert (slow_plan.algorithm, slow_plan.settings) == (quick_plan.algorithm, quick_plan.settings), name
         assert slow_plan.predicted.ms == pytest.approx(30.0 * quick_plan.predicted.ms)
 
 
 @pytest.mark.parametrize("who", ["the request", "the level"])
 def test_predict_respects_requested_algorithms_and_settings(who):
-    view = described()
+    view = make_descriptor()
 
     def plan(**keys) -> Plan:
-        return planned(view, overrides=keys) if who == "the request" else planned(view, **keys)
+        return plan_view(view, overrides=keys) if who == "the request" else plan_view(view, **keys)
 
-    volumes = plan(algorithm="shadow_volume")
-    assert name_of(volumes) == "shadow_volume"
-    assert next(one.reason for one in volumes.reasons if one.name == "sun/meshes: shadow_volume") == f"set by {who}"
-    sized = plan(algorithm="shadow_map", map_size=777, filter=5)
-    assert (sized.settings[SUN]["meshes"].map_size, sized.settings[SUN]["meshes"].filter) == (777, 5)
-    assert next(one.reason for one in sized.reasons if one.name == "map_size 777") == f"set by {who}"
-    free = plan(map_size=777)  # only the size is set: the algorithm is still chosen by its cost
-    assert name_of(free) == "shadow_map 777"
-    exact = plan(max_error=0.001, map_size=64)
-    assert name_of(exact) == "shadow_volume" and exact.target.max_error == 0.001
+    volume_plan = plan(algorithm="shadow_volume")
+    assert name_of(volume_plan) == "shadow_volume"
+    assert next(item.reason for item in volume_plan.reasons if item.name == "sun/meshes: shadow_volume") == f"set by {who}"
+    sized_plan = plan(algorithm="shadow_map", map_size=777, filter=5)
+    assert (sized_plan.settings[SUN]["meshes"].map_size, sized_plan.settings[SUN]["meshes"].filter) == (777, 5)
+    assert next(item.reason for item in sized_plan.reasons if item.name == "map_size 777") == f"set by {who}"
+    unforced_plan = plan(map_size=777)  # only the size is set: the algorithm is still chosen by its cost
+    assert name_of(unforced_plan) == "shadow_map 777"
+    exact_plan = plan(max_error=0.001, map_size=64)
+    assert name_of(exact_plan) == "shadow_volume" and exact_plan.target.max_error == 0.001
 
 
-def test_predict_chooses_for_kinds_without_an_override(kept, own):
-    village = of(kept["village, map, 9"])
-    plan = planned(village, own, {"algorithm": {"meshes": "shadow_volume"}}, None, max_error=0.03)
+def test_predict_chooses_for_kinds_without_an_override(measured_views, measured_device):
+    village = descriptor_of(measured_views["village, map, 9"])
+    plan = plan_view(village, measured_device, {"algorithm": {"meshes": "shadow_volume"}}, None, max_error=0.03)
     assert plan.algorithm[SUN]["meshes"] == "shadow_volume" and plan.algorithm[SUN]["relief"] != "none"
-    said = {one.name: one.reason for one in plan.reasons}
-    assert said["sun/meshes: shadow_volume"] == "set by the request"
-    assert "expected" in said[f"sun/relief: {plan.algorithm[SUN]['relief']}"]
+    reasons = {item.name: item.reason for item in plan.reasons}
+    assert reasons["sun/meshes: shadow_volume"] == "set by the request"
+    assert "expected" in reasons[f"sun/relief: {plan.algorithm[SUN]['relief']}"]
     with pytest.raises(UnsupportedError, match="a shadow volume knows no texture"):
-        planned(village, own, {"algorithm": {"forest": "shadow_volume"}}, None)
+        plan_view(village, measured_device, {"algorithm": {"forest": "shadow_volume"}}, None)
 
 
 def test_predict_rejects_algorithms_without_rates():
-    plan = planned(described(), device(rates_ns={part: its for part, its in RATES_NS.items() if part != "mask"}))
+    plan = plan_view(make_descriptor(), device(rates_ns={part: rates for part, rates in RATES_NS.items() if part != "mask"}))
     assert plan.policy == "predict" and plan.predicted is not None
-    said = {one.name: one.reason for one in plan.rejected}
-    assert said["hybrid"] == "this device has no rates for mask: run skugga calibrate again"
+    reasons = {item.name: item.reason for item in plan.rejected}
+    assert reasons["hybrid"] == "this device has no rates for mask: run skugga calibrate again"
 
 
 def test_predict_falls_back_to_rules_with_a_reason():
-    plan = planned(described(), device(rates_ns={"another part": {"blocks": 1.0}}))
+    plan = plan_view(make_descriptor(), device(rates_ns={"another part": {"blocks": 1.0}}))
     assert plan.policy == "rules" and plan.predicted is None and plan.target.met is None
-    assert plan.algorithm == make_plan(described(), asked(described())).algorithm
-    why = next(one.reason for one in plan.reasons if one.name == "policy rules")
-    assert why.startswith("no prediction is possible, so fixed rules choose: ") and "shadow_map: this device has no rates" in why
+    assert plan.algorithm == make_plan(make_descriptor(), make_request(make_descriptor())).algorithm
+    reason = next(item.reason for item in plan.reasons if item.name == "policy rules")
+    assert (
+        reason.startswith("no prediction is possible, so fixed rules choose: ") and "shadow_map: this device has no rates" in reason
+    )
 
 
 def test_predict_fallback_plans_only_reaching_lights(monkeypatch):
     lamp = {"kind": "spot", "cutoff_deg": 30.0, "reference_m": 40.0}
     lamps = [LampFacts(name="near", **lamp), LampFacts(name="far", reaches=False, **lamp)]
-    asked_about, rules = [], predict.choices_by_rules
+    planned_lights, original_rules = [], predict.choices_by_rules
     monkeypatch.setattr(
         predict,
         "choices_by_rules",
-        lambda descriptor, shadows, lights: asked_about.extend(lights) or rules(descriptor, shadows, lights),
+        lambda descriptor, shadows, lights: planned_lights.extend(lights) or original_rules(descriptor, shadows, lights),
     )
-    plan = planned(
-        described(lamps=lamps, lights={SUN: casting(), "near": casting()}), device(rates_ns={"another part": {"blocks": 1.0}})
+    plan = plan_view(
+        make_descriptor(lamps=lamps, lights={SUN: shadow_facts(), "near": shadow_facts()}),
+        device(rates_ns={"another part": {"blocks": 1.0}}),
     )
-    assert plan.policy == "rules" and list(plan.lights) == asked_about == [SUN, "near"]
+    assert plan.policy == "rules" and list(plan.lights) == planned_lights == [SUN, "near"]
 
 
 @pytest.mark.parametrize("max_error", [0.0, 1e-6])
@@ -254,116 +263,131 @@ def test_predict_takes_the_nearest_plan_for_an_impossible_target(max_error):
 
     Planar shadows are 25 % wrong in 2 ms, volumes nearly right in 26 ms, so an option in between is nearest.
     """
-    view = described()
-    plan = planned(view, max_error=max_error, max_ms=1.0)
+    view = make_descriptor()
+    plan = plan_view(view, max_error=max_error, max_ms=1.0)
     assert plan.target.met is False and name_of(plan) == "shadow_map 1024"
-    (missed,) = (one.reason for one in plan.reasons if one.name == "sun: target missed")
-    its = plan.predicted
-    over = its.wrong_cast - max_error
-    error = f"an error of {format_percent(its.wrong_cast)}, {format_percent(over)} more than {format_percent(max_error)}"
-    assert missed == f"expected: {error}; {format_duration(its.ms)}, {format_duration(its.ms - 1.0)} more than 1.0 ms"
+    (missed_reason,) = (item.reason for item in plan.reasons if item.name == "sun: target missed")
+    prediction = plan.predicted
+    excess = prediction.wrong_cast - max_error
+    error = f"an error of {format_percent(prediction.wrong_cast)}, {format_percent(excess)} more than {format_percent(max_error)}"
+    assert (
+        missed_reason
+        == f"expected: {error}; {format_duration(prediction.ms)}, {format_duration(prediction.ms - 1.0)} more than 1.0 ms"
+    )
     # No other option is nearer: the distance is the larger overshoot, each relative to its limit.
-    planner = planner_of(view, asked(view))
+    planner = planner_of(view, make_request(view))
 
     def overshoot(ms: float, error: float) -> float:
         return max((error - max_error) / 1e-3, ms - 1.0)  # error limits below a thousandth count as a thousandth
 
-    options = predicted_choices(planner, SUN, ["meshes"], device(), ERRORS)
-    least = min(overshoot(one.ms, one.errors.wrong_cast) for one in options)
-    assert overshoot(its.ms, its.wrong_cast) == pytest.approx(least)
-    assert "comes nearest" in next(one.reason for one in plan.reasons if one.name.startswith("sun/meshes"))
+    options = predicted_choices(planner, SUN, ["meshes"], device(), ERROR_MODEL)
+    min_overshoot = min(overshoot(item.ms, item.errors.wrong_cast) for item in options)
+    assert overshoot(prediction.ms, prediction.wrong_cast) == pytest.approx(min_overshoot)
+    assert "comes nearest" in next(item.reason for item in plan.reasons if item.name.startswith("sun/meshes"))
 
 
 def test_predict_takes_the_most_accurate_map_in_time():
     """Only maps are allowed: 4096 texels take some 22 ms, 2048 some 9, 1024 some 6. None meets an error of a millionth."""
-    view = described()
-    fine, middle = (planned(view, max_error=1e-6, max_ms=ms, algorithm="shadow_map") for ms in (60.0, 20.0))
-    assert name_of(fine) == "shadow_map 4096" and 20.0 < fine.predicted.ms < 60.0
-    assert name_of(middle) == "shadow_map 2048" and middle.predicted.ms < 20.0
-    for plan in (fine, middle):
-        (missed,) = (one.reason for one in plan.reasons if one.name == "sun: target missed")
-        assert not plan.target.met and missed.startswith("expected: an error of ") and "ms" not in missed
+    view = make_descriptor()
+    accurate_plan, quick_plan = (plan_view(view, max_error=1e-6, max_ms=ms, algorithm="shadow_map") for ms in (60.0, 20.0))
+    assert name_of(accurate_plan) == "shadow_map 4096" and 20.0 < accurate_plan.predicted.ms < 60.0
+    assert name_of(quick_plan) == "shadow_map 2048" and quick_plan.predicted.ms < 20.0
+    for plan in (accurate_plan, quick_plan):
+        (missed_reason,) = (item.reason for item in plan.reasons if item.name == "sun: target missed")
+        assert not plan.target.met and missed_reason.startswith("expected: an error of ") and "ms" not in missed_reason
 
 
-def test_predict_plans_measured_views_with_impossible_targets(kept, own):
-    for view in [*kept.values()][::6]:
-        descriptor = of(view)
-        plan = planned(descriptor, own, errors=None, max_error=0.0, max_ms=1e-3)
+def test_predict_plans_measured_views_with_impossible_targets(measured_views, measured_device):
+    for view in [*measured_views.values()][::6]:
+        descriptor = descriptor_of(view)
+        plan = plan_view(descriptor, measured_device, errors=None, max_error=0.0, max_ms=1e-3)
         if not plan.steps or {step.algorithm for step in plan.steps} == {"none"}:
             continue
         assert plan.target.met is False, view["name"]
-        assert any(one.name == f"{view['light']}: target missed" and " more than " in one.reason for one in plan.reasons)
+        assert any(item.name == f"{view['light']}: target missed" and " more than " in item.reason for item in plan.reasons)
 
 
-def test_predict_never_takes_none_for_casting_kinds(kept, own):
+def test_predict_never_takes_none_for_casting_kinds(measured_views, measured_device):
     casts = 0
-    for view in kept.values():
-        descriptor = of(view)
-        casting_kinds = planner_of(descriptor, asked(descriptor)).casting(view["light"])
+    for view in measured_views.values():
+        descriptor = descriptor_of(view)
+        casting_kinds = planner_of(descriptor, make_request(descriptor)).casting(view["light"])
         for max_error, max_ms in ((1.0, None), (1e-6, 1e-3)):
-            plan = planned(descriptor, own, errors=None, max_error=max_error, max_ms=max_ms)
-            taken = plan.algorithm[view["light"]]
-            assert {kind for kind, name in taken.items() if name != "none"} == set(casting_kinds), view["name"]
+            plan = plan_view(descriptor, measured_device, errors=None, max_error=max_error, max_ms=max_ms)
+            algorithms = plan.algorithm[view["light"]]
+            assert {kind for kind, name in algorithms.items() if name != "none"} == set(casting_kinds), view["name"]
             casts += bool(casting_kinds)
-    assert casts > len(kept)  # nearly all views have casters
+    assert casts > len(measured_views)  # nearly all views have casters
 
 
-def test_predict_is_independent_of_the_view_name(kept, own):
+def test_predict_is_independent_of_the_view_name(measured_views, measured_device):
     for name in ("rocks, sun, main", "boxgrid, spot, main", "village, map, 9", "quebec, eye, 14"):
-        one, other = (planned(of(kept[name], view=view), own, errors=None, max_error=0.01) for view in ("main", "somewhere else"))
-        assert other.view == "somewhere else"
-        assert other.model_copy(update={"view": one.view}) == one
+        main_plan, renamed_plan = (
+            plan_view(descriptor_of(measured_views[name], view=view), measured_device, errors=None, max_error=0.01)
+            for view in ("main", "somewhere else")
+        )
+        assert renamed_plan.view == "somewhere else"
+        assert renamed_plan.model_copy(update={"view": main_plan.view}) == main_plan
 
 
-def test_predict_is_independent_of_the_lamp_name(kept, own):
-    text = json.dumps(kept["boxgrid, spot, main"]["descriptor"])
+def test_predict_is_independent_of_the_lamp_name(measured_views, measured_device):
+    text = json.dumps(measured_views["boxgrid, spot, main"]["descriptor"])
     assert '"lamp"' in text
-    one, other = (
-        planned(Descriptor.model_validate_json(each), own, errors=None, max_error=0.01)
-        for each in (text, text.replace('"lamp"', '"zenith"'))
+    lamp_plan, zenith_plan = (
+        plan_view(Descriptor.model_validate_json(descriptor_json), measured_device, errors=None, max_error=0.01)
+        for descriptor_json in (text, text.replace('"lamp"', '"zenith"'))
     )
-    assert (other.algorithm["zenith"], other.settings["zenith"]) == (one.algorithm["lamp"], one.settings["lamp"])
-    assert other.predicted == one.predicted
+    assert (zenith_plan.algorithm["zenith"], zenith_plan.settings["zenith"]) == (
+        lamp_plan.algorithm["lamp"],
+        lamp_plan.settings["lamp"],
+    )
+    assert zenith_plan.predicted == lamp_plan.predicted
 
 
-def test_predict_reports_the_expectation_of_the_taken_option(kept, own):
+def test_predict_reports_the_expectation_of_the_taken_option(measured_views, measured_device):
     for name in ("rocks, sun, main", "boxgrid, spot, main", "village, map, 9", "goteborg, eye, 22", "zion, map, 20"):
-        view, light = of(kept[name]), kept[name]["light"]
-        plan = planned(view, own, errors=None, max_error=0.01)
-        taken = option_of(plan, planner_of(view, asked(view, max_error=0.01)), light, own, None)
-        expected = (taken.ms, taken.errors.wrong, taken.errors.wrong_cast)
+        view, light = descriptor_of(measured_views[name]), measured_views[name]["light"]
+        plan = plan_view(view, measured_device, errors=None, max_error=0.01)
+        option = predicted_option(plan, planner_of(view, make_request(view, max_error=0.01)), light, measured_device, None)
+        expected = (option.ms, option.errors.wrong, option.errors.wrong_cast)
         assert (plan.predicted.ms, plan.predicted.wrong, plan.predicted.wrong_cast) == pytest.approx(expected), name
-        why = next(one.reason for one in plan.reasons if one.name.startswith(f"{light}/") and "none" not in one.name)
+        reason = next(item.reason for item in plan.reasons if item.name.startswith(f"{light}/") and "none" not in item.name)
         assert (
-            f"expected: {format_percent(taken.errors.wrong_cast)} of the cast shadow wrong in {format_duration(taken.ms)}" in why
+            f"expected: {format_percent(option.errors.wrong_cast)} of the cast shadow wrong in {format_duration(option.ms)}"
+            in reason
         ), name
 
 
 def test_predict_chooses_per_light_and_adds_times():
     """A lamp with faint shadows shines beside the sun. Each light meets the target, and they share the time."""
     lamp = LampFacts(name="lamp", kind="spot", cutoff_deg=45.0, reference_m=50.0)
-    view = described(lamps=(lamp,), lights={SUN: casting(), "lamp": casting(0.05)})
+    view = make_descriptor(lamps=(lamp,), lights={SUN: shadow_facts(), "lamp": shadow_facts(0.05)})
     plan_request = StandaloneRequest(Shadows(max_error=0.01), (SUN, "lamp"))
-    plan = predicted_plan(view, plan_request, None, device(), ERRORS)
+    plan = predicted_plan(view, plan_request, None, device(), ERROR_MODEL)
     planner = planner_of(view, plan_request)
-    both = [option_of(plan, planner, light, device()) for light in (SUN, "lamp")]
-    assert plan.predicted.ms == pytest.approx(sum(one.ms for one in both)) and min(one.ms for one in both) > 0.0
-    assert plan.predicted.wrong_cast == pytest.approx(max(one.errors.wrong_cast for one in both))
-    assert plan.predicted.wrong == pytest.approx(max(one.errors.wrong for one in both))
-    late = predicted_plan(view, StandaloneRequest(Shadows(max_error=0.01, max_ms=1e-3), (SUN, "lamp")), None, device(), ERRORS)
-    assert {one.name for one in late.reasons if one.name.endswith("target missed")} == {"sun: target missed", "lamp: target missed"}
+    options = [predicted_option(plan, planner, light, device()) for light in (SUN, "lamp")]
+    assert plan.predicted.ms == pytest.approx(sum(item.ms for item in options)) and min(item.ms for item in options) > 0.0
+    assert plan.predicted.wrong_cast == pytest.approx(max(item.errors.wrong_cast for item in options))
+    assert plan.predicted.wrong == pytest.approx(max(item.errors.wrong for item in options))
+    late_plan = predicted_plan(
+        view, StandaloneRequest(Shadows(max_error=0.01, max_ms=1e-3), (SUN, "lamp")), None, device(), ERROR_MODEL
+    )
+    assert {item.name for item in late_plan.reasons if item.name.endswith("target missed")} == {
+        "sun: target missed",
+        "lamp: target missed",
+    }
 
 
 def test_predict_rejects_with_the_expectation_as_reason():
-    plan = planned(described(), max_error=0.01)
-    said = {one.name: one.reason for one in plan.rejected}
-    assert said["planar"].startswith("expected at best: an error of 25 %, 24 % more than 1.0 %")
-    assert "ms with shadow_volume" in said["shadow_volume"] and "the choice takes " in said["shadow_volume"]
-    assert "shadow_map" not in said and said["truth"]
+    plan = plan_view(make_descriptor(), max_error=0.01)
+    reasons = {item.name: item.reason for item in plan.rejected}
+    assert reasons["planar"].startswith("expected at best: an error of 25 %, 24 % more than 1.0 %")
+    assert "ms with shadow_volume" in reasons["shadow_volume"] and "the choice takes " in reasons["shadow_volume"]
+    assert "shadow_map" not in reasons and reasons["truth"]
 
 
 def test_predict_at_night_takes_none_and_meets_the_target():
-    night = described(sun_altitude_deg=-20.0, highest_sun_deg=-20.0)
-    plan = planned(night, max_error=1e-6, max_ms=1e-3)
+    night = make_descriptor(sun_altitude_deg=-20.0, highest_sun_deg=-20.0)
+    plan = plan_view(night, max_error=1e-6, max_ms=1e-3)
     assert name_of(plan) == "none" and plan.target.met is True
     assert (plan.predicted.ms, plan.predicted.wrong_cast) == (0.0, 0.0)

@@ -13,8 +13,8 @@ SMALL = CandidateFigures("small map", 10.0, 0.05, 0.0)
 MIDDLE = CandidateFigures("middle map", 20.0, 0.02, 0.0)
 LARGE = CandidateFigures("large map", 40.0, 0.004, 0.0)
 LEAKY = CandidateFigures("leaky", 5.0, 0.01, 0.004)
-NONE = CandidateFigures("none", 0.0, 0.0, 0.0)
-ALL = [SMALL, MIDDLE, LARGE, LEAKY, NONE]
+NO_SHADOW = CandidateFigures("none", 0.0, 0.0, 0.0)
+CANDIDATES = [SMALL, MIDDLE, LARGE, LEAKY, NO_SHADOW]
 
 figures = st.builds(
     CandidateFigures, st.sampled_from(["a", "b", "c", "none"]), st.floats(0.01, 1e4), st.floats(0.0, 1.0), st.floats(0.0, 0.05)
@@ -34,13 +34,13 @@ figures = st.builds(
     ],
 )
 def test_best_candidate_by_hand(max_error, max_ms, winner, met):
-    verdict = best_candidate(ALL, max_error, max_ms)
+    verdict = best_candidate(CANDIDATES, max_error, max_ms)
     assert (verdict.winner, verdict.met) == (winner, met)
     assert (verdict.missed_by is None) is met
 
 
 def test_best_candidate_reports_the_miss_in_numbers():
-    assert best_candidate(ALL, 0.003).missed_by == "an error of 0.40 %, 0.10 % more than 0.30 %"
+    assert best_candidate(CANDIDATES, 0.003).missed_by == "an error of 0.40 %, 0.10 % more than 0.30 %"
     assert best_candidate([LEAKY], 0.03).missed_by == "an interior error of 0.40 %, 0.30 % more than 0.10 %"
     assert (
         best_candidate([SMALL], 0.04, 4.0).missed_by == "an error of 5.0 %, 1.0 % more than 4.0 %; 10 ms, 6.0 ms more than 4.0 ms"
@@ -55,8 +55,8 @@ def test_best_candidate_breaks_time_ties_by_accuracy():
 
 
 def test_best_candidate_takes_none_only_if_alone():
-    assert best_candidate([NONE, CandidateFigures("b", 100.0, 1.0, 1.0)], 0.03).winner.name == "b"
-    assert best_candidate([NONE], 0.03).winner is NONE
+    assert best_candidate([NO_SHADOW, CandidateFigures("b", 100.0, 1.0, 1.0)], 0.03).winner.name == "b"
+    assert best_candidate([NO_SHADOW], 0.03).winner is NO_SHADOW
     with pytest.raises(ValueError, match="no candidates"):
         best_candidate([], 0.03)
 
@@ -64,18 +64,18 @@ def test_best_candidate_takes_none_only_if_alone():
 @given(st.lists(figures, min_size=1, max_size=8), st.floats(0.0, 1.0), st.none() | st.floats(0.01, 1e4))
 def test_best_candidate_meets_the_target_if_any_does(candidates, max_error, max_ms):
     verdict = best_candidate(candidates, max_error, max_ms)
-    able = [one for one in candidates if one.name != "none"] or candidates
-    meeting = [one for one in able if relative_overshoot(one, max_error, max_ms) == 0.0]
-    assert verdict.met is bool(meeting) is (verdict.missed_by is None)
-    if meeting:
-        assert verdict.winner in meeting and verdict.winner.ms <= TIME_TIE_RATIO * min(one.ms for one in meeting)
-    elif max_ms is not None and any(one.ms <= max_ms for one in able):
+    casting_candidates = [candidate for candidate in candidates if candidate.name != "none"] or candidates
+    on_target = [candidate for candidate in casting_candidates if relative_overshoot(candidate, max_error, max_ms) == 0.0]
+    assert verdict.met is bool(on_target) is (verdict.missed_by is None)
+    if on_target:
+        assert verdict.winner in on_target and verdict.winner.ms <= TIME_TIE_RATIO * min(candidate.ms for candidate in on_target)
+    elif max_ms is not None and any(candidate.ms <= max_ms for candidate in casting_candidates):
         assert verdict.winner.ms <= max_ms
-        if any(one.ms <= max_ms and one.interior <= MAX_INTERIOR for one in able):
+        if any(candidate.ms <= max_ms and candidate.interior <= MAX_INTERIOR for candidate in casting_candidates):
             assert verdict.winner.interior <= MAX_INTERIOR
     else:
         assert relative_overshoot(verdict.winner, max_error, max_ms) == min(
-            relative_overshoot(one, max_error, max_ms) for one in able
+            relative_overshoot(candidate, max_error, max_ms) for candidate in casting_candidates
         )
 
 

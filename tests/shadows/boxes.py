@@ -38,7 +38,7 @@ def box(size_m: tuple[float, float, float], bottom_m: float = 0.0, at_m: tuple[f
     return trimesh.util.concatenate([mesh, pebble])
 
 
-def level_of(folder: Path, meshes: list[trimesh.Trimesh], azimuth: float, altitude: float, **keys) -> Scene:
+def build_mesh_scene(folder: Path, meshes: list[trimesh.Trimesh], azimuth: float, altitude: float, **keys) -> Scene:
     """Return a scene of meshes, whose heights count from level ground of 200 m a side."""
     names = [f"mesh{number}.obj" for number in range(len(meshes))]
     for name, mesh in zip(names, meshes, strict=True):
@@ -58,12 +58,12 @@ def visibility(
 ) -> tuple[np.ndarray, GeometryBuffer]:
     """Return the visibility of a light by shadow maps, and its geometry buffer. Attached shadow counts; NaN marks no surface."""
     buffer = geometry_buffer(scene, view)
-    seen = np.ones(buffer.valid.shape, np.float32)
+    rendered = np.ones(buffer.valid.shape, np.float32)
     for step in plan_of(scene, view, algorithm="shadow_map", **overrides).steps:
         if step.light == light and step.settings is not None:
             settings = step.settings.model_copy(update={"bias_scale": bias_scale})
             receivers = receivers_of(buffer, scene, light)
-            seen *= shadow_map.fill(receivers, scene, light, step.kinds, find_casters(scene, buffer), settings, PassLog())
-    seen[attached(buffer, scene, light)] = 0.0
-    seen[~buffer.valid] = np.nan
-    return seen, buffer
+            rendered *= shadow_map.fill(receivers, scene, light, step.kinds, find_casters(scene, buffer), settings, PassLog())
+    rendered[attached(buffer, scene, light)] = 0.0
+    rendered[~buffer.valid] = np.nan
+    return rendered, buffer

@@ -25,9 +25,9 @@ from tests.render import plan_of
 
 LEVELS = ("jacksboro", "jacksboro_alpine", "jacksboro_wooded", "spatialace")
 
-REAL = ("mountain/bigtujunga_30m_utm11.tif", "mountain/grenoble_copernicus_4326.tif", "mountain/sierra_30m_albers.tif")
+MOUNTAIN_RASTERS = ("mountain/bigtujunga_30m_utm11.tif", "mountain/grenoble_copernicus_4326.tif", "mountain/sierra_30m_albers.tif")
 
-ASKED = (
+OVERRIDES = (
     {},
     {"algorithm": {"relief": "sweep"}, "filter": "sun"},
     {},
@@ -35,23 +35,23 @@ ASKED = (
     {"algorithm": "shadow_map"},
 )
 
-SUNS = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
+SUN_ALTITUDES_DEG = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
 
 
 @contextmanager
-def everything_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def omissions_disabled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Disable all omissions, so that each block draws everything that its plan lists."""
     with monkeypatch.context() as patch:
         patch.setattr("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset())
-        patch.setattr("skugga.shadows.block_casters.own_ground_is_clear", lambda *of: False)
+        patch.setattr("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *of: False)
         clear_caches("light")
         yield
 
 
-def windows(scene: Scene, random: np.random.Generator, count: int) -> Iterator[tuple[Scene, MapView]]:
+def random_windows(scene: Scene, random: np.random.Generator, count: int) -> Iterator[tuple[Scene, MapView]]:
     """Yield random windows on a level, on and off tile pixels, under suns of all altitudes."""
     for number in range(count):
-        sun = SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=SUNS[number % len(SUNS)])
+        sun = SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=SUN_ALTITUDES_DEG[number % len(SUN_ALTITUDES_DEG)])
         if scene.world.flat:
             whole = scene.view()
             west, south, east, north = whole.bounds
@@ -66,51 +66,53 @@ def windows(scene: Scene, random: np.random.Generator, count: int) -> Iterator[t
         yield scene.with_sun(sun), MapView(grid, row + (0.0 if whole else 0.3), float(col), 1.0, 1.0, 170, 150)
 
 
-def assert_equal(one: Frame, other: Frame) -> None:
-    assert np.array_equal(one.color, other.color) and np.array_equal(one.height_m, other.height_m, equal_nan=True)
-    for light, visibility in one.visibilities.items():
-        assert np.array_equal(visibility, other.visibilities[light], equal_nan=True)
-        assert np.array_equal(one.shown_visibilities[light], other.shown_visibilities[light], equal_nan=True)
-    assert one.reach == other.reach
+def assert_frames_equal(frame: Frame, other_frame: Frame) -> None:
+    assert np.array_equal(frame.color, other_frame.color) and np.array_equal(frame.height_m, other_frame.height_m, equal_nan=True)
+    for light, visibility in frame.visibilities.items():
+        assert np.array_equal(visibility, other_frame.visibilities[light], equal_nan=True)
+        assert np.array_equal(frame.shown_visibilities[light], other_frame.shown_visibilities[light], equal_nan=True)
+    assert frame.reach == other_frame.reach
 
 
-def compare(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, seed: int) -> dict[str, int]:
+def count_omissions(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, seed: int) -> dict[str, int]:
     """Compare windows with and without omissions, and return their number and the number of each omission."""
-    random, found = np.random.default_rng(seed), {"windows": 0, "outside_casters": 0, "shadows": 0}
-    for number, (lit, view) in enumerate(windows(scene, random, count)):
-        plan = plan_of(lit, view, **ASKED[number % len(ASKED)])
-        drawn, shown = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
-        with everything_on(monkeypatch):
-            whole, shown_whole = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
-        assert_equal(drawn, whole)
-        assert np.array_equal(shown.color, shown_whole.color) and np.array_equal(shown.opacity, shown_whole.opacity)
-        assert [record.name for record in drawn.passes] == plan.passes == [record.name for record in whole.passes]
-        assert whole.effects - drawn.effects <= {"outside_casters", "cast_shadows", "soft_edges"}
-        found["windows"] += 1
-        found["outside_casters"] += "outside_casters" in whole.effects - drawn.effects
-        found["shadows"] += "cast_shadows" in whole.effects - drawn.effects
-    return found
+    random, omission_counts = np.random.default_rng(seed), {"windows": 0, "outside_casters": 0, "shadows": 0}
+    for number, (lit, view) in enumerate(random_windows(scene, random, count)):
+        plan = plan_of(lit, view, **OVERRIDES[number % len(OVERRIDES)])
+        frame, picture = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
+        with omissions_disabled(monkeypatch):
+            full_frame, full_picture = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
+        assert_frames_equal(frame, full_frame)
+        assert np.array_equal(picture.color, full_picture.color) and np.array_equal(picture.opacity, full_picture.opacity)
+        assert [record.name for record in frame.passes] == plan.passes == [record.name for record in full_frame.passes]
+        assert full_frame.effects - frame.effects <= {"outside_casters", "cast_shadows", "soft_edges"}
+        omission_counts["windows"] += 1
+        omission_counts["outside_casters"] += "outside_casters" in full_frame.effects - frame.effects
+        omission_counts["shadows"] += "cast_shadows" in full_frame.effects - frame.effects
+    return omission_counts
 
 
 @pytest.mark.parametrize("name", quick(LEVELS, "jacksboro"))
 def test_block_casters_keep_pictures_of_bundled_levels(gl, monkeypatch, name):
     scene = build_scene(load_level(LEVELS_FOLDER / f"{name}.yaml"))
-    found = compare(scene, monkeypatch, 8 if name == "jacksboro" else 4, 5)
-    print(name, found)
-    assert name != "jacksboro" or (found["outside_casters"] > 1 and 0 < found["shadows"] < found["windows"])
+    omission_counts = count_omissions(scene, monkeypatch, 8 if name == "jacksboro" else 4, 5)
+    print(name, omission_counts)
+    assert name != "jacksboro" or (
+        omission_counts["outside_casters"] > 1 and 0 < omission_counts["shadows"] < omission_counts["windows"]
+    )
 
 
-@pytest.mark.parametrize("source", quick(REAL, REAL[0]))
+@pytest.mark.parametrize("source", quick(MOUNTAIN_RASTERS, MOUNTAIN_RASTERS[0]))
 def test_block_casters_keep_pictures_of_real_mountains(gl, monkeypatch, shared_data, make_scene, source):
-    found = compare(make_scene(shared_data / source), monkeypatch, 4, 6)
-    print(source, found)
+    omission_counts = count_omissions(make_scene(shared_data / source), monkeypatch, 4, 6)
+    print(source, omission_counts)
 
 
 def test_block_casters_record_what_a_block_omits(gl, monkeypatch):
     """Under a high sun over gentle ground no shadow pass runs, though the level's plan lists it."""
     scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro.yaml")).with_sun(SunSpec(azimuth=200.0, altitude=50.0))
     random = np.random.default_rng(3)
-    _, view = next((lit, view) for lit, view in windows(scene, random, 50) if view.on_nodes)
+    _, view = next((lit, view) for lit, view in random_windows(scene, random, 50) if view.on_nodes)
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), 14)
     (top, bottom), (left, right) = extent_on_grid(scene.world, scene.elevation, grid)
     view = MapView(grid, float((top + bottom) // 2), float((left + right) // 2), 1.0, 1.0, 200, 200)
@@ -122,5 +124,5 @@ def test_block_casters_record_what_a_block_omits(gl, monkeypatch):
     assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].is_left_out
     assert frame.effects == plan.runs - {"cast_shadows", "outside_casters"}
     assert executed_effects(drawn_fast(scene, view, plan).passes) == frame.effects
-    with everything_on(monkeypatch):
+    with omissions_disabled(monkeypatch):
         assert render_frame(scene, view, plan).effects == plan.runs

@@ -45,30 +45,32 @@ def truth(scene: Scene, buffer: GeometryBuffer, kinds: tuple[str, ...]):
     return trace_truth(buffer, scene, find_casters(scene, buffer), kinds=kinds)
 
 
-def alone(name: str, kind: str) -> dict[str, str]:
+def single_kind_override(algorithm: str, kind: str) -> dict[str, str]:
     """Return an override by which only one kind casts."""
-    return {other: name if other == kind else "none" for other in KINDS}
+    return {other: algorithm if other == kind else "none" for other in KINDS}
 
 
 def test_village_has_casters_of_all_kinds(gl, village, buffer):
     assert village.objects.kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
     for kind in KINDS:
-        one = truth(village, buffer, (kind,))
-        assert 0.01 < (~one.lit & ~one.attached & one.valid).sum() / one.valid.sum() < 0.5
+        kind_truth = truth(village, buffer, (kind,))
+        assert 0.01 < (~kind_truth.lit & ~kind_truth.attached & kind_truth.valid).sum() / kind_truth.valid.sum() < 0.5
 
 
 def test_truths_of_kinds_multiply(gl, village, buffer):
     """The product is exact where all truths are decidable: whatever blocks a ray to the sun is of one of the kinds."""
-    whole, single = truth(village, buffer, KINDS), [truth(village, buffer, (kind,)) for kind in KINDS]
-    product = np.logical_and.reduce([one.lit for one in single])
-    decidable = np.logical_and.reduce([whole.decidable, *(one.decidable for one in single)])
+    combined, kind_truths = truth(village, buffer, KINDS), [truth(village, buffer, (kind,)) for kind in KINDS]
+    product = np.logical_and.reduce([kind_truth.lit for kind_truth in kind_truths])
+    decidable = np.logical_and.reduce([combined.decidable, *(kind_truth.decidable for kind_truth in kind_truths)])
     assert decidable.sum() > 0.7 * buffer.valid.sum()
-    np.testing.assert_array_equal(product[decidable], whole.lit[decidable])
+    np.testing.assert_array_equal(product[decidable], combined.lit[decidable])
     # the offset of a ray's start depends on the extent of its casters, which differs by kind
-    assert (product != whole.lit)[whole.decidable].mean() <= 1e-3
-    for left_out in range(3):
-        fewer = np.logical_and.reduce([one.lit for number, one in enumerate(single) if number != left_out])
-        assert (fewer != whole.lit)[decidable].mean() > 0.005, "each kind is needed"
+    assert (product != combined.lit)[combined.decidable].mean() <= 1e-3
+    for omitted_number in range(3):
+        product_without_kind = np.logical_and.reduce(
+            [kind_truth.lit for number, kind_truth in enumerate(kind_truths) if number != omitted_number]
+        )
+        assert (product_without_kind != combined.lit)[decidable].mean() > 0.005, "each kind is needed"
 
 
 @pytest.mark.parametrize(("taps", "sure"), [(1, True), (3, False)])
@@ -80,19 +82,25 @@ def test_shadow_maps_of_kinds_multiply(gl, village, taps, sure):
     overlap.
     """
     view = view_of(village)
-    whole = render_points(village, view, algorithm="shadow_map", map_size=1024, filter=taps)
-    single = [render_points(village, view, algorithm=alone("shadow_map", kind), map_size=1024, filter=taps) for kind in KINDS]
-    valid = whole.valid
-    shares = [frame.visibility[valid].astype(np.float64) for frame in single]
-    product, together = np.prod(shares, axis=0), whole.visibility[valid]
+    combined = render_points(village, view, algorithm="shadow_map", map_size=1024, filter=taps)
+    kind_frames = [
+        render_points(village, view, algorithm=single_kind_override("shadow_map", kind), map_size=1024, filter=taps)
+        for kind in KINDS
+    ]
+    valid = combined.valid
+    shares = [frame.visibility[valid].astype(np.float64) for frame in kind_frames]
+    product, combined_visibility = np.prod(shares, axis=0), combined.visibility[valid]
     if sure:
-        np.testing.assert_array_equal(product, together)
-    partial = [(0.0 < share) & (share < 1.0) for share in shares]
-    overlap = np.sum(partial, axis=0) > 1
-    np.testing.assert_allclose(product[~overlap], together[~overlap], atol=1e-5)
-    assert (together >= np.maximum(np.sum(shares, axis=0) - 2.0, 0.0) - 1e-5).all()
-    assert (together <= np.min(shares, axis=0) + 1e-5).all()
-    assert np.abs(product - together).max() <= 2.0 / 27.0**0.5 and ((product < 0.5) != (together < 0.5)).mean() < 1e-3
+        np.testing.assert_array_equal(product, combined_visibility)
+    in_penumbra = [(0.0 < share) & (share < 1.0) for share in shares]
+    overlap = np.sum(in_penumbra, axis=0) > 1
+    np.testing.assert_allclose(product[~overlap], combined_visibility[~overlap], atol=1e-5)
+    assert (combined_visibility >= np.maximum(np.sum(shares, axis=0) - 2.0, 0.0) - 1e-5).all()
+    assert (combined_visibility <= np.min(shares, axis=0) + 1e-5).all()
+    assert (
+        np.abs(product - combined_visibility).max() <= 2.0 / 27.0**0.5
+        and ((product < 0.5) != (combined_visibility < 0.5)).mean() < 1e-3
+    )
 
 
 def test_kinds_with_one_algorithm_share_passes(gl, village):
@@ -106,15 +114,15 @@ def test_kinds_with_one_algorithm_share_passes(gl, village):
     ]  # fmt: skip
     parts = [
         render_points(village, view, algorithm={**names, "meshes": "none"}, map_size=512).visibility,
-        render_points(village, view, algorithm=alone("shadow_map", "meshes"), map_size=512).visibility,
+        render_points(village, view, algorithm=single_kind_override("shadow_map", "meshes"), map_size=512).visibility,
     ]
     np.testing.assert_array_equal(frame.visibility, parts[0] * parts[1])
 
 
 def test_planar_visibilities_of_kinds_multiply(gl, tmp_path):
     """On a flat floor, the stencil gives the shadows of a figure and of trees, together and separately."""
-    feet = shapely.to_wkb(np.array([shapely.Point(*at) for at in ((-12, 4), (6, -9), (10, 8), (-5, -14))], object))
-    pyogrio.raw.write(tmp_path / "trees.gpkg", feet, [], [], geometry_type="Point", crs=ENGINEERING)
+    tree_points = shapely.to_wkb(np.array([shapely.Point(*at) for at in ((-12, 4), (6, -9), (10, 8), (-5, -14))], object))
+    pyogrio.raw.write(tmp_path / "trees.gpkg", tree_points, [], [], geometry_type="Point", crs=ENGINEERING)
     level = {
         "version": 1, "terrain": {"flat": {"size": [80, 80], "cells": [40, 40]}}, "sun": {"azimuth": 230, "altitude": 28},
         "meshes": [{"generate": "tetrahedra"}], "forest": [{"source": "trees.gpkg", "height": [7, 9]}],
@@ -122,9 +130,11 @@ def test_planar_visibilities_of_kinds_multiply(gl, tmp_path):
     (tmp_path / "floor.yaml").write_text(json.dumps(level), encoding="utf-8")
     scene = build_scene(load_level(tmp_path / "floor.yaml"))
     view = scene.view(bounds=(-30, -30, 30, 30), size=(230, 230))
-    together = render_points(scene, view, algorithm="planar").visibility
-    single = {kind: render_points(scene, view, algorithm=alone("planar", kind)).visibility for kind in KINDS}
-    assert (single["relief"] == 1.0)[np.isfinite(together)].mean() > 0.9  # only attached shadow is dark
-    assert all((single[kind] < single["relief"]).sum() > 50 for kind in ("meshes", "forest"))
-    np.testing.assert_array_equal(np.prod(list(single.values()), axis=0), together)
+    combined = render_points(scene, view, algorithm="planar").visibility
+    visibility_by_kind = {
+        kind: render_points(scene, view, algorithm=single_kind_override("planar", kind)).visibility for kind in KINDS
+    }
+    assert (visibility_by_kind["relief"] == 1.0)[np.isfinite(combined)].mean() > 0.9  # only attached shadow is dark
+    assert all((visibility_by_kind[kind] < visibility_by_kind["relief"]).sum() > 50 for kind in ("meshes", "forest"))
+    np.testing.assert_array_equal(np.prod(list(visibility_by_kind.values()), axis=0), combined)
     assert plan_of(scene, view, algorithm={"meshes": "planar"}).headline == "relief=none,meshes=planar,forest=shadow_map"

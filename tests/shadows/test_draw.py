@@ -31,17 +31,19 @@ def hills(write_raster, make_scene):
     return make
 
 
-def nodes_of(scene, rows: int = 140, cols: int = 1130) -> MapView:
+def node_view(scene, rows: int = 140, cols: int = 1130) -> MapView:
     """Return a map of the grid's nodes that extends beyond the data on each side."""
-    own = scene.view("map")
-    return MapView(own.grid, float(np.floor(own.row0)) - 9.0, float(np.floor(own.col0)) - 9.0, 1.0, 1.0, rows, cols)
+    full_view = scene.view("map")
+    return MapView(
+        full_view.grid, float(np.floor(full_view.row0)) - 9.0, float(np.floor(full_view.col0)) - 9.0, 1.0, 1.0, rows, cols
+    )
 
 
 @pytest.mark.parametrize("needs", [{"color"}, {"opacity"}, {"visibility"}, {"color", "reach"}, {"visibility", "reach"}, {"frame"}])
 @pytest.mark.parametrize("kind", ["hills", "between nodes", "clouds"])
 def test_draw_returns_only_what_is_needed(gl, hills, needs, kind):
     scene = hills(225.0, 22.0, **({"weather": {"cloud_cover": 0.5}} if kind == "clouds" else {}))
-    view = scene.view("map", size=(90, 60)) if kind == "between nodes" else nodes_of(scene, 60, 80)
+    view = scene.view("map", size=(90, 60)) if kind == "between nodes" else node_view(scene, 60, 80)
     picture = draw(scene, view, plan_of(scene, view), frozenset(needs))
     assert {name for name in ("color", "opacity", "visibility", "reach", "frame") if getattr(picture, name) is not None} == needs
     assert picture.valid.shape == (view.rows, view.cols) and picture.passes
@@ -49,62 +51,62 @@ def test_draw_returns_only_what_is_needed(gl, hills, needs, kind):
 
 def test_draw_by_heights_equals_the_frame_across_blocks(gl, hills):
     scene = hills(225.0, 22.0)
-    view = nodes_of(scene)
+    view = node_view(scene)
     plan = plan_of(scene, view)
     assert view.cols > BLOCK_PX and heights_suffice(scene, view, plan, SHADED)
-    done: list[tuple[int, int]] = []
-    shown, frame = draw(scene, view, plan, SHADED, lambda *count: done.append(count)), render_frame(scene, view, plan)
-    assert shown.color is not None and shown.opacity is not None and shown.reach is not None
+    progress: list[tuple[int, int]] = []
+    picture, frame = draw(scene, view, plan, SHADED, lambda *count: progress.append(count)), render_frame(scene, view, plan)
+    assert picture.color is not None and picture.opacity is not None and picture.reach is not None
     # The search for casters starts at the ground that a block shows, not at its whole square: up to a hundredth less far here.
-    assert shown.reach.used_m == pytest.approx(frame.reach.used_m, rel=0.02) and shown.reach.clipped == frame.reach.clipped
-    assert len(done) > 1 and done[-1][0] == done[-1][1] == len(done)
-    np.testing.assert_array_equal(shown.valid, frame.valid)
-    np.testing.assert_array_equal(shown.opacity, frame.opacity)
-    apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
-    assert apart.max() <= 1 and (apart > 0).mean() <= 1e-4
-    assert [record.name for record in shown.passes] == plan.passes
+    assert picture.reach.used_m == pytest.approx(frame.reach.used_m, rel=0.02) and picture.reach.clipped == frame.reach.clipped
+    assert len(progress) > 1 and progress[-1][0] == progress[-1][1] == len(progress)
+    np.testing.assert_array_equal(picture.valid, frame.valid)
+    np.testing.assert_array_equal(picture.opacity, frame.opacity)
+    color_difference = np.abs(picture.color.astype(int) - frame.color).max(axis=-1)
+    assert color_difference.max() <= 1 and (color_difference > 0).mean() <= 1e-4
+    assert [record.name for record in picture.passes] == plan.passes
 
 
 @pytest.mark.parametrize("altitude", [8.0, 30.0, -3.0])
 def test_draw_visibility_by_heights_equals_the_frame(gl, hills, altitude):
     """Points in grazing light may differ by rounding: one method finds them lit, the other in shadow."""
     scene = hills(225.0, altitude)
-    view = nodes_of(scene)
+    view = node_view(scene)
     plan = plan_of(scene, view)
     assert heights_suffice(scene, view, plan, LIT)
-    lit, frame = draw(scene, view, plan, LIT), render_frame(scene, view, plan)
-    assert lit.visibility is not None and lit.reach == frame.reach
-    np.testing.assert_array_equal(lit.valid, frame.valid)
-    np.testing.assert_array_equal(np.isnan(lit.visibility), ~frame.valid)
-    wrong = (lit.visibility != frame.visibility) & frame.valid
-    assert wrong.sum() / frame.valid.sum() < 5e-4
-    assert altitude < 0.0 or 0.05 < np.nanmean(lit.visibility) < 0.98
-    assert set(record.name for record in lit.passes) <= set(plan.passes)
+    picture, frame = draw(scene, view, plan, LIT), render_frame(scene, view, plan)
+    assert picture.visibility is not None and picture.reach == frame.reach
+    np.testing.assert_array_equal(picture.valid, frame.valid)
+    np.testing.assert_array_equal(np.isnan(picture.visibility), ~frame.valid)
+    mismatch = (picture.visibility != frame.visibility) & frame.valid
+    assert mismatch.sum() / frame.valid.sum() < 5e-4
+    assert altitude < 0.0 or 0.05 < np.nanmean(picture.visibility) < 0.98
+    assert set(record.name for record in picture.passes) <= set(plan.passes)
 
 
 def test_draw_falls_back_to_frames_for_single_blocks(gl, hills, monkeypatch):
     """Heights may turn out not to suffice for one of several blocks."""
     scene = hills(225.0, 22.0)
-    view = nodes_of(scene)
-    plan, by_heights = plan_of(scene, view), module.ground_picture
-    whole = draw(scene, view, plan, SHADED)
+    view = node_view(scene)
+    plan, original = plan_of(scene, view), module.ground_picture
+    expected = draw(scene, view, plan, SHADED)
     calls: list[int] = []
 
-    def every_other(*asked):
+    def fail_every_other_call(*arguments):
         calls.append(1)
-        return None if len(calls) % 2 else by_heights(*asked)
+        return None if len(calls) % 2 else original(*arguments)
 
-    monkeypatch.setattr(module, "ground_picture", every_other)
-    mixed = draw(scene, view, plan, SHADED)
-    assert len(calls) > 1 and whole.color is not None and mixed.color is not None
-    np.testing.assert_array_equal(mixed.opacity, whole.opacity)
-    assert np.abs(mixed.color.astype(int) - whole.color).max() <= 1
+    monkeypatch.setattr(module, "ground_picture", fail_every_other_call)
+    picture = draw(scene, view, plan, SHADED)
+    assert len(calls) > 1 and expected.color is not None and picture.color is not None
+    np.testing.assert_array_equal(picture.opacity, expected.opacity)
+    assert np.abs(picture.color.astype(int) - expected.color).max() <= 1
 
 
 @pytest.mark.parametrize("needs", [SHADED, LIT])
 def test_draw_off_the_data_is_empty(gl, hills, needs: Needs):
     scene = hills(225.0, 22.0)
-    near = nodes_of(scene, 60, 80)
+    near = node_view(scene, 60, 80)
     far = MapView(near.grid, near.row0, near.col0 + 20 * BLOCK_PX, 1.0, 1.0, 60, 80)
     picture = draw(scene, far, plan_of(scene, near), needs)
     assert not picture.valid.any() and picture.reach is not None and not picture.reach.clipped
@@ -114,6 +116,6 @@ def test_draw_off_the_data_is_empty(gl, hills, needs: Needs):
 
 def test_draw_refuses_too_many_pixels(hills):
     scene = hills(225.0, 22.0)
-    view = nodes_of(scene, 60, 80)
+    view = node_view(scene, 60, 80)
     with pytest.raises(InputError, match="size"):
         draw(scene, MapView(view.grid, 0.0, 0.0, 1.0, 1.0, 9000, 9000), plan_of(scene, view), SHADED)

@@ -16,16 +16,16 @@ from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
 from tests.params import quick
-from tests.products import drawn, drawn_by_heights
+from tests.products import draw_by_heights, drawn
 from tests.render import plan_of
 
-MAX_DIFFERING = 1e-4
+MAX_DIFFERING_SHARE = 1e-4
 """Share of the pixels whose colour may differ by a step of 255: shares of the sky are rounded before the multiplication."""
 
 SUNS = ((225.0, 22.0), (180.0, 4.0), (91.0, 2.0), (20.0, 65.0), (300.0, -3.0))
 """Azimuth and altitude: noon, slanted lines, grazing light, a high sun, and night."""
 
-PLACES = quick(
+ZOOMS_AND_OFFSETS = quick(
     [(10, 0, 0), (12, 0, 0), (13, 0, 0), (13, -300, -300), (14, 0, 0), (15, 800, 0)], (12, 0, 0)
 )  # fmt: skip
 """Zoom, and offset in pixels from the level's middle: coarse pixels, pixels of the data's size, and magnified ones."""
@@ -35,7 +35,7 @@ def view_of(scene: Scene, zoom: int, rows: int = 0, cols: int = 0) -> MapView:
     """Return the block of tiles that holds a level's middle, or the pixel at an offset from it."""
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
-    row, col = (BLOCK_PX * np.floor(place / BLOCK_PX) for place in ((north + south) / 2 + rows, (west + east) / 2 + cols))
+    row, col = (BLOCK_PX * np.floor(middle_px / BLOCK_PX) for middle_px in ((north + south) / 2 + rows, (west + east) / 2 + cols))
     return MapView(grid, float(row), float(col), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
@@ -56,22 +56,22 @@ def hills(write_raster, make_scene):
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
-@pytest.mark.parametrize(("zoom", "rows", "cols"), PLACES)
+@pytest.mark.parametrize(("zoom", "rows", "cols"), ZOOMS_AND_OFFSETS)
 def test_ground_picture_equals_the_frame(gl, hills, azimuth, altitude, zoom, rows, cols):
     scene = hills(azimuth, altitude)
     view = view_of(scene, zoom, rows, cols)
     plan = plan_of(scene, view)
     assert heights_suffice(scene, view, plan, SHADED)
-    shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
-    assert shown is not None and frame.valid.any() and not frame.valid.all()
-    assert np.array_equal(shown.valid, frame.valid)
+    picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
+    assert picture is not None and frame.valid.any() and not frame.valid.all()
+    assert np.array_equal(picture.valid, frame.valid)
     if scene.sun_is_up:
-        assert np.array_equal(shown.opacity, frame.opacity)
+        assert np.array_equal(picture.opacity, frame.opacity)
     else:  # by day, coarse pixels without a valid node count as lit; here it is night
-        assert (shown.opacity[shown.valid] == 255).all() and (shown.opacity == frame.opacity).mean() > 0.999
-    apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
-    assert apart.max() <= 1 and (apart > 0).mean() <= MAX_DIFFERING
-    assert [each.name for each in shown.passes] == plan.passes
+        assert (picture.opacity[picture.valid] == 255).all() and (picture.opacity == frame.opacity).mean() > 0.999
+    color_difference = np.abs(picture.color.astype(int) - frame.color).max(axis=-1)
+    assert color_difference.max() <= 1 and (color_difference > 0).mean() <= MAX_DIFFERING_SHARE
+    assert [record.name for record in picture.passes] == plan.passes
 
 
 @pytest.mark.parametrize(("style", "exaggeration"), [("swiss", 2.5), ("urban", None), ("analysis", None)])
@@ -81,16 +81,16 @@ def test_ground_picture_has_the_colours_of_a_style(gl, hills, style, exaggeratio
     scene = hills(225.0, altitude).with_style(style, exaggeration)
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
-    shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
-    assert shown is not None and heights_suffice(scene, view, plan, SHADED)
-    apart = np.abs(shown.color.astype(int) - frame.color)
-    assert apart.max() <= 1 and (apart > 0).mean() <= MAX_DIFFERING
+    picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
+    assert picture is not None and heights_suffice(scene, view, plan, SHADED)
+    color_difference = np.abs(picture.color.astype(int) - frame.color)
+    assert color_difference.max() <= 1 and (color_difference > 0).mean() <= MAX_DIFFERING_SHARE
 
 
 def test_ground_picture_contains_shadow(gl, hills):
     """The comparisons are not vacuous: opacity ranges from 0 to 255, and heights give many colours."""
-    shown = drawn(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
-    assert {0, 255} < set(np.unique(shown.opacity)) and len(np.unique(shown.color.reshape(-1, 3), axis=0)) > 1000
+    picture = drawn(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
+    assert {0, 255} < set(np.unique(picture.opacity)) and len(np.unique(picture.color.reshape(-1, 3), axis=0)) > 1000
 
 
 @pytest.mark.parametrize("zoom", [10, 12, 14])
@@ -102,30 +102,30 @@ def test_ground_picture_of_gentle_ground_is_lit(gl, write_raster, make_scene, zo
     view = view_of(scene, zoom)
     plan = plan_of(scene, view)
     assert plan.headline == "none"
-    shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
-    assert shown is not None and shown.valid.any() and not shown.opacity.any()
-    assert np.array_equal(shown.valid, frame.valid) and np.array_equal(shown.opacity, frame.opacity)
-    assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
-    assert [each.name for each in shown.passes] == plan.passes
+    picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
+    assert picture is not None and picture.valid.any() and not picture.opacity.any()
+    assert np.array_equal(picture.valid, frame.valid) and np.array_equal(picture.opacity, frame.opacity)
+    assert np.abs(picture.color.astype(int) - frame.color).max() <= 1
+    assert [record.name for record in picture.passes] == plan.passes
     steep = make_scene(scene.elevation.name, 160.0, 1.0, effects={"cast_shadows": "off"})
-    assert drawn_by_heights(steep, view, plan_of(steep, view)) is None  # this needs the triangles
+    assert draw_by_heights(steep, view, plan_of(steep, view)) is None  # this needs the triangles
 
 
-ELSE = {
+OTHER_LEVEL_SETTINGS = {
     "clouds": {"weather": {"cloud_cover": 0.5}}, "a resolution": {"terrain": {"resolution": 90.0}},
     "no sky view": {"effects": {"sky_view": "off"}},
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("keys", ELSE.values(), ids=ELSE)
+@pytest.mark.parametrize("keys", OTHER_LEVEL_SETTINGS.values(), ids=OTHER_LEVEL_SETTINGS)
 def test_ground_picture_with_other_level_settings(gl, hills, keys):
     scene = hills(225.0, 22.0, **keys)
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
-    shown, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
+    picture, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
     assert heights_suffice(scene, view, plan, SHADED) != ("weather" in keys)
-    assert np.array_equal(shown.opacity, frame.opacity)
-    assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
+    assert np.array_equal(picture.opacity, frame.opacity)
+    assert np.abs(picture.color.astype(int) - frame.color).max() <= 1
 
 
 @pytest.mark.parametrize("altitude", [4.0, 22.0, 65.0, -3.0])
@@ -146,19 +146,21 @@ def test_ground_picture_between_nodes_equals_the_frame(gl, hills, altitude, size
 def test_ground_picture_caches_its_ground_for_all_suns(gl, hills, monkeypatch):
     scene = hills(225.0, 22.0)
     view = scene.view(size=(90, 90))
-    made: list[MapView] = []
-    monkeypatch.setattr(ground_pictures, "geometry_buffer", lambda *of: made.append(of[1]) or geometry_buffer(*of))
+    buffered_views: list[MapView] = []
+    monkeypatch.setattr(
+        ground_pictures, "geometry_buffer", lambda *arguments: buffered_views.append(arguments[1]) or geometry_buffer(*arguments)
+    )
     for azimuth in (200.0, 220.0, 240.0):
-        lit = scene.with_sun(SunSpec(azimuth=azimuth, altitude=20.0))
-        draw(lit, view, plan_of(lit, view), COLOR)
-    assert len(made) == 1
+        lit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=20.0))
+        draw(lit_scene, view, plan_of(lit_scene, view), COLOR)
+    assert len(buffered_views) == 1
 
 
 def test_ground_picture_off_the_ground_is_empty(gl, hills):
     scene = hills(225.0, 22.0)
     view = view_of(scene, 13, rows=2000)
-    shown = drawn(scene, view, plan_of(scene, view))
-    assert not shown.valid.any() and not shown.color.any() and not shown.opacity.any()
+    picture = drawn(scene, view, plan_of(scene, view))
+    assert not picture.valid.any() and not picture.color.any() and not picture.opacity.any()
 
 
 def test_ground_picture_of_one_node_wide_ground(gl, write_raster, make_scene):
@@ -170,6 +172,6 @@ def test_ground_picture_of_one_node_wide_ground(gl, write_raster, make_scene):
     for zoom in (12, 13, 15):
         view = view_of(scene, zoom)
         plan = plan_of(scene, view)
-        shown, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
-        assert np.array_equal(shown.valid, frame.valid) and np.array_equal(shown.opacity, frame.opacity)
-        assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
+        picture, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
+        assert np.array_equal(picture.valid, frame.valid) and np.array_equal(picture.opacity, frame.opacity)
+        assert np.abs(picture.color.astype(int) - frame.color).max() <= 1

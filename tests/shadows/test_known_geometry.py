@@ -18,22 +18,22 @@ from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render_points, shadow
 
-BLOCK_M = 100.0
-ALTITUDE = 30.0
-CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-LENGTH_M = BLOCK_M / np.tan(np.radians(ALTITUDE))  # 173.2 m
-TAN = np.tan(np.radians(ALTITUDE))
+BLOCK_HEIGHT_M = 100.0
+ALTITUDE_DEG = 30.0
+UNIT_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+SHADOW_LENGTH_M = BLOCK_HEIGHT_M / np.tan(np.radians(ALTITUDE_DEG))  # 173.2 m
+TAN_ALTITUDE = np.tan(np.radians(ALTITUDE_DEG))
 
 
 def block_raster(write_raster: Callable[..., Path], crs: str, x: float, y: float, cell: float, cells: int = 81) -> Path:
     heights = np.zeros((cells, cells), np.float32)
     middle = cells // 2
-    heights[middle - 2 : middle + 3, middle - 2 : middle + 3] = BLOCK_M
+    heights[middle - 2 : middle + 3, middle - 2 : middle + 3] = BLOCK_HEIGHT_M
     half = cells * cell / 2
     return write_raster(heights, crs, x - half, y + half, cell)
 
 
-def beyond(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
+def distance_outside_hull(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
     """Return the distance of points (..., 2) outside the convex hull of an outline (n, 2) in metres; negative inside."""
     hull = ConvexHull(outline)
     return np.max(points @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1)
@@ -46,35 +46,35 @@ def check_block(scene: Scene, view: MapView, to_local: Callable, corners: np.nda
     """
     plan = plan_of(scene, view, filter=1, map_size=1024)
     texel = plan.settings["sun"]["relief"].cascades[0].texel_m
-    texel_m = max(texel[0], texel[1] / np.sin(np.radians(ALTITUDE)))
+    texel_m = max(texel[0], texel[1] / np.sin(np.radians(ALTITUDE_DEG)))
     assert texel_m < 1.5
     frame = render_points(scene, view, filter=1, map_size=1024)
     cols, rows = np.meshgrid(view.col0 + np.arange(view.cols) * view.col_step, view.row0 + np.arange(view.rows) * view.row_step)
     middle = view.centre
     points = np.stack(to_local(view.grid.x(cols) - middle[0], view.grid.y(rows) - middle[1]), axis=-1)
     roof, foot = (np.stack(to_local(*(side * corners).T), axis=-1) for side in (2.0, 3.0))
-    away = -np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
-    ground, seen = frame.height_m == 0.0, shadow(frame)
-    outside = beyond(points, np.concatenate([foot, roof + LENGTH_M * away]))
-    inside = beyond(points, np.concatenate([roof, roof + LENGTH_M * away]))
-    assert (seen & ground & (outside > texel_m)).sum() == 0, "shadow beyond the outline"
-    assert (~seen & ground & (inside < -texel_m)).sum() == 0, "light inside the outline"
+    shadow_direction = -np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
+    ground, in_shadow = frame.height_m == 0.0, shadow(frame)
+    outside = distance_outside_hull(points, np.concatenate([foot, roof + SHADOW_LENGTH_M * shadow_direction]))
+    inside = distance_outside_hull(points, np.concatenate([roof, roof + SHADOW_LENGTH_M * shadow_direction]))
+    assert (in_shadow & ground & (outside > texel_m)).sum() == 0, "shadow beyond the outline"
+    assert (~in_shadow & ground & (inside < -texel_m)).sum() == 0, "light inside the outline"
 
 
 @pytest.mark.parametrize("azimuth", [180.0, 222.0])
 def test_shadow_of_a_block_in_an_engineering_crs(gl, azimuth, write_raster, make_scene):
-    scene = make_scene(block_raster(write_raster, ENGINEERING, 0.0, 0.0, 10.0), azimuth, ALTITUDE)
+    scene = make_scene(block_raster(write_raster, ENGINEERING, 0.0, 0.0, 10.0), azimuth, ALTITUDE_DEG)
     view = scene.view(bounds=(-300, -300, 300, 300), size=(700, 700))
-    check_block(scene, view, lambda x, y: (x, y), 10.0 * CORNERS, azimuth)
+    check_block(scene, view, lambda x, y: (x, y), 10.0 * UNIT_CORNERS, azimuth)
 
 
-@pytest.mark.parametrize(("step_m", "end_m"), [(0.0, 150.5 - 30.0 / TAN), (10.0, 150.5 - 20.0 / TAN)])
+@pytest.mark.parametrize(("step_m", "end_m"), [(0.0, 150.5 - 30.0 / TAN_ALTITUDE), (10.0, 150.5 - 20.0 / TAN_ALTITUDE)])
 def test_shadow_of_a_wall_on_level_ground_and_a_step(gl, step_m, end_m, write_raster, make_scene):
     """A wall casts h / tan(a) across level ground. On a step the shadow is shorter by the step's height."""
     heights = np.zeros((41, 201), np.float32)
     heights[:, 150:153] = 30.0  # the wall's western upper edge lies at the centre of cell 150: x = 150.5
     heights[:, :125] = step_m
-    scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 41.0, 1.0), azimuth=90.0, altitude=ALTITUDE)
+    scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 41.0, 1.0), azimuth=90.0, altitude=ALTITUDE_DEG)
     view = scene.view(bounds=(80, 10, 160, 30), size=(1280, 320))
     frame = render_points(scene, view, filter=1, map_size=2048)
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
@@ -100,11 +100,11 @@ def test_shadow_of_a_far_ridge_and_a_clipped_reach(gl, pixel_m, write_raster, ma
         scene = make_scene(raster, 270.0, 2.0)
         # Sun angles count at the anchor, which the cut moves. The test means the sun of the whole raster.
         frames.append((scene, render_points(scene, scene.view(bounds=bounds, size=(512, 512)), filter=1)))
-    (scene, whole), (_, cut) = frames
-    assert not whole.reach.clipped and whole.reach.needed_m == pytest.approx(39_000, abs=1500)
-    assert shadow(whole)[:, :40].all()
-    assert cut.reach.clipped and cut.reach.used_m < cut.reach.needed_m
-    assert not shadow(cut).any()
+    (scene, full_frame), (_, clipped_frame) = frames
+    assert not full_frame.reach.clipped and full_frame.reach.needed_m == pytest.approx(39_000, abs=1500)
+    assert shadow(full_frame)[:, :40].all()
+    assert clipped_frame.reach.clipped and clipped_frame.reach.used_m < clipped_frame.reach.needed_m
+    assert not shadow(clipped_frame).any()
 
 
 def test_reach_without_casters_reports_missing_ground(gl, write_raster, make_scene):
@@ -117,12 +117,12 @@ def test_reach_without_casters_reports_missing_ground(gl, write_raster, make_sce
     eye, target = (
         [*to_degrees(451_800.0, 5_020_000.0 - south_m), above_m] for south_m, above_m in ((2_900.0, 120.0), (1_500.0, 0.0))
     )
-    look = {"kind": "perspective", "eye": eye, "target": target, "fov": 50, "size": [200, 150]}
-    scene = make_scene(raster, 180.0, 40.0, views={"eye": look})
+    view_spec = {"kind": "perspective", "eye": eye, "target": target, "fov": 50, "size": [200, 150]}
+    scene = make_scene(raster, 180.0, 40.0, views={"eye": view_spec})
     view = scene.view("eye")
     frame = render_points(scene, view)
     assert not frame.plan.casts
     assert frame.reach.clipped and frame.reach.used_m < frame.reach.needed_m
-    whole = find_reach(scene, geometry_buffer(scene, view))
-    assert frame.reach.needed_m == pytest.approx(whole.needed_m, rel=0.02)
-    assert frame.reach.used_m == pytest.approx(whole.used_m, rel=0.02, abs=30.0)
+    full_reach = find_reach(scene, geometry_buffer(scene, view))
+    assert frame.reach.needed_m == pytest.approx(full_reach.needed_m, rel=0.02)
+    assert frame.reach.used_m == pytest.approx(full_reach.used_m, rel=0.02, abs=30.0)

@@ -53,7 +53,7 @@ def scene(build) -> Scene:
     return build()
 
 
-def with_layers(scene: Scene, *layers: str, view=None, **overrides) -> Frame:
+def render_with_layers(scene: Scene, *layers: str, view=None, **overrides) -> Frame:
     view = view or scene.view("eye")
     return render_frame(scene, view, plan_of(scene, view, **overrides), layers=frozenset(layers))
 
@@ -67,8 +67,8 @@ def pass_picture(layer: str, array: np.ndarray, color: np.ndarray) -> np.ndarray
 def write_pass_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
     """Write a layer of a frame to a file."""
     array, format = product_of_frame(scene, frame, layer), path.suffix[1:]
-    shown = array if format == "npy" else pass_picture(layer, array, frame.color)
-    path.write_bytes(encode_exactly(shown, PRODUCTS[layer], format, frame.view))
+    pixels = array if format == "npy" else pass_picture(layer, array, frame.color)
+    path.write_bytes(encode_exactly(pixels, PRODUCTS[layer], format, frame.view))
 
 
 # -- the mechanism
@@ -76,56 +76,60 @@ def write_pass_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None
 
 def test_pass_log_creates_only_requested_layers(gl, scene, monkeypatch):
     """A layer that nobody requests costs nothing: its picture is not even read back."""
-    made = []
+    created = []
     log = PassLog()
-    log.keep("stencil", SUN, made.append, 1)
-    assert made == [] and log.take() == {}
+    log.keep("stencil", SUN, created.append, 1)
+    assert created == [] and log.take() == {}
     log = PassLog(requested_layers=frozenset({"stencil"}))
     log.keep("stencil", SUN, np.full, (2, 2), 7)
-    log.keep("shadow-map", SUN, made.append, 1)
-    assert made == [] and [each.tolist() for each in log.take()["stencil", SUN]] == [[[7, 7], [7, 7]]] and log.take() == {}
+    log.keep("shadow-map", SUN, created.append, 1)
+    assert created == [] and [array.tolist() for array in log.take()["stencil", SUN]] == [[[7, 7], [7, 7]]] and log.take() == {}
     reads = []
     original = Device.read
-    monkeypatch.setattr(Device, "read", lambda self, target, *of, **by: reads.append(of) or original(self, target, *of, **by))
+    monkeypatch.setattr(
+        Device,
+        "read",
+        lambda self, target, *arguments, **keywords: reads.append(arguments) or original(self, target, *arguments, **keywords),
+    )
     clear_caches("light", "scene")
-    plain = render(scene, scene.view("eye"), algorithm="shadow_map")
+    plain_frame = render(scene, scene.view("eye"), algorithm="shadow_map")
     count = len(reads)
     clear_caches("light", "scene")
-    kept = with_layers(scene, "shadow-map", algorithm="shadow_map")
-    assert plain.layers == {} and set(kept.layers) == {"shadow-map"}
+    layered_frame = render_with_layers(scene, "shadow-map", algorithm="shadow_map")
+    assert plain_frame.layers == {} and set(layered_frame.layers) == {"shadow-map"}
     assert len(reads) - count > count
-    np.testing.assert_array_equal(plain.color, kept.color)
-    assert [record.name for record in kept.passes] == kept.plan.passes
+    np.testing.assert_array_equal(plain_frame.color, layered_frame.color)
+    assert [record.name for record in layered_frame.passes] == layered_frame.plan.passes
 
 
 def test_tiled_pictures_are_laid_out_side_by_side():
-    one, two, three = np.full((2, 3), 1.0, np.float32), np.full((3, 1), 2.0, np.float32), np.full((1, 1), 3.0, np.float32)
-    np.testing.assert_array_equal(tiled_pictures([one]), one)
-    out = tiled_pictures([one, two, three])
-    assert out.shape == (6, 6) and out.dtype == np.float32
-    np.testing.assert_array_equal(out[:2, :3], one)
-    np.testing.assert_array_equal(out[:3, 3:4], two)
-    assert out[3, 0] == 3.0 and np.isfinite(out).sum() == one.size + two.size + three.size
+    wide, tall, single_pixel = np.full((2, 3), 1.0, np.float32), np.full((3, 1), 2.0, np.float32), np.full((1, 1), 3.0, np.float32)
+    np.testing.assert_array_equal(tiled_pictures([wide]), wide)
+    tiled = tiled_pictures([wide, tall, single_pixel])
+    assert tiled.shape == (6, 6) and tiled.dtype == np.float32
+    np.testing.assert_array_equal(tiled[:2, :3], wide)
+    np.testing.assert_array_equal(tiled[:3, 3:4], tall)
+    assert tiled[3, 0] == 3.0 and np.isfinite(tiled).sum() == wide.size + tall.size + single_pixel.size
 
 
 def test_layer_collector_places_blocks():
     """Sample rows below a block's own rows are dropped. Pixels without a block are 0 or NaN."""
-    kept = LayerCollector((4, 5))
-    ours, theirs = (slice(1, 3), slice(2, 5)), (slice(0, 2), slice(1, 4))
+    collector = LayerCollector((4, 5))
+    target, source = (slice(1, 3), slice(2, 5)), (slice(0, 2), slice(1, 4))
     block = np.arange(20, dtype=np.uint8).reshape(5, 4)
-    kept.add({("stencil", SUN): [block], ("shadow-height", SUN): [block.astype(np.float32)]}, ours, theirs)
-    whole = kept.whole
-    np.testing.assert_array_equal(whole["stencil"][SUN][ours], block[theirs])
-    assert whole["stencil"][SUN].sum() == block[theirs].sum() and whole["stencil"][SUN].dtype == np.uint8
-    assert np.isnan(whole["shadow-height"][SUN]).sum() == 20 - 6
+    collector.add({("stencil", SUN): [block], ("shadow-height", SUN): [block.astype(np.float32)]}, target, source)
+    layers = collector.whole
+    np.testing.assert_array_equal(layers["stencil"][SUN][target], block[source])
+    assert layers["stencil"][SUN].sum() == block[source].sum() and layers["stencil"][SUN].dtype == np.uint8
+    assert np.isnan(layers["shadow-height"][SUN]).sum() == 20 - 6
 
 
 def test_layer_collector_refuses_too_many_texels(monkeypatch):
     monkeypatch.setattr(layer_collector, "MAX_TEXELS", 100)
-    kept, nowhere = LayerCollector((4, 4)), (slice(0, 0), slice(0, 0))
-    kept.add({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, nowhere, nowhere)
+    collector, empty_window = LayerCollector((4, 4)), (slice(0, 0), slice(0, 0))
+    collector.add({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, empty_window, empty_window)
     with pytest.raises(InputError, match="layer: shadow-map has 101 texels, more than the limit of 100"):
-        kept.add({("shadow-map", SUN): [np.zeros((1, 1), np.float32)]}, nowhere, nowhere)
+        collector.add({("shadow-map", SUN): [np.zeros((1, 1), np.float32)]}, empty_window, empty_window)
 
 
 # -- content of layers
@@ -133,34 +137,34 @@ def test_layer_collector_refuses_too_many_texels(monkeypatch):
 
 def test_shadow_map_layer_of_each_light(gl, scene):
     """A sun has a map for each cascade, a spot one, an omni light six. Depths are as drawn, nearest 0."""
-    frame = with_layers(scene, "shadow-map", algorithm="shadow_map", map_size=256, cascades=2)
+    frame = render_with_layers(scene, "shadow-map", algorithm="shadow_map", map_size=256, cascades=2)
     maps = frame.layers["shadow-map"]
     assert set(maps) == {SUN, "spot", "omni"}
-    texels = {light: sum(r.map_texels for r in frame.passes if r.name.startswith(f"{light}/")) for light in maps}
+    texels = {light: sum(record.map_texels for record in frame.passes if record.name.startswith(f"{light}/")) for light in maps}
     for light, picture in maps.items():
         assert picture.dtype == np.float32 and np.nanmin(picture) >= 0.0 and np.nanmax(picture) == 1.0
         assert np.isfinite(picture).sum() == texels[light] and (picture < 1.0).any()
     assert maps["spot"].shape == (256, 256) and maps["omni"].shape == (512, 768)
-    assert product_of_frame(scene, frame.under("omni"), "shadow-map") is maps["omni"]
+    assert product_of_frame(scene, frame.with_light_first("omni"), "shadow-map") is maps["omni"]
 
 
 def test_shadow_map_layer_of_a_sun_has_its_up_on_top(gl, build):
     """The sun stands in the south. A body farther north, and so farther from the sun, appears higher up."""
-    middle = []
+    mean_rows = []
     for y in (-30.0, 30.0):
         scene = build((0.0, y), 180.0)
         view = scene.view(bounds=(-50, -50, 50, 50), size=(90, 90))
-        choice = {"relief": "none", "meshes": "shadow_map", "spot": "none", "omni": "none"}
-        picture = with_layers(scene, "shadow-map", view=view, algorithm=choice).layers["shadow-map"][SUN]
-        middle.append(np.nonzero(picture < 1.0)[0].mean() / len(picture))
-    assert middle[0] > middle[1] + 0.2
+        algorithm = {"relief": "none", "meshes": "shadow_map", "spot": "none", "omni": "none"}
+        picture = render_with_layers(scene, "shadow-map", view=view, algorithm=algorithm).layers["shadow-map"][SUN]
+        mean_rows.append(np.nonzero(picture < 1.0)[0].mean() / len(picture))
+    assert mean_rows[0] > mean_rows[1] + 0.2
 
 
 def test_layers_of_map_blocks_lie_side_by_side(gl, scene, monkeypatch):
     monkeypatch.setattr("skugga.terrain.geo.grid.BLOCK_PX", 32)
     view = scene.view(bounds=(-20, -20, 20, 20), size=(50, 60))
     overrides = {"sun": "planar", "spot": "shadow_map", "omni": "none"}
-    frame = with_layers(scene, "shadow-map", "stencil", view=view, algorithm=overrides, map_size=64)
+    frame = render_with_layers(scene, "shadow-map", "stencil", view=view, algorithm=overrides, map_size=64)
     assert frame.layers["shadow-map"]["spot"].shape == (128, 128)
     stencil = frame.layers["stencil"][SUN]
     assert stencil.shape == frame.valid.shape == (60, 50)
@@ -170,10 +174,10 @@ def test_layers_of_map_blocks_lie_side_by_side(gl, scene, monkeypatch):
     np.testing.assert_array_equal(stencil > 0, ground)
 
 
-def facing(scene: Scene, view: MapView | PerspectiveView, light: str) -> np.ndarray:
+def lit_floor(scene: Scene, view: MapView | PerspectiveView, light: str) -> np.ndarray:
     """Return where a visible floor would be lit without casters."""
-    plain = with_layers(scene, view=view, algorithm="none")
-    return plain.valid & (plain.height_m == 0.0) & (plain.visibilities[light] > 0.5)
+    plain_frame = render_with_layers(scene, view=view, algorithm="none")
+    return plain_frame.valid & (plain_frame.height_m == 0.0) & (plain_frame.visibilities[light] > 0.5)
 
 
 @pytest.mark.parametrize(("view", "light"), [("eye", SUN), ("eye", "spot"), ("eye", "omni"), ("map", SUN)])
@@ -182,37 +186,39 @@ def test_shadow_volume_layers_are_consistent(gl, scene, view, light):
 
     From an eye outside, a ray meets one face for each volume that it enters, and two for each volume that it crosses.
     """
-    seen = scene.view("eye") if view == "eye" else scene.view(bounds=(-30, -30, 30, 30), size=(90, 90))
-    choice = {each: "none" for each in (SUN, "spot", "omni")} | {light: "shadow_volume"}
+    scene_view = scene.view("eye") if view == "eye" else scene.view(bounds=(-30, -30, 30, 30), size=(90, 90))
+    algorithm = {item: "none" for item in (SUN, "spot", "omni")} | {light: "shadow_volume"}
     layers = {"stencil", "silhouettes", "volumes"}
-    frame = with_layers(scene, *layers, view=seen, algorithm=choice)
+    frame = render_with_layers(scene, *layers, view=scene_view, algorithm=algorithm)
     assert set(frame.layers) == layers
-    stencil, silhouettes, faces = (frame.layers[layer][light] for layer in ("stencil", "silhouettes", "volumes"))
-    assert {each.dtype for each in (stencil, silhouettes, faces)} == {np.dtype(np.uint8)}
-    floor, dark = facing(scene, seen, light), frame.visibilities[light] < 0.5
+    stencil, silhouettes, face_counts = (frame.layers[layer][light] for layer in ("stencil", "silhouettes", "volumes"))
+    assert {item.dtype for item in (stencil, silhouettes, face_counts)} == {np.dtype(np.uint8)}
+    floor, dark = lit_floor(scene, scene_view, light), frame.visibilities[light] < 0.5
     np.testing.assert_array_equal((stencil > 0)[floor], dark[floor])
     assert dark[floor].any() and not stencil[frame.valid & ~dark].any()
-    assert (faces >= stencil)[floor].all() and ((faces - stencil) % 2 == 0)[floor].all()
-    assert (faces > stencil)[floor].any() and set(np.unique(silhouettes)) == {0, 255}
+    assert (face_counts >= stencil)[floor].all() and ((face_counts - stencil) % 2 == 0)[floor].all()
+    assert (face_counts > stencil)[floor].any() and set(np.unique(silhouettes)) == {0, 255}
 
 
 def test_hybrid_layers_are_consistent(gl, scene):
     """The silhouettes are the marked pixels, and the stencil counts in no other pixel."""
-    choice = {SUN: "hybrid", "spot": "none", "omni": "none"}
-    frame = with_layers(scene, "stencil", "silhouettes", "volumes", "shadow-map", algorithm=choice)
-    stencil, marks, faces, depths = (frame.layers[each][SUN] for each in ("stencil", "silhouettes", "volumes", "shadow-map"))
+    algorithm = {SUN: "hybrid", "spot": "none", "omni": "none"}
+    frame = render_with_layers(scene, "stencil", "silhouettes", "volumes", "shadow-map", algorithm=algorithm)
+    stencil, marks, face_counts, depths = (
+        frame.layers[layer][SUN] for layer in ("stencil", "silhouettes", "volumes", "shadow-map")
+    )
     (record,) = [record for record in frame.passes if record.name.endswith("stencil")]
     assert set(np.unique(marks)) == {0, 255} and record.marked == (marks == 255).sum() > 0 < record.tiles
     assert not stencil[marks == 0].any() and depths.dtype == np.float32
-    floor = facing(scene, frame.view, SUN) & (marks == 255)
+    floor = lit_floor(scene, frame.view, SUN) & (marks == 255)
     np.testing.assert_array_equal((stencil > 0)[floor], (frame.visibilities[SUN] < 0.5)[floor])
-    plain = with_layers(scene, "volumes", algorithm={**choice, SUN: "shadow_volume"})
-    np.testing.assert_array_equal(faces, plain.layers["volumes"][SUN])
+    volume_frame = render_with_layers(scene, "volumes", algorithm={**algorithm, SUN: "shadow_volume"})
+    np.testing.assert_array_equal(face_counts, volume_frame.layers["volumes"][SUN])
 
 
 def test_perspective_shadow_map_layer_has_its_depths(gl, scene):
     choice = {SUN: "perspective_shadow_map", "spot": "perspective_shadow_map", "omni": "none"}
-    maps = with_layers(scene, "shadow-map", algorithm=choice, map_size=128).layers["shadow-map"]
+    maps = render_with_layers(scene, "shadow-map", algorithm=choice, map_size=128).layers["shadow-map"]
     for light in (SUN, "spot"):
         assert maps[light].shape == (128, 128) and 0.0 <= maps[light].min() < maps[light].max() == 1.0
 
@@ -233,7 +239,7 @@ def test_volumes_picture_blends_over_the_frame():
 
 def test_volume_layers_in_npy_and_png(gl, scene, tmp_path):
     """Values are exact in .npy. In .png, edges are white on black, counts are scaled, and volumes lie over the frame."""
-    frame = with_layers(scene, "stencil", "silhouettes", "volumes", algorithm={SUN: "shadow_volume"})
+    frame = render_with_layers(scene, "stencil", "silhouettes", "volumes", algorithm={SUN: "shadow_volume"})
     for layer in ("stencil", "silhouettes", "volumes"):
         for format in PRODUCTS[layer].formats:
             write_pass_layer(scene, frame, layer, tmp_path / f"{layer}.{format}")
@@ -249,7 +255,7 @@ def test_volume_layers_in_npy_and_png(gl, scene, tmp_path):
 
 def test_volume_layers_of_two_algorithms_lie_side_by_side(gl, scene, tmp_path):
     choice = {SUN: {"relief": "shadow_volume", "meshes": "hybrid"}, "spot": "none", "omni": "none"}
-    frame = with_layers(scene, "volumes", algorithm=choice)
+    frame = render_with_layers(scene, "volumes", algorithm=choice)
     write_pass_layer(scene, frame, "volumes", tmp_path / "two.png")
     picture = np.asarray(Image.open(tmp_path / "two.png"))
     rows, cols = frame.valid.shape
@@ -260,10 +266,10 @@ def test_volume_layers_of_two_algorithms_lie_side_by_side(gl, scene, tmp_path):
 
 def test_shadow_map_and_stencil_layers_in_npy_and_png(gl, scene, tmp_path):
     """Depths are 16-bit gray, nearest brightest; the stencil is scaled to eight bits. Both are exact in .npy."""
-    frame = with_layers(scene, "shadow-map", "stencil", algorithm={"sun": "planar", "spot": "shadow_map"}, map_size=128)
+    frame = render_with_layers(scene, "shadow-map", "stencil", algorithm={"sun": "planar", "spot": "shadow_map"}, map_size=128)
     for layer, light in (("stencil", SUN), ("shadow-map", "spot")):
         for format in PRODUCTS[layer].formats:
-            write_pass_layer(scene, frame.under(light), layer, tmp_path / f"{layer}.{format}")
+            write_pass_layer(scene, frame.with_light_first(light), layer, tmp_path / f"{layer}.{format}")
     depths = np.load(tmp_path / "shadow-map.npy")
     gray = np.asarray(Image.open(tmp_path / "shadow-map.png"))
     assert gray.dtype == np.uint16 and gray.shape == depths.shape
@@ -277,8 +283,8 @@ def test_shadow_map_and_stencil_layers_in_npy_and_png(gl, scene, tmp_path):
 
 
 def test_algorithm_layers_are_products():
-    left = {layer for algorithm in ALGORITHMS.values() for layer in algorithm.layers}
-    assert left == {name for name, product in PRODUCTS.items() if product.pass_layer == name}
+    declared_layers = {layer for algorithm in ALGORITHMS.values() for layer in algorithm.layers}
+    assert declared_layers == {name for name, product in PRODUCTS.items() if product.pass_layer == name}
 
 
 # -- refusals
@@ -302,19 +308,19 @@ def test_algorithm_layers_are_products():
 def test_layer_without_an_algorithm_is_refused_before_drawing(scene, algorithm, layer, words, monkeypatch):
     monkeypatch.setattr("skugga.shadows.render.render_block", None)
     with pytest.raises(UnsupportedError) as caught:
-        with_layers(scene, layer, algorithm=algorithm)
+        render_with_layers(scene, layer, algorithm=algorithm)
     assert layer in str(caught.value) and words in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_layer_of_another_light_is_refused(gl, scene):
-    frame = with_layers(scene, "stencil", algorithm={"sun": "none", "spot": "planar", "omni": "none"})
-    assert product_of_frame(scene, frame.under("spot"), "stencil").max() == 2
+    frame = render_with_layers(scene, "stencil", algorithm={"sun": "none", "spot": "planar", "omni": "none"})
+    assert product_of_frame(scene, frame.with_light_first("spot"), "stencil").max() == 2
     with pytest.raises(InputError, match="light: 'sun'.*spot for layer stencil"):
         product_of_frame(scene, frame, "stencil")
 
 
 def test_shadow_map_layer_of_an_empty_view_is_refused(gl, scene, tmp_path):
     view = map_view(scene.world, scene.world.crs, (9000.0, 9000.0, 9050.0, 9050.0), rows=48, cols=48)
-    frame = with_layers(scene, "shadow-map", view=view, algorithm={"sun": "shadow_map"})
+    frame = render_with_layers(scene, "shadow-map", view=view, algorithm={"sun": "shadow_map"})
     with pytest.raises(InputError, match="no light has a layer shadow-map"):
         write_pass_layer(scene, frame, "shadow-map", tmp_path / "map.png")

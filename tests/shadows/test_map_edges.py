@@ -24,7 +24,7 @@ from tests.render import plan_of, render
 
 SIDE_M = 96
 
-FEW_PX = 48
+SMALL_SIDE_PX = 48
 """Side of the pictures that are compared to the bit."""
 
 
@@ -49,71 +49,71 @@ def view_of(scene: Scene, pixels: int = SIDE_M) -> MapView:
     return scene.view(bounds=(0.0, 0.0, float(SIDE_M), float(SIDE_M)), size=(pixels, pixels))
 
 
-def with_points(scene: Scene, view: MapView, **overrides) -> Frame:
+def render_at_points(scene: Scene, view: MapView, **overrides) -> Frame:
     return render_frame(scene, view, plan_of(scene, view, **overrides), pixel_sampling="points")
 
 
 @pytest.fixture(scope="module")
-def shares() -> dict[int, np.ndarray]:
+def lit_share_cache() -> dict[int, np.ndarray]:
     """Return a cache of the lit share of each pixel of the ridge's view, by 16 x 16 points, for each number of pixels a side."""
     return {}
 
 
-def means(values: np.ndarray, side: int) -> np.ndarray:
+def block_means(values: np.ndarray, side: int) -> np.ndarray:
     return values.reshape(values.shape[0] // side, side, values.shape[1] // side, side).mean(axis=(1, 3))
 
 
 @pytest.mark.parametrize(("pixels", "algorithm"), [
     (96, "sweep"), (128, "sweep"), (70, "sweep"), (96, "shadow_map"), (96, "shadow_volume"), (96, "hybrid"), (96, "truth"),
 ])  # fmt: skip
-def test_shown_visibility_is_the_lit_share_of_a_pixel(gl, ridge, shares, pixels, algorithm):
+def test_shown_visibility_is_the_lit_share_of_a_pixel(gl, ridge, lit_share_cache, pixels, algorithm):
     """Against 16 x 16 points a pixel, the result is much closer than one point a pixel, and unbiased."""
     view = view_of(ridge, pixels)
     frame = render(ridge, view, algorithm=algorithm)
-    if pixels not in shares:
-        shares[pixels] = means(with_points(ridge, view.finer(16), algorithm="sweep").visibility, 16)
-    exact = shares[pixels]
+    if pixels not in lit_share_cache:
+        lit_share_cache[pixels] = block_means(render_at_points(ridge, view.finer(16), algorithm="sweep").visibility, 16)
+    exact = lit_share_cache[pixels]
     inside = binary_erosion(frame.height_m < 0.01, iterations=2)  # only the plain: the ridge has rounding of its surface
-    partly = inside & (exact > 0.02) & (exact < 0.98)
-    assert partly.sum() > 80
-    shown, own = frame.shown_visibilities["sun"], frame.visibility
-    error, plain = (np.sqrt(((values - exact)[partly] ** 2).mean()) for values in (shown, own))
-    assert error < 0.6 * plain and error < 0.2 and abs((shown - exact)[partly].mean()) < 0.05
-    plain_px = inside & ~binary_dilation((exact > 0.0) & (exact < 1.0), iterations=2)
-    assert plain_px.sum() > 1000
-    np.testing.assert_array_equal(shown[plain_px], own[plain_px])
+    partly_lit = inside & (exact > 0.02) & (exact < 0.98)
+    assert partly_lit.sum() > 80
+    shown_visibility, point_visibility = frame.shown_visibilities["sun"], frame.visibility
+    error, point_error = (np.sqrt(((values - exact)[partly_lit] ** 2).mean()) for values in (shown_visibility, point_visibility))
+    assert error < 0.6 * point_error and error < 0.2 and abs((shown_visibility - exact)[partly_lit].mean()) < 0.05
+    uniform_px = inside & ~binary_dilation((exact > 0.0) & (exact < 1.0), iterations=2)
+    assert uniform_px.sum() > 1000
+    np.testing.assert_array_equal(shown_visibility[uniform_px], point_visibility[uniform_px])
 
 
 @pytest.mark.parametrize("algorithm", ["sweep", "shadow_map"])
 def test_mask_and_value_layers_are_not_antialiased(gl, ridge, algorithm):
     view = view_of(ridge)
-    shown, points = render(ridge, view, algorithm=algorithm), with_points(ridge, view, algorithm=algorithm)
+    antialiased, point_frame = render(ridge, view, algorithm=algorithm), render_at_points(ridge, view, algorithm=algorithm)
     for layer in ("mask", "visibility", "depth"):
-        np.testing.assert_array_equal(product_of_frame(ridge, shown, layer), product_of_frame(ridge, points, layer))
-    np.testing.assert_array_equal(np.unique(shown.visibility), [0.0, 1.0])
-    between = (shown.opacity > 0) & (shown.opacity < 255)
-    assert 40 < between.sum() < 0.2 * between.size and set(np.unique(points.opacity)) == {0, 255}
-    np.testing.assert_array_equal(product_of_frame(ridge, shown, "shadow")[..., 3], shown.opacity)
-    changed = (shown.color != points.color).any(axis=-1)
-    on_plain = between & (shown.height_m < 0.01)
+        np.testing.assert_array_equal(product_of_frame(ridge, antialiased, layer), product_of_frame(ridge, point_frame, layer))
+    np.testing.assert_array_equal(np.unique(antialiased.visibility), [0.0, 1.0])
+    partly_shaded = (antialiased.opacity > 0) & (antialiased.opacity < 255)
+    assert 40 < partly_shaded.sum() < 0.2 * partly_shaded.size and set(np.unique(point_frame.opacity)) == {0, 255}
+    np.testing.assert_array_equal(product_of_frame(ridge, antialiased, "shadow")[..., 3], antialiased.opacity)
+    changed = (antialiased.color != point_frame.color).any(axis=-1)
+    on_plain = partly_shaded & (antialiased.height_m < 0.01)
     assert on_plain.sum() > 40 and changed[on_plain].mean() > 0.95
-    sampled = between if algorithm == "sweep" else edge_pixels(geometry_buffer(ridge, view), [points.visibility])
+    sampled = partly_shaded if algorithm == "sweep" else edge_pixels(geometry_buffer(ridge, view), [point_frame.visibility])
     assert not (changed & ~sampled).any()
 
 
 def test_outline_of_a_mesh_is_antialiased(gl, tower):
     """The roof stays white inside. On its rim the colour is a mean over the pixel, ground included."""
     view = view_of(tower)
-    shown, points = render(tower, view, algorithm="shadow_map"), with_points(tower, view, algorithm="shadow_map")
-    fine = geometry_buffer(tower, view.finer(16)).kind == MESHES
-    share = means(fine.astype(float), 16)
+    antialiased, point_frame = render(tower, view, algorithm="shadow_map"), render_at_points(tower, view, algorithm="shadow_map")
+    fine_mesh_mask = geometry_buffer(tower, view.finer(16)).kind == MESHES
+    share = block_means(fine_mesh_mask.astype(float), 16)
     rim, roof = (share > 0.2) & (share < 0.8), share == 1.0
     assert rim.sum() > 30 and roof.sum() > 150
-    low, high = 100, int(points.color[roof].min())
-    red = shown.color[..., 0].astype(int)
+    low, high = 100, int(point_frame.color[roof].min())
+    red = antialiased.color[..., 0].astype(int)
     assert high > 180 and ((red[rim] > low) & (red[rim] < high)).mean() > 0.8
     inside = ~binary_dilation(~roof, iterations=2)
-    np.testing.assert_array_equal(shown.color[inside], points.color[inside])
+    np.testing.assert_array_equal(antialiased.color[inside], point_frame.color[inside])
 
 
 def test_edge_pixels_lie_where_class_or_object_changes(ridge):
@@ -121,16 +121,16 @@ def test_edge_pixels_lie_where_class_or_object_changes(ridge):
     buffer = geometry_buffer(ridge, view_of(ridge, 12))
     lit = np.ones((12, 12), np.float32)
     lit[5, 5] = 0.0
-    expected = np.ones((12, 12), bool)
-    expected[1:-1, 1:-1] = False
-    around = expected.copy()
-    around[4:7, 4:7] = True
-    np.testing.assert_array_equal(edge_pixels(buffer, [lit]), around)
-    np.testing.assert_array_equal(edge_pixels(buffer, [np.ones_like(lit), lit]), around)
-    np.testing.assert_array_equal(edge_pixels(buffer, [np.where(lit == 0.0, np.float32(0.6), lit)]), expected)  # a penumbra
+    block_border = np.ones((12, 12), bool)
+    block_border[1:-1, 1:-1] = False
+    expected_edges = block_border.copy()
+    expected_edges[4:7, 4:7] = True
+    np.testing.assert_array_equal(edge_pixels(buffer, [lit]), expected_edges)
+    np.testing.assert_array_equal(edge_pixels(buffer, [np.ones_like(lit), lit]), expected_edges)
+    np.testing.assert_array_equal(edge_pixels(buffer, [np.where(lit == 0.0, np.float32(0.6), lit)]), block_border)  # a penumbra
     kind = buffer.kind.copy()
     kind[5, 5] = MESHES
-    np.testing.assert_array_equal(edge_pixels(replace(buffer, kind=kind), [np.ones_like(lit)]), around)
+    np.testing.assert_array_equal(edge_pixels(replace(buffer, kind=kind), [np.ones_like(lit)]), expected_edges)
     assert not edge_pixels(buffer, []).any()
     valid = buffer.valid.copy()
     valid[0] = False
@@ -139,10 +139,13 @@ def test_edge_pixels_lie_where_class_or_object_changes(ridge):
 
 def test_antialiasing_is_independent_of_block_parts(gl, ridge, monkeypatch):
     """The colour of a pixel does not depend on the part of a block that its samples are drawn with."""
-    whole = render(ridge, view_of(ridge), algorithm="shadow_volume")
+    single_part_frame = render(ridge, view_of(ridge), algorithm="shadow_volume")
     monkeypatch.setattr(map_edges, "PART_PX", 17)
-    parts = render(ridge, view_of(ridge), algorithm="shadow_volume")
-    assert np.abs(whole.color.astype(int) - parts.color).max() <= 1 and (whole.opacity == parts.opacity).mean() > 0.999
+    split_frame = render(ridge, view_of(ridge), algorithm="shadow_volume")
+    assert (
+        np.abs(single_part_frame.color.astype(int) - split_frame.color).max() <= 1
+        and (single_part_frame.opacity == split_frame.opacity).mean() > 0.999
+    )
 
 
 def test_antialiasing_leaves_a_plain_unchanged(gl, write_raster, make_scene):
@@ -156,41 +159,41 @@ def test_antialiasing_leaves_a_plain_unchanged(gl, write_raster, make_scene):
 def test_shown_visibility_is_kept_per_light(gl, tower):
     """A frame under one light equals the part of that light in the whole frame."""
     frame = render(tower, view_of(tower), algorithm="shadow_map")
-    again = frame.under("sun")
-    assert list(again.shown_visibilities) == list(again.visibilities) == ["sun"]
-    np.testing.assert_array_equal(again.opacity, frame.opacity)
+    sun_frame = frame.with_light_first("sun")
+    assert list(sun_frame.shown_visibilities) == list(sun_frame.visibilities) == ["sun"]
+    np.testing.assert_array_equal(sun_frame.opacity, frame.opacity)
 
 
 @pytest.mark.parametrize("place", ["ridge", "tower"])
 @pytest.mark.parametrize("light", [(250, 12), (110, 40)])
 def test_lookup_of_gathered_points_equals_all_points(gl, place, light, request, monkeypatch):
     scene = request.getfixturevalue(place).with_sun(SunSpec(azimuth=light[0], altitude=light[1]))
-    gathered: list[int] = []
-    in_rows = lookup._in_rows
-    monkeypatch.setattr(lookup, "_in_rows", lambda values: (gathered.append(len(values)), in_rows(values))[1])
-    some = render(scene, view_of(scene), algorithm="shadow_map")
-    assert gathered and 0 < max(gathered) < SIDE_M * SIDE_M
-    gathered.clear()
+    gathered_counts: list[int] = []
+    in_rows = lookup._reshape_to_rows
+    monkeypatch.setattr(lookup, "_reshape_to_rows", lambda values: (gathered_counts.append(len(values)), in_rows(values))[1])
+    gathered_frame = render(scene, view_of(scene), algorithm="shadow_map")
+    assert gathered_counts and 0 < max(gathered_counts) < SIDE_M * SIDE_M
+    gathered_counts.clear()
     monkeypatch.setattr(lookup, "MAX_GATHERED_SHARE", 0.0)
-    every = render(scene, view_of(scene), algorithm="shadow_map")
-    assert not gathered
-    np.testing.assert_array_equal(some.color, every.color)
-    np.testing.assert_array_equal(some.opacity, every.opacity)
+    full_frame = render(scene, view_of(scene), algorithm="shadow_map")
+    assert not gathered_counts
+    np.testing.assert_array_equal(gathered_frame.color, full_frame.color)
+    np.testing.assert_array_equal(gathered_frame.opacity, full_frame.opacity)
 
 
 @pytest.mark.parametrize("place", ["ridge", "tower"])
 @pytest.mark.parametrize("filter", [1, 3, 5])
 def test_lookup_shortcut_for_empty_maps_keeps_the_picture(gl, place, filter, request, monkeypatch):
     scene = request.getfixturevalue(place)
-    quick = render(scene, view_of(scene, FEW_PX), algorithm="shadow_map", filter=filter)
-    program = type(gl).program
+    shortcut_frame = render(scene, view_of(scene, SMALL_SIDE_PX), algorithm="shadow_map", filter=filter)
+    original = type(gl).program
 
-    def thorough(device, vertex, fragment, constants=None):
+    def program_without_shortcut(device, vertex, fragment, constants=None):
         assert constants is None or constants.get("lit_by_taps", True)
-        return program(device, vertex, fragment, None if constants is None else {**constants, "lit_by_taps": False})
+        return original(device, vertex, fragment, None if constants is None else {**constants, "lit_by_taps": False})
 
-    monkeypatch.setattr(type(gl), "program", thorough)
-    slow = render(scene, view_of(scene, FEW_PX), algorithm="shadow_map", filter=filter)
-    assert 0.0 < np.nanmean(slow.visibility) < 1.0
-    np.testing.assert_array_equal(quick.visibility, slow.visibility)
-    np.testing.assert_array_equal(quick.color, slow.color)
+    monkeypatch.setattr(type(gl), "program", program_without_shortcut)
+    thorough_frame = render(scene, view_of(scene, SMALL_SIDE_PX), algorithm="shadow_map", filter=filter)
+    assert 0.0 < np.nanmean(thorough_frame.visibility) < 1.0
+    np.testing.assert_array_equal(shortcut_frame.visibility, thorough_frame.visibility)
+    np.testing.assert_array_equal(shortcut_frame.color, thorough_frame.color)

@@ -26,8 +26,8 @@ from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 
-TREES, GROUND = LinkedProgram("trees", ("foliage",)), LinkedProgram("ground", ())
-LOOK_UP = LinkedProgram("look-up", ("position", "depth_map"))
+TREE_PROGRAM, GROUND_PROGRAM = LinkedProgram("trees", ("foliage",)), LinkedProgram("ground", ())
+LOOKUP_PROGRAM = LinkedProgram("look-up", ("position", "depth_map"))
 
 VIEWS: dict[str, Any] = {
     "eye": {"kind": "perspective", "eye": [-35, -55, 14], "target": [4, 0, 3], "fov": 45, "size": [96, 72]},
@@ -47,24 +47,24 @@ def build(tmp_path_factory) -> Build:
 
     def level(trees: bool = False, **keys: Any) -> Scene:
         path = folder / "level.yaml"
-        whole = {
+        level_keys = {
             "version": 1, "terrain": {"flat": {"size": [200, 200], "cells": [20, 20]}}, "views": VIEWS,
             "meshes": [{"generate": "tetrahedra", "at": [2, -6]}], "sun": {"azimuth": 215, "altitude": 32},
             "forest": [{"source": "trees.gpkg", "height": "height"}] if trees else [], **keys,
         }  # fmt: skip
-        path.write_text(json.dumps(whole), encoding="utf-8")
+        path.write_text(json.dumps(level_keys), encoding="utf-8")
         return build_scene(load_level(path))
 
     return level
 
 
-def drawn(scene: Scene, view: str = "eye", **asked: Any) -> Frame:
+def render_uncached(scene: Scene, view: str = "eye", **overrides: Any) -> Frame:
     """Return a frame drawn with empty caches."""
     clear_caches("light")
-    return again(scene, view, plan_of(scene, scene.view(view), **asked))
+    return render_planned(scene, view, plan_of(scene, scene.view(view), **overrides))
 
 
-def again(scene: Scene, view: str, plan: Plan) -> Frame:
+def render_planned(scene: Scene, view: str, plan: Plan) -> Frame:
     return render_frame(scene, scene.view(view), plan)
 
 
@@ -79,11 +79,11 @@ def record_of(frame: Frame, ending: str) -> PassRecord:
 def test_pass_record_counts_draws_within_the_pass():
     """Programs are in the order of their first use, textures in alphabetical order, both without repetition."""
     log = PassLog()
-    record_draw(TREES)
+    record_draw(TREE_PROGRAM)
     with log.run("map") as record:
-        for program in (LOOK_UP, GROUND, LOOK_UP, GROUND, TREES):
+        for program in (LOOKUP_PROGRAM, GROUND_PROGRAM, LOOKUP_PROGRAM, GROUND_PROGRAM, TREE_PROGRAM):
             record_draw(program)
-    record_draw(TREES)
+    record_draw(TREE_PROGRAM)
     assert record is log.records["map"] and record.draws == 5
     assert record.programs == ("look-up", "ground", "trees")
     assert record.textures == ("depth_map", "foliage", "position")
@@ -91,7 +91,7 @@ def test_pass_record_counts_draws_within_the_pass():
 
 def test_pass_record_adds_up_over_repeated_runs():
     log = PassLog()
-    for programs in ((GROUND,), (), (TREES, GROUND), (LOOK_UP, TREES)):
+    for programs in ((GROUND_PROGRAM,), (), (TREE_PROGRAM, GROUND_PROGRAM), (LOOKUP_PROGRAM, TREE_PROGRAM)):
         with log.run("map"):
             for program in programs:
                 record_draw(program)
@@ -106,26 +106,26 @@ def test_pass_record_adds_up_over_repeated_runs():
 def test_pass_record_of_nested_passes_counts_in_both():
     log = PassLog()
     with log.run("outer"):
-        record_draw(GROUND)
+        record_draw(GROUND_PROGRAM)
         with log.run("inner"):
-            record_draw(TREES)
-        record_draw(GROUND)
+            record_draw(TREE_PROGRAM)
+        record_draw(GROUND_PROGRAM)
     assert [(record.draws, record.programs) for record in log.records.values()] == [(3, ("ground", "trees")), (1, ("trees",))]
 
 
 def test_pass_record_of_a_failed_pass_keeps_its_draws():
     log = PassLog()
     with pytest.raises(ZeroDivisionError), log.run("map"):
-        record_draw(GROUND)
+        record_draw(GROUND_PROGRAM)
         _ = 1 / 0
-    record_draw(GROUND)
+    record_draw(GROUND_PROGRAM)
     assert log.records["map"].draws == 1 and log.records["map"].ms > 0.0
 
 
 def test_pass_record_ignores_other_threads():
     log = PassLog()
     with log.run("rays"):
-        thread = threading.Thread(target=record_draw, args=(GROUND,))
+        thread = threading.Thread(target=record_draw, args=(GROUND_PROGRAM,))
         thread.start()
         thread.join()
     assert log.records["rays"].draws == 0
@@ -140,7 +140,7 @@ def test_pass_record_round_trips_through_json():
 # -- frames
 
 
-ASKED: list[tuple[str, bool, dict[str, Any]]] = [
+FRAME_CASES: list[tuple[str, bool, dict[str, Any]]] = [
     ("eye", True, {"algorithm": "shadow_map", "cascades": 3, "map_size": 256}),
     ("eye", False, {"algorithm": "shadow_map", "filter": "sun", "map_size": 256}),
     ("eye", False, {"algorithm": "shadow_map", "culling": "front", "map_size": 256}),
@@ -156,7 +156,7 @@ ASKED: list[tuple[str, bool, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(
-    ("view", "trees", "asked"), ASKED, ids=lambda each: each.get("algorithm") if isinstance(each, dict) else None
+    ("view", "trees", "asked"), FRAME_CASES, ids=lambda value: value.get("algorithm") if isinstance(value, dict) else None
 )
 def test_pass_records_count_every_opengl_draw(gl, build, monkeypatch, view, trees, asked):
     """Draws are counted at the OpenGL call: none is missing, none counts twice, and none was never made."""
@@ -166,9 +166,11 @@ def test_pass_records_count_every_opengl_draw(gl, build, monkeypatch, view, tree
     calls: list[moderngl.Program] = []
     original = moderngl.VertexArray.render
     monkeypatch.setattr(
-        moderngl.VertexArray, "render", lambda self, *of, **by: calls.append(self.program) or original(self, *of, **by)
+        moderngl.VertexArray,
+        "render",
+        lambda self, *arguments, **keywords: calls.append(self.program) or original(self, *arguments, **keywords),
     )
-    frame = again(scene, view, plan)
+    frame = render_planned(scene, view, plan)
     assert sum(record.draws for record in frame.passes) == len(calls) > 0
     assert {label for record in frame.passes for label in record.programs} == {program.extra.label for program in calls}
     assert all((record.draws > 0) == bool(record.programs) for record in frame.passes)
@@ -189,14 +191,16 @@ def test_cached_map_records_no_draws(gl, build):
     scene = build(trees=True)
     plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map", map_size=256)
     clear_caches("light")
-    first, second = (record_of(again(scene, "eye", plan), "depth map") for _ in range(2))
+    first, second = (record_of(render_planned(scene, "eye", plan), "depth map") for _ in range(2))
     assert first.draws > 0 and first.programs and first.textures
     assert (second.draws, second.programs, second.textures, second.kept > 0) == (0, (), (), True)
 
 
 def test_depth_map_reads_a_texture_only_for_foliage(gl, build):
     """Without a forest, no texture unit can be read: nothing is alpha-tested."""
-    bare, wooded = (record_of(drawn(build(trees), algorithm="shadow_map", map_size=256), "depth map") for trees in (False, True))
+    bare, wooded = (
+        record_of(render_uncached(build(trees), algorithm="shadow_map", map_size=256), "depth map") for trees in (False, True)
+    )
     assert (
         bare.draws > 0
         and bare.textures == ()
@@ -211,25 +215,27 @@ def test_depth_map_reads_a_texture_only_for_foliage(gl, build):
 def test_programs_are_compiled_on_demand(gl, build, monkeypatch):
     """The sun's disc is compiled for soft edges, and leaves are compiled for trees."""
     monkeypatch.setattr(gl, "_programs", Cache("programs of this test", "process", 64 * MIB, lambda program: 1))
-    frame = drawn(build(), algorithm="shadow_map", filter=3, map_size=256)
+    frame = render_uncached(build(), algorithm="shadow_map", filter=3, map_size=256)
     assert set(gl.programs) == {label for record in frame.passes for label in record.programs}
-    without = {part for label in gl.programs for part in label.split()}
+    program_parts = {part for label in gl.programs for part in label.split()}
     assert record_of(frame, "visibility").loops == ("shadows/maps/point_lookup taps=3", "shadows/maps/point_lookup taps=1")
-    assert "shadows/maps/depth.frag" in without and not any("disc" in part or "tree" in part for part in without)
-    frame = drawn(build(), algorithm="shadow_map", filter="sun", map_size=256)
+    assert "shadows/maps/depth.frag" in program_parts and not any("disc" in part or "tree" in part for part in program_parts)
+    frame = render_uncached(build(), algorithm="shadow_map", filter="sun", map_size=256)
     assert any("shadows/maps/sun_disc.frag" in label.split() for label in gl.programs)
-    soft = record_of(frame, "visibility")
-    assert "least_depth" in soft.textures and any("shadows/maps/sun_disc.frag" in label.split() for label in soft.programs)
-    drawn(build(trees=True), algorithm="shadow_map", filter=3, map_size=256)
+    soft_edge_record = record_of(frame, "visibility")
+    assert "least_depth" in soft_edge_record.textures and any(
+        "shadows/maps/sun_disc.frag" in label.split() for label in soft_edge_record.programs
+    )
+    render_uncached(build(trees=True), algorithm="shadow_map", filter=3, map_size=256)
     assert any("shadows/maps/depth_tree.frag" in label.split() for label in gl.programs)
 
 
 def test_program_labels_name_compiled_constants(gl, build):
     """Map points share triangles and are looked up by shaders. Points of perspective views are looked up by a loop."""
     for taps in (1, 3):
-        loops = record_of(drawn(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility").loops
+        loops = record_of(render_uncached(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility").loops
         assert loops[0].split() == ["shadows/maps/point_lookup", f"taps={taps}"]
-        visibility = record_of(drawn(build(), "map", algorithm="shadow_map", filter=taps, map_size=256), "visibility")
+        visibility = record_of(render_uncached(build(), "map", algorithm="shadow_map", filter=taps, map_size=256), "visibility")
         assert visibility.loops == ()
         assert f"taps={taps}" in visibility.programs[0].split() and "shadows/maps/shadow_map.frag" in visibility.programs[0].split()
         assert {"depth_map", "position_frame_m"} <= set(visibility.textures)

@@ -32,9 +32,9 @@ from tests.render import plan_of, render, render_points
 
 Build = Callable[..., Scene]
 
-EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [320, 240]}
-BACK = {**EYE, "eye": [30, 48, 15]}
-BOX = {"source": "box.obj", "at": [0, 0]}
+EYE_VIEW = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [320, 240]}
+BACK_VIEW = {**EYE_VIEW, "eye": [30, 48, 15]}
+BOX_MESH = {"source": "box.obj", "at": [0, 0]}
 SPOT = {"kind": "spot", "position": [-14, -18, 24], "target": [2, 2, 0], "cutoff": 50}
 OMNI = {"kind": "omni", "position": [-6, -12, 18]}
 LIGHTS = {"sun": {}, "spot": {"lights": {"spot": SPOT}, "sun": "none"}, "omni": {"lights": {"omni": OMNI}, "sun": "none"}}
@@ -54,7 +54,7 @@ def build(tmp_path_factory) -> Build:
     pyogrio.raw.write(folder / "trees.gpkg", points, [height], ["height"], geometry_type="Point", crs=ENGINEERING)
 
     @lru_cache(maxsize=32)
-    def made(text: str) -> Scene:
+    def build_from_json(text: str) -> Scene:
         path = folder / "level.yaml"
         path.write_text(text, encoding="utf-8")
         return build_scene(load_level(path))
@@ -62,7 +62,9 @@ def build(tmp_path_factory) -> Build:
     def level(azimuth: float = 200.0, altitude: float = 35.0, **keys) -> Scene:
         sun = keys.pop("sun", {"azimuth": azimuth, "altitude": altitude})
         terrain = {"flat": {"size": [120, 120], "cells": [60, 60]}}
-        return made(json.dumps({"version": 1, "terrain": terrain, "sun": sun, "views": {"eye": EYE, "back": BACK}, **keys}))
+        return build_from_json(
+            json.dumps({"version": 1, "terrain": terrain, "sun": sun, "views": {"eye": EYE_VIEW, "back": BACK_VIEW}, **keys})
+        )
 
     return level
 
@@ -74,10 +76,10 @@ def view_of(scene: Scene, kind: str):
 def ground_errors(scene: Scene, view, visibility: np.ndarray, light: str) -> tuple[float, float]:
     """Return the wrong share of decidable ground pixels, and the share of them in shadow."""
     buffer = geometry_buffer(scene, view)
-    real = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
-    ground = real.decidable & (buffer.kind == RELIEF)
-    wrong = ground & ((visibility < 0.5) != ~real.lit)
-    return wrong.sum() / ground.sum(), (ground & ~real.lit).sum() / ground.sum()
+    reference = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
+    ground = reference.decidable & (buffer.kind == RELIEF)
+    mismatch = ground & ((visibility < 0.5) != ~reference.lit)
+    return mismatch.sum() / ground.sum(), (ground & ~reference.lit).sum() / ground.sum()
 
 
 # -- arithmetic
@@ -92,9 +94,11 @@ def test_plane_projection_follows_the_ray(light, point):
     light, point = np.array(light), np.array(point)
     x, y, z, w = plane_projection(light) @ [*point, 1.0]
     assert z == pytest.approx(0.0, abs=1e-9) and w > 0.0
-    fallen = np.array([x, y, z]) / w
-    way = light[:3] - light[3] * point
-    assert np.linalg.norm(np.cross(fallen - point, way)) <= 1e-9 * np.linalg.norm(way) * max(np.linalg.norm(fallen - point), 1.0)
+    projected = np.array([x, y, z]) / w
+    to_light = light[:3] - light[3] * point
+    assert np.linalg.norm(np.cross(projected - point, to_light)) <= 1e-9 * np.linalg.norm(to_light) * max(
+        np.linalg.norm(projected - point), 1.0
+    )
 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
@@ -115,7 +119,7 @@ def test_clip_from_plane_maps_points_to_their_pixels(build, kind):
 @pytest.mark.parametrize("altitude", [12.0, 35.0, 70.0])
 def test_planar_shadow_of_a_box_under_the_sun(gl, build, altitude):
     """With the sun in the south, the shadow north of a box 6 m deep and 5 m high ends after h / tan(a), to a pixel."""
-    scene = build(180.0, altitude, meshes=[BOX])
+    scene = build(180.0, altitude, meshes=[BOX_MESH])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(600, 600))
     frame = render_points(scene, view, algorithm="planar")
     y = view.grid.y(view.row0 + np.arange(view.rows) * view.row_step)
@@ -129,7 +133,7 @@ def test_planar_shadow_of_a_box_under_the_sun(gl, build, altitude):
 def test_planar_shadow_of_a_box_under_a_lamp(gl, build):
     """The line from (0, -20, 15) over the edge at y = 3, z = 5 ends at y = -20 + 23 * 15 / (15 - 5)."""
     lamp = {"kind": "omni", "position": [0, -20, 15]}
-    scene = build(sun="none", lights={"lamp": lamp}, meshes=[BOX])
+    scene = build(sun="none", lights={"lamp": lamp}, meshes=[BOX_MESH])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(600, 600))
     frame = render_points(scene, view, algorithm="planar")
     y = view.grid.y(view.row0 + np.arange(view.rows) * view.row_step)
@@ -152,40 +156,40 @@ def test_planar_on_bundled_ground_equals_truth(gl, level, name):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     view = scene.view(name, size=(320, 256) if name == "main" else (160, 160))
     frame = render_points(scene, view, algorithm="planar")
-    wrong, shadow = ground_errors(scene, view, frame.visibility, frame.plan.lights[0])
-    assert wrong <= 1e-4 and shadow > 0.01
+    error_share, shadow_share = ground_errors(scene, view, frame.visibility, frame.plan.lights[0])
+    assert error_share <= 1e-4 and shadow_share > 0.01
 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
 @pytest.mark.parametrize("light", LIGHTS)
 def test_planar_trees_and_boxes_cast_from_every_light(gl, build, kind, light):
     """Leaves are projected with their texture, and agree with truth as well as boxes."""
-    scene = build(meshes=[BOX], forest=[{"source": "trees.gpkg", "height": "height"}], **LIGHTS[light])
+    scene = build(meshes=[BOX_MESH], forest=[{"source": "trees.gpkg", "height": "height"}], **LIGHTS[light])
     view = view_of(scene, kind)
     frame = render(scene, view, algorithm="planar")
     buffer = geometry_buffer(scene, view)
     assert {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
-    wrong, shadow = ground_errors(scene, view, frame.visibility, light)
-    assert wrong <= 1e-3 and shadow > 0.02
+    error_share, shadow_share = ground_errors(scene, view, frame.visibility, light)
+    assert error_share <= 1e-3 and shadow_share > 0.02
     assert PassLog.named(light, ("relief", "meshes", "forest"), planar.PASSES) == [n for n in frame.plan.passes if "/" in n]
 
 
 @pytest.mark.parametrize("light", LIGHTS)
 def test_planar_samples_match_rays_from_their_points(gl, build, light):
     """The samples are those of edge pixels beyond their own points."""
-    places = [[x, y] for x in (-18, -6, 6, 18) for y in (-12, 0, 12, 24)]
-    scene = build(meshes=[{"source": "box.obj", "at": places}], **LIGHTS[light])
+    positions = [[x, y] for x in (-18, -6, 6, 18) for y in (-12, 0, 12, 24)]
+    scene = build(meshes=[{"source": "box.obj", "at": positions}], **LIGHTS[light])
     view = scene.view("back")
     buffer = multisampled(scene, view).buffer
     assert len(buffer.valid) > view.rows
     kinds = scene.objects.kinds
-    found = planar.fill(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
-    real = truth_fill(buffer, scene, light, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
+    visibility = planar.fill(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
+    reference = truth_fill(buffer, scene, light, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
     samples = (buffer.kind == RELIEF) & ~attached(buffer, scene, light)
     samples[: view.rows] = False
-    dark = (real < 0.5)[samples].sum()
-    assert dark > 500 and dark < 0.95 * samples.sum()
-    assert (found != real)[samples].sum() <= 0.01 * dark
+    dark_count = (reference < 0.5)[samples].sum()
+    assert dark_count > 500 and dark_count < 0.95 * samples.sum()
+    assert (visibility != reference)[samples].sum() <= 0.01 * dark_count
 
 
 # -- stencil and clipping
@@ -197,16 +201,18 @@ def test_planar_overlapping_shadows_are_equally_dark(gl, build):
     view = scene.view(bounds=(-30, -30, 30, 30), size=(300, 300))
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="planar"), layers=frozenset({"stencil"}))
     stencil = frame.layers["stencil"][SUN]
-    single = [
+    single_box_frames = [
         render_points(build(180.0, 25.0, meshes=[{"source": "box.obj", "at": [0, y]}]), view, algorithm="planar") for y in (0, 9)
     ]
     ground = frame.height_m == 0.0
-    both = ground & (single[0].visibility == 0.0) & (single[1].visibility == 0.0)
-    assert both.sum() > 100
+    in_both_shadows = ground & (single_box_frames[0].visibility == 0.0) & (single_box_frames[1].visibility == 0.0)
+    assert in_both_shadows.sum() > 100
     assert stencil.dtype == np.uint8 and set(np.unique(stencil)) == {planar.NO_GROUND_VALUE, planar.LIT_VALUE, planar.SHADED_VALUE}
-    assert (stencil[both] == planar.SHADED_VALUE).all() and (frame.visibility[both] == 0.0).all()
+    assert (stencil[in_both_shadows] == planar.SHADED_VALUE).all() and (frame.visibility[in_both_shadows] == 0.0).all()
     assert set(np.unique(frame.visibility)) == {0.0, 1.0}
-    np.testing.assert_array_equal(frame.color[both], np.broadcast_to(frame.color[both][0], (both.sum(), 3)))
+    np.testing.assert_array_equal(
+        frame.color[in_both_shadows], np.broadcast_to(frame.color[in_both_shadows][0], (in_both_shadows.sum(), 3))
+    )
     np.testing.assert_array_equal(stencil == planar.NO_GROUND_VALUE, ~ground)
 
 
@@ -216,17 +222,17 @@ def test_planar_casters_receive_no_shadow(gl, build):
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
     kinds = scene.objects.kinds
-    found = planar.fill(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
-    meshes = buffer.kind == MESHES
-    assert (found[meshes] == 1.0).all()
-    real = truth_fill(buffer, scene, SUN, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
-    assert (real < 0.5)[meshes & ~attached(buffer, scene)].mean() > 0.05
+    visibility = planar.fill(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
+    on_mesh = buffer.kind == MESHES
+    assert (visibility[on_mesh] == 1.0).all()
+    reference = truth_fill(buffer, scene, SUN, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
+    assert (reference < 0.5)[on_mesh & ~attached(buffer, scene)].mean() > 0.05
 
 
 @pytest.mark.parametrize("light", LIGHTS)
 def test_planar_clips_casters_below_the_ground(gl, build, light, monkeypatch):
     """A box sunk by 3 of its 5 m casts the shadow of a box 2 m high. A box wholly below the ground casts none."""
-    scene = build(meshes=[BOX], **LIGHTS[light])
+    scene = build(meshes=[BOX_MESH], **LIGHTS[light])
     view = view_of(scene, "map")
     buffer = geometry_buffer(scene, view)
 
@@ -244,7 +250,7 @@ def test_planar_clips_casters_below_the_ground(gl, build, light, monkeypatch):
 
 def test_planar_clips_casters_above_a_lamp(gl, build, monkeypatch):
     """The part of a mast above the lamp casts nothing. The part below casts a shadow without end."""
-    scene = build(sun="none", lights={"omni": OMNI}, meshes=[BOX])
+    scene = build(sun="none", lights={"omni": OMNI}, meshes=[BOX_MESH])
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
 
@@ -255,16 +261,16 @@ def test_planar_clips_casters_above_a_lamp(gl, build, monkeypatch):
         return planar.fill(buffer, scene, "omni", ("meshes",), NO_CASTERS, None, PassLog()) == 0.0
 
     assert not shadow(19.0, 60.0).any()
-    below, through = shadow(0.0, 17.999), shadow(0.0, 60.0)
-    assert below.sum() > 200
-    assert (below != through).sum() <= 0.01 * below.sum()
+    low_mast_shadow, tall_mast_shadow = shadow(0.0, 17.999), shadow(0.0, 60.0)
+    assert low_mast_shadow.sum() > 200
+    assert (low_mast_shadow != tall_mast_shadow).sum() <= 0.01 * low_mast_shadow.sum()
 
 
 @pytest.mark.parametrize("height_m", [0.0, 5.0])
 def test_planar_light_below_the_ground_lights_none_of_it(gl, build, height_m):
     """The lights are a lamp on the floor, and a sun below the horizon with ``cast_shadows: on``."""
     keys = {"lights": {"lamp": {**OMNI, "position": [-20, 0, height_m]}}, "effects": {"cast_shadows": "on"}}
-    scene = build(200.0, -5.0, meshes=[BOX], **keys)
+    scene = build(200.0, -5.0, meshes=[BOX_MESH], **keys)
     view = view_of(scene, "perspective")
     frame = render(scene, view, algorithm="planar")
     assert not np.nan_to_num(frame.visibilities[SUN]).any()
@@ -287,7 +293,7 @@ def test_planar_shadow_ends_at_the_grounds_rim(gl, build):
 
 def test_planar_leaves_no_opengl_state(gl, build):
     """The picture by shadow map is the same before and after. The stencil starts at 0 each time."""
-    scene = build(meshes=[BOX], forest=[{"source": "trees.gpkg", "height": "height"}])
+    scene = build(meshes=[BOX_MESH], forest=[{"source": "trees.gpkg", "height": "height"}])
     view = view_of(scene, "perspective")
     before = render(scene, view, algorithm="shadow_map")
     first, second = (render(scene, view, algorithm="planar") for _ in range(2))

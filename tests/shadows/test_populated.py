@@ -68,7 +68,7 @@ def build(tmp_path_factory) -> Build:
         trimesh.creation.box(extents=size).export(folder / f"{name}.obj")
 
     @lru_cache(maxsize=64)
-    def made(text: str) -> Scene:
+    def build_from_json(text: str) -> Scene:
         path = folder / "level.yaml"
         path.write_text(text, encoding="utf-8")
         return build_scene(load_level(path))
@@ -76,7 +76,7 @@ def build(tmp_path_factory) -> Build:
     def level(azimuth: float = 215.0, altitude: float = 32.0, ground: str = "rolling", **keys) -> Scene:
         sun = keys.pop("sun", {"azimuth": azimuth, "altitude": altitude})
         terrain = {"source": f"{ground}.tif"}
-        return made(json.dumps({"version": 1, "terrain": terrain, "sun": sun, "views": {"eye": EYE}, **keys}))
+        return build_from_json(json.dumps({"version": 1, "terrain": terrain, "sun": sun, "views": {"eye": EYE}, **keys}))
 
     return level
 
@@ -99,10 +99,10 @@ def test_shadow_coverage_of_a_wood_is_near_truth(gl, build, kind):
     casters = find_casters(scene, buffer)
     shares = coverage_truth(buffer, scene, casters, 16, blocks=48, samples=16)
     assert 0.1 < np.nanmean(shares) < 0.9 and (buffer.kind == FOREST).mean() > 0.1
-    found = block_shares(1.0 - frame.visibility)
-    assert coverage_error(found, shares) <= 0.02
-    wrong_way = coverage_error(block_shares(frame.visibility), shares)
-    assert wrong_way > 0.1
+    rendered_shares = block_shares(1.0 - frame.visibility)
+    assert coverage_error(rendered_shares, shares) <= 0.02
+    inverted_error = coverage_error(block_shares(frame.visibility), shares)
+    assert inverted_error > 0.1
 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
@@ -112,12 +112,14 @@ def test_shadows_of_buildings_have_no_interior_error(gl, build, kind, altitude):
     view = view_of(scene, kind)
     frame = render_points(scene, view, map_size=4096, filter=1)
     buffer = geometry_buffer(scene, view)
-    real = trace_truth(buffer, scene, find_casters(scene, buffer))
-    found = error_metrics(frame.visibility, real, describe(scene, view).pixel_m, 0.5)
-    cast = ~real.lit & ~real.attached & real.valid
-    assert 0.02 < cast.sum() / real.valid.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
-    assert found.interior <= MAX_INTERIOR and found.interior_parts == 0 and found.wrong_cast < 0.03 and found.edge_p95 <= 2.0
-    assert found.interior_sees >= MIN_COVERED_SHARE
+    reference = trace_truth(buffer, scene, find_casters(scene, buffer))
+    metrics = error_metrics(frame.visibility, reference, describe(scene, view).pixel_m, 0.5)
+    cast_shadow = ~reference.lit & ~reference.attached & reference.valid
+    assert 0.02 < cast_shadow.sum() / reference.valid.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
+    assert (
+        metrics.interior <= MAX_INTERIOR and metrics.interior_parts == 0 and metrics.wrong_cast < 0.03 and metrics.edge_p95 <= 2.0
+    )
+    assert metrics.interior_sees >= MIN_COVERED_SHARE
 
 
 # -- caster kinds
@@ -131,39 +133,41 @@ def test_each_caster_kind_casts_its_own_shadow(gl, build):
     casters = find_casters(scene, buffer)
     all_kinds = scene.objects.kinds
     assert all_kinds == ("relief", "meshes", "forest")
-    real = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
-    together = fill(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
-    assert (np.prod(list(real.values()), axis=0) != together).mean() < 1e-4  # the offset of a ray's start depends on its casters
+    reference = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
+    combined = fill(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
+    assert (
+        np.prod(list(reference.values()), axis=0) != combined
+    ).mean() < 1e-4  # the offset of a ray's start depends on its casters
     ground = buffer.valid & (buffer.kind == RELIEF)
     masks = {}
     for kind in all_kinds:
-        choice = {other: "shadow_map" if other == kind else "none" for other in all_kinds}
-        frame = render_points(scene, view, algorithm=choice, map_size=4096, filter=1)
-        assert frame.plan.algorithm[SUN] == choice
+        algorithm = {other: "shadow_map" if other == kind else "none" for other in all_kinds}
+        frame = render_points(scene, view, algorithm=algorithm, map_size=4096, filter=1)
+        assert frame.plan.algorithm[SUN] == algorithm
         assert [name for name in frame.plan.passes if name.startswith("sun/")] == PassLog.named(
             SUN, (kind,), ("depth map", "visibility")
         )
         masks[kind] = frame.visibility < 0.5
-        assert (masks[kind] != (real[kind] < 0.5))[ground].mean() < 0.02
+        assert (masks[kind] != (reference[kind] < 0.5))[ground].mean() < 0.02
     assert masks["meshes"][ground].mean() > 0.01 and masks["forest"][ground].mean() > 0.02
     assert (masks["meshes"] != masks["forest"])[ground].mean() > 0.03
-    none = render_points(scene, view, algorithm="none")
-    np.testing.assert_array_equal(none.visibility[buffer.valid] == 0.0, attached(buffer, scene)[buffer.valid])
+    attached_frame = render_points(scene, view, algorithm="none")
+    np.testing.assert_array_equal(attached_frame.visibility[buffer.valid] == 0.0, attached(buffer, scene)[buffer.valid])
 
 
 def test_two_algorithms_of_a_light_multiply(gl, build):
     """The override is ``relief=none,meshes=truth,forest=shadow_map``. Each algorithm has its own passes."""
     scene = build(300.0, 20.0, meshes=[HOUSE], forest=[TREES])
     view = view_of(scene, "perspective")
-    both = render_points(
+    combined = render_points(
         scene, view, algorithm={"relief": "none", "meshes": "truth", "forest": "shadow_map"}, map_size=2048, filter=1
     )
     parts = [
         render_points(scene, view, algorithm={"relief": "none", "meshes": m, "forest": f}, map_size=2048, filter=1).visibility
         for m, f in (("truth", "none"), ("none", "shadow_map"))
     ]
-    np.testing.assert_array_equal(both.visibility, parts[0] * parts[1])
-    assert [name for name in both.plan.passes if "/" in name] == [
+    np.testing.assert_array_equal(combined.visibility, parts[0] * parts[1])
+    assert [name for name in combined.plan.passes if "/" in name] == [
         "sun/meshes: rays", "sun/forest: depth map", "sun/forest: visibility",
     ]  # fmt: skip
 
@@ -200,36 +204,36 @@ def floor_shadow(scene: Scene, **options) -> tuple[np.ndarray, np.ndarray, np.nd
 def test_stand_in_mesh_casts_instead_of_the_visible_mesh(gl, build):
     """The view shows the house's roof. The shadow is that of a lower, narrower box: 2 m high at 45 degrees from the east."""
     scene = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0], "caster": "low.obj"}])
-    own = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0]}])
+    plain_scene = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0]}])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(170, 170))
     roof = geometry_buffer(scene, view).height_m
-    np.testing.assert_array_equal(roof, geometry_buffer(own, view).height_m)
+    np.testing.assert_array_equal(roof, geometry_buffer(plain_scene, view).height_m)
     assert roof.max() == pytest.approx(6.0)
     dark, x, y = floor_shadow(scene)
     assert not dark.any()  # the shadow ends 2 + 2 m west of the middle, below the house
     house = (np.abs(x) < 5.9) & (np.abs(y) < 3.9)
     frame = render_points(scene, view, map_size=2048, filter=1)
     assert (frame.visibility[house & (roof > 5)] == 1.0).all()  # the roof lies above the stand-in
-    dark, x, y = floor_shadow(own)
+    dark, x, y = floor_shadow(plain_scene)
     outline = (x < -6.05) & (x > -11.95) & (np.abs(y) < 3.95)
     assert dark[outline].all() and not dark[(x < -12.1) | (np.abs(y) > 4.1) | (x > -5.9)].any()
-    tall = build(90.0, 45.0, "level", meshes=[{"source": "low.obj", "at": [0, 0], "caster": "house.obj"}])
-    dark, x, y = floor_shadow(tall)
+    tall_caster_scene = build(90.0, 45.0, "level", meshes=[{"source": "low.obj", "at": [0, 0], "caster": "house.obj"}])
+    dark, x, y = floor_shadow(tall_caster_scene)
     assert dark[outline].all() and not dark[(x < -12.1) | (np.abs(y) > 4.1)].any()
-    real, _, _ = floor_shadow(tall, algorithm="truth")
-    assert (dark != real).mean() < 0.004
+    reference, _, _ = floor_shadow(tall_caster_scene, algorithm="truth")
+    assert (dark != reference).mean() < 0.004
 
 
 def test_spinning_casters_shadow_follows_the_clock(gl, build):
     """A plank that spins by 30 degrees a second stands at second 3 as one turned by 90. The trees do not change."""
-    moving = {"source": "plank.obj", "at": [0, 0], "motion": {"spin": 30.0}}
-    scene = build(180.0, 45.0, "level", meshes=[moving], forest=[TREES])
+    spinning_mesh = {"source": "plank.obj", "at": [0, 0], "motion": {"spin": 30.0}}
+    scene = build(180.0, 45.0, "level", meshes=[spinning_mesh], forest=[TREES])
     later = scene.at_second(3.0)
     assert later.objects is not scene.objects and later.objects.trees is scene.objects.trees
     assert scene.at_second(None) is scene and scene.at_second(0.0).objects is scene.objects
-    turned = build(180.0, 45.0, "level", meshes=[{"source": "plank.obj", "at": [0, 0], "turn": 90.0}], forest=[TREES])
-    started = build(180.0, 45.0, "level", meshes=[moving], forest=[TREES], seconds=3.0)
-    masks = [floor_shadow(s)[0] for s in (scene, later, turned, started)]
+    turned_scene = build(180.0, 45.0, "level", meshes=[{"source": "plank.obj", "at": [0, 0], "turn": 90.0}], forest=[TREES])
+    started_scene = build(180.0, 45.0, "level", meshes=[spinning_mesh], forest=[TREES], seconds=3.0)
+    masks = [floor_shadow(s)[0] for s in (scene, later, turned_scene, started_scene)]
     assert (masks[0] != masks[1]).mean() > 0.02
     assert (masks[1] != masks[2]).mean() < 1e-3
     np.testing.assert_array_equal(masks[1], masks[3])
@@ -291,11 +295,11 @@ def test_descriptor_and_plan_round_trip_through_json(build, kind, algorithm):
     scene = build(meshes=[HOUSE], forest=[TREES], lights={"spot": SPOT, "omni": OMNI})
     view = view_of(scene, kind)
     descriptor = describe(scene, view, "eye")
-    back = Descriptor.model_validate_json(descriptor.model_dump_json())
-    assert back == descriptor and [lamp.name for lamp in back.lamps] == ["spot", "omni"]
-    asked = {"algorithm": algorithm}
-    plan = make_plan(descriptor, scene.loaded.level, asked)
-    assert make_plan(back, scene.loaded.level, asked) == plan
-    again = Plan.model_validate_json(plan.model_dump_json())
-    assert again == plan and again.steps == plan.steps and type(again.settings) is type(plan.settings)
-    assert again.model_dump() == plan.model_dump()
+    parsed_descriptor = Descriptor.model_validate_json(descriptor.model_dump_json())
+    assert parsed_descriptor == descriptor and [lamp.name for lamp in parsed_descriptor.lamps] == ["spot", "omni"]
+    overrides = {"algorithm": algorithm}
+    plan = make_plan(descriptor, scene.loaded.level, overrides)
+    assert make_plan(parsed_descriptor, scene.loaded.level, overrides) == plan
+    parsed_plan = Plan.model_validate_json(plan.model_dump_json())
+    assert parsed_plan == plan and parsed_plan.steps == plan.steps and type(parsed_plan.settings) is type(plan.settings)
+    assert parsed_plan.model_dump() == plan.model_dump()

@@ -31,11 +31,11 @@ PICTURES = [
     ("jacksboro_alpine", "evening", "mask"),
 ]
 
-IN_PERSPECTIVE = ("shadow_volume", "hybrid", "perspective_shadow_map")
-SCENES = (("thesis_boxgrid_sun", "main"), ("thesis_street", "main"), ("thesis_room_sun", "close"))
+PERSPECTIVE_ALGORITHMS = ("shadow_volume", "hybrid", "perspective_shadow_map")
+PERSPECTIVE_VIEWS = (("thesis_boxgrid_sun", "main"), ("thesis_street", "main"), ("thesis_room_sun", "close"))
 
-IN_MAPS = ("shadow_volume", "hybrid")
-MAPS = (("thesis_rocks_sun", (-30, -30, 30, 30)), ("thesis_water_tower", (-40, -40, 40, 40)), ("jacksboro", None))
+MAP_ALGORITHMS = ("shadow_volume", "hybrid")
+MAP_BOUNDS = (("thesis_rocks_sun", (-30, -30, 30, 30)), ("thesis_water_tower", (-40, -40, 40, 40)), ("jacksboro", None))
 
 
 @pytest.mark.parametrize(("level", "sun", "layer"), PICTURES)
@@ -47,8 +47,8 @@ def test_map_views(gl, level, sun, layer, request):
     assert_golden(f"{level}-{sun}-{layer}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
-@pytest.mark.parametrize("algorithm", IN_PERSPECTIVE)
-@pytest.mark.parametrize(("level", "view"), SCENES)
+@pytest.mark.parametrize("algorithm", PERSPECTIVE_ALGORITHMS)
+@pytest.mark.parametrize(("level", "view"), PERSPECTIVE_VIEWS)
 def test_algorithms_in_perspective(gl, level, view, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(view, size=(360, 288)), algorithm=algorithm)
@@ -57,8 +57,8 @@ def test_algorithms_in_perspective(gl, level, view, algorithm, request):
     assert_golden(f"{level}-{view}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
-@pytest.mark.parametrize("algorithm", IN_MAPS)
-@pytest.mark.parametrize(("level", "bounds"), MAPS)
+@pytest.mark.parametrize("algorithm", MAP_ALGORITHMS)
+@pytest.mark.parametrize(("level", "bounds"), MAP_BOUNDS)
 def test_algorithms_in_maps(gl, level, bounds, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(bounds=bounds, size=(256, 256)), algorithm=algorithm)
@@ -113,10 +113,10 @@ def test_assert_golden_applies_a_tolerance_to_other_renderers(tmp_path, monkeypa
     monkeypatch.setattr(golden, "OUTPUT", tmp_path / "output")
     for name in ("jacksboro-map-hybrid", "thesis_street-main-hybrid", "thesis_boxgrid_sun-main-perspective_shadow_map"):
         picture = np.asarray(Image.open(golden.FOLDER / f"{name}.png"))
-        few = picture.copy()
-        few[:1, : picture.shape[1] // 2] = 255 - few[:1, : picture.shape[1] // 2]
+        slightly_changed = picture.copy()
+        slightly_changed[:1, : picture.shape[1] // 2] = 255 - slightly_changed[:1, : picture.shape[1] // 2]
         for renderer in ("another", "zink (llvmpipe)"):
-            assert_golden(name, few, renderer, regenerate=False)
+            assert_golden(name, slightly_changed, renderer, regenerate=False)
             with pytest.raises(pytest.fail.Exception, match=f"{re.escape(f'{name} on {renderer}')}: .* by more than 32 of 255"):
                 assert_golden(name, np.roll(picture, 1, axis=1), renderer, regenerate=False)
     with pytest.raises(AssertionError, match="are made on llvmpipe"):

@@ -26,7 +26,7 @@ MERCATOR = tms.get("WebMercatorQuad")
 SIDE, PERIOD, CREST = 64, 8, 4
 """Cells of 1 m. Ridges run from north to south, one per ``PERIOD`` columns, in column ``CREST`` of each period."""
 
-DARK = np.isin(np.arange(SIDE) % PERIOD, (CREST - 1, CREST - 2))
+IS_SHADED_COLUMN = np.isin(np.arange(SIDE) % PERIOD, (CREST - 1, CREST - 2))
 """Under a sun in the east, 45 degrees high, crests of 2.5 m shade exactly the nodes one and two metres west of them."""
 
 
@@ -57,8 +57,8 @@ def test_supersampling_shows_the_lit_share_of_a_pixel(ridges, pixels):
     width = SIDE / pixels
     expected = []
     for i in range(pixels):
-        inside = np.clip(np.minimum((i + 1) * width, np.arange(SIDE) + 1.0) - np.maximum(i * width, np.arange(SIDE)), 0.0, 1.0)
-        expected.append(1.0 - (inside * DARK).sum() / inside.sum())
+        overlap = np.clip(np.minimum((i + 1) * width, np.arange(SIDE) + 1.0) - np.maximum(i * width, np.arange(SIDE)), 0.0, 1.0)
+        expected.append(1.0 - (overlap * IS_SHADED_COLUMN).sum() / overlap.sum())
     frame = render(ridges, view_of(ridges, pixels), algorithm="sweep")
     assert frame.valid.all()
     np.testing.assert_allclose(frame.visibility, np.broadcast_to(expected, (pixels, pixels)), atol=1e-6)
@@ -82,27 +82,40 @@ def test_supersampling_is_off_for_pixels_up_to_a_cell(ridges):
         view = view_of(ridges, pixels)
         plan = plan_of(ridges, view, algorithm="sweep")
         assert subdivision_level(ridges, view) == 0 and supersampling(ridges, view, plan) is None
-        shown, own = (render_frame(ridges, view, plan, pixel_sampling=show).visibility for show in ("means", "points"))
-        np.testing.assert_array_equal(shown, own)
-        assert set(np.unique(shown)) == {0.0, 1.0}
+        mean_visibility, point_visibility = (
+            render_frame(ridges, view, plan, pixel_sampling=pixel_sampling).visibility for pixel_sampling in ("means", "points")
+        )
+        np.testing.assert_array_equal(mean_visibility, point_visibility)
+        assert set(np.unique(mean_visibility)) == {0.0, 1.0}
 
 
 def test_subdivision_level_uses_the_levels_resolution(ridges, tmp_path):
     level = json.loads((tmp_path / "level.yaml").read_text())
     level["terrain"]["resolution"] = 4
     (tmp_path / "rough.yaml").write_text(json.dumps(level), encoding="utf-8")
-    rough = build_scene(load_level(tmp_path / "rough.yaml"))
+    coarse_scene = build_scene(load_level(tmp_path / "rough.yaml"))
     assert [subdivision_level(ridges, view_of(ridges, pixels)) for pixels in (64, 32, 16, 8)] == [0, 1, 2, 3]
-    assert [subdivision_level(rough, view_of(rough, pixels)) for pixels in (64, 32, 16, 8)] == [0, 0, 0, 1]
+    assert [subdivision_level(coarse_scene, view_of(coarse_scene, pixels)) for pixels in (64, 32, 16, 8)] == [0, 0, 0, 1]
 
 
 def test_descriptor_of_a_supersampled_map_is_the_finer_maps(ridges):
-    coarse, fine, own = describe(ridges, view_of(ridges, 8)), describe(ridges, view_of(ridges, 64)), view_of(ridges, 8)
-    assert (coarse.pieces, fine.pieces, describe(ridges, own, pixel_sampling="points").pieces) == (8, 1, 1)
-    assert coarse.pixel_m == fine.pixel_m == 1.0 and describe(ridges, own, pixel_sampling="points").pixel_m == 8.0
-    assert coarse.pixels == fine.pixels == SIDE**2
-    assert coarse.facts["cast_shadows"] == fine.facts["cast_shadows"]
-    assert any(reason.name == "supersampling" and "8 x 8" in reason.reason for reason in plan_of(ridges, own).reasons)
+    coarse_descriptor, fine_descriptor, coarse_view = (
+        describe(ridges, view_of(ridges, 8)),
+        describe(ridges, view_of(ridges, 64)),
+        view_of(ridges, 8),
+    )
+    assert (coarse_descriptor.pieces, fine_descriptor.pieces, describe(ridges, coarse_view, pixel_sampling="points").pieces) == (
+        8,
+        1,
+        1,
+    )
+    assert (
+        coarse_descriptor.pixel_m == fine_descriptor.pixel_m == 1.0
+        and describe(ridges, coarse_view, pixel_sampling="points").pixel_m == 8.0
+    )
+    assert coarse_descriptor.pixels == fine_descriptor.pixels == SIDE**2
+    assert coarse_descriptor.facts["cast_shadows"] == fine_descriptor.facts["cast_shadows"]
+    assert any(reason.name == "supersampling" and "8 x 8" in reason.reason for reason in plan_of(ridges, coarse_view).reasons)
 
 
 def test_subpixel_grid_of_a_tile_is_a_finer_zoom(jacksboro):
@@ -116,13 +129,13 @@ def test_subpixel_grid_of_a_tile_is_a_finer_zoom(jacksboro):
 
 def test_supersampled_map_is_the_mean_of_the_finer_map(jacksboro):
     """This holds across blocks, too: the finer map's blocks begin and end elsewhere."""
-    fine, coarse = (around_middle(jacksboro, zoom) for zoom in (11, 9))
-    fine_frame, coarse_frame = (render(jacksboro, view, algorithm="sweep") for view in (fine, coarse))
-    visibility = fine_frame.visibility.reshape(coarse.rows, 4, coarse.cols, 4)
-    known = ~np.isnan(visibility).any(axis=(1, 3)) & coarse_frame.valid
-    away = np.abs(coarse_frame.visibility - visibility.mean(axis=(1, 3)))[known]
-    assert known.sum() > 5000 and 0.2 < coarse_frame.visibility[known].mean() < 0.9
-    assert away.mean() < 1e-3 and (away > 1e-6).mean() < 0.02
+    fine_view, coarse_view = (view_around_middle(jacksboro, zoom) for zoom in (11, 9))
+    fine_frame, coarse_frame = (render(jacksboro, view, algorithm="sweep") for view in (fine_view, coarse_view))
+    visibility = fine_frame.visibility.reshape(coarse_view.rows, 4, coarse_view.cols, 4)
+    valid = ~np.isnan(visibility).any(axis=(1, 3)) & coarse_frame.valid
+    difference = np.abs(coarse_frame.visibility - visibility.mean(axis=(1, 3)))[valid]
+    assert valid.sum() > 5000 and 0.2 < coarse_frame.visibility[valid].mean() < 0.9
+    assert difference.mean() < 1e-3 and (difference > 1e-6).mean() < 0.02
 
 
 @pytest.mark.parametrize("algorithm", ["sweep", "shadow_map"])
@@ -133,34 +146,39 @@ def test_outside_casters_follow_the_plan(gl, tmp_path, pixels, algorithm):
     heights[:, SIDE + 15] = 19.5
     write_geotiff(tmp_path / "dem.tif", heights, ENGINEERING, 0.0, float(SIDE), 1.0)
     shares = {}
-    for wish in ("on", "off"):
-        sun, effects = {"azimuth": 90.0, "altitude": 45.0}, {"outside_casters": wish}
+    for switch in ("on", "off"):
+        sun, effects = {"azimuth": 90.0, "altitude": 45.0}, {"outside_casters": switch}
         keys = {"version": 1, "terrain": {"source": "dem.tif"}, "sun": sun, "effects": effects}
         (tmp_path / "level.yaml").write_text(json.dumps(keys), encoding="utf-8")
         scene = build_scene(load_level(tmp_path / "level.yaml"))
         frame = render(scene, view_of(scene, pixels), algorithm=algorithm)
-        shares[wish] = float(frame.shown_visibilities["sun"].mean())
-        assert shares[wish] == pytest.approx(float(frame.visibility.mean()), abs=0.01)
+        shares[switch] = float(frame.shown_visibilities["sun"].mean())
+        assert shares[switch] == pytest.approx(float(frame.visibility.mean()), abs=0.01)
     assert shares == {"on": pytest.approx(1.0 - 4.0 / SIDE, abs=0.01), "off": 1.0}
 
 
-def around_middle(scene, zoom: int) -> MapView:
+def view_around_middle(scene, zoom: int) -> MapView:
     """Return 96 x 96 pixels of zoom 9, or the same ground in pixels of another zoom."""
     grid, side = tile_grid(MERCATOR, 9), 96
     x, y, _ = scene.world.map_position(grid.crs, scene.world.anchor_earth_m)
     row, col = round((grid.y0 - float(y)) / grid.step) - side // 2, round((float(x) - grid.x0) / grid.step) - side // 2
-    k = 2 ** (zoom - 9)
-    return MapView(tile_grid(MERCATOR, zoom), float(row * k), float(col * k), 1.0, 1.0, side * k, side * k)
+    scale = 2 ** (zoom - 9)
+    return MapView(tile_grid(MERCATOR, zoom), float(row * scale), float(col * scale), 1.0, 1.0, side * scale, side * scale)
 
 
 def test_lit_nodes_by_heights_match_geometry_buffers(jacksboro):
-    view = around_middle(jacksboro, 9)
+    view = view_around_middle(jacksboro, 9)
     pixels = supersampling(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
     assert pixels is not None and pixels.heights_only
     nodes = pixels.nodes(view)
-    (shown, lean), (valid, full) = lit_nodes(pixels, nodes, True, PassLog()), _lit_points(pixels, nodes, True, PassLog())
-    np.testing.assert_array_equal(shown, valid)
-    assert ((full["sun"] > 0.5) != lean["sun"])[valid].mean() < 2e-3  # a pixel's lines are spread over its nodes
+    (heights_valid, heights_visibility), (buffer_valid, buffer_visibility) = (
+        lit_nodes(pixels, nodes, True, PassLog()),
+        _lit_points(pixels, nodes, True, PassLog()),
+    )
+    np.testing.assert_array_equal(heights_valid, buffer_valid)
+    assert ((buffer_visibility["sun"] > 0.5) != heights_visibility["sun"])[
+        buffer_valid
+    ].mean() < 2e-3  # a pixel's lines are spread over its nodes
 
 
 def test_supersampling_averages_penumbrae(ridges):
@@ -211,6 +229,6 @@ def test_means_in_pixels_of_booleans_equal_means_of_floats(finer):
     nodes = covered_nodes(view, finer(grid))
     lit, valid = (random.random((nodes.rows, nodes.cols)) < share for share in (0.5, 0.7))
     valid[:9, :9] = False
-    counted = means_in_pixels(view, nodes, lit, valid)
-    assert np.isnan(counted).any() and np.isfinite(counted).any()
-    assert np.array_equal(counted, means_in_pixels(view, nodes, lit.astype(np.float32), valid), equal_nan=True)
+    integer_means = means_in_pixels(view, nodes, lit, valid)
+    assert np.isnan(integer_means).any() and np.isfinite(integer_means).any()
+    assert np.array_equal(integer_means, means_in_pixels(view, nodes, lit.astype(np.float32), valid), equal_nan=True)

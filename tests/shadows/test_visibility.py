@@ -31,29 +31,32 @@ def hazy(tmp_path_factory) -> Scene:
     return build_scene(load_level(path))
 
 
-def filled(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.ndarray]:
+def visibility_and_haze_mask(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return a light's visibility at the points of the view (n,), and whether haze hides each."""
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
     steps = plan_of(scene, view, algorithm="shadow_volume").steps_under(light)
-    found = fill_steps(steps, buffer, scene, find_casters(scene, buffer), effects, PassLog())
-    hidden = buffer.valid & ~without_hidden_points(buffer, scene, "sun", {"haze"}).valid
-    return found[buffer.valid], hidden[buffer.valid]
+    visibility = fill_steps(steps, buffer, scene, find_casters(scene, buffer), effects, PassLog())
+    hidden_by_haze = buffer.valid & ~without_hidden_points(buffer, scene, "sun", {"haze"}).valid
+    return visibility[buffer.valid], hidden_by_haze[buffer.valid]
 
 
 def test_fill_steps_skips_the_sun_at_points_hidden_by_haze(gl, hazy):
-    clear, hidden = filled(hazy, "sun", set())
-    cut, _ = filled(hazy, "sun", {"haze"})
-    assert np.count_nonzero(clear[hidden] < 0.5) > 50 and np.count_nonzero(clear[~hidden] < 0.5) > 50
-    assert (cut[hidden] == 1.0).all()
-    np.testing.assert_array_equal(cut[~hidden], clear[~hidden])
+    full_visibility, hidden_by_haze = visibility_and_haze_mask(hazy, "sun", set())
+    haze_visibility, _ = visibility_and_haze_mask(hazy, "sun", {"haze"})
+    assert (
+        np.count_nonzero(full_visibility[hidden_by_haze] < 0.5) > 50
+        and np.count_nonzero(full_visibility[~hidden_by_haze] < 0.5) > 50
+    )
+    assert (haze_visibility[hidden_by_haze] == 1.0).all()
+    np.testing.assert_array_equal(haze_visibility[~hidden_by_haze], full_visibility[~hidden_by_haze])
 
 
 def test_fill_steps_samples_lamps_in_any_haze(gl, hazy):
-    clear, _ = filled(hazy, "lamp", set())
-    cut, _ = filled(hazy, "lamp", {"haze"})
-    assert np.count_nonzero(clear < 0.5) > 50
-    np.testing.assert_array_equal(cut, clear)
+    full_visibility, _ = visibility_and_haze_mask(hazy, "lamp", set())
+    haze_visibility, _ = visibility_and_haze_mask(hazy, "lamp", {"haze"})
+    assert np.count_nonzero(full_visibility < 0.5) > 50
+    np.testing.assert_array_equal(haze_visibility, full_visibility)
 
 
 def test_without_hidden_points_keeps_all_points_of_a_map(hazy):
@@ -65,12 +68,12 @@ def test_fill_steps_multiplies_caster_kinds(gl, hazy):
     view = hazy.view("eye")
     buffer = geometry_buffer(hazy, view)
     casters = find_casters(hazy, buffer)
-    asked = {"algorithm": {"sun": {"relief": "shadow_map", "meshes": "shadow_volume"}}}
-    steps = plan_of(hazy, view, **asked).steps_under("sun")
+    overrides = {"algorithm": {"sun": {"relief": "shadow_map", "meshes": "shadow_volume"}}}
+    steps = plan_of(hazy, view, **overrides).steps_under("sun")
     assert [step.algorithm for step in steps] == ["shadow_map", "shadow_volume"]
-    together = fill_steps(steps, buffer, hazy, casters, (), PassLog())
-    apart = [fill_steps([step], buffer, hazy, casters, (), PassLog()) for step in steps]
-    np.testing.assert_array_equal(together[buffer.valid], (apart[0] * apart[1])[buffer.valid])
+    combined = fill_steps(steps, buffer, hazy, casters, (), PassLog())
+    separate = [fill_steps([step], buffer, hazy, casters, (), PassLog()) for step in steps]
+    np.testing.assert_array_equal(combined[buffer.valid], (separate[0] * separate[1])[buffer.valid])
     assert (fill_steps([], buffer, hazy, casters, (), PassLog()) == 1.0).all()
 
 

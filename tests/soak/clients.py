@@ -16,7 +16,7 @@ class Answers:
 
     statuses: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
-    told_when: int = 0
+    retry_after_count: int = 0
 
     def ms(self, share: float, status: int | None = None) -> float:
         """Return the latency within which a share of the answers came, milliseconds."""
@@ -29,11 +29,11 @@ class Answers:
     def line(self, name: str) -> str:
         counts = ", ".join(f"{status}: {self.count(status)}" for status in sorted(set(self.statuses)))
         return (
-            f"{name}: {len(self.statuses)} answers ({counts}); of 200 and 304 half within {self.good_ms(0.5):.1f} ms, "
-            f"99 of 100 within {self.good_ms(0.99):.1f} ms"
+            f"{name}: {len(self.statuses)} answers ({counts}); of 200 and 304 half within {self.success_ms(0.5):.1f} ms, "
+            f"99 of 100 within {self.success_ms(0.99):.1f} ms"
         )
 
-    def good_ms(self, share: float) -> float:
+    def success_ms(self, share: float) -> float:
         chosen = [took for took, got in zip(self.seconds, self.statuses, strict=True) if got in (200, 304)]
         return float(np.quantile(chosen, share) * 1000.0) if chosen else float("nan")
 
@@ -50,7 +50,7 @@ class Connection:
         """Send one request, store the answer's ``body`` and return its headers; failures count as status 0."""
         began = time.perf_counter()
         self.body = b""
-        found: dict[str, str] = {}
+        response_headers: dict[str, str] = {}
         request = f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode()
         try:
             first_line = b"" if self._streams is None else await self._ask(request)
@@ -62,16 +62,16 @@ class Connection:
             status = int(first_line.split()[1])
             while (line := (await reader.readline()).decode("latin-1").strip()) != "":
                 name, _, value = line.partition(":")
-                found[name.lower()] = value.strip()
+                response_headers[name.lower()] = value.strip()
             if status != 304:
-                self.body = await reader.readexactly(int(found.get("content-length", 0)))
+                self.body = await reader.readexactly(int(response_headers.get("content-length", 0)))
         except (OSError, EOFError, IndexError, ValueError, asyncio.IncompleteReadError):
             status = 0
             self.close()
         answers.statuses.append(status)
         answers.seconds.append(time.perf_counter() - began)
-        answers.told_when += status in (503, 429) and "retry-after" in found
-        return found
+        answers.retry_after_count += status in (503, 429) and "retry-after" in response_headers
+        return response_headers
 
     async def _ask(self, request: bytes) -> bytes:
         """Return the first line of the answer; empty where the connection has been closed."""

@@ -52,7 +52,7 @@ ANIMATIONS = 3
 
 DAY = {"from": "2024-06-21T06:00:00+02:00", "to": "2024-06-21T18:00:00+02:00", "step": "20m", "size": [320, 240]}
 TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
-KNOWN = {200, 304, 429, 503, 504}
+EXPECTED_STATUSES = {200, 304, 429, 503, 504}
 
 
 @contextmanager
@@ -61,8 +61,8 @@ def service(folder: Path, **environment: str) -> Iterator[tuple[int, subprocess.
     level, log = write_level(folder, "hills"), folder / "log"
     command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(level), "--port", "0"]
     settings = {"SKUGGA_WORKERS": str(WORKERS), "SKUGGA_NEW_SUNS_PER_MINUTE": "0", **environment}
-    with log.open("w") as said:
-        process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=said, text=True)
+    with log.open("w") as log_file:
+        process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=log_file, text=True)
     try:
         until = time.monotonic() + 300
         while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not _ready(int(port[1])):
@@ -93,14 +93,14 @@ def resident_mib(pid: int) -> float:
     return int(pages) * resource.getpagesize() / 2**20
 
 
-def rate_limiter() -> Iterator[str]:
+def new_sun_paths() -> Iterator[str]:
     """Addresses of one tile under suns that nobody has asked for."""
     return (f"{TILE}?azimuth={number % 3600 / 10}&altitude={5 + number / 3600:.3f}" for number in itertools.count())
 
 
 def test_four_times_the_load(tmp_path: Path, capsys: pytest.CaptureFixture):
     """Accepted requests keep their latency, others are refused with a time to come back, and what is kept is answered at once."""
-    suns = rate_limiter()
+    suns = new_sun_paths()
     with service(tmp_path) as (port, _, log):
         asyncio.run(closed_loop(port, lambda: next(suns), WORKERS, 5.0))
         sustained = asyncio.run(closed_loop(port, lambda: next(suns), WORKERS, SECONDS))
@@ -115,42 +115,42 @@ def test_four_times_the_load(tmp_path: Path, capsys: pytest.CaptureFixture):
                 open_loop(port, lambda: TILE, 20.0, SECONDS + SETTLED_S, f"If-None-Match: {tag}\r\n"),
             )
 
-        drawn, kept, health, unchanged = asyncio.run(saturated())
+        new_sun_answers, cached_answers, health, unchanged = asyncio.run(saturated())
         size = log.stat().st_size
     with capsys.disabled():
         print(f"\nsustained: {rate:.1f} tiles a second under new suns; {sustained.line('tiles')}")
-        print(f"at four times that, {drawn.line('new suns')}")
-        for name, answers in (("kept tiles", kept), ("/healthz", health), ("304", unchanged)):
+        print(f"at four times that, {new_sun_answers.line('new suns')}")
+        for name, answers in (("kept tiles", cached_answers), ("/healthz", health), ("304", unchanged)):
             print(f"meanwhile, {answers.line(name)}")
         print(f"log: {size} bytes")
-    assert set(drawn.statuses) <= KNOWN
-    assert drawn.told_when == drawn.count(503), "a refusal says when to come back"
-    assert drawn.count(200) > 0.5 * rate * SECONDS, "what it can do, it does"
-    for answers, status in ((kept, 200), (health, 200), (unchanged, 304)):
+    assert set(new_sun_answers.statuses) <= EXPECTED_STATUSES
+    assert new_sun_answers.retry_after_count == new_sun_answers.count(503), "a refusal says when to come back"
+    assert new_sun_answers.count(200) > 0.5 * rate * SECONDS, "what it can do, it does"
+    for answers, status in ((cached_answers, 200), (health, 200), (unchanged, 304)):
         assert set(answers.statuses) == {status}
     assert size < 1_000_000
 
 
 async def _tag(port: int) -> str:
     connection = Connection(port)
-    found = await connection.get(TILE, Answers())
+    response_headers = await connection.get(TILE, Answers())
     connection.close()
-    return found["etag"]
+    return response_headers["etag"]
 
 
 def test_processes_killed_and_stopped_under_load(tmp_path: Path, capsys: pytest.CaptureFixture):
-    suns, chosen = rate_limiter(), random.Random(7)
+    suns, chosen = new_sun_paths(), random.Random(7)
     with service(tmp_path) as (port, process, _):
 
         async def harm() -> int:
-            done, until = 0, time.monotonic() + SECONDS
+            kill_count, until = 0, time.monotonic() + SECONDS
             while time.monotonic() < until:
                 await asyncio.sleep(chosen.uniform(1.0, 3.0))
                 workers = await asyncio.to_thread(_render_processes, process.pid)
                 if workers:
                     os.kill(chosen.choice(workers), chosen.choice([signal.SIGKILL, signal.SIGSTOP]))
-                    done += 1
-            return done
+                    kill_count += 1
+            return kill_count
 
         async def both() -> tuple[Answers, Answers, int]:
             return await asyncio.gather(
@@ -170,7 +170,7 @@ def test_processes_killed_and_stopped_under_load(tmp_path: Path, capsys: pytest.
         left = [pid for pid in workers if alive(pid)]
     with capsys.disabled():
         print(f"\n{harmed} processes killed or stopped in {SECONDS:g} s: {tiles.line('tiles')}; whole again after {mended_s:.1f} s")
-    assert set(tiles.statuses) <= KNOWN and tiles.count(200) > 0
+    assert set(tiles.statuses) <= EXPECTED_STATUSES and tiles.count(200) > 0
     assert set(health.statuses) == {200}
     assert not left, "processes outlived a service that was killed"
 
@@ -179,7 +179,7 @@ def test_many_tiles_under_the_suns_of_a_day(tmp_path: Path, capsys: pytest.Captu
     """Clients that look around under 24 suns while render processes are killed: a tile is the same to the byte whenever it is asked
     for and whoever draws it, nothing fails, and memory does not grow.
     """
-    chosen, known, answers = random.Random(11), {}, Answers()
+    chosen, digest_by_path, answers = random.Random(11), {}, Answers()
     suns = [(60.0 + 10.0 * hour, 4.0 + 2.0 * min(hour, 23 - hour)) for hour in range(24)]
     with service(tmp_path, SKUGGA_RECYCLE_BLOCKS="300") as (port, process, _):
         left = itertools.count()
@@ -194,13 +194,13 @@ def test_many_tiles_under_the_suns_of_a_day(tmp_path: Path, capsys: pytest.Captu
                     x, y = x0 + n % 4, y0 + n // 4
                     path = f"/levels/hills/tiles/WebMercatorQuad/{zoom}/{x}/{y}.png?azimuth={sun[0]:g}&altitude={sun[1]:g}"
                     for _ in range(20):  # a refusal says when to come back
-                        found = await connection.get(path, answers)
+                        response_headers = await connection.get(path, answers)
                         if answers.statuses[-1] not in (503, 504):
                             break
-                        await asyncio.sleep(float(found.get("retry-after", "1")))
+                        await asyncio.sleep(float(response_headers.get("retry-after", "1")))
                     if connection.body and answers.statuses[-1] == 200:
                         digest = hashlib.blake2b(connection.body, digest_size=16).digest()
-                        assert known.setdefault(path, digest) == digest, f"another picture of {path}"
+                        assert digest_by_path.setdefault(path, digest) == digest, f"another picture of {path}"
             connection.close()
 
         async def harm() -> list[tuple[float, float]]:
@@ -225,7 +225,8 @@ def test_many_tiles_under_the_suns_of_a_day(tmp_path: Path, capsys: pytest.Captu
     service_mib, worker_mib = zip(*memory, strict=True)
     with capsys.disabled():
         print(
-            f"\n{answers.count(200)} tiles in {seconds:.0f} s, {len(known)} different ones, {KILLS} kills; " + answers.line("tiles")
+            f"\n{answers.count(200)} tiles in {seconds:.0f} s, {len(digest_by_path)} different ones, {KILLS} kills; "
+            + answers.line("tiles")
         )
         print(f"service: {service_mib[0]:.0f} to {service_mib[-1]:.0f} MiB; largest render process: {max(worker_mib):.0f} MiB")
     assert set(answers.statuses) <= {200, 503}, "nothing fails"
@@ -236,15 +237,15 @@ def test_many_tiles_under_the_suns_of_a_day(tmp_path: Path, capsys: pytest.Captu
 
 
 def _render_processes(service_pid: int) -> list[int]:
-    found = []
+    result = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
             if parent == service_pid and "spawn_main" in (path / "cmdline").read_text():
-                found.append(int(path.name))
+                result.append(int(path.name))
         except (OSError, ValueError):
             continue
-    return found
+    return result
 
 
 def test_an_animation_outlives_killed_processes(tmp_path: Path, capsys: pytest.CaptureFixture):

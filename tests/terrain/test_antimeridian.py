@@ -7,13 +7,13 @@ import pytest
 
 from skugga.terrain.errors import InputError
 
-CELL = 0.6 / 240
+CELL_DEG = 0.6 / 240
 
 
 def hills(lon: float, lat: float, write_raster, make_scene, **keys):
     row, col = np.mgrid[:240, :240]
     heights = (3000 + 2500 * np.sin(col / 4) * np.cos(row / 6)).astype(np.float32)
-    path = write_raster(heights, "EPSG:4326", lon - 0.3, lat + 0.3, CELL, name=f"at{lon:g}.tif")
+    path = write_raster(heights, "EPSG:4326", lon - 0.3, lat + 0.3, CELL_DEG, name=f"at{lon:g}.tif")
     return make_scene(path, sun={"azimuth": 250, "altitude": 12}, **keys)
 
 

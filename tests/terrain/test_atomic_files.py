@@ -15,7 +15,7 @@ import pytest
 from skugga.terrain.atomic_files import atomic_folder, atomic_path, remove_partial_files, write_atomically
 
 
-def names(folder):
+def file_names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
@@ -24,7 +24,7 @@ def test_text_and_bytes_are_written_unchanged(tmp_path):
     write_atomically(tmp_path / "b.bin", bytes(range(256)))
     assert (tmp_path / "a.txt").read_bytes() == "Höhe\r\n".encode()
     assert (tmp_path / "b.bin").read_bytes() == bytes(range(256))
-    assert names(tmp_path) == ["a.txt", "b.bin"]
+    assert file_names(tmp_path) == ["a.txt", "b.bin"]
 
 
 def test_full_disk_keeps_the_old_file(tmp_path, full_disk):
@@ -33,7 +33,7 @@ def test_full_disk_keeps_the_old_file(tmp_path, full_disk):
     with full_disk(1000), pytest.raises(OSError, match="large") as caught:
         write_atomically(path, bytes(5000))
     assert caught.value.filename == str(path)
-    assert path.read_bytes() == b"old" and names(tmp_path) == ["a.bin"]
+    assert path.read_bytes() == b"old" and file_names(tmp_path) == ["a.bin"]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
@@ -43,13 +43,13 @@ def test_interrupted_write_keeps_the_old_file(tmp_path, error):
     with pytest.raises(error), atomic_path(path) as part:
         part.write_bytes(b"half of the new")
         raise error
-    assert path.read_bytes() == b"old" and names(tmp_path) == ["a.bin"]
+    assert path.read_bytes() == b"old" and file_names(tmp_path) == ["a.bin"]
 
 
 def test_writing_nothing_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a.bin"):
         pass
-    assert names(tmp_path) == []
+    assert file_names(tmp_path) == []
 
 
 def test_file_is_synced_before_it_is_moved(tmp_path, monkeypatch):
@@ -90,17 +90,17 @@ def test_error_names_the_target_path(tmp_path):
 def test_named_pipe_is_written_directly(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    read = []
-    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    received = []
+    reader = threading.Thread(target=lambda: received.append(pipe.read_bytes()))
     reader.start()
     write_atomically(pipe, b"new")
     reader.join(30)
-    assert read == [b"new"] and names(tmp_path) == ["pipe"]
+    assert received == [b"new"] and file_names(tmp_path) == ["pipe"]
 
 
 def test_long_file_name_is_written(tmp_path):
     write_atomically(tmp_path / ("x" * 251 + ".bin"), b"new")
-    assert names(tmp_path) == ["x" * 251 + ".bin"]
+    assert file_names(tmp_path) == ["x" * 251 + ".bin"]
 
 
 def test_error_of_another_file_keeps_its_name(tmp_path):
@@ -109,7 +109,7 @@ def test_error_of_another_file_keeps_its_name(tmp_path):
     assert caught.value.filename == str(tmp_path / "missing.txt")
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def file_contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
@@ -125,7 +125,7 @@ def test_atomic_folder_writes_files_together(tmp_path):
     (folder / "d").write_bytes(b"mine")
     (folder / "b").unlink()
     write_three(folder, b"second")
-    assert contents(folder) == {**dict.fromkeys("abc", b"second"), "d": b"mine"} and names(tmp_path) == ["new"]
+    assert file_contents(folder) == {**dict.fromkeys("abc", b"second"), "d": b"mine"} and file_names(tmp_path) == ["new"]
     (tmp_path / "usual").mkdir()
     assert stat.S_IMODE(folder.stat().st_mode) == stat.S_IMODE((tmp_path / "usual").stat().st_mode)
 
@@ -139,8 +139,8 @@ def test_interrupted_folder_write_keeps_the_old_files(tmp_path, error, is_there)
     with pytest.raises(error), atomic_folder(folder) as part:
         (part / "a").write_bytes(b"new")
         raise error
-    assert names(tmp_path) == (["frames"] if is_there else [])
-    assert not is_there or contents(folder) == dict.fromkeys("abc", b"old")
+    assert file_names(tmp_path) == (["frames"] if is_there else [])
+    assert not is_there or file_contents(folder) == dict.fromkeys("abc", b"old")
 
 
 @pytest.mark.parametrize("call", range(7))
@@ -160,10 +160,10 @@ def test_interrupted_move_is_rolled_back(tmp_path, call, monkeypatch):
     if call < 6:
         with pytest.raises(KeyboardInterrupt):
             write_three(folder, b"new")
-        assert contents(folder) == dict.fromkeys("ac", b"old")
+        assert file_contents(folder) == dict.fromkeys("ac", b"old")
     else:
         write_three(folder, b"new")
-        assert contents(folder) == dict.fromkeys("abc", b"new")
+        assert file_contents(folder) == dict.fromkeys("abc", b"new")
 
 
 def test_folder_in_place_of_a_file_is_an_error(tmp_path):
@@ -171,23 +171,23 @@ def test_folder_in_place_of_a_file_is_an_error(tmp_path):
     (tmp_path / "b" / "mine").write_bytes(b"mine")
     with pytest.raises(IsADirectoryError) as caught:
         write_three(tmp_path, b"new")
-    assert caught.value.filename == str(tmp_path / "b") and names(tmp_path) == ["b"] and names(tmp_path / "b") == ["mine"]
+    assert caught.value.filename == str(tmp_path / "b") and file_names(tmp_path) == ["b"] and file_names(tmp_path / "b") == ["mine"]
 
 
 def test_full_disk_keeps_the_old_files_of_a_folder(tmp_path, full_disk):
     write_three(tmp_path, b"old")
     with full_disk(1000), pytest.raises(OSError, match="large") as caught:
         write_three(tmp_path, bytes(5000))
-    assert caught.value.filename == str(tmp_path) and contents(tmp_path) == dict.fromkeys("abc", b"old")
+    assert caught.value.filename == str(tmp_path) and file_contents(tmp_path) == dict.fromkeys("abc", b"old")
 
 
 def test_atomic_files_imports_only_the_standard_library():
     code = "import sys, skugga.terrain.atomic_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "False"
 
 
-TEMPORARY = {
+ALLOWED_WRITERS = {
     "api/library/accessor.py": "a raster of its own that it reads from",
     "api/library/opened_level.py": "a raster of its own that its service reads",
     "api/raster_file.py": "inside of what replaces a file",
@@ -216,23 +216,23 @@ TEMPORARY = {
 }
 """Modules that write in other ways, and what they write."""
 
-WRITING = re.compile(
+WRITE_CALL = re.compile(
     r"""\.write_(?:text|bytes)\(|\bopen\([^)]*["'][wax]b?\+?["']|\.(?:save|savefig|savez\w*|tofile)\(|np\.save\(|"""
     r"""os\.replace\(|shutil\.copyfileobj|raw\.write\("""
 )
 
 
-def writing_modules():
+def modules_that_write():
     root = Path(__file__).parents[2]
-    for floor in ("terrain", "shadows", "selector", "api"):
-        for path in (root / floor).rglob("*.py"):
-            if WRITING.search(path.read_text(encoding="utf-8")):
+    for package in ("terrain", "shadows", "selector", "api"):
+        for path in (root / package).rglob("*.py"):
+            if WRITE_CALL.search(path.read_text(encoding="utf-8")):
                 yield str(path.relative_to(root))
 
 
 def test_only_atomic_files_writes_files():
-    found = set(writing_modules())
-    assert found == set(TEMPORARY), "skugga.terrain.atomic_files writes files"
+    modules = set(modules_that_write())
+    assert modules == set(ALLOWED_WRITERS), "skugga.terrain.atomic_files writes files"
 
 
 def test_partial_files_of_a_killed_writer_are_deleted(tmp_path: Path):
@@ -244,4 +244,4 @@ def test_partial_files_of_a_killed_writer_are_deleted(tmp_path: Path):
         (tmp_path / left).mkdir()
         (tmp_path / left / target.name).write_bytes(b"half")
     remove_partial_files(path)
-    assert sorted(each.name for each in tmp_path.iterdir()) == [".a1.bin.0123abcd", "a1.bin", "a[1].bin"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [".a1.bin.0123abcd", "a1.bin", "a[1].bin"]

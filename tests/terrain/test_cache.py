@@ -16,14 +16,14 @@ from skugga.terrain.cache import MISSING, Cache, bytes_of, cached, caches, clear
 ROOT = Path(__file__).resolve().parents[2]
 
 
-class Ground:
+class FakeElevation:
     """Compares by identity, like scenes and their parts."""
 
 
-class Standing:
+class FakeObject:
     """An object with an elevation."""
 
-    def __init__(self, elevation: Ground) -> None:
+    def __init__(self, elevation: FakeElevation) -> None:
         self.elevation = elevation
 
 
@@ -63,10 +63,10 @@ def test_evicted_values_are_released_except_the_newest():
 
 def test_value_is_dropped_with_its_arguments():
     @cached("scene", 1000)
-    def double(ground: Ground, row: np.ndarray, factor: int) -> np.ndarray:
+    def double(ground: FakeElevation, row: np.ndarray, factor: int) -> np.ndarray:
         return factor * row
 
-    ground, row = Ground(), np.arange(4)
+    ground, row = FakeElevation(), np.arange(4)
     first = double(ground, row, 2)
     assert double(ground, row, 2) is first and double(ground, row, 3) is not first
     assert double(ground, row.copy(), 2) is not first, "arrays go by identity; the copy is gone already"
@@ -79,11 +79,11 @@ def test_value_may_be_none_and_arguments_may_be_named():
     calls = []
 
     @cached("process", 1000)
-    def nothing(number: int, word: str = "") -> None:
+    def return_none(number: int, word: str = "") -> None:
         calls.append((number, word))
 
     for _ in range(2):
-        assert nothing(1) is None and nothing(1, word="a") is None
+        assert return_none(1) is None and return_none(1, word="a") is None
     assert calls == [(1, ""), (1, "a")]
 
 
@@ -96,33 +96,35 @@ def test_custom_key():
 
 
 def test_clear_caches_by_lifetime_or_scene():
-    of_light, of_scene, of_process = (Cache(f"test {lifetime}", lifetime, 1000) for lifetime in ("light", "scene", "process"))
-    mine, other = Ground(), Ground()
-    all_of_them = of_light, of_scene, of_process
-    standing = [Standing(mine), Standing(other)]
+    light_cache, scene_cache, process_cache = (
+        Cache(f"test {lifetime}", lifetime, 1000) for lifetime in ("light", "scene", "process")
+    )
+    elevation, other_elevation = FakeElevation(), FakeElevation()
+    all_caches = light_cache, scene_cache, process_cache
+    objects = [FakeObject(elevation), FakeObject(other_elevation)]
 
     def fill() -> None:
-        for cache in all_of_them:
-            for part in (mine, other, *standing):
+        for cache in all_caches:
+            for part in (elevation, other_elevation, *objects):
                 cache.put(part, "something", value=1.0)
 
     fill()
-    clear_scene_caches(mine)
-    assert [len(cache) for cache in all_of_them] == [2, 2, 4]
+    clear_scene_caches(elevation)
+    assert [len(cache) for cache in all_caches] == [2, 2, 4]
     fill()
     clear_caches("light")
-    assert [len(cache) for cache in all_of_them] == [0, 4, 4]
+    assert [len(cache) for cache in all_caches] == [0, 4, 4]
     clear_caches("light", "scene")
-    assert [len(cache) for cache in all_of_them] == [0, 0, 4]
+    assert [len(cache) for cache in all_caches] == [0, 0, 4]
 
 
 def test_caches_are_listed_by_name_while_they_live():
     cache: Cache[int] = Cache("a test's own", "light", 1)
     assert cache in caches("light") and cache in caches() and cache not in caches("scene", "process")
-    assert [each.name for each in caches()] == sorted(each.name for each in caches())
+    assert [listed.name for listed in caches()] == sorted(listed.name for listed in caches())
     del cache
     gc.collect()
-    assert "a test's own" not in [each.name for each in caches()]
+    assert "a test's own" not in [listed.name for listed in caches()]
 
 
 def test_bytes_of_counts_nested_values_once():
@@ -133,23 +135,25 @@ def test_bytes_of_counts_nested_values_once():
     assert bytes_of(None) == 0
 
 
-def keeps(source: str) -> list[str]:
+def own_cache_names(source: str) -> list[str]:
     """Return the names that a module uses for caches of its own."""
-    found = []
+    cache_names = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.module in ("functools", "cachetools"):
-            found += [alias.name for alias in node.names if alias.name in ("lru_cache", "cache") or node.module == "cachetools"]
+            cache_names += [
+                alias.name for alias in node.names if alias.name in ("lru_cache", "cache") or node.module == "cachetools"
+            ]
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "functools":
-            found += [node.attr] if node.attr in ("lru_cache", "cache") else []
+            cache_names += [node.attr] if node.attr in ("lru_cache", "cache") else []
         elif isinstance(node, ast.Name) and node.id in ("OrderedDict", "WeakKeyDictionary", "WeakValueDictionary"):
-            found.append(node.id)
+            cache_names.append(node.id)
     for node in ast.parse(source).body:  # a dictionary of the module that is filled at run time
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict) and not node.value.keys:
-            found.append("a dictionary")
-    return found
+            cache_names.append("a dictionary")
+    return cache_names
 
 
-QUEUES = {"api/workers/pool.py"}
+MODULES_WITH_QUEUES = {"api/workers/pool.py"}
 """Modules with an ordered dictionary of pending jobs, which does not cache results."""
 
 
@@ -157,8 +161,8 @@ def test_no_module_has_a_cache_of_its_own():
     for floor in ("terrain", "shadows", "selector", "api"):
         for path in sorted((ROOT / floor).rglob("*.py")):
             name = str(path.relative_to(ROOT))
-            if name != "terrain/cache.py" and name not in QUEUES:
-                assert keeps(path.read_text(encoding="utf-8")) == [], name
+            if name != "terrain/cache.py" and name not in MODULES_WITH_QUEUES:
+                assert own_cache_names(path.read_text(encoding="utf-8")) == [], name
 
 
 @pytest.mark.parametrize(
@@ -169,7 +173,7 @@ def test_no_module_has_a_cache_of_its_own():
     ],
 )  # fmt: skip
 def test_other_kinds_of_caches_are_detected(source):
-    assert keeps(source)
+    assert own_cache_names(source)
 
 
 def test_bytes_outside_of_python_are_counted():
@@ -179,8 +183,8 @@ def test_bytes_outside_of_python_are_counted():
     from skugga.terrain.level.bundled import BUNDLED
 
     file = BUNDLED["jacksboro"]()
-    held = {cache.name: cache.nbytes for cache in caches("process")}
-    assert held["skugga.terrain.level.bundled._jacksboro"] == len(file) > 100_000
+    byte_counts = {cache.name: cache.nbytes for cache in caches("process")}
+    assert byte_counts["skugga.terrain.level.bundled._jacksboro"] == len(file) > 100_000
     transformer(LONGITUDE_LATITUDE, LONGITUDE_LATITUDE)
     assert transformer.cache.nbytes >= 2**16
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -32,12 +32,14 @@ def hills() -> Scene:
     return build_scene(load_level("configs/jacksboro_wooded.yaml"))
 
 
-def spec(*keys: tuple[str, tuple, tuple], **more) -> CameraPathSpec:
-    return CameraPathSpec.model_validate({"keys": [{"at": at, "eye": eye, "target": to, **more} for at, eye, to in keys]})
+def path_spec(*keys: tuple[str, tuple, tuple], **key_options) -> CameraPathSpec:
+    return CameraPathSpec.model_validate(
+        {"keys": [{"at": at, "eye": eye, "target": target_point, **key_options} for at, eye, target_point in keys]}
+    )
 
 
-def path_of(scene: Scene, *keys: tuple[str, tuple, tuple], **more) -> CameraPath:
-    return camera_path(spec(*keys, **more), scene.place, None)
+def path_of(scene: Scene, *keys: tuple[str, tuple, tuple], **key_options) -> CameraPath:
+    return camera_path(path_spec(*keys, **key_options), scene.geolocator, None)
 
 
 def eye(path: CameraPath, time_s: float) -> np.ndarray:
@@ -48,13 +50,13 @@ def eye(path: CameraPath, time_s: float) -> np.ndarray:
 def test_path_along_a_line_stays_on_the_line(floor):
     """The speed is constant between the second key and the last but one. The path starts and stops smoothly."""
     path = path_of(floor, *((f"{n}s", (10 * n, -20 * n, 5 + n), (0, 0, 0)) for n in range(5)))
-    start, along = eye(path, 0.0), np.array([10.0, -20.0, 1.0])
+    start, velocity = eye(path, 0.0), np.array([10.0, -20.0, 1.0])
     middle = np.linspace(1.0, 3.0, 21)
-    assert np.array([eye(path, t) for t in middle]) - start == pytest.approx(middle[:, None] * along, abs=1e-9)
+    assert np.array([eye(path, t) for t in middle]) - start == pytest.approx(middle[:, None] * velocity, abs=1e-9)
     for ends in (np.linspace(0.0, 1.0, 11), np.linspace(3.0, 4.0, 11)):
-        found = np.array([eye(path, t) for t in ends]) - start
-        assert np.cross(found, along) == pytest.approx(0.0, abs=1e-9)
-        assert (np.diff(found @ along) > 0.0).all()
+        displacements = np.array([eye(path, t) for t in ends]) - start
+        assert np.cross(displacements, velocity) == pytest.approx(0.0, abs=1e-9)
+        assert (np.diff(displacements @ velocity) > 0.0).all()
     assert np.linalg.norm(eye(path, 0.01) - start) < 0.01
 
 
@@ -65,9 +67,9 @@ def test_view_at_a_key_equals_the_view_of_a_level(hills):
     for view in views:
         other = ((view.eye[0] + 1e-3, view.eye[1], view.eye[2]), view.target)
         path = path_of(hills, ("1s", view.eye, view.target), ("2s", *other), fov=view.fov)
-        found, wanted = path.view_at(1.0, ROWS, COLS), hills.view_from(view, (COLS, ROWS))
-        assert (found.eye_earth_m == wanted.eye_earth_m).all() and found.focal_px == wanted.focal_px
-        assert (found.earth_from_camera == wanted.earth_from_camera).all()
+        path_view, level_view = path.view_at(1.0, ROWS, COLS), hills.view_from(view, (COLS, ROWS))
+        assert (path_view.eye_earth_m == level_view.eye_earth_m).all() and path_view.focal_px == level_view.focal_px
+        assert (path_view.earth_from_camera == level_view.earth_from_camera).all()
 
 
 def test_velocity_is_continuous_at_keys(floor):
@@ -77,20 +79,22 @@ def test_velocity_is_continuous_at_keys(floor):
         ("4s", (35, 60, 7), (0, 0, 0)),
         ("5s", (0, 60, 20), (1, 1, 1)),
     ]
-    path, small = path_of(floor, *keys), 1e-6
+    path, step_s = path_of(floor, *keys), 1e-6
     for time in (1.0, 4.0):
-        before, after = (eye(path, time) - eye(path, time - small)) / small, (eye(path, time + small) - eye(path, time)) / small
+        before, after = (eye(path, time) - eye(path, time - step_s)) / step_s, (eye(path, time + step_s) - eye(path, time)) / step_s
         assert before == pytest.approx(after, abs=1e-3)
         assert np.linalg.norm(before[:2]) > 1.0
 
 
 def test_camera_rests_between_equal_keys(floor):
     """A twice differentiable spline would overshoot."""
-    here, far = (0, 0, 5), (80, 10, 30)
-    path = path_of(floor, ("0s", here, (9, 9, 0)), ("2s", far, (9, 9, 0)), ("5s", far, (9, 9, 0)), ("6s", here, (9, 9, 0)))
-    resting = [eye(path, time) for time in np.linspace(2.0, 5.0, 13)]
-    assert np.ptp(resting, axis=0).max() < 1e-9
-    assert np.linalg.norm(eye(path, 1.0) - resting[0]) > 30.0
+    near_eye, far_eye = (0, 0, 5), (80, 10, 30)
+    path = path_of(
+        floor, ("0s", near_eye, (9, 9, 0)), ("2s", far_eye, (9, 9, 0)), ("5s", far_eye, (9, 9, 0)), ("6s", near_eye, (9, 9, 0))
+    )
+    rest_positions = [eye(path, time) for time in np.linspace(2.0, 5.0, 13)]
+    assert np.ptp(rest_positions, axis=0).max() < 1e-9
+    assert np.linalg.norm(eye(path, 1.0) - rest_positions[0]) > 30.0
 
 
 HEIGHTS = st.lists(st.floats(1.0, 500.0), min_size=2, max_size=6)
@@ -106,9 +110,9 @@ def test_height_stays_between_those_of_adjacent_keys(floor, heights, data):
     path = path_of(floor, *keys)
     base = eye(path, times[0])[2] - heights[0]
     for n in range(len(heights) - 1):
-        found = [eye(path, time)[2] - base for time in np.linspace(times[n], times[n + 1], 9)]
+        heights_m = [eye(path, time)[2] - base for time in np.linspace(times[n], times[n + 1], 9)]
         low, high = sorted(heights[n : n + 2])
-        assert low - 1e-6 <= min(found) and max(found) <= high + 1e-6
+        assert low - 1e-6 <= min(heights_m) and max(heights_m) <= high + 1e-6
 
 
 def test_camera_rests_before_and_after_its_keys(floor):
@@ -119,13 +123,13 @@ def test_camera_rests_before_and_after_its_keys(floor):
 
 def test_dates_are_counted_from_the_first_frame(hills):
     view = next(view for view in hills.loaded.level.views.values() if view.kind == "perspective")
-    dated = CameraPathSpec.model_validate({
+    dated_spec = CameraPathSpec.model_validate({
         "keys": [{"at": f"2024-10-21T{hour}:00:00-04:00", "eye": view.eye, "target": view.target} for hour in (16, 18)]
     })  # fmt: skip
     start = datetime.fromisoformat("2024-10-21T19:30:00+00:00")
-    assert camera_path(dated, hills.place, start).times_s.tolist() == [1800.0, 9000.0]
+    assert camera_path(dated_spec, hills.geolocator, start).times_s.tolist() == [1800.0, 9000.0]
     with pytest.raises(InputError, match="the film has no date"):
-        camera_path(dated, hills.place, None)
+        camera_path(dated_spec, hills.geolocator, None)
 
 
 def test_path_across_the_antimeridian_is_the_short_one(hills):
@@ -133,8 +137,8 @@ def test_path_across_the_antimeridian_is_the_short_one(hills):
     view = next(view for view in hills.loaded.level.views.values() if view.kind == "perspective")
     lon, lat, height = view.eye
     path = path_of(hills, ("0s", (lon, lat, height), view.target), ("2s", (lon + 360.001, lat, height), view.target))
-    moved = np.linalg.norm(eye(path, 1.0) - eye(path, 0.0))
-    assert 1.0 < moved < 100.0
+    distance_m = np.linalg.norm(eye(path, 1.0) - eye(path, 0.0))
+    assert 1.0 < distance_m < 100.0
 
 
 @pytest.mark.parametrize(

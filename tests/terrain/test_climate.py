@@ -11,48 +11,48 @@ from morecantile import tms as matrix_sets
 from skugga.shadows.draw import SHADED, heights_suffice
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
-from skugga.terrain.climate import ARID, ICE, LATITUDES, TUNDRA, climate_srgb, ramp_srgb, snow_line_m
+from skugga.terrain.climate import ARID_RAMP, ICE_RAMP, LATITUDE_ROWS, TUNDRA_RAMP, climate_srgb, ramp_srgb, snow_line_m
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.level.parts import StyleSpec
 from skugga.terrain.shading import albedo_of
 from skugga.terrain.style import STYLES, tint_table
-from tests.products import drawn_by_heights
+from tests.products import draw_by_heights
 from tests.render import plan_of
 
-OWN = STYLES["natural"].ramp
-HEIGHTS = np.arange(-500.0, 7001.0, 50.0)
+STYLE_RAMP = STYLES["natural"].ramp
+HEIGHTS_M = np.arange(-500.0, 7001.0, 50.0)
 
 
 def srgb_at(latitude: float, height: float) -> np.ndarray:
     """Return the colour (3,) in [0, 255] of a place, from the nearest row of the table."""
-    row = round((np.sin(np.radians(latitude)) + 1.0) / 2.0 * (LATITUDES - 1))
-    return 255.0 * climate_srgb(OWN, np.array([height]))[row, 0]
+    row = round((np.sin(np.radians(latitude)) + 1.0) / 2.0 * (LATITUDE_ROWS - 1))
+    return 255.0 * climate_srgb(STYLE_RAMP, np.array([height]))[row, 0]
 
 
-def of_ramp(ramp, height: float) -> np.ndarray:
+def ramp_color(ramp, height: float) -> np.ndarray:
     return 255.0 * ramp_srgb(ramp, np.array([height]))[0]
 
 
 @pytest.mark.parametrize(
     ("latitude", "height", "ramp", "apart"),
     [
-        (-75.0, 3200.0, ICE, 0.5),  # Antarctica
-        (-72.0, 20.0, ICE, 0.5),  # coast of Antarctica
-        (72.0, 2500.0, ICE, 0.5),  # Greenland
-        (72.0, 50.0, TUNDRA, 0.5),  # coasts of Greenland and Siberia
-        (46.0, 3600.0, ICE, 0.5),  # summits of the Alps
-        (46.0, 1500.0, OWN, 0.0),  # valleys of the Alps
-        (28.0, 6500.0, ICE, 0.5),  # the Himalaya
-        (60.0, 100.0, OWN, 0.1),  # Oslo
-        (51.0, 30.0, OWN, 0.0),  # London
-        (36.6, 700.0, OWN, 0.0),  # Jacksboro
-        (-3.0, 100.0, OWN, 0.0),  # the Amazon
-        (-42.0, 200.0, OWN, 0.0),  # Tasmania
+        (-75.0, 3200.0, ICE_RAMP, 0.5),  # Antarctica
+        (-72.0, 20.0, ICE_RAMP, 0.5),  # coast of Antarctica
+        (72.0, 2500.0, ICE_RAMP, 0.5),  # Greenland
+        (72.0, 50.0, TUNDRA_RAMP, 0.5),  # coasts of Greenland and Siberia
+        (46.0, 3600.0, ICE_RAMP, 0.5),  # summits of the Alps
+        (46.0, 1500.0, STYLE_RAMP, 0.0),  # valleys of the Alps
+        (28.0, 6500.0, ICE_RAMP, 0.5),  # the Himalaya
+        (60.0, 100.0, STYLE_RAMP, 0.1),  # Oslo
+        (51.0, 30.0, STYLE_RAMP, 0.0),  # London
+        (36.6, 700.0, STYLE_RAMP, 0.0),  # Jacksboro
+        (-3.0, 100.0, STYLE_RAMP, 0.0),  # the Amazon
+        (-42.0, 200.0, STYLE_RAMP, 0.0),  # Tasmania
     ],
 )
 def test_known_places_have_their_climate_colours(latitude, height, ramp, apart):
-    assert np.abs(srgb_at(latitude, height) - of_ramp(ramp, height)).max() <= apart
+    assert np.abs(srgb_at(latitude, height) - ramp_color(ramp, height)).max() <= apart
 
 
 def test_deserts_have_the_colour_of_sand():
@@ -61,22 +61,22 @@ def test_deserts_have_the_colour_of_sand():
         for height in (50.0, 500.0, 1000.0):
             red, green, blue = srgb_at(latitude, height)
             assert red > green + 5.0 > blue + 20.0
-            assert np.abs(srgb_at(latitude, height) - of_ramp(ARID, height)).max() < np.abs(
-                srgb_at(latitude, height) - of_ramp(OWN, height)
+            assert np.abs(srgb_at(latitude, height) - ramp_color(ARID_RAMP, height)).max() < np.abs(
+                srgb_at(latitude, height) - ramp_color(STYLE_RAMP, height)
             ).max()  # fmt: skip
 
 
 def test_middle_latitudes_have_the_ramp_of_the_style():
-    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDES)))
-    colors, own = climate_srgb(OWN, HEIGHTS), ramp_srgb(OWN, HEIGHTS)
+    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDE_ROWS)))
+    colors, style_colors = climate_srgb(STYLE_RAMP, HEIGHTS_M), ramp_srgb(STYLE_RAMP, HEIGHTS_M)
     middle = (latitude > 36.0) & (latitude < 60.0)
-    below = HEIGHTS < snow_line_m(latitude)[:, None] - 250.0
+    below = HEIGHTS_M < snow_line_m(latitude)[:, None] - 250.0
     assert middle.sum() > 20
-    assert (np.abs(colors - own)[middle][below[middle]] == 0.0).all()
+    assert (np.abs(colors - style_colors)[middle][below[middle]] == 0.0).all()
 
 
 def test_sea_floor_has_no_climate():
-    assert np.allclose(climate_srgb(OWN, np.array([-4000.0, -500.0])), ramp_srgb(OWN, np.array([-4000.0, -500.0])))
+    assert np.allclose(climate_srgb(STYLE_RAMP, np.array([-4000.0, -500.0])), ramp_srgb(STYLE_RAMP, np.array([-4000.0, -500.0])))
 
 
 @pytest.mark.parametrize("name", [name for name, style in STYLES.items() if not style.has_climate])
@@ -108,14 +108,16 @@ def test_fast_path_has_the_same_climate(gl, hilly):
     view = MapView(grid, float(np.floor(north)) + rows // 2, float(np.floor(west)) + cols // 2, 1.0, 1.0, rows, cols)
     plan = plan_of(hilly, view)
     assert heights_suffice(hilly, view, plan, SHADED)
-    shown, frame = drawn_by_heights(hilly, view, plan), render_frame(hilly, view, plan)
-    assert shown is not None and frame.valid.sum() > 3000
-    apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
-    assert apart.max() <= 1 and (apart > 0).mean() < 1e-3
-    own_ramp = StyleSpec(name="natural", ramp=OWN)
-    without = drawn_by_heights(dataclasses.replace(hilly, style_spec=own_ramp), view, plan)
-    assert without is not None, "a level's own ramp is that of all latitudes"
-    assert (np.abs(without.color.astype(int) - shown.color).max(axis=-1) > 4).mean() > 0.1, "else nothing was compared"
+    fast_picture, frame = draw_by_heights(hilly, view, plan), render_frame(hilly, view, plan)
+    assert fast_picture is not None and frame.valid.sum() > 3000
+    color_difference = np.abs(fast_picture.color.astype(int) - frame.color).max(axis=-1)
+    assert color_difference.max() <= 1 and (color_difference > 0).mean() < 1e-3
+    own_ramp = StyleSpec(name="natural", ramp=STYLE_RAMP)
+    without_climate = draw_by_heights(dataclasses.replace(hilly, style_spec=own_ramp), view, plan)
+    assert without_climate is not None, "a level's own ramp is that of all latitudes"
+    assert (np.abs(without_climate.color.astype(int) - fast_picture.color).max(axis=-1) > 4).mean() > 0.1, (
+        "else nothing was compared"
+    )
 
 
 @pytest.mark.parametrize("latitude", [-70.0, -24.0, 25.0, 45.0, 66.0, 80.0])
@@ -125,17 +127,17 @@ def test_place_has_one_colour_in_all_maps(write_raster, make_scene, latitude, he
     heights = np.full((60, 60), height, np.float32)
     heights[0, 0] += 50.0
     scene = make_scene(write_raster(heights, "EPSG:4326", 10.0, latitude + 0.5, 1.0 / 60.0), 180.0, 30.0)
-    found = []
+    level_pixel_counts = []
     for crs, size in (("EPSG:4326", (61, 61)), ("EPSG:4326", (33, 33)), (f"EPSG:{scene.map_crs.to_epsg()}", (61, 61))):
         buffer = geometry_buffer(scene, scene.view(size=size, crs=crs))
         earth = buffer.frame.points_to_earth(buffer.position_frame_m)
         sine = earth[..., 2] / np.linalg.norm(earth, axis=-1)
         albedo = albedo_of(buffer, scene)
         level = buffer.valid & (np.abs(buffer.height_m - height) < 0.01)
-        table = tint_table(OWN, True)
+        table = tint_table(STYLE_RAMP, True)
         for k in range(3):
-            at = (sine[level] + 1.0) / 2.0 * (LATITUDES - 1)
+            table_row = (sine[level] + 1.0) / 2.0 * (LATITUDE_ROWS - 1)
             column = np.array([np.interp(height, -512.0 + 8.0 * np.arange(table.shape[1]), row[:, k]) for row in table])
-            np.testing.assert_allclose(albedo[level][:, k], np.interp(at, np.arange(LATITUDES), column), atol=2e-6)
-        found.append(level.sum())
-    assert min(found) > 500
+            np.testing.assert_allclose(albedo[level][:, k], np.interp(table_row, np.arange(LATITUDE_ROWS), column), atol=2e-6)
+        level_pixel_counts.append(level.sum())
+    assert min(level_pixel_counts) > 500

@@ -13,13 +13,13 @@ from skugga.terrain.compiled import map_on_cores, run_in_chunks
 @pytest.mark.parametrize("rows", [0, 1, 3, 7, 64, 1001])
 def test_chunks_contain_each_row_once(monkeypatch, cores, rows):
     monkeypatch.setattr(compiled_module, "CORES", cores)
-    met = np.zeros(rows, np.int64)
+    visit_counts = np.zeros(rows, np.int64)
 
-    def meet(first: int, last: int, by: int) -> None:
-        met[first:last] += by
+    def count_visits(first: int, last: int, increment: int) -> None:
+        visit_counts[first:last] += increment
 
-    run_in_chunks(rows, meet, 3)
-    assert (met == 3).all()
+    run_in_chunks(rows, count_visits, 3)
+    assert (visit_counts == 3).all()
 
 
 def test_error_of_a_chunk_is_raised(monkeypatch):
@@ -41,16 +41,16 @@ def test_map_on_cores_returns_all_results_in_order(cores):
 @pytest.mark.parametrize("cores", [1, 3])
 def test_tasks_on_cores_may_run_chunks(monkeypatch, cores):
     monkeypatch.setattr(compiled_module, "CORES", 2)
-    met = np.zeros((6, 40), np.int64)
+    visit_counts = np.zeros((6, 40), np.int64)
 
     def share_out(part: int) -> None:
-        def meet(first: int, last: int) -> None:
-            met[part, first:last] += 1
+        def count_visits(first: int, last: int) -> None:
+            visit_counts[part, first:last] += 1
 
-        run_in_chunks(40, meet)
+        run_in_chunks(40, count_visits)
 
     map_on_cores(share_out, range(6), cores)
-    assert (met == 1).all()
+    assert (visit_counts == 1).all()
 
 
 def test_error_of_a_task_is_raised():

@@ -20,7 +20,7 @@ def scene_over(folder: Path, heights: np.ndarray, crs: str = ENGINEERING, x0: fl
     return build_scene(load_level(write_geotiff(folder / "ground.tif", heights.astype(np.float32), crs, x0, y0, CELL_M)))
 
 
-def falling(slope_deg: float, azimuth_deg: float) -> np.ndarray:
+def inclined_plane(slope_deg: float, azimuth_deg: float) -> np.ndarray:
     """Return a plane (CELLS, CELLS) in metres that rises towards an azimuth."""
     row, col = np.mgrid[:CELLS, :CELLS] * CELL_M
     towards = col * np.sin(np.radians(azimuth_deg)) - row * np.cos(np.radians(azimuth_deg))
@@ -29,13 +29,13 @@ def falling(slope_deg: float, azimuth_deg: float) -> np.ndarray:
 
 @pytest.mark.parametrize("slope_deg", [6.0, 15.0, 28.0])
 def test_default_sun_is_as_high_as_slopes_are_steep(tmp_path, slope_deg):
-    scene = scene_over(tmp_path, falling(slope_deg, 240.0))
+    scene = scene_over(tmp_path, inclined_plane(slope_deg, 240.0))
     assert scene.sun is not None
     assert (scene.sun.azimuth_deg, scene.sun.altitude_deg) == (240.0, pytest.approx(slope_deg, abs=0.5))
 
 
 @pytest.mark.parametrize(
-    ("heights", "altitude_deg"), [(np.zeros((8, 8)), 30.0), (falling(2.0, 240.0), 4.0), (falling(60, 240), 35.0)]
+    ("heights", "altitude_deg"), [(np.zeros((8, 8)), 30.0), (inclined_plane(2.0, 240.0), 4.0), (inclined_plane(60, 240), 35.0)]
 )
 def test_default_sun_altitude_is_bounded(tmp_path, heights, altitude_deg):
     scene = scene_over(tmp_path, heights)
@@ -51,13 +51,13 @@ def test_default_sun_is_a_real_position(tmp_path, zone, north_m):
     lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
     noon = datetime(2024, 6, 20, 11, tzinfo=UTC) if lat > 60 else datetime(2024, 3, 20, 11, tzinfo=UTC)
     path = sun_path([noon + timedelta(minutes=minutes) for minutes in range(0, 13 * 60, 2)], lon, lat)
-    apart = np.hypot(path.azimuth_deg - scene.sun.azimuth_deg, path.altitude_deg - scene.sun.altitude_deg)
-    assert apart.min() < 1.5
+    angle_deg = np.hypot(path.azimuth_deg - scene.sun.azimuth_deg, path.altitude_deg - scene.sun.altitude_deg)
+    assert angle_deg.min() < 1.5
     assert 180 < scene.sun.azimuth_deg < 360 and scene.sun.altitude_deg > 0
 
 
 def test_default_sun_at_a_pole(tmp_path):
-    scene = scene_over(tmp_path, falling(20, 240), "EPSG:3413", -CELLS * CELL_M / 2, CELLS * CELL_M / 2)
+    scene = scene_over(tmp_path, inclined_plane(20, 240), "EPSG:3413", -CELLS * CELL_M / 2, CELLS * CELL_M / 2)
     assert scene.sun is not None and 0 < scene.sun.altitude_deg <= 22
 
 
@@ -74,6 +74,6 @@ def test_default_sun_is_up_over_a_whole_country(tmp_path):
 
 
 def test_sun_of_a_level_takes_precedence(tmp_path, make_scene):
-    raster = write_geotiff(tmp_path / "g.tif", falling(15, 240).astype(np.float32), ENGINEERING, 0, 0, CELL_M)
+    raster = write_geotiff(tmp_path / "g.tif", inclined_plane(15, 240).astype(np.float32), ENGINEERING, 0, 0, CELL_M)
     scene = make_scene(raster, 100, 50)
     assert scene.sun is not None and (scene.sun.azimuth_deg, scene.sun.altitude_deg) == (100, 50)

@@ -28,7 +28,7 @@ from skugga.terrain.scene import build_scene
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
 
-MINIMAL = {
+MINIMAL_DESCRIPTOR = {
     "view": "map", "view_kind": "map", "flat_world": True, "pixel_m": 1.0, "node_m": 1.0, "casters": ["relief"], "relief_m": 50.0,
     "block_relief_m": 50.0, "sun_azimuth_deg": 180, "sun_altitude_deg": 30, "highest_sun_deg": 30,
     "receivers_light_m": [1000, 500, 900],
@@ -44,19 +44,19 @@ def scene_of(name: str):
     return build_scene(load_level(CONFIGS / f"{name}.yaml"))
 
 
-def in_light(**facts) -> dict:
+def with_sun_facts(**facts) -> dict:
     return {"lights": {"sun": facts}}
 
 
-def in_casting(*bands: dict, share: float = 0.1) -> dict:
-    return in_light(casts={"relief": {"share": share, "bands": list(bands)}})
+def with_cast_bands(*bands: dict, share: float = 0.1) -> dict:
+    return with_sun_facts(casts={"relief": {"share": share, "bands": list(bands)}})
 
 
 def with_band(**changes) -> dict:
     return {"bands": [BAND | changes]}
 
 
-IMPOSSIBLE = {
+INVALID_CHANGES = {
     "view_kind": {"view_kind": "globe"},
     "pixel_m": {"pixel_m": 0.0},
     "pixel": {"pixel": -0.1},
@@ -99,40 +99,40 @@ IMPOSSIBLE = {
     "stands.0.leaf_gap_m": {"stands": [STAND | {"leaf_gap_m": -1.0}]},
     "stands: 'forest'": {"stands": [STAND | {"kind": "forest"}]},
     "lights: 'lamp'": {"lights": {"lamp": {}}},
-    "lights.sun.casts: 'meshes'": in_light(casts={"meshes": {"share": 0.0}}),
-    "lights.sun.to_view_deg": in_light(to_view_deg=190.0),
-    "lights.sun.facing_share": in_light(facing_share=1.2),
-    "lights.sun.cast_share": in_light(cast_share=-0.2),
-    "lights.sun.area_share": in_light(area_share=3.0),
-    "lights.sun.nearest_edge_m": in_light(nearest_edge_m=-1.0),
-    "lights.sun.silhouette_edges": in_light(silhouette_edges=-1),
-    "lights.sun.silhouette_px": in_light(silhouette_px=float("inf")),
-    "lights.sun.volume_layers": in_light(volume_layers=-1.0),
-    "lights.sun.casts.relief.share": in_casting(share=2.0),
-    "lights.sun.casts.relief.bands.0.cast": in_casting(CAST_BAND | {"cast": 1.1}),
-    "lights.sun.casts.relief.bands.0.near_m": in_casting(CAST_BAND | {"near_m": -1.0}),
-    "lights.sun.casts.relief.bands.0.pixel_m": in_casting(CAST_BAND | {"pixel_m": 0.0}),
-    "lights.sun.casts.relief.bands.0.light_m": in_casting(CAST_BAND | {"light_m": -1.0}),
-    "lights.sun.casts.relief.bands.0.differs": in_casting(CAST_BAND | {"differs": [0.1] * 7}),
-    "lights.sun.casts.relief.bands.0.differs.2": in_casting(CAST_BAND | {"differs": [0.0, 0.0, 1.1, *[0.0] * 5]}),
-    "far_m 3": in_casting(CAST_BAND | {"far_m": 3.0}),
-    "near_m": in_casting(CAST_BAND, CAST_BAND),
+    "lights.sun.casts: 'meshes'": with_sun_facts(casts={"meshes": {"share": 0.0}}),
+    "lights.sun.to_view_deg": with_sun_facts(to_view_deg=190.0),
+    "lights.sun.facing_share": with_sun_facts(facing_share=1.2),
+    "lights.sun.cast_share": with_sun_facts(cast_share=-0.2),
+    "lights.sun.area_share": with_sun_facts(area_share=3.0),
+    "lights.sun.nearest_edge_m": with_sun_facts(nearest_edge_m=-1.0),
+    "lights.sun.silhouette_edges": with_sun_facts(silhouette_edges=-1),
+    "lights.sun.silhouette_px": with_sun_facts(silhouette_px=float("inf")),
+    "lights.sun.volume_layers": with_sun_facts(volume_layers=-1.0),
+    "lights.sun.casts.relief.share": with_cast_bands(share=2.0),
+    "lights.sun.casts.relief.bands.0.cast": with_cast_bands(CAST_BAND | {"cast": 1.1}),
+    "lights.sun.casts.relief.bands.0.near_m": with_cast_bands(CAST_BAND | {"near_m": -1.0}),
+    "lights.sun.casts.relief.bands.0.pixel_m": with_cast_bands(CAST_BAND | {"pixel_m": 0.0}),
+    "lights.sun.casts.relief.bands.0.light_m": with_cast_bands(CAST_BAND | {"light_m": -1.0}),
+    "lights.sun.casts.relief.bands.0.differs": with_cast_bands(CAST_BAND | {"differs": [0.1] * 7}),
+    "lights.sun.casts.relief.bands.0.differs.2": with_cast_bands(CAST_BAND | {"differs": [0.0, 0.0, 1.1, *[0.0] * 5]}),
+    "far_m 3": with_cast_bands(CAST_BAND | {"far_m": 3.0}),
+    "near_m": with_cast_bands(CAST_BAND, CAST_BAND),
 }
 
 
-@pytest.mark.parametrize("name", IMPOSSIBLE)
+@pytest.mark.parametrize("name", INVALID_CHANGES)
 def test_invalid_descriptor_names_the_field(name):
     with pytest.raises(ValidationError) as caught:
-        Descriptor.model_validate(MINIMAL | IMPOSSIBLE[name])
+        Descriptor.model_validate(MINIMAL_DESCRIPTOR | INVALID_CHANGES[name])
     error = caught.value.errors()[0]
-    said = f"{'.'.join(map(str, error['loc']))} {error['msg']}"
-    assert all(word in said for word in name.split()), said
+    error_text = f"{'.'.join(map(str, error['loc']))} {error['msg']}"
+    assert all(word in error_text for word in name.split()), error_text
 
 
 def test_minimal_descriptor_is_enough_for_a_plan():
-    descriptor = Descriptor.model_validate(MINIMAL)
+    descriptor = Descriptor.model_validate(MINIMAL_DESCRIPTOR)
     assert descriptor.pixels == 1024**2 and descriptor.stands == () and descriptor.lights == {}
-    assert Descriptor.model_validate(MINIMAL | {"rows": 100, "cols": 200}).pixels == 20_000
+    assert Descriptor.model_validate(MINIMAL_DESCRIPTOR | {"rows": 100, "cols": 200}).pixels == 20_000
     plan = make_plan(descriptor, StandaloneRequest(Shadows(), ("sun",)))
     assert set(plan.algorithm["sun"]) == {"relief"}
 
@@ -155,7 +155,7 @@ def test_docs_name_every_field():
 
 @pytest.mark.parametrize("fact", [np.inf, -np.inf, 2.5, True, "why", None])
 def test_facts_of_effects_round_trip_through_json(fact):
-    descriptor = Descriptor.model_validate(MINIMAL | {"facts": {"haze": {"its": fact}}})
+    descriptor = Descriptor.model_validate(MINIMAL_DESCRIPTOR | {"facts": {"haze": {"its": fact}}})
     assert Descriptor.model_validate_json(descriptor.model_dump_json()).facts["haze"]["its"] == fact
 
 
@@ -181,9 +181,11 @@ def test_descriptor_is_equal_from_json_and_in_every_process(level, view):
 def test_another_sun_changes_only_its_light_facts():
     scene = scene_of("spatialace")
     view = scene.view("main")
-    one, other = (describe(its, view, "main") for its in (scene, scene.with_sun(SunSpec(azimuth=20, altitude=60))))
-    assert one.stands == other.stands and one.pixel_m == other.pixel_m
-    assert one.lights["sun"] != other.lights["sun"]
+    descriptor, other_descriptor = (
+        describe(sun_scene, view, "main") for sun_scene in (scene, scene.with_sun(SunSpec(azimuth=20, altitude=60)))
+    )
+    assert descriptor.stands == other_descriptor.stands and descriptor.pixel_m == other_descriptor.pixel_m
+    assert descriptor.lights["sun"] != other_descriptor.lights["sun"]
 
 
 def test_map_facts_do_not_depend_on_the_visible_part():
@@ -204,16 +206,16 @@ def test_thesis_boxes_are_closed_and_cast():
     assert 0.0 < lamp.cast_share < lamp.facing_share < 1.0
     assert lamp.silhouette_edges >= 6 * 1000 * 0.9 and lamp.volume_layers > 1.0
     assert lamp.casts["relief"].share == 0.0
-    differs = np.array([band.differs for band in lamp.casts["meshes"].bands])
-    assert (differs[:, -1] > differs[:, 1]).any()
+    difference_shares = np.array([band.differs for band in lamp.casts["meshes"].bands])
+    assert (difference_shares[:, -1] > difference_shares[:, 1]).any()
 
 
 def test_spinning_caster_moves():
-    assert describe(*_view("spatialace", "map")).moves
-    assert not describe(*_view("jacksboro", "map")).moves
+    assert describe(*_scene_view_and_name("spatialace", "map")).moves
+    assert not describe(*_scene_view_and_name("jacksboro", "map")).moves
 
 
-def _view(level: str, view: str):
+def _scene_view_and_name(level: str, view: str):
     scene = scene_of(level)
     return scene, scene.view(view), view
 
@@ -240,8 +242,8 @@ def test_rasterize_triangles_shows_the_nearest_one():
 
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 180))
 def test_any_valid_share_and_angle_is_accepted(facing, cast, angle):
-    facts = in_light(facing_share=facing, cast_share=cast, to_view_deg=angle)
-    descriptor = Descriptor.model_validate(MINIMAL | facts)
+    facts = with_sun_facts(facing_share=facing, cast_share=cast, to_view_deg=angle)
+    descriptor = Descriptor.model_validate(MINIMAL_DESCRIPTOR | facts)
     assert Descriptor.model_validate_json(descriptor.model_dump_json()) == descriptor
 
 
@@ -268,7 +270,11 @@ def test_bands_contain_the_visible_points_and_little_more(tmp_path):
     points = buffer.position_frame_m[buffer.valid]
     distance_m = np.linalg.norm(points - view.in_frame(buffer.frame)[0], axis=-1)
     for band in bands:
-        in_light = (points[(distance_m > band.near_m) & (distance_m <= band.far_m)] @ rotation.T + translation)[
+        points_in_light_space = (points[(distance_m > band.near_m) & (distance_m <= band.far_m)] @ rotation.T + translation)[
             :, 1:
         ]  # the up and away axes, along which heights shift points
-        assert len(in_light) and (in_light >= band.low_light_m[1:]).all() and (in_light <= band.high_light_m[1:]).all()
+        assert (
+            len(points_in_light_space)
+            and (points_in_light_space >= band.low_light_m[1:]).all()
+            and (points_in_light_space <= band.high_light_m[1:]).all()
+        )

@@ -18,13 +18,13 @@ def _smooth_all(shares, out):
 def _look_up_all(values, row, col, by_steps, out):
     rows, cols = values.shape
     for n in range(row.size):
-        r0, r1, down = cell_interval(row[n], rows)
-        c0, c1, across = cell_interval(col[n], cols)
+        r0, r1, row_share = cell_interval(row[n], rows)
+        c0, c1, col_share = cell_interval(col[n], cols)
         corners = values[r0, c0], values[r0, c1], values[r1, c0], values[r1, c1]
         if by_steps:
-            out[n] = lerp_corners(corners[0], corners[1], corners[2], corners[3], down, across)
+            out[n] = lerp_corners(corners[0], corners[1], corners[2], corners[3], row_share, col_share)
         else:
-            out[n] = blend_corners(corners[0], corners[1], corners[2], corners[3], down, across)
+            out[n] = blend_corners(corners[0], corners[1], corners[2], corners[3], row_share, col_share)
 
 
 def test_smoothstep_is_flat_at_both_ends_and_clamped():
@@ -45,26 +45,26 @@ def test_bilinear_of_arrays_and_loops_agree(shape):
     values = rng.uniform(-100.0, 4000.0, shape).astype(np.float32)
     row, col = (rng.uniform(0.0, 1.0, 500) * (size - 1) for size in shape)
     row[:2], col[:2] = (0, shape[0] - 1), (0, shape[1] - 1)
-    expected, found, stepped = bilinear(values, row, col), np.empty(500), np.empty(500)
-    _look_up_all(values, row, col, False, found)
-    _look_up_all(values, row, col, True, stepped)
-    np.testing.assert_array_equal(found, expected)
+    expected, blended, interpolated = bilinear(values, row, col), np.empty(500), np.empty(500)
+    _look_up_all(values, row, col, False, blended)
+    _look_up_all(values, row, col, True, interpolated)
+    np.testing.assert_array_equal(blended, expected)
     # Differences of float32 corners up to 4,000 are exact to half a unit in the last place, 2.4e-4 / 2, in each of three steps.
-    np.testing.assert_allclose(stepped, expected, rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(interpolated, expected, rtol=0.0, atol=1e-3)
     assert expected[0] == values[0, 0] and expected[1] == values[-1, -1]
 
 
 def test_bilinear_reproduces_a_plane():
     row, col = np.random.default_rng(3).uniform(0.0, 1.0, (2, 200)) * [[4.0], [6.0]]
     plane = 2.0 * np.arange(5.0)[:, None] + 3.0 * np.arange(7.0)
-    found, stepped = np.empty(200), np.empty(200)
-    _look_up_all(plane, row, col, False, found)
-    _look_up_all(plane, row, col, True, stepped)
-    for each in (bilinear(plane, row, col), found, stepped):
-        np.testing.assert_allclose(each, 2.0 * row + 3.0 * col, rtol=0.0, atol=1e-12)
+    blended, interpolated = np.empty(200), np.empty(200)
+    _look_up_all(plane, row, col, False, blended)
+    _look_up_all(plane, row, col, True, interpolated)
+    for values in (bilinear(plane, row, col), blended, interpolated):
+        np.testing.assert_allclose(values, 2.0 * row + 3.0 * col, rtol=0.0, atol=1e-12)
 
 
 def test_bilinear_uses_the_layer_of_each_point():
     layers = np.arange(12.0).reshape(3, 2, 2)
-    found = bilinear(layers, np.array([0.5, 0.5]), np.array([0.5, 0.5]), np.array([0, 2]))
-    np.testing.assert_array_equal(found, [1.5, 9.5])
+    values = bilinear(layers, np.array([0.5, 0.5]), np.array([0.5, 0.5]), np.array([0, 2]))
+    np.testing.assert_array_equal(values, [1.5, 9.5])

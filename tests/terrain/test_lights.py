@@ -19,9 +19,9 @@ from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.world import geocentric
 from skugga.terrain.level.level import SUN, parse_algorithm
-from skugga.terrain.lights import CONE_EDGE, axes_along
+from skugga.terrain.lights import CONE_FADE_SHARE, axes_along
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import LEVEL_ALBEDO, LEVEL_GROUND, shade
+from skugga.terrain.shading import FLAT_GROUND_ALBEDO, LEVEL_GROUND_EXPOSURE, shade
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
@@ -35,13 +35,13 @@ def floor(write_raster) -> Path:
 
 
 @pytest.fixture
-def post(tmp_path) -> list[dict]:
+def post_mesh(tmp_path) -> list[dict]:
     """Return a mesh that casts shadows: a box 3 m high, with its centre 30 m east of the floor's centre."""
     trimesh.creation.box(extents=(4.0, 4.0, 3.0)).export(tmp_path / "post.obj")
     return [{"source": "post.obj", "at": [30, 0]}]
 
 
-def omni(height: float = 10.0, **keys) -> dict:
+def omni_light(height: float = 10.0, **keys) -> dict:
     return {"lamp": {"kind": "omni", "position": [0, 0, height], **keys}}
 
 
@@ -49,7 +49,7 @@ def spot(height: float = 10.0, cutoff: float = 30.0, **keys) -> dict:
     return {"lamp": {"kind": "spot", "position": [0, 0, height], "target": [0, 0, 0], "cutoff": cutoff, **keys}}
 
 
-def square(scene: Scene, half: float = 40.0, px: int = 80):
+def square_map(scene: Scene, half: float = 40.0, px: int = 80):
     """Return a map around the centre, and the coordinates of its pixels."""
     view = scene.view(bounds=(-half, -half, half, half), size=(px, px))
     x, y = view.grid.x(view.col0 + np.arange(px) * view.col_step), view.grid.y(view.row0 + np.arange(px) * view.row_step)
@@ -57,7 +57,7 @@ def square(scene: Scene, half: float = 40.0, px: int = 80):
     return view, x, y
 
 
-def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def unshadowed_light(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return visibilities without cast shadows by light, and the light (rows, cols, 3) of the lamps among them."""
     buffer = geometry_buffer(scene, view)
     shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
@@ -66,10 +66,10 @@ def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndar
     return shines, lamplight
 
 
-def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
+def color_under_lights(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
     """Return the linear colour (rows, cols, 3) of a view under some lights, without cast shadows."""
     buffer = geometry_buffer(scene, view)
-    shines, lamplight = shone(scene, view, names)
+    shines, lamplight = unshadowed_light(scene, view, names)
     return shade(buffer, scene, shines.get("sun", np.zeros(buffer.valid.shape, np.float32)), lamplight=lamplight)
 
 
@@ -81,11 +81,11 @@ def test_axes_are_right_handed_upright_and_forward(forward, up):
     if min(np.linalg.norm(forward), np.linalg.norm(up)) < 0.1:
         return
     forward, up = forward / np.linalg.norm(forward), up / np.linalg.norm(up)
-    for way in (forward, up, -up):
-        axes = axes_along(way, up)
+    for direction in (forward, up, -up):
+        axes = axes_along(direction, up)
         np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-9)
-        assert np.linalg.det(axes) == pytest.approx(1.0) and np.allclose(axes[:, 2], way)
-        if np.linalg.norm(np.cross(way, up)) > 1e-3:
+        assert np.linalg.det(axes) == pytest.approx(1.0) and np.allclose(axes[:, 2], direction)
+        if np.linalg.norm(np.cross(direction, up)) > 1e-3:
             assert axes[:, 0] @ up == pytest.approx(0.0, abs=1e-9) and axes[:, 1] @ up < 0.0
 
 
@@ -93,8 +93,8 @@ def test_axes_are_right_handed_upright_and_forward(forward, up):
 def test_axes_along_the_vertical_are_orthonormal(number):
     """The vertical can be any direction on the globe, including the coordinate axes."""
     up = np.eye(3)[number]
-    for way in (up, -up):
-        axes = axes_along(way, up)
+    for direction in (up, -up):
+        axes = axes_along(direction, up)
         np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
 
 
@@ -121,26 +121,26 @@ def test_spot_on_the_globe_has_its_position_and_target(write_raster, make_scene)
 
 def test_omni_light_falls_off_with_the_squared_distance(floor, make_scene):
     """On a floor the irradiance is h / r^3, and at the foot of the lamp it equals the stated intensity."""
-    scene = make_scene(floor, sun="none", lights=omni(10.0, intensity=0.7, color=[1.0, 0.5, 0.25]))
-    view, x, y = square(scene)
-    found = light_of(scene, view, ("lamp",)) - light_of(scene, view, ())
+    scene = make_scene(floor, sun="none", lights=omni_light(10.0, intensity=0.7, color=[1.0, 0.5, 0.25]))
+    view, x, y = square_map(scene)
+    lamp_color = color_under_lights(scene, view, ("lamp",)) - color_under_lights(scene, view, ())
     r = np.sqrt(x**2 + y**2 + 100.0)
-    expected = LEVEL_ALBEDO * LEVEL_GROUND * 0.7 * np.array([1.0, 0.5, 0.25]) * (1000.0 / r**3)[..., None]
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    expected = FLAT_GROUND_ALBEDO * LEVEL_GROUND_EXPOSURE * 0.7 * np.array([1.0, 0.5, 0.25]) * (1000.0 / r**3)[..., None]
+    np.testing.assert_allclose(lamp_color, expected, atol=1e-5)
 
 
 def test_spot_fades_out_at_its_rim(floor, make_scene):
     """The light is full within nine tenths of the half angle and zero outside of the cone."""
     scene = make_scene(floor, sun="none", lights=spot(20.0, 40.0, intensity=0.5))
-    view, x, y = square(scene)
-    found = (light_of(scene, view, ("lamp",)) - light_of(scene, view, ()))[..., 0]
+    view, x, y = square_map(scene)
+    lamp_color = (color_under_lights(scene, view, ("lamp",)) - color_under_lights(scene, view, ()))[..., 0]
     angle = np.degrees(np.arctan2(np.hypot(x, y), 20.0))
-    full = LEVEL_ALBEDO * LEVEL_GROUND * 0.5 * np.cos(np.radians(angle)) ** 3
-    inside, beyond = angle < 40.0 * (1 - CONE_EDGE), angle > 40.0
-    np.testing.assert_allclose(found[inside], full[inside], atol=1e-5)
-    np.testing.assert_allclose(found[beyond], 0.0, atol=1e-6)
-    rim = ~inside & ~beyond
-    share = found[rim] / full[rim]
+    full_light = FLAT_GROUND_ALBEDO * LEVEL_GROUND_EXPOSURE * 0.5 * np.cos(np.radians(angle)) ** 3
+    inside, outside = angle < 40.0 * (1 - CONE_FADE_SHARE), angle > 40.0
+    np.testing.assert_allclose(lamp_color[inside], full_light[inside], atol=1e-5)
+    np.testing.assert_allclose(lamp_color[outside], 0.0, atol=1e-6)
+    rim = ~inside & ~outside
+    share = lamp_color[rim] / full_light[rim]
     assert rim.sum() > 100 and (share > -1e-4).all() and (share < 1.0001).all()
     order = np.argsort(angle[rim])
     assert (np.diff(share[order]) < 1e-3).all()
@@ -149,48 +149,48 @@ def test_spot_fades_out_at_its_rim(floor, make_scene):
 def test_lit_area_of_a_spot_is_its_cone(floor, make_scene):
     """Attached shadow starts exactly at a circle of radius h tan(cutoff)."""
     scene = make_scene(floor, sun="none", lights=spot(15.0, 50.0))
-    view, x, y = square(scene, px=200)
-    dark = attached(geometry_buffer(scene, view), scene, "lamp")
-    np.testing.assert_array_equal(dark, np.hypot(x, y) > 15.0 * np.tan(np.radians(50.0)))
+    view, x, y = square_map(scene, px=200)
+    is_unlit = attached(geometry_buffer(scene, view), scene, "lamp")
+    np.testing.assert_array_equal(is_unlit, np.hypot(x, y) > 15.0 * np.tan(np.radians(50.0)))
 
 
 # -- many lights
 
 
-def test_visibilities_of_lights_are_independent(gl, floor, make_scene, post):
+def test_visibilities_of_lights_are_independent(gl, floor, make_scene, post_mesh):
     """The sun's visibility is that without the lamp, and the lamp's that without the sun. The colours add up."""
-    both = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
-    alone = make_scene(floor, 250.0, 25.0, meshes=post)
-    night = make_scene(floor, sun="none", lights=omni(8.0), meshes=post)
-    view = both.view(bounds=(10, -20, 50, 20), size=(150, 150))  # pixels are off the nodes: no whole blocks
-    frames = [render(scene, view, map_size=1024, filter=1) for scene in (both, alone, night)]
+    lit_by_both = make_scene(floor, 250.0, 25.0, lights=omni_light(8.0), meshes=post_mesh)
+    lit_by_sun = make_scene(floor, 250.0, 25.0, meshes=post_mesh)
+    night = make_scene(floor, sun="none", lights=omni_light(8.0), meshes=post_mesh)
+    view = lit_by_both.view(bounds=(10, -20, 50, 20), size=(150, 150))  # pixels are off the nodes: no whole blocks
+    frames = [render(scene, view, map_size=1024, filter=1) for scene in (lit_by_both, lit_by_sun, night)]
     assert list(frames[0].visibilities) == [SUN, "lamp"] and list(frames[1].visibilities) == [SUN]
     assert list(frames[2].visibilities) == ["lamp"]
     for light, other in ((SUN, frames[1]), ("lamp", frames[2])):
-        own = frames[0].visibilities[light]
-        assert 0.01 < (own < 0.5).mean() < 0.4
-        np.testing.assert_array_equal(own, other.visibilities[light])
+        visibility = frames[0].visibilities[light]
+        assert 0.01 < (visibility < 0.5).mean() < 0.4
+        np.testing.assert_array_equal(visibility, other.visibilities[light])
     sun_only = (frames[0].visibilities["lamp"] == 0) & (frames[0].visibilities[SUN] == 1)
     lamp_too = (frames[0].visibilities["lamp"] == 1) & (frames[0].visibilities[SUN] == 1)
     assert frames[0].color[lamp_too].mean() > frames[0].color[sun_only].mean()
 
 
-def test_frame_under_another_light(gl, floor, make_scene, post):
-    scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
+def test_frame_under_another_light(gl, floor, make_scene, post_mesh):
+    scene = make_scene(floor, 250.0, 25.0, lights=omni_light(8.0), meshes=post_mesh)
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
-    assert frame.under(None) is frame
-    under = frame.under("lamp")
-    np.testing.assert_array_equal(product_of_frame(scene, under, "visibility"), frame.visibilities["lamp"])
+    assert frame.with_light_first(None) is frame
+    lamp_frame = frame.with_light_first("lamp")
+    np.testing.assert_array_equal(product_of_frame(scene, lamp_frame, "visibility"), frame.visibilities["lamp"])
     np.testing.assert_array_equal(product_of_frame(scene, frame, "visibility"), frame.visibilities[SUN])
-    assert (product_of_frame(scene, under, "mask") != product_of_frame(scene, frame, "mask")).any()
-    np.testing.assert_array_equal(under.color, frame.color)
+    assert (product_of_frame(scene, lamp_frame, "mask") != product_of_frame(scene, frame, "mask")).any()
+    np.testing.assert_array_equal(lamp_frame.color, frame.color)
     with pytest.raises(InputError, match="light: 'moon'.*sun, lamp") as caught:
-        frame.under("moon")
+        frame.with_light_first("moon")
     assert "\n" not in str(caught.value)
 
 
-def test_scene_without_light_is_dark_but_drawn(gl, floor, make_scene, post):
-    scene = make_scene(floor, sun="none", meshes=post)
+def test_scene_without_light_is_dark_but_drawn(gl, floor, make_scene, post_mesh):
+    scene = make_scene(floor, sun="none", meshes=post_mesh)
     assert scene.light_names == () and scene.light is None and not scene.sun_is_up
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.valid.all()
@@ -199,22 +199,22 @@ def test_scene_without_light_is_dark_but_drawn(gl, floor, make_scene, post):
     assert 0 < frame.color.mean() < 60
 
 
-def test_lamps_shine_at_night(gl, floor, make_scene, post):
+def test_lamps_shine_at_night(gl, floor, make_scene, post_mesh):
     """A sun below the horizon gives no light and needs no passes. The lamp and its shadows are drawn."""
-    scene = make_scene(floor, 250.0, -30.0, lights=omni(8.0), meshes=post)
+    scene = make_scene(floor, 250.0, -30.0, lights=omni_light(8.0), meshes=post_mesh)
     view = scene.view(bounds=(-20, -20, 50, 20), size=(133, 76))
     frame = render(scene, view)
     assert (frame.visibilities[SUN] == 0.0).all()
     lamp = frame.visibilities["lamp"]
     assert 0.02 < (lamp == 0.0).mean() < 0.3 and (lamp == 1.0).mean() > 0.6
     assert not any(name.startswith("sun/") for name in frame.plan.passes) and any(n.startswith("lamp/") for n in frame.plan.passes)
-    dark = render(make_scene(floor, 250.0, -30.0, meshes=post), view)
+    night_frame = render(make_scene(floor, 250.0, -30.0, meshes=post_mesh), view)
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
-    assert frame.color[:, np.abs(x) < 5].mean() > dark.color[:, np.abs(x) < 5].mean() + 40
+    assert frame.color[:, np.abs(x) < 5].mean() > night_frame.color[:, np.abs(x) < 5].mean() + 40
 
 
-def test_each_light_may_have_its_own_algorithm(gl, floor, make_scene, post):
-    scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
+def test_each_light_may_have_its_own_algorithm(gl, floor, make_scene, post_mesh):
+    scene = make_scene(floor, 250.0, 25.0, lights=omni_light(8.0), meshes=post_mesh)
     view = scene.view(bounds=(10, -20, 50, 20), size=(60, 60))
     plan = plan_of(scene, view, algorithm=parse_algorithm("sun=none,lamp=truth"))
     assert set(plan.algorithm[SUN].values()) == {"none"} and plan.algorithm["lamp"]["meshes"] == "truth"
@@ -224,8 +224,8 @@ def test_each_light_may_have_its_own_algorithm(gl, floor, make_scene, post):
 
 
 @pytest.mark.parametrize("algorithm", ["moon=shadow_map", "lamp=shadow_map,moon=none", "moon=truth,relief=none"])
-def test_unknown_light_in_an_override_is_rejected_in_one_line(floor, make_scene, post, algorithm):
-    scene = make_scene(floor, lights=omni(8.0), meshes=post)
+def test_unknown_light_in_an_override_is_rejected_in_one_line(floor, make_scene, post_mesh, algorithm):
+    scene = make_scene(floor, lights=omni_light(8.0), meshes=post_mesh)
     view = scene.view(size=(16, 16))
     with pytest.raises(InputError, match="algorithm.*sun, lamp.*relief, meshes, forest") as caught:
         plan_of(scene, view, algorithm=parse_algorithm(algorithm))
@@ -246,55 +246,59 @@ def test_lamp_off_the_data_is_rejected_in_one_line(floor, make_scene, light, sai
     assert "\n" not in str(caught.value) and "terrain's data" in str(caught.value)
 
 
-def moving(kind: str, *keys: dict, **own) -> dict:
-    motion = {name: own.pop(name) for name in ("loop", "above") if name in own}
-    return {"lamp": {"kind": kind, "motion": {"path": list(keys), **motion}, **own}}
+def moving_lamp(kind: str, *keys: dict, **lamp_keys) -> dict:
+    motion = {name: lamp_keys.pop(name) for name in ("loop", "above") if name in lamp_keys}
+    return {"lamp": {"kind": kind, "motion": {"path": list(keys), **motion}, **lamp_keys}}
 
 
 def test_moving_lamp_keeps_its_intensity(floor, make_scene):
     """The ground nearby is as bright as at the first key, except for the squared distance and the angle of incidence."""
     path = {"seconds": 0, "position": [0, 0, 10]}, {"seconds": 8, "position": [50, 0, 40]}
-    scene = make_scene(floor, lights=moving("omni", *path))
-    still = make_scene(floor, lights=omni(10.0))
-    view, x, y = square(scene)
-    light, same, later = (shone(each, view, ("lamp",))[1][..., 0] for each in (scene, still, scene.at_second(8.0)))
-    np.testing.assert_array_equal(light, same)
+    scene = make_scene(floor, lights=moving_lamp("omni", *path))
+    static_scene = make_scene(floor, lights=omni_light(10.0))
+    view, x, y = square_map(scene)
+    first_light, static_light, later_light = (
+        unshadowed_light(lamp_scene, view, ("lamp",))[1][..., 0] for lamp_scene in (scene, static_scene, scene.at_second(8.0))
+    )
+    np.testing.assert_array_equal(first_light, static_light)
     distance_m = np.hypot(39.5 - 50, 40)
-    at = {east: (np.abs(x - east) < 0.6) & (np.abs(y) < 0.6) for east in (0.0, 39.5)}
-    assert later[at[39.5]].mean() == pytest.approx(light[at[0.0]].mean() * 10**2 / distance_m**2 * 40 / distance_m, rel=0.02)
+    masks = {east: (np.abs(x - east) < 0.6) & (np.abs(y) < 0.6) for east in (0.0, 39.5)}
+    assert later_light[masks[39.5]].mean() == pytest.approx(
+        first_light[masks[0.0]].mean() * 10**2 / distance_m**2 * 40 / distance_m, rel=0.02
+    )
 
 
 def test_searchlight_turns_to_its_moving_target(floor, make_scene):
     """The position is fixed. Targets have heights above the sea, too."""
     aims = {"seconds": 2, "target": [-30, 0, 0]}, {"seconds": 6, "target": [30, 0, 0]}
-    scene = make_scene(floor, lights=moving("spot", *aims, position=[0, 0, 30], cutoff=8, above="sea"))
+    scene = make_scene(floor, lights=moving_lamp("spot", *aims, position=[0, 0, 30], cutoff=8, above="sea"))
     for seconds, aim in ((0.0, -30), (4.0, 0), (6.0, 30)):
         lamp = scene.at_second(seconds).lamps["lamp"]
         np.testing.assert_allclose(lamp.position_earth_m, [0, 0, 30], atol=1e-6)
         np.testing.assert_allclose(lamp.earth_from_lamp[:, 2] * np.hypot(aim, 30), [aim, 0, -30], atol=1e-6)
         assert lamp.reference_m == pytest.approx(np.hypot(30, 30))
-        view, x, y = square(scene)
-        lit = shone(scene.at_second(seconds), view, ("lamp",))[1].sum(axis=-1) > 0
-        assert x[lit].mean() == pytest.approx(aim, abs=3.0) and np.abs(y[lit]).max() < 8
+        view, x, y = square_map(scene)
+        is_lit = unshadowed_light(scene.at_second(seconds), view, ("lamp",))[1].sum(axis=-1) > 0
+        assert x[is_lit].mean() == pytest.approx(aim, abs=3.0) and np.abs(y[is_lit]).max() < 8
 
 
 @pytest.mark.parametrize(
     ("light", "said"),
     [
         (
-            moving("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 3, "position": [0, 400, 5]}),
+            moving_lamp("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 3, "position": [0, 400, 5]}),
             "lights.lamp.motion.path.1.position: '(0.0, 400.0, 5.0)' is not allowed. Allowed: a position on the terrain: within",
         ),
         (
-            moving("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 4, "position": [0, 40, -5]}),
+            moving_lamp("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 4, "position": [0, 40, -5]}),
             "lights.lamp.motion.path: at -",
         ),
         (
-            moving("spot", {"seconds": 0, "position": [-10, 0, 5]}, {"seconds": 4, "position": [10, 0, 5]}, target=[0, 0, 5]),
+            moving_lamp("spot", {"seconds": 0, "position": [-10, 0, 5]}, {"seconds": 4, "position": [10, 0, 5]}, target=[0, 0, 5]),
             "lights.lamp.motion.path: the light meets its target at second 2. Keep the light at least 0.1 m from its target",
         ),
         (
-            moving("spot", {"seconds": 0, "target": [-10, 0, 0]}, {"seconds": 4, "target": [600, 0, 0]}, position=[0, 0, 9]),
+            moving_lamp("spot", {"seconds": 0, "target": [-10, 0, 0]}, {"seconds": 4, "target": [600, 0, 0]}, position=[0, 0, 9]),
             "lights.lamp.motion.path.1.target: '(600.0, 0.0, 0.0)' is not allowed",
         ),
     ],

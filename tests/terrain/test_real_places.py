@@ -22,11 +22,11 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.trees.canopy_sample import TREE_HEIGHT_M
 
-CITY = "urban/goteborg_1m"
+CITY_FOLDER = "urban/goteborg_1m"
 ROOF_M = 0.2
 """Maximum distance of level roofs from the high parts of the surface in their footprints, even on a hillside."""
 
-SCENES: dict[str, Scene] = {}
+SCENE_CACHE: dict[str, Scene] = {}
 """Cache of scenes: the canopy of a city takes seconds to plant."""
 
 
@@ -45,8 +45,8 @@ class Town:
 
 PLACES = {
     "goteborg": Town(
-        f"{CITY}/DEM.tif", f"{CITY}/CDSM.tif", (11.9625, 57.7064, 80.0), (11.9639, 57.7073, 0.0),
-        ("relief", "meshes", "forest"), f"{CITY}/buildings.shp", f"{CITY}/DSM.tif",
+        f"{CITY_FOLDER}/DEM.tif", f"{CITY_FOLDER}/CDSM.tif", (11.9625, 57.7064, 80.0), (11.9639, 57.7073, 0.0),
+        ("relief", "meshes", "forest"), f"{CITY_FOLDER}/buildings.shp", f"{CITY_FOLDER}/DSM.tif",
     ),
     # Two resolutions, cells of 5.0012 m x 4.9992 m and 2.5021 m x 2.5024 m.
     "bilbao": Town(
@@ -71,7 +71,7 @@ def scene_of(shared_data: Path, make_scene):
         keys["views"] = {"air": {"kind": "perspective", "eye": town.eye, "target": town.target, "size": [200, 150]}}
         return make_scene(shared_data / town.ground, 225.0, 30.0, **keys)
 
-    return lambda name: SCENES.get(name) or SCENES.setdefault(name, make(name))
+    return lambda name: SCENE_CACHE.get(name) or SCENE_CACHE.setdefault(name, make(name))
 
 
 def heights_of(path: Path) -> tuple[np.ndarray, rasterio.Affine]:
@@ -88,8 +88,8 @@ def test_real_place_is_planned_and_drawn(scene_of, name):
         assert tuple(plan.algorithm["sun"]) == town.casters
         frame = render_frame(scene, view, plan)
         assert frame.valid.mean() > 0.5
-        seen = frame.visibility[frame.valid]
-        assert 0.02 < (seen < 0.5).mean() < 0.8, "neither without shadows nor all in shadow"
+        visibility = frame.visibility[frame.valid]
+        assert 0.02 < (visibility < 0.5).mean() < 0.8, "neither without shadows nor all in shadow"
 
 
 @pytest.mark.parametrize("name", PLACES)
@@ -102,7 +102,7 @@ def test_trees_agree_with_the_canopy(scene_of, shared_data, name):
     assert 0.4 < crowns_m2 / canopy_m2 < 1.5
     assert 0.8 * canopy_m.max() < trees.height_m.max() <= canopy_m.max() + 0.01
     assert trees.height_m.min() >= TREE_HEIGHT_M
-    x, y, foot_m = scene.objects.trees_on(scene.elevation.crs).T
+    x, y, foot_m = scene.objects.trees_in_crs(scene.elevation.crs).T
     np.testing.assert_allclose(foot_m, scene.elevation.ground_m(x, y), atol=1e-3)
     col, row = (np.floor(v).astype(int) for v in ((x - transform.c) / transform.a, (y - transform.f) / transform.e))
     inside = (row >= 0) & (row < canopy_m.shape[0]) & (col >= 0) & (col < canopy_m.shape[1])
@@ -121,23 +121,27 @@ def test_buildings_agree_with_footprints_and_surface(scene_of, shared_data):
     surface_m, _ = heights_of(shared_data / town.surface)
     footprints = shapely.from_wkb(pyogrio.raw.read(shared_data / town.footprints)[2])
     extent = shapely.box(*scene.elevation.bounds)
-    whole, touching = shapely.contains_properly(extent, footprints).sum(), shapely.intersects(extent, footprints).sum()
-    assert 0.9 * whole <= len(solids.closed) < touching < len(footprints), "without slabs and those mostly beyond the border"
+    inside_count, touching_count = shapely.contains_properly(extent, footprints).sum(), shapely.intersects(extent, footprints).sum()
+    assert 0.9 * inside_count <= len(solids.closed) < touching_count < len(footprints), (
+        "without slabs and those mostly beyond the border"
+    )
 
     rows, cols = np.indices(ground_m.shape)
     x, y = transform.c + transform.a * (cols + 0.5), transform.f + transform.e * (rows + 0.5)
-    vertex_m = scene.objects.solids_on(scene.elevation.crs)
-    off = []
+    vertex_m = scene.objects.solids_in_crs(scene.elevation.crs)
+    roof_errors = []
     for body in range(len(solids.closed)):
         corners = vertex_m[np.unique(solids.triangles[solids.body == body])]
-        (own,) = np.flatnonzero(shapely.distance(footprints, shapely.points(corners[:, :2])[:, None]).max(axis=0) < 0.01)
-        inside = shapely.contains_xy(footprints[own], x, y)
-        if not shapely.contains_properly(extent, footprints[own]) or inside.sum() < 20:
+        (footprint_index,) = np.flatnonzero(
+            shapely.distance(footprints, shapely.points(corners[:, :2])[:, None]).max(axis=0) < 0.01
+        )
+        inside = shapely.contains_xy(footprints[footprint_index], x, y)
+        if not shapely.contains_properly(extent, footprints[footprint_index]) or inside.sum() < 20:
             continue
         assert corners[:, 2].min() < ground_m[inside].min() + 0.1, "walls reach down to the ground"
-        off.append(corners[:, 2].max() - np.percentile(surface_m[inside], 90))
-    assert len(off) >= 15
-    assert np.max(np.abs(off)) < ROOF_M
+        roof_errors.append(corners[:, 2].max() - np.percentile(surface_m[inside], 90))
+    assert len(roof_errors) >= 15
+    assert np.max(np.abs(roof_errors)) < ROOF_M
 
 
 def test_wooded_valley_has_a_village_and_no_tree_in_a_house():
@@ -147,10 +151,10 @@ def test_wooded_valley_has_a_village_and_no_tree_in_a_house():
     assert scene.objects.kinds == ("relief", "meshes", "forest")
     assert len(footprints) == len(scene.objects.solids.closed) > 100 and all(scene.objects.solids.closed)
     assert heights_m.min() > 2 and heights_m.max() < 25
-    x, y, _ = scene.objects.trees_on(scene.elevation.crs).T
+    x, y, _ = scene.objects.trees_in_crs(scene.elevation.crs).T
     assert 60_000 < len(x) < 250_000
     nearest = shapely.STRtree(footprints).query(shapely.points(x, y), predicate="intersects")
     assert not nearest.size
     west, south, east, north = scene.bounds_lon_lat
-    looked_at = shapely.box(west - 0.005, south - 0.005, east + 0.005, north + 0.005)
-    assert shapely.contains(looked_at, footprints).all()
+    view_area = shapely.box(west - 0.005, south - 0.005, east + 0.005, north + 0.005)
+    assert shapely.contains(view_area, footprints).all()

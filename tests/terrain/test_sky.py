@@ -71,9 +71,9 @@ def test_horizon_is_redder_below_a_lower_sun():
 
 
 def test_sky_above_a_low_sun_is_bluer():
-    low, high = (color_at(scene_of(3.0), altitude, 60.0) for altitude in (0.0, 20.0))
-    kept = high / low
-    assert kept[0] < kept[1] < kept[2]
+    horizon_color, upper_color = (color_at(scene_of(3.0), altitude, 60.0) for altitude in (0.0, 20.0))
+    ratio = upper_color / horizon_color
+    assert ratio[0] < ratio[1] < ratio[2]
 
 
 def test_sky_is_at_most_white_and_dark_at_night():
@@ -89,9 +89,9 @@ def test_overcast_sky_has_no_sun():
 
 
 def test_sky_is_brightest_around_the_sun():
-    away = np.array([0.0, 1.0, 3.0, 8.0, 20.0, 45.0])
-    bright = [color_at(scene_of(20.0), 20.0 + off, 0.0).sum() for off in away]
-    assert (np.diff(bright) < 0).all()
+    separations_deg = np.array([0.0, 1.0, 3.0, 8.0, 20.0, 45.0])
+    brightness = [color_at(scene_of(20.0), 20.0 + separation_deg, 0.0).sum() for separation_deg in separations_deg]
+    assert (np.diff(brightness) < 0).all()
 
 
 def test_gradient_noise_is_uniform_within_half_a_step():
@@ -110,7 +110,7 @@ def test_dithered_sky_has_no_bands(altitude_deg):
     """
     scene, rows, cols = scene_of(altitude_deg), 120, 160
     view = camera(rows, cols)
-    shown = srgb_encoded(picture(scene, view)).astype(float)
+    encoded = srgb_encoded(picture(scene, view)).astype(float)
     row, col = np.mgrid[0:rows, 0:cols]
     ray = np.stack([(col + view.col0) / view.focal_px, (row + view.row0) / view.focal_px, np.ones(row.shape)], axis=-1)
     ray = ray @ view.earth_from_camera.T
@@ -120,20 +120,20 @@ def test_dithered_sky_has_no_bands(altitude_deg):
     for i, j in zip(row.ravel(), col.ravel(), strict=True):
         sky_color(its_sky, ray[i, j, 2], ray[i, j, 0] / np.hypot(*ray[i, j, :2]), exact[i, j])
     codes = 255.0 * srgb_of_linear(exact)
-    assert np.abs(shown - codes).max() < 1.3
+    assert np.abs(encoded - codes).max() < 1.3
 
-    def off(picture: np.ndarray) -> float:
+    def banding(picture: np.ndarray) -> float:
         means = (picture - codes).reshape(rows // 8, 8, cols // 8, 8, 3).mean(axis=(1, 3))
         return float(np.abs(means).max())
 
-    assert off(shown) < 0.2 and off(np.rint(codes)) > 0.3
+    assert banding(encoded) < 0.2 and banding(np.rint(codes)) > 0.3
 
 
 def test_sky_is_equal_in_parts_and_repeated_pictures():
     scene = scene_of(8.0)
-    whole = picture(scene, camera())
-    np.testing.assert_array_equal(whole, picture(scene, camera()))
-    np.testing.assert_array_equal(whole[31:71, 17:100], picture(scene, camera().part(31, 17, 40, 83)))
+    full_picture = picture(scene, camera())
+    np.testing.assert_array_equal(full_picture, picture(scene, camera()))
+    np.testing.assert_array_equal(full_picture[31:71, 17:100], picture(scene, camera().part(31, 17, 40, 83)))
 
 
 def test_horizontal_sun_direction_has_unit_length():
@@ -144,12 +144,12 @@ def test_horizontal_sun_direction_has_unit_length():
 @pytest.mark.parametrize("altitude_deg", [-4.0, 0.5, 12.0, 50.0])
 def test_sky_colors_of_rows_equal_those_of_single_directions(altitude_deg):
     its_sky, rng = sky_of(scene_of(altitude_deg)), np.random.default_rng(3)
-    sine, along = np.concatenate([rng.uniform(-0.2, 1.0, 300), [0.0, 1.0, -1.0]]), rng.uniform(-1.0, 1.0, 303)
-    many, one = np.empty((3, 303)), np.empty((303, 3))
-    sky_colors(its_sky, sine, along, many)
+    sine, cosine = np.concatenate([rng.uniform(-0.2, 1.0, 300), [0.0, 1.0, -1.0]]), rng.uniform(-1.0, 1.0, 303)
+    row_colors, single_colors = np.empty((3, 303)), np.empty((303, 3))
+    sky_colors(its_sky, sine, cosine, row_colors)
     for n in range(303):
-        sky_color(its_sky, sine[n], along[n], one[n])
-    np.testing.assert_allclose(many.T, one, rtol=1e-9)
+        sky_color(its_sky, sine[n], cosine[n], single_colors[n])
+    np.testing.assert_allclose(row_colors.T, single_colors, rtol=1e-9)
 
 
 def test_transmittances_fall_off_exponentially():

@@ -11,8 +11,16 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import LEVEL_GROUND, SKY_SHARE, shade
-from skugga.terrain.shading_loops import MIN_SKY, SHOULDER, _direct_on_slope, _on_slope, _sky_on_slope, luminance_of, shoulder
+from skugga.terrain.shading import LEVEL_GROUND_EXPOSURE, SKY_SHARE, shade
+from skugga.terrain.shading_loops import (
+    MIN_SKY_FACTOR,
+    SHOULDER,
+    _exaggerated_cosines,
+    _slope_direct_light,
+    _slope_sky_factor,
+    luminance_of,
+    shoulder,
+)
 from skugga.terrain.srgb import linear_of_srgb
 from skugga.terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
 from tests.render import plan_of
@@ -33,7 +41,7 @@ def plane(write_raster, make_scene, east_rise: float, azimuth: float, altitude: 
     return make_scene(write_raster(heights, UTM, X0, Y0, 10.0), azimuth, altitude, **keys)
 
 
-def middle(scene: Scene, sunlight: float) -> np.ndarray:
+def centre_color(scene: Scene, sunlight: float) -> np.ndarray:
     """Return the linear colour (3,) at the centre of a map with a share of sunlight."""
     buffer = geometry_buffer(scene, scene.view(size=(60, 60)))
     return shade(buffer, scene, np.full(buffer.valid.shape, sunlight, np.float32))[30, 30].astype(float)
@@ -57,9 +65,9 @@ def test_ramp_has_its_colours_at_its_heights(name):
     (table,), ramp = tint_table(STYLES[name].ramp), STYLES[name].ramp
     for height, color in ramp:
         expected = linear_of_srgb(np.array([int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]))
-        at = (height - TINT_LOW_M) / TINT_STEP_M
-        low, share = int(at), at - int(at)
-        np.testing.assert_allclose(table[low] + share * (table[low + 1] - table[low]), expected, atol=4e-3)
+        ramp_position = (height - TINT_LOW_M) / TINT_STEP_M
+        lower_index, share = int(ramp_position), ramp_position - int(ramp_position)
+        np.testing.assert_allclose(table[lower_index] + share * (table[lower_index + 1] - table[lower_index]), expected, atol=4e-3)
 
 
 def test_height_has_one_colour_in_every_level(write_raster, make_scene):
@@ -83,25 +91,27 @@ def test_grey_style_is_grey(write_raster, make_scene):
 def test_shadows_are_bluish(write_raster, make_scene, name, base_m):
     """For any colour of the ground, blue is the strongest channel of level ground in shadow, which is darker than lit ground."""
     scene = plane(write_raster, make_scene, 1e-4, 200.0, 30.0, base_m, style=name)
-    dark, lit = middle(scene, 0.0), middle(scene, 1.0)
-    assert dark[2] > dark[1] and dark[2] > dark[0]
-    assert lightness(dark[None])[0] < 0.8 * lightness(lit[None])[0]
+    shadow_color, lit_color = centre_color(scene, 0.0), centre_color(scene, 1.0)
+    assert shadow_color[2] > shadow_color[1] and shadow_color[2] > shadow_color[0]
+    assert lightness(shadow_color[None])[0] < 0.8 * lightness(lit_color[None])[0]
 
 
 def test_custom_ramp_replaces_that_of_the_style(write_raster, make_scene):
     scene = plane(
         write_raster, make_scene, 1e-4, 180.0, 60.0, style={"name": "analysis", "ramp": [[0, "#ff0000"], [600, "#0000ff"]]}
     )
-    lit = middle(scene, 1.0)
-    assert lit[0] == pytest.approx(lit[2], rel=0.25) and lit[1] < 0.3 * lit[0], "half the way from red to blue, and greyed sky"
-    assert (middle(scene.with_style("analysis"), 1.0) > 0.5).all(), "a named style comes without it"
+    lit_color = centre_color(scene, 1.0)
+    assert lit_color[0] == pytest.approx(lit_color[2], rel=0.25) and lit_color[1] < 0.3 * lit_color[0], (
+        "half the way from red to blue, and greyed sky"
+    )
+    assert (centre_color(scene.with_style("analysis"), 1.0) > 0.5).all(), "a named style comes without it"
 
 
 # -- light
 
 
 def test_level_ground_keeps_its_brightness(write_raster, make_scene):
-    """Level, lit, white ground shows ``LEVEL_GROUND`` of white for any sun above ``EXPOSURE_FLOOR_DEG``.
+    """Level, lit, white ground shows ``LEVEL_GROUND_EXPOSURE`` of white for any sun above ``EXPOSURE_FLOOR_DEG``.
 
     The sky alone gives its share.
     """
@@ -115,16 +125,18 @@ def test_level_ground_keeps_its_brightness(write_raster, make_scene):
             effects={"sky_view": "off"},
             style={"name": "analysis", "ramp": [[0, "#ffffff"]]},
         )
-        sky = LEVEL_GROUND * SKY_SHARE / (1.0 + SKY_SHARE) * np.array(STYLES["analysis"].skylight)
-        np.testing.assert_allclose(middle(scene, 0.0), sky, rtol=2e-3)
+        sky = LEVEL_GROUND_EXPOSURE * SKY_SHARE / (1.0 + SKY_SHARE) * np.array(STYLES["analysis"].skylight)
+        np.testing.assert_allclose(centre_color(scene, 0.0), sky, rtol=2e-3)
         np.testing.assert_allclose(
-            middle(scene, 1.0), [shoulder(LEVEL_GROUND / (1.0 + SKY_SHARE) + each) for each in sky], rtol=2e-3
+            centre_color(scene, 1.0),
+            [shoulder(LEVEL_GROUND_EXPOSURE / (1.0 + SKY_SHARE) + sky_term) for sky_term in sky],
+            rtol=2e-3,
         )
 
 
 def test_shoulder_is_smooth_and_never_white():
     x = np.linspace(0.0, 20.0, 20001)
-    y = np.array([shoulder(each) for each in x])
+    y = np.array([shoulder(value) for value in x])
     assert np.array_equal(y[x <= SHOULDER], x[x <= SHOULDER]) and (np.diff(y) > 0).all() and y.max() < 1.0
     assert np.abs(np.diff(np.diff(y))).max() < 1e-5, "no edge where it begins"
 
@@ -132,20 +144,20 @@ def test_shoulder_is_smooth_and_never_white():
 def test_shadowed_slopes_towards_the_sun_get_more_sky(write_raster, make_scene):
     """The closed form is 1 + k (a + cos s - 1) of the sky's share, with a = sin s towards the sun."""
     slope = np.arctan(0.5)
-    towards, away = (
-        middle(plane(write_raster, make_scene, rise, 270.0, 20.0, effects={"sky_view": "off"}, style="grey"), 0.0)[0]
+    facing_sun, facing_away = (
+        centre_color(plane(write_raster, make_scene, rise, 270.0, 20.0, effects={"sky_view": "off"}, style="grey"), 0.0)[0]
         for rise in (0.5, -0.5)  # the plane that rises eastwards faces west
     )
     k = STYLES["grey"].sky_towards_sun
-    factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), MIN_SKY) for side in (1.0, -1.0)]
-    assert towards / away == pytest.approx(factors[0] / factors[1], rel=0.02)
-    assert towards > 1.5 * away
+    factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), MIN_SKY_FACTOR) for side in (1.0, -1.0)]
+    assert facing_sun / facing_away == pytest.approx(factors[0] / factors[1], rel=0.02)
+    assert facing_sun > 1.5 * facing_away
 
 
 def test_sky_factor_is_one_on_level_ground_and_bounded():
     for sine in (-0.1, 0.0, 0.3, 0.9, 1.0):
-        assert _sky_on_slope(sine, 1.0, sine, 0.8) == pytest.approx(1.0)
-        assert _sky_on_slope(-1.0, 0.0, sine, 1.0) >= MIN_SKY
+        assert _slope_sky_factor(sine, 1.0, sine, 0.8) == pytest.approx(1.0)
+        assert _slope_sky_factor(-1.0, 0.0, sine, 1.0) >= MIN_SKY_FACTOR
 
 
 def test_slopes_are_exaggerated_as_tangents():
@@ -154,20 +166,22 @@ def test_slopes_are_exaggerated_as_tangents():
     sun = np.array([np.cos(altitude), np.sin(altitude)])
     for t in (-1.5, -0.2, 0.0, 0.3, 2.0):
         for a in (0.5, 1.0, 4.0):
-            normal, wanted = (np.array([-rise, 1.0]) / np.hypot(rise, 1.0) for rise in (t, a * t))
-            facing, upright = _on_slope(normal @ sun, normal[1], sun[1], a, 1e9)
-            assert (facing, upright) == pytest.approx((wanted @ sun, wanted[1]), abs=1e-12)
-        _, limited = _on_slope(normal @ sun, normal[1], sun[1], 100.0, 0.7)
-        assert limited >= np.cos(np.arctan(0.7)) - 1e-12, "no slope is drawn steeper than the limit"
+            normal, exaggerated_normal = (np.array([-rise, 1.0]) / np.hypot(rise, 1.0) for rise in (t, a * t))
+            facing, upright = _exaggerated_cosines(normal @ sun, normal[1], sun[1], a, 1e9)
+            assert (facing, upright) == pytest.approx((exaggerated_normal @ sun, exaggerated_normal[1]), abs=1e-12)
+        _, limited_upright = _exaggerated_cosines(normal @ sun, normal[1], sun[1], 100.0, 0.7)
+        assert limited_upright >= np.cos(np.arctan(0.7)) - 1e-12, "no slope is drawn steeper than the limit"
 
 
 def test_attached_shadow_starts_softly_on_slopes():
     for sine in (0.05, 0.5, 1.0):
         facing = np.linspace(-0.2, 1.0, 1201)
-        given = np.array([_direct_on_slope(each, sine, 0.5) for each in facing])
-        assert np.array_equal(given[facing >= 0.5 * sine], facing[facing >= 0.5 * sine]) and (np.diff(given) >= 0).all()
-        assert (given[facing <= 0.0] == 0.0).all() and (given <= np.maximum(facing, 0.0)).all()
-        assert np.array_equal(np.array([_direct_on_slope(each, sine, 0.0) for each in facing]), np.maximum(facing, 0.0)), (
+        direct_light = np.array([_slope_direct_light(cosine, sine, 0.5) for cosine in facing])
+        assert (
+            np.array_equal(direct_light[facing >= 0.5 * sine], facing[facing >= 0.5 * sine]) and (np.diff(direct_light) >= 0).all()
+        )
+        assert (direct_light[facing <= 0.0] == 0.0).all() and (direct_light <= np.maximum(facing, 0.0)).all()
+        assert np.array_equal(np.array([_slope_direct_light(cosine, sine, 0.0) for cosine in facing]), np.maximum(facing, 0.0)), (
             "Lambert's law"
         )
 
@@ -177,15 +191,16 @@ def test_aerial_perspective_lowers_contrast_of_low_ground(write_raster, make_sce
     contrast = {}
     for base_m in (10.0, 4000.0):
         scene = plane(write_raster, make_scene, 0.05, 250.0, 20.0, base_m, style={"name": "swiss", "ramp": [[0, "#cccccc"]]})
-        contrast[base_m] = middle(scene, 1.0)[1] - middle(scene, 0.0)[1]
+        contrast[base_m] = centre_color(scene, 1.0)[1] - centre_color(scene, 0.0)[1]
     assert contrast[10.0] / contrast[4000.0] == pytest.approx(
-        (1 - STYLES["swiss"].aerial * np.exp(-10 / 1500)) / (1 - STYLES["swiss"].aerial * np.exp(-4000 / 1500)), rel=0.01
+        (1 - STYLES["swiss"].aerial_share * np.exp(-10 / 1500)) / (1 - STYLES["swiss"].aerial_share * np.exp(-4000 / 1500)),
+        rel=0.01,
     )
 
 
 def test_slope_exaggeration_grows_with_pixel_size_to_three():
     style = STYLES["natural"]
-    assert [style.slope_exaggeration_at(each) for each in (1.0, 60.0)] == [1.0, 1.0]
+    assert [style.slope_exaggeration_at(pixel_m) for pixel_m in (1.0, 60.0)] == [1.0, 1.0]
     assert style.slope_exaggeration_at(960.0) == pytest.approx(2.0) and style.slope_exaggeration_at(1e6) == 3.0
     assert STYLES["analysis"].slope_exaggeration_at(1e6) == 1.0
 
@@ -200,7 +215,7 @@ def test_styles_do_not_move_shadows(gl, write_raster, make_scene, name, exaggera
     heights = (500.0 + 60.0 * rng.normal(size=(60, 60)).cumsum(axis=0)).astype(np.float32)
     scene = make_scene(write_raster(heights, UTM, X0, Y0, 30.0), 235.0, 25.0)
     other, view = scene.with_style(name, exaggeration), scene.view(size=(90, 90))
-    frames = [render_frame(each, view, plan_of(each, view)) for each in (scene, other)]
+    frames = [render_frame(styled_scene, view, plan_of(styled_scene, view)) for styled_scene in (scene, other)]
     assert np.array_equal(frames[0].visibility, frames[1].visibility, equal_nan=True)
     assert np.array_equal(frames[0].opacity, frames[1].opacity)
     if other.style != scene.style:
@@ -220,7 +235,7 @@ def test_fine_ground_is_urban_unless_it_is_wooded(write_raster, make_scene, tmp_
     """The area is 60 x 60 m, or 3,600 m2, and each crown of 5 m covers 20 m2."""
     heights = np.zeros((60, 60), np.float32)
     heights[20:40, 20:40] = 9.0
-    fine = write_raster(heights, UTM, X0, Y0, 1.0)
+    fine_raster = write_raster(heights, UTM, X0, Y0, 1.0)
     x, y = (edge + 6.0 * np.arange(1, 10) for edge in (X0, Y0 - 60.0))
     places = [[float(a) + 0.1 * number, float(b)] for number in range(2) for a in x for b in y][:trees]
     (tmp_path / "trees.geojson").write_text(json.dumps({
@@ -228,16 +243,16 @@ def test_fine_ground_is_urban_unless_it_is_wooded(write_raster, make_scene, tmp_
         "features": [{"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": at}} for at in places],
     }))  # fmt: skip
     forest = [{"source": str(tmp_path / "trees.geojson"), "height": [9, 12], "crown": [5, 5]}] if trees else []
-    scene = make_scene(fine, forest=forest)
+    scene = make_scene(fine_raster, forest=forest)
     assert scene.objects.crown_share == pytest.approx(len(places) * np.pi * 2.5**2 / 3600.0, rel=0.01)
     assert (scene.objects.crown_share > 0.25) == (name == "natural") and scene.style.name == name
-    assert make_scene(fine, forest=forest, style="natural").style.name == "natural"
+    assert make_scene(fine_raster, forest=forest, style="natural").style.name == "natural"
 
 
 def test_coarse_ground_is_natural_unless_it_has_blocks(write_raster, make_scene):
-    coarse = write_raster(np.zeros((60, 60), np.float32), UTM, X0, Y0, 30.0)
-    assert make_scene(coarse).style.name == "natural"
-    assert make_scene(coarse, terrain={"surface": "blocks"}).style.name == "urban"
+    coarse_raster = write_raster(np.zeros((60, 60), np.float32), UTM, X0, Y0, 30.0)
+    assert make_scene(coarse_raster).style.name == "natural"
+    assert make_scene(coarse_raster, terrain={"surface": "blocks"}).style.name == "urban"
 
 
 @pytest.mark.parametrize(
@@ -259,8 +274,8 @@ def test_invalid_style_is_rejected(write_raster, make_scene, style, message):
 
 def test_invalid_style_of_a_request_names_the_parameter(write_raster, make_scene):
     scene = plane(write_raster, make_scene, 0.1, 180.0, 30.0)
-    with pytest.raises(InputError, match="style: .pretty. is not allowed. Allowed: .*swiss") as refused:
+    with pytest.raises(InputError, match="style: .pretty. is not allowed. Allowed: .*swiss") as caught:
         scene.with_style("pretty")
-    assert "natural" in str(refused.value)
+    assert "natural" in str(caught.value)
     with pytest.raises(InputError, match="slope_exaggeration"):
         scene.with_style(None, 0.0)

@@ -29,7 +29,7 @@ def hills(rows: int = 160, cols: int = 160) -> np.ndarray:
     return 600 + 250 * np.sin(col / 11) * np.cos(row / 9)
 
 
-def seen(scene: Scene) -> np.ndarray:
+def picture_points_on_map(scene: Scene) -> np.ndarray:
     """Return map coordinates (n, 2) of the corners, edge centres and centre of the proposed picture.
 
     Rays meet the ground as a plane at its mean height. Upward rays have NaN.
@@ -46,15 +46,15 @@ def seen(scene: Scene) -> np.ndarray:
     for i, j in ((0, 0), (0, 0.5), (0, 1), (0.5, 0), (0.5, 0.5), (0.5, 1), (1, 0), (1, 0.5), (1, 1)):
         camera = np.array([(view.col0 + j * (view.cols - 1)), (view.row0 + i * (view.rows - 1)), view.focal_px])
         ray = frame.directions_from_earth(view.earth_from_camera @ camera)
-        low = eye[2] - float(np.nanmean(scene.elevation.overview.heights_m))
-        points.append(eye + ray * (low / -ray[2]) if ray[2] < 0 else np.full(3, np.nan))
+        eye_height_m = eye[2] - float(np.nanmean(scene.elevation.overview.heights_m))
+        points.append(eye + ray * (eye_height_m / -ray[2]) if ray[2] < 0 else np.full(3, np.nan))
     x, y, _ = scene.world.map_position(scene.elevation.crs, frame.points_to_earth(np.array(points)))
     return np.column_stack([x, y])
 
 
 def test_picture_is_filled_with_ground(tmp_path):
     scene = scene_of(tmp_path, hills())
-    places = seen(scene)
+    places = picture_points_on_map(scene)
     west, south, east, north = scene.elevation.bounds
     margin = 12 * CELL_M  # relief moves the points that rays meet
     assert np.isfinite(places).all()
@@ -67,7 +67,7 @@ def test_view_looks_at_relief_and_not_at_a_plain(tmp_path):
     row, col = np.mgrid[:160, :160]
     ramp = np.clip((col - 80) / 10, 0, 1) * np.clip((80 - row) / 10, 0, 1)
     scene = scene_of(tmp_path, 100 + ramp * (hills() - 300))
-    x, y = seen(scene)[4]
+    x, y = picture_points_on_map(scene)[4]
     assert x > 500e3 + 70 * CELL_M and y > 5200e3 - 95 * CELL_M
 
 
@@ -83,7 +83,7 @@ def test_view_avoids_holes(tmp_path):
     heights = hills()
     heights[:, :70] = -9999.0
     scene = scene_of(tmp_path, heights, nodata=-9999.0)
-    assert (seen(scene)[:, 0] > 500e3 + 60 * CELL_M).all()
+    assert (picture_points_on_map(scene)[:, 0] > 500e3 + 60 * CELL_M).all()
 
 
 @pytest.mark.parametrize("crs", [ENGINEERING, "EPSG:4326", "EPSG:3031"])
@@ -97,7 +97,7 @@ def test_good_view_in_every_kind_of_crs(tmp_path, crs):
             tmp_path / "other.tif", hills().astype(np.float32), crs, 0.0, 1.5e6 if "3031" in crs else 0.0, CELL_M
         )
         scene = build_scene(load_level(raster))
-    assert scene is not None and np.isfinite(seen(scene)[4]).all()
+    assert scene is not None and np.isfinite(picture_points_on_map(scene)[4]).all()
 
 
 def test_view_of_a_wide_level_looks_at_rugged_ground(tmp_path):
@@ -105,7 +105,7 @@ def test_view_of_a_wide_level_looks_at_rugged_ground(tmp_path):
     row, col = np.mgrid[:500, :500]
     heights = 50 + np.where((row < 60) & (col > 420), 1500 + 900 * np.sin(col / 3) * np.cos(row / 3), 0)
     scene = scene_of(tmp_path, heights, cell_m=2000.0)
-    x, y = seen(scene)[4]
+    x, y = picture_points_on_map(scene)[4]
     assert x > 500e3 + 400 * 2000.0 and y > 5200e3 - 80 * 2000.0
 
 

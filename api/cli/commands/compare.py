@@ -56,22 +56,22 @@ def compare(
     from skugga.api.cli.outputs import check_targets
     from skugga.api.cli.snapshot import scene_and_view
     from skugga.api.cli.times import sun_from_options
-    from skugga.api.report.comparison import check_outputs, show, write
+    from skugga.api.report.comparison import check_outputs, print_comparison, write_comparison
     from skugga.selector.measure.compare import TIME_LIMIT_S
     from skugga.selector.measure.compare import compare as measure
 
     sun, shape = sun_from_options(time, azimuth, altitude), read_size(size)
     check_outputs(output, json_file)
     pictures = [] if output is None else sorted(output.glob("*.png"))
-    check_targets(level, [("--json", json_file), *(("--output", each) for each in pictures)])
+    check_targets(level, [("--json", json_file), *(("--output", picture) for picture in pictures)])
     scene, view_value = scene_and_view(level, view, sun, shape, read_bounds(bounds), crs)
     with ProgressBar("Comparing") as advance:
         limit_s = TIME_LIMIT_S if time_limit is None else time_limit
         comparison = measure(scene, view_value, view, fine, advance, light, limit_s, only=only or ())
     base_command = command_line_without(context, "output", "json_file", "time_limit", "only")
-    show(comparison, base_command)
+    print_comparison(comparison, base_command)
     if output is not None:
-        write(scene, comparison, output, view, base_command)
+        write_comparison(scene, comparison, output, view, base_command)
     if json_file is not None:
         rows = [row.figures for row in comparison.rows]
         write_atomically(json_file, json.dumps(rows, indent=2) + "\n")

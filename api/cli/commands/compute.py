@@ -42,6 +42,6 @@ def compute_raster(
 
     options, shadows = split_product_options(product_named(product, RASTER_PRODUCTS, "--product"), declared_options)
     request = ProductRequest(product=product, options=options, sun=sun_from_options(time, azimuth, altitude))
-    place = OutputGrid(read_bounds(bounds), crs, resolution, like)
+    output_grid = OutputGrid(read_bounds(bounds), crs, resolution, like)
     with ProgressBar("Computing") as advance:
-        write_product(level, output, [request], place, overrides_of("render", shadows), advance)
+        write_product(level, output, [request], output_grid, overrides_of("render", shadows), advance)

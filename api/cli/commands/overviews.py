@@ -22,10 +22,10 @@ def raster_overviews(
     from skugga.api.overviews import make_overviews, reason_without_overviews
     from skugga.terrain.level.level_source import parse_positive, parse_units
 
-    stated = parse_units("--units", units), parse_positive("--positive", positive)
+    vertical_options = parse_units("--units", units), parse_positive("--positive", positive)
     if (why_none := reason_without_overviews(raster)) is not None:
         typer.echo(printable(why_none))
         return
     with ProgressBar("Averaging") as advance:
-        path = make_overviews(raster, nodata, *stated, advance)
+        path = make_overviews(raster, nodata, *vertical_options, advance)
     typer.echo(printable(f"Wrote {path}"))

@@ -115,8 +115,8 @@ def render(
     overrides = overrides_of("render", declared_options)
     with ProgressBar("Rendering") as advance:
         request = ProductRequest(product=layer, options=options, sun=sun_from_options(time, azimuth, altitude))
-        place, style_overrides = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration)
-        result = snapshot(level, view, request, overrides, *place, advance, seconds, light, max_ms, style_overrides)
+        extent, style_overrides = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration)
+        result = snapshot(level, view, request, overrides, *extent, advance, seconds, light, max_ms, style_overrides)
     result.write(request, output)
     if stats is not None:
         write_atomically(stats, json.dumps(statistics(result), indent=2) + "\n")

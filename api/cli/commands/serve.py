@@ -31,7 +31,7 @@ def serve(
     """Serve levels as map tiles over HTTP, with a viewer on /. Archives of tiles (.pmtiles) are served unchanged."""
     from skugga.api.catalogue import ARCHIVE_SUFFIX, bundled_levels
     from skugga.api.settings import load_settings
-    from skugga.api.workers.piped_process import Spawned
+    from skugga.api.workers.piped_process import SpawnedWorker
     from skugga.api.workers.worker_config import first_config
     from skugga.api.workers.worker_main import worker_main
     from skugga.terrain.level.level_source import LevelSource
@@ -41,23 +41,23 @@ def serve(
     if not settings.remote_sources:
         forbid_remote_reads()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service handles SIGTERM itself
-    archives = [each for each in levels if each.path.suffix.lower() == ARCHIVE_SUFFIX]
-    for option in (option for each in archives for option in each.options):
+    archives = [source for source in levels if source.path.suffix.lower() == ARCHIVE_SUFFIX]
+    for option in (option for source in archives for option in source.options):
         raise InputError(f"--{option}", Problem(f"does not apply to {levels[0].path}, an archive of tiles"), "Leave it out")
-    for named in (each for each in archives if each.name is not None):
+    for named in (source for source in archives if source.name is not None):
         raise InputError("LEVEL", f"{named.name}={named.path}", "NAME= before a level only; an archive has the name of its file")
     if not levels and settings.levels is None:
         levels = [LevelSource(path=path) for path in bundled_levels()]
-    drawn = [each for each in levels if each not in archives]
-    spawned = None
-    if drawn or settings.levels is not None:
+    rendered_levels = [source for source in levels if source not in archives]
+    spawned_worker = None
+    if rendered_levels or settings.levels is not None:
         with suppress(OSError):  # the service starts one later, as after any failed start
-            spawned = Spawned(worker_main, first_config(settings))
-            spawned.start()  # in parallel with the imports of this process, which take as long
+            spawned_worker = SpawnedWorker(worker_main, first_config(settings))
+            spawned_worker.start()  # in parallel with the imports of this process, which take as long
     from skugga.api.http.server.server import serve as run
 
     try:
-        run(settings, drawn, [each.path for each in archives], spawned)
+        run(settings, rendered_levels, [source.path for source in archives], spawned_worker)
     finally:
-        if spawned is not None:
-            spawned.end()
+        if spawned_worker is not None:
+            spawned_worker.end()

@@ -20,7 +20,7 @@ from skugga.terrain.level.level_source import LevelSource
 if TYPE_CHECKING:
     from skugga.api.raster_file import RasterCells
 
-SHADED = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
+SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
 """Products of the sun at a moment."""
 
 
@@ -33,7 +33,7 @@ def shade_raster(
         typer.Option("-o", "--output", help="GeoTIFF (COG) to write. {time} in its name is replaced by each of several times."),
     ],
     layer: Annotated[
-        str, typer.Option(help=f"Layer to write: {', '.join(SHADED)}.", autocompletion=complete_words(SHADED))
+        str, typer.Option(help=f"Layer to write: {', '.join(SHADED_PRODUCTS)}.", autocompletion=complete_words(SHADED_PRODUCTS))
     ] = "mask",
     time: TimeOption = None,
     times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, in one run.")] = None,
@@ -56,7 +56,7 @@ def shade_raster(
     from skugga.api.cli.shading import OutputGrid, sun_and_grid_of_item, write_product
     from skugga.api.request import ProductRequest
 
-    product_named(layer, SHADED, "--layer")
+    product_named(layer, SHADED_PRODUCTS, "--layer")
     overrides = overrides_of("render", declared_options)
     cells: Path | RasterCells | None = like
     suns = suns_from_options(sun_from_options(time, azimuth, altitude), times, start, end, step)

@@ -59,6 +59,6 @@ def sun_hours_raster(
     rules = step, threshold, least_altitude, height
     request = sun_hours_request(quantity, (date, last, every), window, clock, rules)
     lines = None if contours is None else (contours, contour_values((contours, levels)))
-    place = OutputGrid(read_bounds(bounds), crs, resolution, like)
+    output_grid = OutputGrid(read_bounds(bounds), crs, resolution, like)
     with ProgressBar("Following the sun") as advance:
-        write_product(level, output, [request], place, {}, advance, lines)
+        write_product(level, output, [request], output_grid, {}, advance, lines)

@@ -60,15 +60,15 @@ def level_page(level: ServedLevel, base: str) -> str:
     )
 
 
-def snippets(level: ServedLevel, base: str, shown: ProductRequest | None = None) -> Iterator[tuple[str, str]]:
+def snippets(level: ServedLevel, base: str, product_request: ProductRequest | None = None) -> Iterator[tuple[str, str]]:
     """Yield code snippets for map clients, each after the client's name.
 
-    Snippets for XYZ tiles have the query of ``shown`` in their URLs; the default has none. Clients of WMTS and WMS choose layer
-    and time themselves.
+    Snippets for XYZ tiles have the query of ``product_request`` in their URLs; the default has none. Clients of WMTS and WMS choose
+    layer and time themselves.
     """
     assert level.bounds is not None
-    query = "" if shown is None else shown.query()
-    asked = query and f"?{query}"
+    query = "" if product_request is None else product_request.query()
+    query_suffix = query and f"?{query}"
     address = f"{base}/levels/{quote(level.name)}"
     wmts, wms = f"{address}/WMTSCapabilities.xml", f"{address}/wms"
     attribution = (level.loaded.level.attribution or "").replace("\\", "\\\\").replace("'", "\\'")
@@ -76,8 +76,8 @@ def snippets(level: ServedLevel, base: str, shown: ProductRequest | None = None)
     if DEFAULT_MATRIX_SET in level.zooms:
         zooms = level.zooms[DEFAULT_MATRIX_SET]
         tiles = f"{address}/tiles/{DEFAULT_MATRIX_SET}/{{z}}/{{x}}/{{y}}"
-        picture = f"{tiles}.png{asked}"
-        tilejson = f"{address}/{DEFAULT_MATRIX_SET}/tilejson.json{asked}"
+        picture = f"{tiles}.png{query_suffix}"
+        tilejson = f"{address}/{DEFAULT_MATRIX_SET}/tilejson.json{query_suffix}"
         yield (
             "MapLibre",
             f"map.addSource('skugga', {{type: 'raster', url: '{tilejson}', tileSize: 256}});\n"

@@ -15,7 +15,7 @@ from skugga.api.http.ogc.ogc_requests import this_year
 from skugga.api.http.ogc.qgis_layers import qgis_layers
 from skugga.api.http.openapi_parts import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
-from skugga.api.http.state.service import TheService
+from skugga.api.http.state.service import ServiceDep
 from skugga.api.request import ProductRequest
 from skugga.terrain.errors import UnsupportedError
 
@@ -29,7 +29,7 @@ QLR_MEDIA = "application/x-qgis-layer-definition"
 @router.get(
     "/levels/{level}.html", summary="A level as a page", responses=file_docs("The page.", ["text/html"]), dependencies=NO_PARAMETERS
 )
-async def page_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+async def page_of_level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
     """Return a page with the level's picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and others."""
     return await page_answer(request, service, await service.level(level))
 
@@ -40,15 +40,17 @@ async def page_of_level(request: Request, service: TheService, level: LevelPath)
     responses=file_docs("The file.", [QLR_MEDIA]),
     dependencies=NO_PARAMETERS,
 )
-async def qgis_layers_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+async def qgis_layers_of_level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
     """Return a layer file to drag into QGIS: shaded relief, shadows and hours of sun by WMTS with times, and heights."""
-    served = await service.level(level)
-    if not served.zooms:
+    served_level = await service.level(level)
+    if not served_level.zooms:
         raise UnsupportedError(
-            "level", level, f"{served.world.off_earth_reason or 'it lies outside of all tile matrix sets'}, so it has no tiles"
+            "level",
+            level,
+            f"{served_level.world.off_earth_reason or 'it lies outside of all tile matrix sets'}, so it has no tiles",
         )
     base = base_url(request, service.settings.public_url)
-    return document_answer(request, await run_in_threadpool(qgis_layers, served, base, this_year()), QLR_MEDIA)
+    return document_answer(request, await run_in_threadpool(qgis_layers, served_level, base, this_year()), QLR_MEDIA)
 
 
 class ClientLines(BaseModel):
@@ -67,14 +69,14 @@ class ClientLines(BaseModel):
     response_class=JSONResponse,
 )
 async def lines_of_level(
-    request: Request, service: TheService, level: LevelPath, shown: Annotated[ProductRequest, Depends(tile_query)]
+    request: Request, service: ServiceDep, level: LevelPath, product_request: Annotated[ProductRequest, Depends(tile_query)]
 ) -> Response:
     """Return lines to copy into MapLibre, Leaflet, OpenLayers, QGIS, GDAL and others, as on the level's page.
 
     Lines for XYZ tiles include the parameters of the query.
     """
-    served = await service.level(level)
-    if served.world.off_earth_reason is not None:
-        raise UnsupportedError("level", level, f"{served.world.off_earth_reason}, so it has no tiles")
-    lines = snippets(served, base_url(request, service.settings.public_url), shown)
+    served_level = await service.level(level)
+    if served_level.world.off_earth_reason is not None:
+        raise UnsupportedError("level", level, f"{served_level.world.off_earth_reason}, so it has no tiles")
+    lines = snippets(served_level, base_url(request, service.settings.public_url), product_request)
     return json_answer(request, [{"client": client, "text": text} for client, text in lines])

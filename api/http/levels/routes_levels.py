@@ -14,7 +14,7 @@ from skugga.api.http.answers import JSON_MEDIA, base_url, json_answer, wants_htm
 from skugga.api.http.levels.level_page import page_answer
 from skugga.api.http.openapi_parts import LEVEL_ERRORS, LevelPath, MatrixSetPath, example_query, file_docs, problem_docs
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
-from skugga.api.http.state.service import TheService
+from skugga.api.http.state.service import ServiceDep
 from skugga.api.http.tiles.legends import legend_answer
 from skugga.api.http.tiles.tilejson import tilejson_answer
 from skugga.api.products.heights import nodata_height_m
@@ -32,7 +32,7 @@ router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS))
     response_model=list[dict[str, Any]],
     responses=file_docs("All levels.", [JSON_MEDIA]),
 )
-async def levels(request: Request, service: TheService) -> Response:
+async def levels(request: Request, service: ServiceDep) -> Response:
     """Return every level: name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms and sun.
 
     `view_kinds` has the kind of each view (`map` or `perspective`) and its width and height in pixels.
@@ -40,8 +40,8 @@ async def levels(request: Request, service: TheService) -> Response:
     `sun_is_default` is true if the level names no sun: `sun` is then a low sun of its place.
     `warnings` are about possible faults of its files.
     """
-    served = await service.all_levels()
-    return json_answer(request, [level.summary() for level in served])
+    served_levels = await service.all_levels()
+    return json_answer(request, [level.summary() for level in served_levels])
 
 
 @router.get(
@@ -51,12 +51,12 @@ async def levels(request: Request, service: TheService) -> Response:
     response_model=dict[str, Any],
     responses=file_docs("The level, or its page.", [JSON_MEDIA, "text/html"]),
 )
-async def level(request: Request, service: TheService, level: LevelPath) -> Response:
+async def level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
     """Return one level, as in the list of levels. Browsers get its page."""
-    served = await service.level(level)
+    served_level = await service.level(level)
     if wants_html(request):
-        return await page_answer(request, service, served, Vary="Accept")
-    return json_answer(request, served.summary(), Vary="Accept")
+        return await page_answer(request, service, served_level, Vary="Accept")
+    return json_answer(request, served_level.summary(), Vary="Accept")
 
 
 @router.get(
@@ -68,10 +68,10 @@ async def level(request: Request, service: TheService, level: LevelPath) -> Resp
 )
 async def tilejson(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
     tms: MatrixSetPath,
-    wanted: Annotated[ProductRequest, Depends(tile_query)],
+    product_request: Annotated[ProductRequest, Depends(tile_query)],
     format: Annotated[MapFormat, Query(description="Of the tiles.", examples=["webp"])] = "png",
 ) -> Response:
     """Return TileJSON 3.0.0 for map clients. Its tiles have the parameters of the query.
@@ -82,33 +82,33 @@ async def tilejson(
     heights have their `encoding` and the `nodata_height` in metres, their value for pixels without data. MapLibre ignores the
     `encoding` here: its source needs it, too.
     """
-    served = await service.level(level)
-    zooms = served.zooms_in(tms)
-    product = wanted.record
-    sun = await run_in_threadpool(served.sun, wanted.sun) if product.when == "sun" else None
-    where: dict[str, Any] | None = None
+    served_level = await service.level(level)
+    zooms = served_level.zooms_in(tms)
+    product = product_request.product_record
+    sun = await run_in_threadpool(served_level.sun, product_request.sun) if product.when == "sun" else None
+    sun_facts: dict[str, Any] | None = None
     if sun is not None:
         time_default = {} if sun.time is None else {"time": sun.time.isoformat()}
-        where = {**time_default, "azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
-    assert served.bounds is not None  # it has zooms, so it has a place on earth
-    query = wanted.query()
-    address = f"{base_url(request, service.settings.public_url)}/levels/{quote(served.name)}"
+        sun_facts = {**time_default, "azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
+    assert served_level.bounds is not None  # it has zooms, so it has a place on earth
+    query = product_request.query()
+    address = f"{base_url(request, service.settings.public_url)}/levels/{quote(served_level.name)}"
     tiles = f"{address}/tiles/{tms}/{{z}}/{{x}}/{{y}}.{format}"
-    more: dict[str, Any] = {} if product.encoding is None else {"encoding": product.encoding}
-    extra: dict[str, Any] = {"layer": product.name, "tile_matrix_set": tms, "sun": where}
-    if more:
-        extra["nodata_height"] = nodata_height_m(served.lowest_m)
+    extra_entries: dict[str, Any] = {} if product.encoding is None else {"encoding": product.encoding}
+    skugga_entries: dict[str, Any] = {"layer": product.name, "tile_matrix_set": tms, "sun": sun_facts}
+    if extra_entries:
+        skugga_entries["nodata_height"] = nodata_height_m(served_level.lowest_m)
     if product.color_scale is not None:
-        scale = await run_in_threadpool(product.color_scale, wanted.options, served.world)
+        scale = await run_in_threadpool(product.color_scale, product_request.options, served_level.world)
         picture = f"{address}/legend.png?{query}"
-        more["legend"] = f'<img src="{escape(picture)}" alt="{escape(scale.title)}">'
-        extra["legend"] = {
+        extra_entries["legend"] = f'<img src="{escape(picture)}" alt="{escape(scale.title)}">'
+        skugga_entries["legend"] = {
             "title": scale.title, "low": scale.low, "high": scale.high, "picture": picture, "entries": scale.entries(),
         }  # fmt: skip
-    level_file = served.loaded.level
+    level_file = served_level.loaded.level
     return tilejson_answer(
-        request, level_file.title or served.name, level_file.attribution, f"{tiles}?{query}" if query else tiles,
-        (zooms.first, zooms.last), served.bounds, {**more, "skugga": extra},
+        request, level_file.title or served_level.name, level_file.attribution, f"{tiles}?{query}" if query else tiles,
+        (zooms.first, zooms.last), served_level.bounds, {**extra_entries, "skugga": skugga_entries},
     )  # fmt: skip
 
 
@@ -122,11 +122,11 @@ async def tilejson(
 )
 async def legend_of_tiles(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
     format: Annotated[LegendFormat, Path(description="Of the picture.", examples=["png"])],
-    wanted: Annotated[ProductRequest, Depends(tile_query)],
+    product_request: Annotated[ProductRequest, Depends(tile_query)],
 ) -> Response:
     """Return the legend of a layer as a picture. Layers that are pictures have no legend."""
-    served = await service.level(level)
-    return await legend_answer(request, served, wanted, format)
+    served_level = await service.level(level)
+    return await legend_answer(request, served_level, product_request, format)

@@ -10,12 +10,12 @@ from fastapi import APIRouter, Body, Depends, Query, Request, Response
 from skugga.api.errors import NotServedError
 from skugga.api.http.answers import json_answer
 from skugga.api.http.levels.sent_descriptor import SentDescriptor
-from skugga.api.http.numbers import PLAIN_WHOLE
-from skugga.api.http.openapi_parts import PLAN_DOCS, WORK_ERRORS, Answers, LevelPath, problem_docs
+from skugga.api.http.numbers import PLAIN_INTEGER
+from skugga.api.http.openapi_parts import PLAN_DOCS, WORK_ERRORS, LevelPath, ResponseDocs, problem_docs
 from skugga.api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
 from skugga.api.http.request_times import time_headers
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from skugga.api.http.state.service import TheService
+from skugga.api.http.state.service import ServiceDep
 from skugga.api.matrices import matrix_set_of
 from skugga.api.request import PictureRequest
 from skugga.api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
@@ -25,18 +25,18 @@ from skugga.terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["plans"], responses=problem_docs(*WORK_ERRORS))
 
-FACTS: dict[str, Any] = {
+DESCRIPTOR_EXAMPLE: dict[str, Any] = {
     "view": "map", "view_kind": "map", "flat_world": False, "pixel_m": 10.0, "node_m": 30.0, "casters": ["relief"],
     "relief_m": 700.0, "block_relief_m": 450.0, "sun_azimuth_deg": 235.0, "sun_altitude_deg": 22.0, "highest_sun_deg": 22.5,
     "receivers_light_m": [10000.0, 9000.0, 600.0],
 }  # fmt: skip
 """An example of a client's descriptor, with the required facts only."""
 
-NOT_CHANGED: Answers = {304: {"description": "The client has it (`If-None-Match`)."}}
+NOT_MODIFIED_DOCS: ResponseDocs = {304: {"description": "The client has it (`If-None-Match`)."}}
 
 ZoomQuery = Annotated[
     int | None,
-    PLAIN_WHOLE,
+    PLAIN_INTEGER,
     Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.", examples=[12]),
 ]
 MatrixSetQuery = Annotated[
@@ -50,26 +50,29 @@ VIEW_PARAMETERS = ("view", "zoom", "tms")
     "/levels/{level}/plan",
     summary="The plan of a view",
     response_model=None,
-    responses=PLAN_DOCS | NOT_CHANGED,
+    responses=PLAN_DOCS | NOT_MODIFIED_DOCS,
     dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
 )
 async def plan(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
     sun: Annotated[SunSpec | None, Depends(sun_query)],
-    wanted: Annotated[PlanQuery, Depends(plan_query)],
+    plan_request: Annotated[PlanQuery, Depends(plan_query)],
     view: ViewQuery = None,
     zoom: ZoomQuery = None,
     tms: MatrixSetQuery = None,
 ) -> Any:
     """Return the selector's choice for a view, or for the tiles of a zoom, with its reasons."""
-    served = await service.level(level)
-    view_or_tiles = _view_or_tiles(served, view, zoom, tms)
+    served_level = await service.level(level)
+    view_or_tiles = _view_or_tiles(served_level, view, zoom, tms)
     job = PlanJob(
-        level=served.key, view=view_or_tiles, policy=wanted.policy, request=PictureRequest(sun=sun, overrides=wanted.overrides)
+        level=served_level.key,
+        view=view_or_tiles,
+        policy=plan_request.policy,
+        request=PictureRequest(sun=sun, overrides=plan_request.overrides),
     )
-    answer = await service.done(request, job)
+    answer = await service.run_job(request, job)
     assert isinstance(answer, PlanAnswer)
     return json_answer(request, json.loads(answer.plan_json), **time_headers(request))
 
@@ -78,12 +81,12 @@ async def plan(
     "/levels/{level}/descriptor",
     summary="The facts of a view",
     response_model=Descriptor,
-    responses=NOT_CHANGED,
+    responses=NOT_MODIFIED_DOCS,
     dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS))],
 )
 async def descriptor(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
     sun: Annotated[SunSpec | None, Depends(sun_query)],
     view: ViewQuery = None,
@@ -91,9 +94,9 @@ async def descriptor(
     tms: MatrixSetQuery = None,
 ) -> Any:
     """Return the facts from which plans of a view, or of the tiles of a zoom, are made. `POST /plan` accepts them."""
-    served = await service.level(level)
-    job = DescriptorJob(level=served.key, view=_view_or_tiles(served, view, zoom, tms), request=PictureRequest(sun=sun))
-    answer = await service.done(request, job)
+    served_level = await service.level(level)
+    job = DescriptorJob(level=served_level.key, view=_view_or_tiles(served_level, view, zoom, tms), request=PictureRequest(sun=sun))
+    answer = await service.run_job(request, job)
     assert isinstance(answer, DescriptorAnswer)
     return json_answer(request, json.loads(answer.descriptor_json), **time_headers(request))
 
@@ -107,12 +110,15 @@ async def descriptor(
 )
 async def plan_of_descriptor(
     request: Request,
-    service: TheService,
-    described: Annotated[
+    service: ServiceDep,
+    sent_descriptor: Annotated[
         SentDescriptor,
-        Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.", examples=[FACTS]),
+        Body(
+            description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.",
+            examples=[DESCRIPTOR_EXAMPLE],
+        ),
     ],
-    wanted: Annotated[PlanQuery, Depends(plan_query)],
+    plan_request: Annotated[PlanQuery, Depends(plan_query)],
 ) -> Any:
     """Return the selector's choice for a scene and a view that are given by their facts, with its reasons.
 
@@ -120,9 +126,11 @@ async def plan_of_descriptor(
     Predictions are for the service's own device.
     """
     job = DescribedPlanJob(
-        descriptor_json=described.as_descriptor_json(), policy=wanted.policy, request=PictureRequest(overrides=wanted.overrides)
+        descriptor_json=sent_descriptor.as_descriptor_json(),
+        policy=plan_request.policy,
+        request=PictureRequest(overrides=plan_request.overrides),
     )
-    answer = await service.done(request, job)
+    answer = await service.run_job(request, job)
     assert isinstance(answer, PlanAnswer)
     return Response(answer.plan_json, headers={"Cache-Control": "no-store"}, media_type="application/json")
 

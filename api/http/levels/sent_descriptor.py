@@ -34,21 +34,21 @@ MAX_NAME = 200
 """Maximum number of characters of a name or a reason."""
 
 
-def _infinite(number: object) -> object:
+def _parse_infinity(number: object) -> object:
     """Convert the texts ``Infinity`` and ``-Infinity``, since JSON numbers have no infinity."""
     return {"Infinity": np.inf, "-Infinity": -np.inf}.get(number, number) if isinstance(number, str) else number
 
 
-def _numbers(data: object, place: str = "") -> Iterator[tuple[str, float | int]]:
+def _numbers(data: object, path: str = "") -> Iterator[tuple[str, float | int]]:
     """Yield path and value of every number in JSON data."""
     if isinstance(data, float | int) and not isinstance(data, bool):
-        yield place, data
+        yield path, data
     elif isinstance(data, dict | list | tuple):
-        for key, each in data.items() if isinstance(data, dict) else enumerate(data):
-            yield from _numbers(each, f"{place}.{key}" if place else str(key))
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from _numbers(value, f"{path}.{key}" if path else str(key))
 
 
-FactNumber = Annotated[float, BeforeValidator(_infinite), Field(strict=True, ge=-np.inf)]
+FactNumber = Annotated[float, BeforeValidator(_parse_infinity), Field(strict=True, ge=-np.inf)]
 """A number or an infinity, without NaN and booleans."""
 
 FactShare = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
@@ -158,7 +158,7 @@ class FactsByEffect(_Facts):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_nulls(cls, data: object) -> object:
+    def _check_no_nulls(cls, data: object) -> object:
         for name, facts in data.items() if isinstance(data, dict) else ():
             if facts is None:
                 raise PydanticCustomError("null", "an object for {name}, or no such key", {"name": str(name)[:MAX_NAME]})
@@ -176,26 +176,26 @@ class SentDescriptor(Descriptor):
 
     @model_validator(mode="before")
     @classmethod
-    def _of_a_size(cls, data: object) -> object:
-        for place, number in _numbers(data):
+    def _check_magnitudes(cls, data: object) -> object:
+        for path, number in _numbers(data):
             if number and number == number and abs(number) != np.inf and not MIN_MAGNITUDE <= abs(number) <= MAX_MAGNITUDE:
-                told = {"place": place[:MAX_NAME], "least": f"{MIN_MAGNITUDE:g}", "most": f"{MAX_MAGNITUDE:g}"}
-                raise PydanticCustomError("size", "0, or a magnitude of {least} to {most}, for {place}", told)
+                context = {"place": path[:MAX_NAME], "least": f"{MIN_MAGNITUDE:g}", "most": f"{MAX_MAGNITUDE:g}"}
+                raise PydanticCustomError("size", "0, or a magnitude of {least} to {most}, for {place}", context)
         return data
 
     @model_validator(mode="after")
-    def _bounded(self) -> SentDescriptor:
+    def _check_lengths(self) -> SentDescriptor:
         for name, light in self.lights.items():
             for kind, casting in light.casts.items():
                 if len(casting.bands) > MAX_BANDS:
-                    place = {"place": f"lights.{name[:MAX_NAME]}.casts.{kind}.bands", "most": MAX_BANDS}
-                    raise PydanticCustomError("many", "at most {most} bands in {place}", place)
+                    context = {"place": f"lights.{name[:MAX_NAME]}.casts.{kind}.bands", "most": MAX_BANDS}
+                    raise PydanticCustomError("many", "at most {most} bands in {place}", context)
         if any(len(lamp.name) > MAX_NAME for lamp in self.lamps):
             raise PydanticCustomError("long", "at most {most} characters in lamps.name", {"most": MAX_NAME})
         return self
 
     @model_validator(mode="after")
-    def _complete(self) -> SentDescriptor:
+    def _check_required_facts(self) -> SentDescriptor:
         if self.highest_sun_deg is not None and max(self.receivers_light_m or (0.0,)) < MIN_EXTENT_M:
             raise PydanticCustomError("receivers", "extents in receivers_light_m under a sun (metres, not all 0)")
         haze, refraction = self.facts.haze, self.facts.refraction

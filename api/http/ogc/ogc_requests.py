@@ -32,7 +32,7 @@ RESERVED_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME
 DocumentKind = Literal["WMTS", "WMS"]
 
 
-class KeyValues:
+class KeyValuePairs:
     """The keys and values of a request. Keys are in upper case. Raises ``InputError`` for a repeated key."""
 
     def __init__(self, request: Request) -> None:
@@ -108,7 +108,7 @@ def format_of_media_type(media_type: str) -> MapFormat:
     raise InputError("FORMAT", media_type, ", ".join(MEDIA_TYPES[format] for format in GIS_FORMATS))
 
 
-def layer_options(level: ServedLevel, layer: str, parameters: KeyValues) -> ProductOptions:
+def layer_options(level: ServedLevel, layer: str, parameters: KeyValuePairs) -> ProductOptions:
     """Return the options of a product from the keys of a request.
 
     Keys have the names of the options. A product of whole dates takes its date from TIME. Raises ``InputError``.
@@ -128,14 +128,14 @@ def layer_options(level: ServedLevel, layer: str, parameters: KeyValues) -> Prod
         raise error.renamed(error.name.upper()) from None
 
 
-def requested_sun(request: Request, level: ServedLevel, parameters: KeyValues) -> SunSpec | None:
+def requested_sun(request: Request, level: ServedLevel, parameters: KeyValuePairs) -> SunSpec | None:
     """Return the sun of a request's TIME, or of its AZIMUTH and ALTITUDE; ``None``: the level's own. Raises ``InputError``."""
     instant = requested_instant(parameters.get("TIME"), level.world.anchor_lon_deg)
     grain_s = service_of(request).settings.time_grain_s
     return request_sun(request, instant, parameters.number("AZIMUTH"), parameters.number("ALTITUDE"), grain_s)
 
 
-def layer_request(request: Request, level: ServedLevel, layer: str, parameters: KeyValues, style_key: str) -> ProductRequest:
+def layer_request(request: Request, level: ServedLevel, layer: str, parameters: KeyValuePairs, style_key: str) -> ProductRequest:
     """Return the product request of a layer, with the request's options, sun, and the style of ``style_key``.
 
     Raises ``InputError``.
@@ -161,12 +161,12 @@ def exception_answer(
 
     ``codes`` are the exception codes of the service by parameter. ``write_xml`` writes the XML of a code, a parameter and a text.
     """
-    outcome, text = public_error(request, error)
+    report, text = public_error(request, error)
     headers = {"Cache-Control": "no-store"}
-    if outcome.retry_after_s is not None:
-        headers["Retry-After"] = str(outcome.retry_after_s)
-    name = getattr(error, "name", None) if outcome.public is None else None
+    if report.retry_after_s is not None:
+        headers["Retry-After"] = str(report.retry_after_s)
+    name = getattr(error, "name", None) if report.public is None else None
     code = codes.get((name or "").upper(), codes[""] if name is None else codes["*"])
     if isinstance(error, InputError) and error.value is MISSING_VALUE:
         code = codes["missing"]
-    return Response(write_xml(code, name, text), outcome.status, headers, "text/xml")
+    return Response(write_xml(code, name, text), report.status, headers, "text/xml")

@@ -79,14 +79,14 @@ def time_dimension(level: ServedLevel, layer: str, year: int, default_time: str 
     ``year``; the sun of any other year is the same to a fraction of a degree. The steps include the level's own time, because QGIS
     takes a time that is listed beside a span for the begin of that span. Raises ``InputError``.
     """
-    own, day = own_time(level), default_date(level, year)
+    sun_time, day = level_sun_time(level), default_date(level, year)
     if PRODUCTS[layer].when == "days":
         default = requested_date(None if default_time == CURRENT else default_time, day).isoformat()
         return TimeDimension(default, f"{day.year}-01-01/{day.year}-12-31/P1D")
-    first = datetime(day.year, 1, 1, tzinfo=UTC) + _step_offset(own)
-    last = datetime(day.year + 1, 1, 1, tzinfo=UTC) + _step_offset(own) - LISTED_STEP
+    first = datetime(day.year, 1, 1, tzinfo=UTC) + _step_offset(sun_time)
+    last = datetime(day.year + 1, 1, 1, tzinfo=UTC) + _step_offset(sun_time) - LISTED_STEP
     span = f"{_iso_utc(first)}/{_iso_utc(last)}/PT{LISTED_STEP.seconds // 60}M"
-    default = DEFAULT_TIME if own is None else _iso_utc(own.astimezone(UTC))
+    default = DEFAULT_TIME if sun_time is None else _iso_utc(sun_time.astimezone(UTC))
     return TimeDimension(_requested_default(default_time, level.world.anchor_lon_deg) or default, span)
 
 
@@ -99,7 +99,7 @@ def _requested_default(text: str | None, lon_deg: float) -> str | None:
     return _iso_utc(sun.time.astimezone(UTC))
 
 
-def own_time(level: ServedLevel) -> datetime | None:
+def level_sun_time(level: ServedLevel) -> datetime | None:
     """Return the time of a level's own sun; ``None`` if it has none."""
     sun = level.loaded.level.sun
     return None if sun is None or sun == "none" else sun.time
@@ -107,13 +107,13 @@ def own_time(level: ServedLevel) -> datetime | None:
 
 def default_date(level: ServedLevel, year: int) -> date:
     """Return the date of a level's own sun in its own UTC offset, else the equinox of a year."""
-    own = own_time(level)
-    return date(year, *EQUINOX) if own is None else own.date()
+    sun_time = level_sun_time(level)
+    return date(year, *EQUINOX) if sun_time is None else sun_time.date()
 
 
-def _step_offset(own: datetime | None) -> timedelta:
+def _step_offset(sun_time: datetime | None) -> timedelta:
     """Return a time modulo the step, in whole seconds."""
-    return timedelta(seconds=0 if own is None else int(own.timestamp()) % LISTED_STEP.seconds)
+    return timedelta(seconds=0 if sun_time is None else int(sun_time.timestamp()) % LISTED_STEP.seconds)
 
 
 def _iso_utc(moment: datetime) -> str:

@@ -32,22 +32,22 @@ def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
     group = add(tree, "layer-tree-group", name=level.loaded.level.title or level.name, checked="Qt::Checked", expanded="1")
     layers = add(root, "maplayers")
     for number, layer in enumerate(QGIS_LAYERS):
-        _add(
+        _add_layer(
             group,
             layers,
             f"skugga_{level.name}_{layer}",
             layer_title(level, layer),
-            _wmts(level, layer, base_url, year),
+            _wmts_source(level, layer, base_url, year),
             _crs_of(qgis_matrix_set(level)),
             number == 0,
         )
     if DEFAULT_MATRIX_SET in level.zooms:
-        _add(
+        _add_layer(
             group,
             layers,
             f"skugga_{level.name}_{HEIGHTS_TITLE}",
             layer_title(level, HEIGHTS_TITLE),
-            _heights(level, base_url),
+            _heights_source(level, base_url),
             _crs_of(DEFAULT_MATRIX_SET),
             False,
         )
@@ -64,7 +64,7 @@ def _crs_of(matrix_set: str) -> str:
     return ":".join(crs_of_tiles(matrix_set_of(matrix_set)).to_authority() or ("EPSG", "3857"))
 
 
-def _wmts(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
+def _wmts_source(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
     """Return a data source of QGIS's provider ``wms``."""
     return urlencode(
         {
@@ -77,17 +77,17 @@ def _wmts(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
     )  # fmt: skip
 
 
-def _heights(level: ServedLevel, base_url: str) -> str:
+def _heights_source(level: ServedLevel, base_url: str) -> str:
     zooms = level.zooms[DEFAULT_MATRIX_SET]
     template = f"{base_url}/levels/{quote(level.name)}/tiles/{DEFAULT_MATRIX_SET}/{{z}}/{{x}}/{{y}}.png?layer=terrarium"
     options = {"type": "xyz", "interpretation": "terrariumterrain", "zmin": zooms.first, "zmax": zooms.last, "url": template}
     return urlencode(options, safe=":/{}")
 
 
-def _add(group: Element, layers: Element, layer_id: str, title: str, source: str, crs: str, shown: bool) -> None:
+def _add_layer(group: Element, layers: Element, layer_id: str, title: str, source: str, crs: str, is_checked: bool) -> None:
     add(
         group, "layer-tree-layer", id=layer_id, name=title, source=source, providerKey="wms",
-        checked="Qt::Checked" if shown else "Qt::Unchecked", expanded="1",
+        checked="Qt::Checked" if is_checked else "Qt::Unchecked", expanded="1",
     )  # fmt: skip
     layer = add(layers, "maplayer", type="raster")
     for tag, text in (("id", layer_id), ("datasource", source), ("layername", title), ("provider", "wms")):

@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from skugga.api.errors import NotServedError
 from skugga.api.http.answers import base_url, document_answer
 from skugga.api.http.ogc.ogc_requests import (
-    KeyValues,
+    KeyValuePairs,
     exception_answer,
     format_of_media_type,
     layer_request,
@@ -36,7 +36,7 @@ from skugga.api.http.points.point_answers import resolve_day
 from skugga.api.http.points.point_documents import Rows, report_features, report_page, report_rows, report_text
 from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.http.tiles.legends import legend_answer
 from skugga.api.http.tiles.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
 from skugga.api.http.tiles.maps import MapQuery, map_answer
@@ -92,7 +92,7 @@ WMS_DOCS = file_docs(
 
 
 @router.get("/wms", summary="WMS", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
-async def wms(request: Request, service: TheService) -> Response:
+async def wms(request: Request, service: ServiceDep) -> Response:
     """Answer `REQUEST=GetCapabilities`, `GetMap`, `GetFeatureInfo` or `GetLegendGraphic`.
 
     Layers are named level:layer. The sun comes from `TIME`, or from `AZIMUTH` and `ALTITUDE`. Extents have the axis order of the
@@ -102,14 +102,14 @@ async def wms(request: Request, service: TheService) -> Response:
 
 
 @router.get("/levels/{level}/wms", summary="WMS of a level", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
-async def wms_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+async def wms_of_level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
     """Answer the same requests. The capabilities list this level alone."""
     return await _answer(request, service, level)
 
 
 async def _answer(request: Request, service: Service, level: str | None) -> Response:
     try:
-        parameters = KeyValues(request)
+        parameters = KeyValuePairs(request)
         operation = parameters.require("REQUEST", f"Use one of {OPERATIONS}")
         if (parameters.get("SERVICE") or "WMS").upper() != "WMS":
             raise InputError("SERVICE", parameters.get("SERVICE"), "WMS")
@@ -133,16 +133,16 @@ async def _capabilities(request: Request, service: Service, level: str | None) -
     levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
     if level is not None and (off_earth_reason := levels[0].world.off_earth_reason) is not None:
         raise UnsupportedError("level", level, f"{off_earth_reason}, so the level has no map on earth")
-    on_earth = [each for each in levels if each.world.off_earth_reason is None]
+    levels_on_earth = [served_level for served_level in levels if served_level.world.off_earth_reason is None]
     base = base_url(request, service.settings.public_url)
     address = f"{base}/wms" if level is None else f"{base}{request.url.path}"
     body = await run_in_threadpool(
-        wms_capabilities, on_earth, base, address, service.settings.max_snapshot_pixels, this_year()
+        wms_capabilities, levels_on_earth, base, address, service.settings.max_snapshot_pixels, this_year()
     )  # fmt: skip
     return document_answer(request, body, "text/xml")
 
 
-async def _layer(service: Service, parameters: KeyValues, key: str) -> tuple[ServedLevel, str]:
+async def _layer(service: Service, parameters: KeyValuePairs, key: str) -> tuple[ServedLevel, str]:
     """Return the level and the layer that a key names. Raises ``NotServedError`` or ``InputError``."""
     name = parameters.require(key, "Give one layer, such as LEVEL:color")
     if "," in name:
@@ -156,7 +156,7 @@ async def _layer(service: Service, parameters: KeyValues, key: str) -> tuple[Ser
     return level, layer
 
 
-def _extent(parameters: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
+def _extent(parameters: KeyValuePairs) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
     """Return a request's CRS code, CRS, bounds in that CRS, and (width, height) in pixels. Raises ``InputError``."""
     code = crs_code(parameters.require("CRS", "Give a CRS, such as EPSG:3857"))
     crs = crs_of_code(code)
@@ -165,16 +165,16 @@ def _extent(parameters: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]
     return code, crs, bounds, (width, height)
 
 
-async def _map(request: Request, service: Service, parameters: KeyValues) -> Response:
+async def _map(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
     level, layer = await _layer(service, parameters, "LAYERS")
     code, _, bounds, size = await run_in_threadpool(_extent, parameters)
     format = format_of_media_type(parameters.require("FORMAT", "Give a media type, such as image/png"))
     if format not in PRODUCTS[layer].map_formats:
         raise InputError("FORMAT", MEDIA_TYPES[format], f"{map_media_types(layer)} for layer {layer}")
-    shown = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLES")
+    product_request = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLES")
     is_transparent = (parameters.get("TRANSPARENT") or "FALSE").upper() == "TRUE"
     background = None if is_transparent else _background(parameters.get("BGCOLOR") or "0xFFFFFF")
-    return await map_answer(request, service, level, MapQuery(bounds, code, size, shown, format, background))
+    return await map_answer(request, service, level, MapQuery(bounds, code, size, product_request, format, background))
 
 
 def _background(text: str) -> str:
@@ -184,7 +184,7 @@ def _background(text: str) -> str:
     return digits
 
 
-async def _feature_info(request: Request, service: Service, parameters: KeyValues) -> Response:
+async def _feature_info(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
     level, layer = await _layer(service, parameters, "QUERY_LAYERS")
     _, crs, (west, south, east, north), (width, height) = await run_in_threadpool(_extent, parameters)
     col, row = (parameters.integer(name) for name in ("I", "J"))
@@ -219,7 +219,7 @@ def _info_text(rows: Rows, media_type: str) -> str:
     return report_page(rows) if media_type == "text/html" else report_text(rows)
 
 
-async def _legend(request: Request, service: Service, parameters: KeyValues) -> Response:
+async def _legend(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
     level, layer = await _layer(service, parameters, "LAYER")
     if parameters.get("STYLE") not in (None, DEFAULT_STYLE):
         raise InputError("STYLE", parameters.get("STYLE"), f"{DEFAULT_STYLE}, or no STYLE")
@@ -227,5 +227,5 @@ async def _legend(request: Request, service: Service, parameters: KeyValues) -> 
     if media_type not in LEGEND_MEDIA:
         raise InputError("FORMAT", media_type, ", ".join(LEGEND_MEDIA))
     format = "svg" if media_type == LEGEND_MEDIA[1] else "png"
-    shown = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLE")
-    return await legend_answer(request, level, shown, format, "LAYER")  # type: ignore[arg-type]
+    product_request = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLE")
+    return await legend_answer(request, level, product_request, format, "LAYER")  # type: ignore[arg-type]

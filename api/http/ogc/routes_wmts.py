@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from skugga.api.http.answers import base_url, document_answer
 from skugga.api.http.ogc.ogc_requests import (
-    KeyValues,
+    KeyValuePairs,
     exception_answer,
     format_of_media_type,
     layer_request,
@@ -31,16 +31,16 @@ from skugga.api.http.openapi_parts import (
     ogc_parameters,
 )
 from skugga.api.http.parameters import DEFAULT_STYLE
-from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.http.tiles.tile_answers import tile_answer
-from skugga.api.http.tiles.tile_docs import EMPTY_DOCS
+from skugga.api.http.tiles.tile_docs import EMPTY_TILE_DOCS
 from skugga.api.matrices import matrix_set_of
 from skugga.api.products.product import MEDIA_TYPES
 from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
 
 router = APIRouter(tags=["map services"], default_response_class=Response)
 
-CODES = {
+WMTS_CODES = {
     "": "NoApplicableCode", "*": "InvalidParameterValue", "missing": "MissingParameterValue", "REQUEST": "OperationNotSupported",
     "VERSION": "VersionNegotiationFailed", "ACCEPTVERSIONS": "VersionNegotiationFailed",
     "X": "TileOutOfRange", "Y": "TileOutOfRange",
@@ -48,16 +48,16 @@ CODES = {
 """Exception codes by the wrong parameter: OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24."""
 
 
-DEFAULT_TIME = ogc_parameters(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
+DEFAULT_TIME_PARAMETER = ogc_parameters(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
 
 
 @router.get(
     "/wmts/1.0.0/WMTSCapabilities.xml",
     summary="WMTS: what is served",
     responses=file_docs("The document.", ["text/xml"]) | exception_docs(422, 500),
-    openapi_extra=DEFAULT_TIME,
+    openapi_extra=DEFAULT_TIME_PARAMETER,
 )
-async def wmts_of_all(request: Request, service: TheService) -> Response:
+async def wmts_of_all(request: Request, service: ServiceDep) -> Response:
     """Return the capabilities of all levels that lie on earth.
 
     They list a WMTS layer for each level and layer, every tile matrix set, and the times.
@@ -69,9 +69,9 @@ async def wmts_of_all(request: Request, service: TheService) -> Response:
     "/levels/{level}/WMTSCapabilities.xml",
     summary="WMTS: what is served of a level",
     responses=file_docs("The document.", ["text/xml"]) | exception_docs(*LEVEL_ERRORS),
-    openapi_extra=DEFAULT_TIME,
+    openapi_extra=DEFAULT_TIME_PARAMETER,
 )
-async def wmts_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+async def wmts_of_level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
     """Return the capabilities of one level.
 
     A `time` becomes the default time of all layers, for clients that cannot ask for another one.
@@ -100,18 +100,18 @@ WMTS_KEYS = ogc_parameters(
     "/wmts",
     summary="WMTS by keys and values",
     responses=file_docs("The tile, or the document.", [*MEDIA_TYPES.values(), "text/xml"])
-    | EMPTY_DOCS
+    | EMPTY_TILE_DOCS
     | exception_docs(*WORK_ERRORS),
     openapi_extra=WMTS_KEYS | example_query("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),
 )
-async def wmts_by_keys(request: Request, service: TheService) -> Response:
+async def wmts_by_keys(request: Request, service: ServiceDep) -> Response:
     """Answer `REQUEST=GetCapabilities` or `GetTile`.
 
     `GetTile` takes `LAYER` (as level:layer), `STYLE`, `TILEMATRIXSET`, `TILEMATRIX`, `TILEROW`, `TILECOL`, `FORMAT` and `TIME`.
     `AZIMUTH` and `ALTITUDE` may replace the time.
     """
     try:
-        parameters = KeyValues(request)
+        parameters = KeyValuePairs(request)
         operation = parameters.require("REQUEST", "Use one of GetCapabilities, GetTile")
         if (parameters.get("SERVICE") or "WMTS").upper() != "WMTS":
             raise InputError("SERVICE", parameters.get("SERVICE"), "WMTS")
@@ -125,14 +125,14 @@ async def wmts_by_keys(request: Request, service: TheService) -> Response:
                 return await _tile_by_keys(request, service, parameters)
         raise InputError("REQUEST", operation, "GetCapabilities, GetTile")
     except SkuggaError as error:
-        return exception_answer(request, error, CODES, ows_exception)
+        return exception_answer(request, error, WMTS_CODES, ows_exception)
 
 
-async def _tile_by_keys(request: Request, service: Service, parameters: KeyValues) -> Response:
+async def _tile_by_keys(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
     level_name, layer = split_layer("LAYER", parameters.require("LAYER", "Give a layer, such as LEVEL:color"))
     matrix_set = parameters.require("TILEMATRIXSET", "Give a tile matrix set, such as WebMercatorQuad")
-    tiled = matrix_set_of(matrix_set)
-    matrices = {matrix.id: zoom for zoom, matrix in enumerate(tiled.tileMatrices, tiled.minzoom)}
+    tile_matrix_set = matrix_set_of(matrix_set)
+    matrices = {matrix.id: zoom for zoom, matrix in enumerate(tile_matrix_set.tileMatrices, tile_matrix_set.minzoom)}
     matrix = parameters.require("TILEMATRIX", f"Give a matrix of the set {matrix_set}")
     if matrix not in matrices:
         raise InputError("TILEMATRIX", matrix, ", ".join(matrices))
@@ -141,22 +141,24 @@ async def _tile_by_keys(request: Request, service: Service, parameters: KeyValue
     level = await service.level(level_name)
     if level.world.off_earth_reason is not None:
         raise UnsupportedError("LAYER", f"{level_name}:{layer}", f"{level.world.off_earth_reason}, so the level has no tiles")
-    shown = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLE")
-    return await tile_answer(request, service, level_name, matrix_set, tile, 1, format, shown)
+    product_request = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLE")
+    return await tile_answer(request, service, level_name, matrix_set, tile, 1, format, product_request)
 
 
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
     """Return the capabilities of a level (``None``: of all), or an error in the XML of WMTS."""
     try:
         levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
-        on_earth = [each for each in levels if each.zooms]
-        if level is not None and not on_earth:
+        levels_on_earth = [served_level for served_level in levels if served_level.zooms]
+        if level is not None and not levels_on_earth:
             reason = levels[0].world.off_earth_reason or "the level lies outside of all tile matrix sets"
             raise UnsupportedError("level", level, f"{reason}, so it has no tiles")
         base = base_url(request, service.settings.public_url)
-        of_all = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
-        address = of_all if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"
-        body = await run_in_threadpool(wmts_capabilities, on_earth, base, address, this_year(), KeyValues(request).get("TIME"))
+        all_levels_url = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
+        address = all_levels_url if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"
+        body = await run_in_threadpool(
+            wmts_capabilities, levels_on_earth, base, address, this_year(), KeyValuePairs(request).get("TIME")
+        )
         return document_answer(request, body, "text/xml")
     except SkuggaError as error:
-        return exception_answer(request, error, CODES, ows_exception)
+        return exception_answer(request, error, WMTS_CODES, ows_exception)

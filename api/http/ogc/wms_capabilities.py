@@ -22,7 +22,7 @@ from skugga.terrain.errors import InputError
 
 WMS_VERSION = "1.3.0"
 
-WMS_LAYERS = products_with(lambda each: each.encoding is None and "png" in each.map_formats)
+WMS_LAYERS = products_with(lambda product: product.encoding is None and "png" in product.map_formats)
 """Layers for display. Heights encoded in colours are for tiles. Map clients cannot show floating point data."""
 
 MAP_MEDIA = ("image/png", "image/webp", "image/jpeg", "image/tiff")
@@ -51,7 +51,7 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
     service = add(root, "Service")
     for tag, text in (("Name", "WMS"), ("Title", "Skugga"), ("Abstract", "Terrain with the sun's true cast shadows.")):
         add(service, tag, text)
-    _online(service, base_url)
+    _add_online_resource(service, base_url)
     side = math.isqrt(max_pixels)  # a longer side is drawn, too, if the other one is shorter
     for tag, value in (("Fees", "none"), ("AccessConstraints", "none"), ("LayerLimit", 1), ("MaxWidth", side), ("MaxHeight", side)):
         add(service, tag, value)
@@ -64,27 +64,27 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
         operation = add(request, name)
         for media_type in media:
             add(operation, "Format", media_type)
-        _online(add(add(add(operation, "DCPType"), "HTTP"), "Get"), f"{address}?")
+        _add_online_resource(add(add(add(operation, "DCPType"), "HTTP"), "Get"), f"{address}?")
     add(add(capability, "Exception"), "Format", "XML")
-    top = add(capability, "Layer")
-    add(top, "Title", "Skugga")
+    root_layer = add(capability, "Layer")
+    add(root_layer, "Title", "Skugga")
     for code in COMMON_CRS:
-        add(top, "CRS", code)
+        add(root_layer, "CRS", code)
     for level in levels:
-        _level(top, level, base_url, address, year)
+        _add_level(root_layer, level, base_url, address, year)
     return document(root)
 
 
 def crs_of_maps(level: ServedLevel) -> dict[str, CRS]:
     """Return the CRSs that the capabilities list for a level, by their codes in WMS."""
-    own = level.map_crs.to_authority()
-    codes = [*COMMON_CRS, *([] if own is None else [":".join(own)])]
+    authority_and_code = level.map_crs.to_authority()
+    codes = [*COMMON_CRS, *([] if authority_and_code is None else [":".join(authority_and_code)])]
     return {code: crs_of_code({"CRS:84": "OGC:CRS84"}.get(code, code)) for code in dict.fromkeys(codes)}
 
 
-def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: int) -> None:
+def _add_level(root_layer: Element, level: ServedLevel, base_url: str, address: str, year: int) -> None:
     assert level.bounds is not None
-    group = add(top, "Layer")
+    group = add(root_layer, "Layer")
     add(group, "Title", level.loaded.level.title or level.name)
     all_crs = crs_of_maps(level)
     for layer in WMS_LAYERS:
@@ -102,24 +102,24 @@ def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: 
         ):  # fmt: skip
             add(box, tag, format_numbers((edge,)))
         for code, crs in all_crs.items():
-            _bounding_box(element, level, code, crs)
+            _add_bounding_box(element, level, code, crs)
         if PRODUCTS[layer].when != "none":
             times = time_dimension(level, layer, year)
             default = {} if times.default == DEFAULT_TIME else {"default": times.default}
             add(element, "Dimension", times.span, name="time", units="ISO8601", **default)
         if level.loaded.level.attribution:
             add(add(element, "Attribution"), "Title", level.loaded.level.attribution)
-        for name, about in styles_of(layer).items():
+        for name, description in styles_of(layer).items():
             style = add(element, "Style")
             add(style, "Name", name)
-            add(style, "Title", f"{about[:1].upper()}{about[1:]}")
+            add(style, "Title", f"{description[:1].upper()}{description[1:]}")
         if PRODUCTS[layer].color_scale is not None:
             legend = add(style, "LegendURL", width=str(LEGEND_SIZE_PX[0]), height=str(LEGEND_SIZE_PX[1]))
             add(legend, "Format", "image/png")
-            _online(legend, legend_url(level, layer, address, year))
+            _add_online_resource(legend, legend_url(level, layer, address, year))
 
 
-def _bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> None:
+def _add_bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> None:
     try:
         west, south, east, north = bounds_in(level, crs)
     except InputError:
@@ -129,7 +129,7 @@ def _bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> 
     add(element, "BoundingBox", CRS=code, **values)
 
 
-def _online(parent: Element, address: str) -> None:
+def _add_online_resource(parent: Element, address: str) -> None:
     add(parent, "OnlineResource", xlink_type="simple", xlink_href=address)
 
 

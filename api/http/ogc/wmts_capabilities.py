@@ -47,27 +47,27 @@ def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url
         ("ServiceTypeVersion", WMTS_VERSION), ("Fees", "none"), ("AccessConstraints", "none"),
     ):  # fmt: skip
         add(service, f"ows:{tag}", text)
-    _operations(root, base_url, document_url)
+    _add_operations(root, base_url, document_url)
     contents = add(root, "Contents")
     for level in levels:
         for layer in MAP_PRODUCTS:
-            _layer(contents, level, layer, base_url, year, time)
+            _add_layer(contents, level, layer, base_url, year, time)
     for name in dict.fromkeys(name for level in levels for name in level.zooms):
-        _matrix_set(contents, matrix_set_of(name), max(level.zooms[name].last for level in levels if name in level.zooms))
+        _add_matrix_set(contents, matrix_set_of(name), max(level.zooms[name].last for level in levels if name in level.zooms))
     add(root, "ServiceMetadataURL", xlink_href=document_url)
     return document(root)
 
 
-def _operations(root: Element, base_url: str, document_url: str) -> None:
+def _add_operations(root: Element, base_url: str, document_url: str) -> None:
     operations = add(root, "ows:OperationsMetadata")
-    for name, rest in (("GetCapabilities", document_url), ("GetTile", f"{base_url}/levels/")):
+    for name, rest_url in (("GetCapabilities", document_url), ("GetTile", f"{base_url}/levels/")):
         http = add(add(add(operations, "ows:Operation", name=name), "ows:DCP"), "ows:HTTP")
-        for address, encoding in ((f"{base_url}/wmts?", "KVP"), (rest, "RESTful")):
+        for address, encoding in ((f"{base_url}/wmts?", "KVP"), (rest_url, "RESTful")):
             constraint = add(add(http, "ows:Get", xlink_href=address), "ows:Constraint", name="GetEncoding")
             add(add(constraint, "ows:AllowedValues"), "ows:Value", encoding)
 
 
-def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, year: int, time: str | None) -> None:
+def _add_layer(contents: Element, level: ServedLevel, layer: str, base_url: str, year: int, time: str | None) -> None:
     assert level.bounds is not None
     west, south, east, north = lon_lat_box(level.bounds)
     element = add(contents, "Layer")
@@ -78,9 +78,9 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
     add(box, "ows:UpperCorner", format_numbers((east, north)))
     add(element, "ows:Identifier", layer_name(level, layer))
     address = f"{base_url}/levels/{quote(level.name)}"
-    for name, about in styles_of(layer).items():
+    for name, description in styles_of(layer).items():
         style = add(element, "Style", **({"isDefault": "true"} if name == DEFAULT_STYLE else {}))
-        add(style, "ows:Title", f"{about[:1].upper()}{about[1:]}")
+        add(style, "ows:Title", f"{description[:1].upper()}{description[1:]}")
         add(style, "ows:Identifier", name)
     if PRODUCTS[layer].color_scale is not None:
         add(style, "LegendURL", format="image/png", xlink_href=legend_url(level, layer, f"{base_url}/wms", year))
@@ -94,8 +94,8 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
         add(dimension, "Default", times.default)
         for value in (times.default, times.span):
             add(dimension, "Value", value)
-    _links(element, level)
-    query = "&".join(_query_of(layer))
+    _add_matrix_set_links(element, level)
+    query = "&".join(_query_parameters(layer))
     for format in gis_formats(layer):
         template = f"{address}/tiles/{{TileMatrixSet}}/{{TileMatrix}}/{{TileCol}}/{{TileRow}}.{format}"
         add(
@@ -118,11 +118,11 @@ def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
 
 def layer_abstract(layer: str) -> str:
     """Return a description of a layer, as a sentence."""
-    about = PRODUCTS[layer].about.replace("`", "")
-    return f"{about[:1].upper()}{about[1:]}."
+    description = PRODUCTS[layer].about.replace("`", "")
+    return f"{description[:1].upper()}{description[1:]}."
 
 
-def _query_of(layer: str) -> Iterable[str]:
+def _query_parameters(layer: str) -> Iterable[str]:
     if layer != "color":
         yield f"layer={layer}"
     if len(styles_of(layer)) > 1:
@@ -131,7 +131,7 @@ def _query_of(layer: str) -> Iterable[str]:
         yield f"{'date' if PRODUCTS[layer].when == 'days' else 'time'}={{{TIME}}}"
 
 
-def _links(element: Element, level: ServedLevel) -> None:
+def _add_matrix_set_links(element: Element, level: ServedLevel) -> None:
     assert level.data_bounds is not None
     for name, zooms in level.zooms.items():
         link = add(element, "TileMatrixSetLink")
@@ -139,14 +139,14 @@ def _links(element: Element, level: ServedLevel) -> None:
         limits = add(link, "TileMatrixSetLimits")
         for zoom in range(zooms.first, zooms.last + 1):
             matrix_set = matrix_set_of(name)
-            inside = tile_limits(matrix_set, zoom, level.data_bounds)
-            one = add(limits, "TileMatrixLimits")
-            add(one, "TileMatrix", matrix_set.matrix(zoom).id)
-            for tag, value in zip(("MinTileRow", "MaxTileRow", "MinTileCol", "MaxTileCol"), inside, strict=True):
-                add(one, tag, value)
+            row_and_col_limits = tile_limits(matrix_set, zoom, level.data_bounds)
+            matrix_limits = add(limits, "TileMatrixLimits")
+            add(matrix_limits, "TileMatrix", matrix_set.matrix(zoom).id)
+            for tag, value in zip(("MinTileRow", "MaxTileRow", "MinTileCol", "MaxTileCol"), row_and_col_limits, strict=True):
+                add(matrix_limits, tag, value)
 
 
-def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) -> None:
+def _add_matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) -> None:
     """Add a tile matrix set down to the last zoom that is served.
 
     GDAL and QGIS take the finest matrix for the resolution of the data, whatever the limits say.
@@ -159,15 +159,15 @@ def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) ->
         add(element, "WellKnownScaleSet", f"urn:ogc:def:wkss:OGC:1.0:{well_known}")
     for zoom in range(matrix_set.minzoom, last_zoom + 1):
         matrix = matrix_set.matrix(zoom)
-        one = add(element, "TileMatrix")
-        add(one, "ows:Identifier", matrix.id)
-        add(one, "ScaleDenominator", format_numbers((matrix.scaleDenominator,)))
-        add(one, "TopLeftCorner", format_numbers(matrix.pointOfOrigin))  # in the axis order of the CRS
+        matrix_element = add(element, "TileMatrix")
+        add(matrix_element, "ows:Identifier", matrix.id)
+        add(matrix_element, "ScaleDenominator", format_numbers((matrix.scaleDenominator,)))
+        add(matrix_element, "TopLeftCorner", format_numbers(matrix.pointOfOrigin))  # in the axis order of the CRS
         for tag, value in (
             ("TileWidth", matrix.tileWidth), ("TileHeight", matrix.tileHeight), ("MatrixWidth", matrix.matrixWidth),
             ("MatrixHeight", matrix.matrixHeight),
         ):  # fmt: skip
-            add(one, tag, value)
+            add(matrix_element, tag, value)
 
 
 def crs_urn(crs: CRS) -> str:

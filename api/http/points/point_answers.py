@@ -25,6 +25,6 @@ def resolve_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int
 
 async def run_point_job(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
     """Run a point job and return its body. Raises ``SkuggaError``."""
-    answer = await service.done(request, job)
+    answer = await service.run_job(request, job)
     assert isinstance(answer, PointAnswer)
     return answer.body

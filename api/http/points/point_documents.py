@@ -18,16 +18,19 @@ def report_rows(report: dict[str, Any]) -> Rows:
     ]
     if report["elevation_m"] is not None:
         rows.append(("Elevation", f"{report['elevation_m']:.1f} m"))
-    now, day = report["now"], report["day"]
-    if now is not None:
-        rows.append(("Sun", f"azimuth {now['azimuth']:.1f}°, altitude {now['altitude']:.1f}°"))
-        rows.append(("Lit", "yes" if now["lit"] else "no" + (f", by {_occluder_text(now['by'])}" if now["by"] else "")))
+    moment, day = report["now"], report["day"]
+    if moment is not None:
+        rows.append(("Sun", f"azimuth {moment['azimuth']:.1f}°, altitude {moment['altitude']:.1f}°"))
+        rows.append(("Lit", "yes" if moment["lit"] else "no" + (f", by {_occluder_text(moment['by'])}" if moment["by"] else "")))
     if day is not None:
         rows += [
             ("Date", f"{day['date']} ({day['clock']})"),
             ("Direct sun", f"{day['direct_h']:.2f} of {day['daylight_h']:.2f} hours"),
         ]
-        rows += [("From", f"{_clock(each['begin'])} to {_clock(each['end'])}") for each in day["sunlit"]]
+        rows += [
+            ("From", f"{_format_clock_time(interval['begin'])} to {_format_clock_time(interval['end'])}")
+            for interval in day["sunlit"]
+        ]
     if report["remark"]:
         rows.append(("Remark", report["remark"]))
     return rows
@@ -61,5 +64,5 @@ def _occluder_text(caster: dict[str, Any]) -> str:
     return f"{caster['kind']} {caster['distance_m']:.0f} m away, {caster['elevation']:.1f}° high"
 
 
-def _clock(moment: str) -> str:
+def _format_clock_time(moment: str) -> str:
     return datetime.fromisoformat(moment).strftime("%H:%M")

@@ -10,13 +10,13 @@ from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
+from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_INTEGER
 from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, file_docs, problem_docs
 from skugga.api.http.parameters import TimeQuery, allow_only
 from skugga.api.http.points.point_answers import resolve_day, run_point_job
 from skugga.api.http.request_times import PLAIN_DATE, PLAIN_TIME, request_sun
 from skugga.api.http.state.job_answers import job_answer
-from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.point.horizon_formats import HORIZON_FORMATS
 from skugga.api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
 from skugga.api.request import PictureRequest
@@ -65,7 +65,9 @@ ClockQuery = Annotated[
     ),
 ]
 YearQuery = Annotated[
-    int | None, PLAIN_WHOLE, Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.", examples=[2024])
+    int | None,
+    PLAIN_INTEGER,
+    Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.", examples=[2024]),
 ]
 
 
@@ -91,7 +93,7 @@ class PointsQuery(BaseModel):
     clock: str | None = Field(default=None, max_length=60)
 
 
-MANY_POINTS: dict[str, Any] = {"points": [{"lon": 8.43, "lat": 47.5}], "date": "2024-03-21"}
+POINTS_EXAMPLE: dict[str, Any] = {"points": [{"lon": 8.43, "lat": 47.5}], "date": "2024-03-21"}
 
 
 class ReportedPoint(BaseModel):
@@ -125,7 +127,7 @@ async def point_query(
     return PointQuery(lon=lon, lat=lat, height=height, date=date, clock=clock, year=year)
 
 
-ThePoint = Annotated[PointQuery, Depends(point_query)]
+PointDep = Annotated[PointQuery, Depends(point_query)]
 
 
 @router.get(
@@ -135,33 +137,36 @@ ThePoint = Annotated[PointQuery, Depends(point_query)]
     responses=file_docs("The report.", ["application/json"]),
     dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
 )
-async def sun_of_point(request: Request, service: TheService, level: LevelPath, point: ThePoint, time: TimeQuery = None) -> Any:
+async def sun_of_point(request: Request, service: ServiceDep, level: LevelPath, point: PointDep, time: TimeQuery = None) -> Any:
     """Report the sun at a point.
 
     The report has the elevation, whether the point is lit at the time, the occluder if it is not, and the sun of the day. With a
     `year` it has the hours of sun of each day of that year.
     """
-    return await _answer(request, service, level, point, time, "report", "json", "application/json")
+    return await _run_point_query(request, service, level, point, time, "report", "json", "application/json")
 
 
 @router.get(
     "/levels/{level}/point/horizon.{suffix}",
     summary="The horizon of a point, as a file",
     response_class=Response,
-    responses=file_docs("The file.", dict.fromkeys(each.media_type for each in HORIZON_FORMATS.values())),
+    responses=file_docs("The file.", dict.fromkeys(horizon_format.media_type for horizon_format in HORIZON_FORMATS.values())),
     dependencies=[Depends(allow_only(*POINT_PARAMETERS, "format"))],
 )
 async def horizon_of_point(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
     suffix: Annotated[Literal["csv", "json", "txt", "hor"], Path(description="Of the file.", examples=["csv"])],
-    point: ThePoint,
+    point: PointDep,
     time: TimeQuery = None,
     format: Annotated[
         str | None,
         Query(
-            description="; ".join(f"`{each.name}` (.{each.suffix}): {each.about}" for each in HORIZON_FORMATS.values()),
+            description="; ".join(
+                f"`{horizon_format.name}` (.{horizon_format.suffix}): {horizon_format.about}"
+                for horizon_format in HORIZON_FORMATS.values()
+            ),
             examples=["pvlib"],
         ),
     ] = None,
@@ -170,11 +175,13 @@ async def horizon_of_point(
 
     `format` is a format of solar tools. The default is the first format of the suffix.
     """
-    fitting = [each for each in HORIZON_FORMATS.values() if each.suffix == suffix]
-    chosen = next((each for each in fitting if format in (None, each.name)), None)
-    if chosen is None:
-        raise InputError("format", format, f"of .{suffix} files: {', '.join(each.name for each in fitting)}")
-    return await _answer(request, service, level, point, time, "horizon", chosen.name, chosen.media_type)
+    formats_of_suffix = [horizon_format for horizon_format in HORIZON_FORMATS.values() if horizon_format.suffix == suffix]
+    chosen_format = next((horizon_format for horizon_format in formats_of_suffix if format in (None, horizon_format.name)), None)
+    if chosen_format is None:
+        raise InputError(
+            "format", format, f"of .{suffix} files: {', '.join(horizon_format.name for horizon_format in formats_of_suffix)}"
+        )
+    return await _run_point_query(request, service, level, point, time, "horizon", chosen_format.name, chosen_format.media_type)
 
 
 @router.get(
@@ -186,10 +193,10 @@ async def horizon_of_point(
 )
 async def sky_of_point(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
     format: Annotated[Literal["svg", "png", "json"], Path(description="Of the picture; `json`: its figures.", examples=["svg"])],
-    point: ThePoint,
+    point: PointDep,
     time: TimeQuery = None,
 ) -> Response:
     """Draw a chart of the sky: the horizon, and the sun paths of the day, the solstices and the equinox, marked with hours.
@@ -197,7 +204,7 @@ async def sky_of_point(
     JSON has the figures of the chart. `horizon` has the horizon angles of ground, buildings and leaves in degrees towards each
     `azimuth`. `path` has the sun of the day every five minutes: `azimuth`, `altitude`, and whether it shines on the point.
     """
-    return await _answer(request, service, level, point, time, "sky", format, SKY_MEDIA_TYPES[format])
+    return await _run_point_query(request, service, level, point, time, "sky", format, SKY_MEDIA_TYPES[format])
 
 
 @router.post(
@@ -209,27 +216,27 @@ async def sky_of_point(
 )
 async def sun_of_points(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
-    asked: Annotated[PointsQuery, Body(description=f"Up to {MAX_POINTS} points.", examples=[MANY_POINTS])],
+    points_query: Annotated[PointsQuery, Body(description=f"Up to {MAX_POINTS} points.", examples=[POINTS_EXAMPLE])],
 ) -> Any:
     """Report the sun at each of many points.
 
     Each report has the elevation, whether the point is lit, the occluder if it is not, and the hours of direct sun of the day.
     Values of points outside the data are null, and `remark` says why.
     """
-    served = await service.level(level)
-    points = tuple(TrackPoint(each.lon, each.lat, each.height, each.time) for each in asked.points)
-    query = PointQuery(lon=0.0, lat=0.0, date=asked.date, clock=asked.clock)
-    picture = _request(asked.time)
+    served_level = await service.level(level)
+    points = tuple(TrackPoint(point.lon, point.lat, point.height, point.time) for point in points_query.points)
+    query = PointQuery(lon=0.0, lat=0.0, date=points_query.date, clock=points_query.clock)
+    picture = _picture_request(points_query.time)
     reports: list[Any] = []
     for first in range(0, len(points), POINTS_PER_JOB):
-        job = PointsJob(level=served.key, points=points[first : first + POINTS_PER_JOB], query=query, request=picture)
+        job = PointsJob(level=served_level.key, points=points[first : first + POINTS_PER_JOB], query=query, request=picture)
         reports += json.loads(await run_point_job(request, service, job))
     return JSONResponse({"points": reports}, headers={"Cache-Control": "no-store"})
 
 
-async def _answer(
+async def _run_point_query(
     request: Request,
     service: Service,
     level: str,
@@ -239,14 +246,14 @@ async def _answer(
     format: str,
     media_type: str,
 ) -> Response:
-    served = await service.level(level)
+    served_level = await service.level(level)
     sun = request_sun(request, time, None, None, service.settings.time_grain_s)
     point, fresh_s = resolve_day(point, sun)
-    job = PointJob(level=served.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
+    job = PointJob(level=served_level.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
     return await job_answer(request, service, job, level, "point", media_type, fresh_s)
 
 
-def _request(time: datetime | None) -> PictureRequest:
+def _picture_request(time: datetime | None) -> PictureRequest:
     if time is not None:
         check_times(as_utc([time]))
     return PictureRequest(sun=None if time is None else SunSpec(time=time))

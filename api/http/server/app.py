@@ -24,7 +24,7 @@ from skugga.api.http.server.cross_origin import CrossOrigin
 from skugga.api.http.server.first_blocks import first_blocks
 from skugga.api.http.server.openapi import install_openapi
 from skugga.api.http.server.problem_handlers import install_problem_handlers
-from skugga.api.http.server.request_middleware import CLIENT_GONE, KEPT, RequestMiddleware
+from skugga.api.http.server.request_middleware import CACHED_ROUTE_KEY, CLIENT_CLOSED_REQUEST, RequestMiddleware
 from skugga.api.http.server.tile_cache_middleware import TileCacheMiddleware
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
@@ -38,7 +38,7 @@ from skugga.api.settings import Settings
 from skugga.api.workers.idle_calibration import measured_profile
 from skugga.api.workers.idle_probes import Probe, probed_level
 from skugga.api.workers.jobs import LevelKey
-from skugga.api.workers.piped_process import Spawned, WorkerTarget
+from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.worker_main import worker_main
 from skugga.selector.cost.device_profile import DeviceProfile
@@ -53,7 +53,7 @@ def create_app(
     measure: Callable[[], DeviceProfile] = measured_profile,
     probe: Probe = probed_level,
     archives: Sequence[Path] = (),
-    spawned: Spawned | None = None,
+    spawned_worker: SpawnedWorker | None = None,
 ) -> FastAPI:
     """Return the application for some levels and archives.
 
@@ -73,7 +73,7 @@ def create_app(
         Probes a level while the service is idle.
     archives
         PMTiles archives.
-    spawned
+    spawned_worker
         The first render process, if it was started before.
 
     Returns
@@ -88,26 +88,28 @@ def create_app(
     ArchiveError
         An archive cannot be served, or an archive that a level names. Such archives of the folder's levels are logged instead.
     """
-    served = ServedLevels(
+    served_levels = ServedLevels(
         levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
     )
-    named = served.known_named()
-    of_tiles = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
-    for level in named:
-        of_tiles.check_level(level)
-    pool = Pool(settings, worker_target, lambda: first_blocks(served), measure, probe, spawned)
+    source_levels = served_levels.cached_source_levels()
+    served_archives = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
+    for level in source_levels:
+        served_archives.open_level_archives(level)
+    pool = Pool(settings, worker_target, lambda: first_blocks(served_levels), measure, probe, spawned_worker)
     tiles = EncodedTiles(settings.tile_cache_bytes)
 
-    async def level_now(name: str) -> LevelKey:
-        return (await served.current(name)).key
+    async def current_level_key(name: str) -> LevelKey:
+        return (await served_levels.current(name)).key
 
-    animations = Animations(settings, frame_renderer(pool, level_now), write_animation)
+    animations = Animations(settings, frame_renderer(pool, current_level_key), write_animation)
     metrics = ServiceMetrics(pool, tiles, animations)
-    service = Service(settings, served, of_tiles, pool, tiles, RateLimiter(settings.new_suns_per_minute), animations, metrics)
+    service = Service(
+        settings, served_levels, served_archives, pool, tiles, RateLimiter(settings.new_suns_per_minute), animations, metrics
+    )
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        if service.draws:
+        if service.can_render:
             service.pool.open()
         try:
             yield
@@ -159,9 +161,9 @@ class HeadAsGet:
         async def send_head(message: Message) -> None:
             await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
 
-        as_get = {**scope, "method": "GET"}
-        await self.app(as_get, receive, send_head)
-        scope.update({key: as_get[key] for key in (KEPT, "route") if key in as_get})
+        get_scope = {**scope, "method": "GET"}
+        await self.app(get_scope, receive, send_head)
+        scope.update({key: get_scope[key] for key in (CACHED_ROUTE_KEY, "route") if key in get_scope})
 
 
 class BoundedBody:
@@ -201,4 +203,4 @@ class BoundedBody:
 
 
 async def _client_gone(request: Request, error: Exception) -> Response:
-    return Response(status_code=CLIENT_GONE)
+    return Response(status_code=CLIENT_CLOSED_REQUEST)

@@ -10,7 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from skugga.api.http.problems import problem_of, problem_response
 
-OPEN_PATHS = {"/healthz", "/readyz"}
+PUBLIC_PATHS = {"/healthz", "/readyz"}
 """Paths that need no token: health checks have none."""
 
 
@@ -25,9 +25,9 @@ class BearerToken:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Run the application."""
-        if scope["type"] == "http" and scope["path"] not in OPEN_PATHS:
-            given = Request(scope).headers.get("authorization", "").encode("latin-1", "replace")
-            if not hmac.compare_digest(given, self._expected):
+        if scope["type"] == "http" and scope["path"] not in PUBLIC_PATHS:
+            authorization = Request(scope).headers.get("authorization", "").encode("latin-1", "replace")
+            if not hmac.compare_digest(authorization, self._expected):
                 await problem_response(problem_of(401), {"WWW-Authenticate": "Bearer"})(scope, receive, send)
                 return
 

@@ -47,18 +47,18 @@ class HttpConnection(Protocol):
 
 
 @dataclass
-class _Waiting:
+class _WaitState:
     """The wait state of a connection.
 
     Attributes
     ----------
-    what : tuple
+    progress : tuple
         The state, which changes as the client makes progress (``_state_of``).
     since_s : float
         Begin of that state, by the event loop's clock.
     """
 
-    what: tuple[object, ...]
+    progress: tuple[object, ...]
     since_s: float
 
 
@@ -67,7 +67,7 @@ class BoundedListener:
 
     Parameters
     ----------
-    listening
+    listening_socket
         The listening socket.
     make_protocol
         Returns the protocol of a new connection.
@@ -75,7 +75,7 @@ class BoundedListener:
         The server's set of open connections.
     limit
         Maximum number of connections.
-    client_s
+    client_timeout_s
         Seconds in which a client must send the headers, send the body, or read a part of its answer.
 
     Attributes
@@ -86,24 +86,24 @@ class BoundedListener:
 
     def __init__(
         self,
-        listening: socket.socket,
+        listening_socket: socket.socket,
         make_protocol: Callable[[], asyncio.Protocol],
         connections: set[Any],
         limit: int,
-        client_s: float,
+        client_timeout_s: float,
     ) -> None:
-        self.sockets = (listening,)
+        self.sockets = (listening_socket,)
         self.refused = 0
-        self._listening, self._make_protocol = listening, make_protocol
-        self._connections, self._limit, self._client_s = connections, limit, client_s
+        self._listening_socket, self._make_protocol = listening_socket, make_protocol
+        self._connections, self._limit, self._client_timeout_s = connections, limit, client_timeout_s
         self._connecting: set[asyncio.Task[Any]] = set()
-        self._waiting: dict[HttpConnection, _Waiting] = {}
+        self._waiting: dict[HttpConnection, _WaitState] = {}
         self._loop = asyncio.get_running_loop()
         self._logged_s = -LOG_INTERVAL_S
         self._paused_until_s = 0.0
         self._is_accepting = False
         self._is_closed = False
-        listening.setblocking(False)
+        listening_socket.setblocking(False)
         self._reap_timer: asyncio.TimerHandle = self._loop.call_soon(self._reap_stalled)  # type: ignore[assignment]
         self._resume()
 
@@ -112,7 +112,7 @@ class BoundedListener:
         self._is_closed = True
         self._pause()
         self._reap_timer.cancel()
-        self._listening.close()
+        self._listening_socket.close()
 
     async def wait_closed(self) -> None:
         """Wait until pending connections are established."""
@@ -122,12 +122,12 @@ class BoundedListener:
     def _resume(self) -> None:
         if not self._is_accepting and not self._is_closed:
             self._is_accepting = True
-            self._loop.add_reader(self._listening, self._accept)
+            self._loop.add_reader(self._listening_socket, self._accept)
 
     def _pause(self) -> None:
         if self._is_accepting:
             self._is_accepting = False
-            self._loop.remove_reader(self._listening)
+            self._loop.remove_reader(self._listening_socket)
 
     def _accept(self) -> None:
         for _ in range(ACCEPTED_AT_ONCE):
@@ -135,7 +135,7 @@ class BoundedListener:
                 self._pause()
                 return
             try:
-                client, _ = self._listening.accept()
+                client, _ = self._listening_socket.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 return
             except OSError as error:
@@ -167,8 +167,8 @@ class BoundedListener:
         idle = [(state.since_s, connection) for connection, state in self._waiting.items() if _awaits_request(connection)]
         if not idle:
             return False
-        _, longest = min(idle, key=lambda each: each[0])
-        self._close_connection(longest)
+        _, longest_idle = min(idle, key=lambda entry: entry[0])
+        self._close_connection(longest_idle)
         return True
 
     def _reap_stalled(self) -> None:
@@ -176,7 +176,7 @@ class BoundedListener:
         self._update_waiting()
         now_s = self._loop.time()
         for connection, state in list(self._waiting.items()):
-            if now_s - state.since_s > self._client_s and _waits_for_client(connection):
+            if now_s - state.since_s > self._client_timeout_s and _waits_for_client(connection):
                 self._close_connection(connection)
         if now_s >= self._paused_until_s:
             self._resume()
@@ -188,9 +188,9 @@ class BoundedListener:
             if connection not in self._connections:
                 del self._waiting[connection]
         for connection in self._connections:
-            what, state = _state_of(connection), self._waiting.get(connection)
-            if state is None or state.what != what:
-                self._waiting[connection] = _Waiting(what, now_s)
+            progress, state = _state_of(connection), self._waiting.get(connection)
+            if state is None or state.progress != progress:
+                self._waiting[connection] = _WaitState(progress, now_s)
 
     def _close_connection(self, connection: HttpConnection) -> None:
         self.refused += 1

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel, ServedLevels
 from skugga.api.matrices import matrix_set_of
-from skugga.api.workers.block_tiles import place_in_block
+from skugga.api.workers.block_tiles import block_and_position
 from skugga.api.workers.jobs import BlockJob
 
 
 def first_blocks(levels: ServedLevels) -> tuple[BlockJob, ...]:
     """Return the central block of each level with tiles, at its first zoom."""
-    blocks = (first_block(level) for level in levels.known())
+    blocks = (first_block(level) for level in levels.cached_levels())
     return tuple(block for block in blocks if block is not None)
 
 
@@ -21,5 +21,5 @@ def first_block(level: ServedLevel, zoom: int | None = None) -> BlockJob | None:
         return None
     west, south, east, north = level.bounds
     tile = matrix_set_of(DEFAULT_MATRIX_SET).tile((west + east) / 2.0, (south + north) / 2.0, zooms.first if zoom is None else zoom)
-    (x, y), _ = place_in_block(tile.x, tile.y, 1)
+    (x, y), _ = block_and_position(tile.x, tile.y, 1)
     return BlockJob(level=level.key, matrix_set=DEFAULT_MATRIX_SET, zoom=tile.z, block_x=x, block_y=y)

@@ -28,7 +28,7 @@ def not_found_page(request: Request, detail: str) -> HTMLResponse:
     base = base_url(request, service.settings.public_url)
     items = "".join(
         f'<li><a href="{escape(f"{base}/levels/{quote(level.name)}.html")}">{escape(level.loaded.level.title or level.name)}</a>'
-        for level in service.levels.known()
+        for level in service.levels.cached_levels()
     )
     page = _PAGE.format(detail=escape(detail), base=escape(base), items=items or "<li>none")
     return HTMLResponse(page, 404, {"Cache-Control": "no-store", "Vary": "Accept"})

@@ -10,13 +10,13 @@ from fastapi.openapi.utils import get_openapi
 
 from skugga.api.http.openapi_parts import COMMON_ERRORS, EXAMPLE_QUERY, problem_docs, with_bounds
 from skugga.api.http.problems import Problem
-from skugga.api.http.server.bearer_token import OPEN_PATHS
+from skugga.api.http.server.bearer_token import PUBLIC_PATHS
 from skugga.api.http.state.archive_file import ArchiveFile
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import Service
 from skugga.api.matrices import matrix_set_of
 
-DIGITS = 5
+EXAMPLE_DECIMALS = 5
 """Decimals of degrees in examples."""
 
 
@@ -25,15 +25,15 @@ def install_openapi(app: FastAPI, service: Service) -> None:
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
-            made = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
-            app.openapi_schema = _completed(made, service)
+            document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+            app.openapi_schema = _complete_document(document, service)
         return app.openapi_schema
 
     app.openapi = openapi  # type: ignore[method-assign]
 
 
-def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
-    has_token, places = service.settings.api_token is not None, level_examples(service.levels.known())
+def _complete_document(document: dict[str, Any], service: Service) -> dict[str, Any]:
+    has_token, location_examples = service.settings.api_token is not None, level_examples(service.levels.cached_levels())
     document = with_bounds(document)
     schemas = document["components"]["schemas"]
     schemas[Problem.__name__] = Problem.model_json_schema(mode="serialization")
@@ -42,12 +42,15 @@ def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
         schemas.pop(unused, None)
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
-            needs_token = has_token and path not in OPEN_PATHS
-            answers = problem_docs(*COMMON_ERRORS, *([401] if needs_token else [])) | _with_whole_statuses(operation["responses"])
+            needs_token = has_token and path not in PUBLIC_PATHS
+            answers = problem_docs(*COMMON_ERRORS, *([401] if needs_token else [])) | _with_integer_statuses(operation["responses"])
             operation["responses"] = {str(status): answers[status] for status in sorted(answers)}
             if needs_token:
                 operation["security"] = [{"token": []}]
-            _give_examples(operation, archive_examples(service.archives.known()) if path.startswith("/archives") else places)
+            _set_examples(
+                operation,
+                archive_examples(service.archives.cached_archives()) if path.startswith("/archives") else location_examples,
+            )
             query = operation.pop(EXAMPLE_QUERY, {})
             operation["description"] += f"\n\nFor example: `{method.upper()} {example_address(path, operation, query)}`"
     if has_token:
@@ -61,23 +64,23 @@ def _plan_schemas() -> dict[str, Any]:
 
     router = APIRouter()
     router.add_api_route("/plan", lambda: None, response_model=Plan)
-    found: dict[str, Any] = get_openapi(title="", version="", routes=router.routes)["components"]["schemas"]
-    return found
+    schemas: dict[str, Any] = get_openapi(title="", version="", routes=router.routes)["components"]["schemas"]
+    return schemas
 
 
-def _with_whole_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
+def _with_integer_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
     return {int(status): answer for status, answer in answers.items() if "HTTPValidationError" not in str(answer)}
 
 
 def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:
     """Return examples of location parameters by name, for the first level with tiles, else for the first level."""
-    on_earth = [level for level in levels if level.bounds is not None and DEFAULT_MATRIX_SET in level.zooms]
-    if not on_earth:
+    levels_on_earth = [level for level in levels if level.bounds is not None and DEFAULT_MATRIX_SET in level.zooms]
+    if not levels_on_earth:
         return {"level": levels[0].name} if levels else {}
-    level = on_earth[0]
+    level = levels_on_earth[0]
     assert level.bounds is not None
-    west, south, east, north = (round(each, DIGITS) for each in level.bounds)
-    lon, lat = round((west + east) / 2, DIGITS), round((south + north) / 2, DIGITS)
+    west, south, east, north = (round(edge_deg, EXAMPLE_DECIMALS) for edge_deg in level.bounds)
+    lon, lat = round((west + east) / 2, EXAMPLE_DECIMALS), round((south + north) / 2, EXAMPLE_DECIMALS)
     zoom = level.zooms[DEFAULT_MATRIX_SET].first
     tile = matrix_set_of(DEFAULT_MATRIX_SET).tile(lon, lat, zoom)
     bbox = f"{west},{south},{east},{north}"
@@ -97,25 +100,30 @@ def archive_examples(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
     return {}
 
 
-def _give_examples(operation: dict[str, Any], places: dict[str, Any]) -> None:
+def _set_examples(operation: dict[str, Any], location_examples: dict[str, Any]) -> None:
     for parameter in operation.get("parameters", ()):
-        if parameter["name"] in places:
-            parameter["schema"]["examples"] = [places[parameter["name"]]]
+        if parameter["name"] in location_examples:
+            parameter["schema"]["examples"] = [location_examples[parameter["name"]]]
         # Swagger UI fills its form with ``example``. Optional parameters get none, since not all can be combined.
         if parameter.get("required") and "examples" in parameter["schema"]:
             parameter["example"] = parameter["schema"]["examples"][0]
     for content in operation.get("requestBody", {}).get("content", {}).values():
         example = content["schema"].pop("examples")[0]
-        content["example"] = {key: places.get(key, value) for key, value in example.items()}
+        content["example"] = {key: location_examples.get(key, value) for key, value in example.items()}
 
 
 def example_address(path: str, operation: dict[str, Any], query: dict[str, str]) -> str:
     """Return path and query of an operation's example, from its ``query`` and its required parameters."""
     parameters = operation.get("parameters", [])
-    examples = {each["name"]: each["schema"]["examples"][0] for each in parameters if "examples" in each["schema"]}
-    for each in parameters:
-        if each["in"] == "path":
-            path = path.replace(f"{{{each['name']}}}", quote(str(examples[each["name"]])))
-    asked = dict.fromkeys(each["name"] for each in parameters if each["in"] == "query" and each.get("required")) | query
-    pairs = urlencode({name: value or examples[name] for name, value in asked.items()}, safe=":,/+")
+    examples = {
+        parameter["name"]: parameter["schema"]["examples"][0] for parameter in parameters if "examples" in parameter["schema"]
+    }
+    for parameter in parameters:
+        if parameter["in"] == "path":
+            path = path.replace(f"{{{parameter['name']}}}", quote(str(examples[parameter["name"]])))
+    query_values = (
+        dict.fromkeys(parameter["name"] for parameter in parameters if parameter["in"] == "query" and parameter.get("required"))
+        | query
+    )
+    pairs = urlencode({name: value or examples[name] for name, value in query_values.items()}, safe=":,/+")
     return f"{path}?{pairs}" if pairs else path

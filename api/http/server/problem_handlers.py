@@ -31,12 +31,12 @@ def install_problem_handlers(app: FastAPI) -> None:
         headers = dict(error.headers or {})
         if error.status_code == 405:
             headers["Allow"] = ", ".join(_methods_at(request))
-        said = {
+        details = {
             400: "body: cannot be read. Send JSON in UTF-8, not nested too deeply.",  # before routing only the body is parsed
             404: f"Nothing is served at {printable(request.url.path[:200])}.",
             405: f"{request.method[:20]} is not allowed here. Allowed: {headers.get('Allow')}.",
         }
-        detail = said.get(error.status_code, str(error.detail))
+        detail = details.get(error.status_code, str(error.detail))
         if error.status_code == 404 and wants_html(request):
             return not_found_page(request, detail)
         parameter = "body" if error.status_code in (400, 413) else None
@@ -65,17 +65,17 @@ def _methods_at(request: Request) -> list[str]:
 def _first_error(error: RequestValidationError) -> InputError:
     """Convert the first validation error. It names a parameter, or the path of a part of the body."""
     detail = error.errors()[0]
-    where, *path = detail["loc"]
-    name = ".".join(str(part) for part in path) or "body" if where == "body" else str(detail["loc"][-1])
+    location, *path = detail["loc"]
+    name = ".".join(str(part) for part in path) or "body" if location == "body" else str(detail["loc"][-1])
     if detail["type"] == "json_invalid":
         return InputError("body", Problem(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "Send JSON")
     if detail["type"] == "missing":
         return InputError.missing(name, "Give a value")
-    if where == "body" and isinstance(detail.get("input"), bytes):
+    if location == "body" and isinstance(detail.get("input"), bytes):
         return InputError("body", Problem("not sent as JSON"), "Send JSON with Content-Type: application/json")
     if detail["type"] == UNKNOWN_KEY:
-        where = ".".join([*map(str, path), detail["ctx"]["key"]])
-        return InputError(where, Problem("unknown key"), f"Allowed keys: {detail['ctx']['known']}")
+        location = ".".join([*map(str, path), detail["ctx"]["key"]])
+        return InputError(location, Problem("unknown key"), f"Allowed keys: {detail['ctx']['known']}")
     if detail["type"] == "extra_forbidden":
         return InputError(name, Problem("unknown key"), "Omit it")
     if detail["type"] == "model_attributes_type":

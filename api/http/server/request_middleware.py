@@ -23,7 +23,7 @@ REQUEST_ID = "X-Request-ID"
 REQUEST_ID_PATTERN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 """Accepted request ids of clients: without characters that are special in logs, headers or HTML."""
 
-KEPT = "skugga.kept"
+CACHED_ROUTE_KEY = "skugga.kept"
 """Scope key with the route of an answer from the cache, which was sent before routing."""
 
 
@@ -38,7 +38,7 @@ def content_security_policy(tiles: str = "'self'") -> str:
     )
 
 
-CLIENT_GONE = 499
+CLIENT_CLOSED_REQUEST = 499
 """Status in logs and metrics of a request whose client has disconnected (as in nginx). It is never received."""
 
 METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
@@ -46,7 +46,7 @@ METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
 request_id: ContextVar[str] = ContextVar("request_id", default="")
 
 log = logging.getLogger("skugga")
-access = logging.getLogger("skugga.access")
+access_logger = logging.getLogger("skugga.access")
 
 
 class RequestMiddleware:
@@ -86,9 +86,9 @@ class RequestMiddleware:
         finally:
             took_s = time.perf_counter() - began_s
             self.metrics.in_progress.dec()
-            self._count(scope, status or CLIENT_GONE, took_s)
+            self._count(scope, status or CLIENT_CLOSED_REQUEST, took_s)
             if self.access_log:
-                self._log_access(scope, status or CLIENT_GONE, took_s, sent_bytes)
+                self._log_access(scope, status or CLIENT_CLOSED_REQUEST, took_s, sent_bytes)
             request_id.reset(token)
 
     def _count(self, scope: Scope, status: int, took_s: float) -> None:
@@ -98,7 +98,7 @@ class RequestMiddleware:
 
     def _log_access(self, scope: Scope, status: int, took_s: float, sent_bytes: int) -> None:
         client = scope.get("client") or ("",)
-        access.info(
+        access_logger.info(
             "request",
             extra={
                 "fields": {
@@ -110,7 +110,7 @@ class RequestMiddleware:
         )  # fmt: skip
 
 
-class LogLine(logging.Formatter):
+class LogFormatter(logging.Formatter):
     """Log formatter with the request id in each line, as text or as JSON."""
 
     def __init__(self, as_json: bool = False) -> None:
@@ -122,10 +122,10 @@ class LogLine(logging.Formatter):
         fields: dict[str, Any] = getattr(record, "fields", {})
         id_ = request_id.get()
         if not self._as_json:
-            words = [f"{name}={json.dumps(value) if isinstance(value, str) else value}" for name, value in fields.items()]
+            field_texts = [f"{name}={json.dumps(value) if isinstance(value, str) else value}" for name, value in fields.items()]
             line = super().format(record)
-            head, newline, traceback = line.partition("\n")
-            return " ".join([head, *words, *([f"[{id_}]"] if id_ else [])]) + newline + traceback
+            first_line, newline, traceback = line.partition("\n")
+            return " ".join([first_line, *field_texts, *([f"[{id_}]"] if id_ else [])]) + newline + traceback
         value = {"time": self.formatTime(record), "level": record.levelname, "message": record.getMessage()}
         if id_:
             value["request_id"] = id_
@@ -135,24 +135,24 @@ class LogLine(logging.Formatter):
 
 
 def _request_id_of(scope: Scope) -> str:
-    given = dict(scope["headers"]).get(REQUEST_ID.lower().encode(), b"").decode("latin-1")
-    return given if REQUEST_ID_PATTERN.fullmatch(given) else secrets.token_hex(8)
+    sent_id = dict(scope["headers"]).get(REQUEST_ID.lower().encode(), b"").decode("latin-1")
+    return sent_id if REQUEST_ID_PATTERN.fullmatch(sent_id) else secrets.token_hex(8)
 
 
-def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, took_ms: float) -> None:
+def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, duration_ms: float) -> None:
     """Add the headers that all answers have."""
     headers[REQUEST_ID] = id_
     headers["X-Content-Type-Options"] = "nosniff"
     timings = headers.get("Server-Timing")
-    headers["Server-Timing"] = f"{timings}, total;dur={took_ms:.1f}" if timings else f"total;dur={took_ms:.1f}"
-    asked = scope["state"].get("request_time")
-    if asked is not None and TIME_HEADER not in headers:
-        headers[TIME_HEADER] = asked.time.isoformat()
+    headers["Server-Timing"] = f"{timings}, total;dur={duration_ms:.1f}" if timings else f"total;dur={duration_ms:.1f}"
+    sun_time = scope["state"].get("request_time")
+    if sun_time is not None and TIME_HEADER not in headers:
+        headers[TIME_HEADER] = sun_time.time.isoformat()
     location, public_url = headers.get("Location"), scope["app"].state.service.settings.public_url if "app" in scope else None
     if location is not None and public_url is not None:
-        inner = str(Request(scope).base_url)
-        if location.startswith(inner):  # a redirect of Starlette
-            headers["Location"] = f"{public_url.rstrip('/')}/{location.removeprefix(inner)}"
+        internal_url = str(Request(scope).base_url)
+        if location.startswith(internal_url):  # a redirect of Starlette
+            headers["Location"] = f"{public_url.rstrip('/')}/{location.removeprefix(internal_url)}"
     expected = scope["state"].get("expected_time")
     if expected is not None:
         headers.update(expected.headers())
@@ -163,7 +163,7 @@ def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, took_ms
 
 def _route(scope: Scope) -> str:
     """Return the path template of the route, without parts that a client can choose."""
-    route = scope.get(KEPT) or getattr(scope.get("route"), "path", None)
+    route = scope.get(CACHED_ROUTE_KEY) or getattr(scope.get("route"), "path", None)
     return str(route) if route else "other"
 
 

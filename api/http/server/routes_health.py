@@ -13,7 +13,7 @@ from skugga.api.errors import NotReadyError, UnhealthyError
 from skugga.api.http.openapi_parts import problem_docs
 from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.metrics import MEDIA_TYPE_OF_METRICS
-from skugga.api.http.state.service import TheService
+from skugga.api.http.state.service import ServiceDep
 
 router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
 
@@ -21,15 +21,15 @@ _UNCACHED = {"Cache-Control": "no-store"}
 
 
 @router.get("/healthz", summary="Whether the service is alive", responses=problem_docs(503), response_model=dict[str, str])
-async def healthz(service: TheService) -> JSONResponse:
+async def healthz(service: ServiceDep) -> JSONResponse:
     """Return 200 while the service runs, even if it cannot render yet; 503 if it must be restarted."""
-    if not service.pool.whole:
+    if not service.pool.is_healthy:
         raise UnhealthyError("the supervisor of a render process has ended")
     return JSONResponse({"status": "ok"}, headers=_UNCACHED)
 
 
 @router.get("/readyz", summary="Whether the service can draw", responses=problem_docs(503), response_model=dict[str, Any])
-async def readyz(service: TheService) -> JSONResponse:
+async def readyz(service: ServiceDep) -> JSONResponse:
     """Return 200 if a render process is ready; 503 until the first one has warmed up, and while none runs.
 
     A service of archives only renders nothing and is ready at once.
@@ -46,7 +46,7 @@ async def readyz(service: TheService) -> JSONResponse:
     preparing: dict[str, Any] | None = None
     if pool.preparing is not None:
         preparing = {**asdict(pool.preparing), "elapsed_s": round(time.monotonic() - pool.preparing_since, 1)}
-    if service.draws and not pool.ready:
+    if service.can_render and not pool.ready:
         raise NotReadyError("No render process is ready. If this lasts, see the service's log.", preparing)
     return JSONResponse(
         {
@@ -54,8 +54,8 @@ async def readyz(service: TheService) -> JSONResponse:
             "renderer": pool.renderer,
             "workers": len(pool.pids),
             "queued": pool.queued,
-            "calibration": pool.calibrating.state,
-            "probes_waiting": pool.probing.waiting,
+            "calibration": pool.idle_calibration.state,
+            "probes_waiting": pool.idle_probes.waiting,
             "preparing": preparing,
         },
         headers=_UNCACHED,
@@ -63,6 +63,6 @@ async def readyz(service: TheService) -> JSONResponse:
 
 
 @router.get("/metrics", summary="Metrics", response_class=PlainTextResponse, response_model=str)
-async def metrics(service: TheService) -> Response:
+async def metrics(service: ServiceDep) -> Response:
     """Return the metrics in Prometheus' text format."""
     return Response(service.metrics.text(), headers=_UNCACHED, media_type=MEDIA_TYPE_OF_METRICS)

@@ -13,7 +13,7 @@ from starlette.staticfiles import StaticFiles
 
 from skugga.api.http.server.request_middleware import content_security_policy
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
-from skugga.api.http.state.service import TheService
+from skugga.api.http.state.service import ServiceDep
 
 STATIC_FOLDER = Path(__file__).parents[2] / "static"
 
@@ -32,7 +32,7 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
     """Serve the viewer from a folder: its page on ``/``, its parts under ``/assets``, all files under ``/static``."""
 
     @app.get("/", include_in_schema=False)
-    async def index(service: TheService) -> Response:
+    async def index(service: ServiceDep) -> Response:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
             # Users may name any server for tiles of a base map; scripts come from this service only.

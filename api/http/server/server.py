@@ -19,10 +19,10 @@ import uvicorn
 from skugga.api.http.server.app import create_app
 from skugga.api.http.server.bounded_headers import BoundedHeaders
 from skugga.api.http.server.bounded_listener import BoundedListener
-from skugga.api.http.server.request_middleware import LogLine
+from skugga.api.http.server.request_middleware import LogFormatter
 from skugga.api.http.state.service import Service
 from skugga.api.settings import Settings
-from skugga.api.workers.piped_process import Spawned
+from skugga.api.workers.piped_process import SpawnedWorker
 from skugga.api.workers.process_life import open_descriptors
 from skugga.terrain.level.level_source import LevelSource
 
@@ -54,7 +54,7 @@ def log_config(settings: Settings) -> dict[str, Any]:
     return {
         "version": 1,
         "disable_existing_loggers": False,
-        "formatters": {"line": {"()": LogLine, "as_json": settings.log_format == "json"}},
+        "formatters": {"line": {"()": LogFormatter, "as_json": settings.log_format == "json"}},
         "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
         "loggers": {name: {"handlers": ["stderr"], "level": level, "propagate": False} for name, level in loggers.items()},
     }
@@ -80,7 +80,7 @@ class Server(uvicorn.Server):
         if self.lifespan.should_exit:
             sys.exit(1)
         try:
-            listening = list(sockets or _listening_sockets(config.host, config.port))
+            listening_sockets = list(sockets or _listening_sockets(config.host, config.port))
         except OSError as error:
             log.error("cannot listen on %s, port %d: %s", config.host, config.port, error.strerror)
             await self.lifespan.shutdown()
@@ -93,15 +93,15 @@ class Server(uvicorn.Server):
 
         limit = connection_limit(settings)
         self.servers = [
-            BoundedListener(each, make_protocol, self.server_state.connections, limit, settings.client_timeout_s)  # type: ignore[misc]
-            for each in listening
+            BoundedListener(listening_socket, make_protocol, self.server_state.connections, limit, settings.client_timeout_s)  # type: ignore[misc]
+            for listening_socket in listening_sockets
         ]
         self._install_signal_handlers()
         self.started = True
-        served = [level.name for level in self._service.levels.known()]
-        served += [f"archive {name}" for name in self._service.archives.names()]
-        names = ", ".join(served) or "no level yet"
-        host, port = listening[0].getsockname()[:2]
+        served_names = [level.name for level in self._service.levels.cached_levels()]
+        served_names += [f"archive {name}" for name in self._service.archives.names()]
+        names = ", ".join(served_names) or "no level yet"
+        host, port = listening_sockets[0].getsockname()[:2]
         log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
 
     async def shutdown(self, sockets: Any = None) -> None:
@@ -135,7 +135,7 @@ class Server(uvicorn.Server):
         log.info(
             "SIGUSR1: %d connections, %d requests, %d jobs queued, %d jobs running, %d animations pending, render processes %s",
             len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running,
-            self._service.animations.going, sorted(pool.pids),
+            self._service.animations.active_count, sorted(pool.pids),
         )  # fmt: skip
 
 
@@ -144,21 +144,24 @@ def connection_limit(settings: Settings) -> int:
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY:
         return settings.max_connections
-    films = settings.animations_kept + DESCRIPTORS_PER_FILM * settings.animations_at_a_time
-    left = soft - open_descriptors() - DESCRIPTORS_PER_WORKER * settings.workers - films - RESERVED_DESCRIPTORS
-    if left < settings.max_connections:
-        log.warning("at most %d connections at a time: the limit of open files is %d", max(left, MIN_CONNECTIONS), soft)
-    return min(settings.max_connections, max(left, MIN_CONNECTIONS))
+    film_descriptors = settings.animations_kept + DESCRIPTORS_PER_FILM * settings.animations_at_a_time
+    available = soft - open_descriptors() - DESCRIPTORS_PER_WORKER * settings.workers - film_descriptors - RESERVED_DESCRIPTORS
+    if available < settings.max_connections:
+        log.warning("at most %d connections at a time: the limit of open files is %d", max(available, MIN_CONNECTIONS), soft)
+    return min(settings.max_connections, max(available, MIN_CONNECTIONS))
 
 
 def serve(
-    settings: Settings, levels: Sequence[Path | LevelSource], archives: Sequence[Path] = (), spawned: Spawned | None = None
+    settings: Settings,
+    levels: Sequence[Path | LevelSource],
+    archives: Sequence[Path] = (),
+    spawned_worker: SpawnedWorker | None = None,
 ) -> None:
     """Serve levels and archives until SIGINT or SIGTERM.
 
-    ``spawned`` is the first render process, if it was started before. Raises the errors of ``create_app``.
+    ``spawned_worker`` is the first render process, if it was started before. Raises the errors of ``create_app``.
     """
-    app = create_app(settings, levels, archives=archives, spawned=spawned)
+    app = create_app(settings, levels, archives=archives, spawned_worker=spawned_worker)
     config = uvicorn.Config(
         app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=BoundedHeaders,
         ws="none", server_header=False, timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
@@ -169,6 +172,6 @@ def serve(
 
 def _listening_sockets(host: str, port: int) -> list[socket.socket]:
     """Return listening sockets for all addresses of a host name."""
-    found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    addresses = dict.fromkeys((family, address) for family, _, _, _, address in found)
+    address_infos = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    addresses = dict.fromkeys((family, address) for family, _, _, _, address in address_infos)
     return [socket.create_server(address, family=family, backlog=BACKLOG) for family, address in addresses]

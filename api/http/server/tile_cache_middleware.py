@@ -7,7 +7,7 @@ from functools import partial
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from skugga.api.http.server.request_middleware import KEPT
+from skugga.api.http.server.request_middleware import CACHED_ROUTE_KEY
 from skugga.api.http.state.encoded_tiles import EncodedTile, TileVersions
 from skugga.api.http.state.service import Service
 
@@ -20,8 +20,8 @@ def tile_versions(service: Service, name: str) -> TileVersions:
 
     It is ``(None,)`` if a check of the level or its archives is due.
     """
-    level = service.levels.unchanged(name)
-    archives = None if level is None else service.archives.unchanged_of(level)
+    level = service.levels.fresh_level(name)
+    archives = None if level is None else service.archives.fresh_archives_of(level)
     if level is None or archives is None:
         return (None,)
     return level.version, service.pool.renderer, service.pool.plan_version(level.key), archives.version
@@ -39,7 +39,7 @@ class TileCacheMiddleware:
         if tile is None:
             await self.app(scope, receive, send)
         else:
-            scope[KEPT] = CACHED_TILE_ROUTE
+            scope[CACHED_ROUTE_KEY] = CACHED_TILE_ROUTE
             await tile.answer(Request(scope))(scope, receive, send)
 
     def _cached_tile(self, scope: Scope) -> EncodedTile | None:

@@ -109,8 +109,8 @@ class ArchiveFile:
     @property
     def skugga_metadata(self) -> dict[str, Any]:
         """This package's own part of the metadata; empty if another program made the archive."""
-        said = self.metadata.get("skugga")
-        return said if isinstance(said, dict) else {}
+        skugga_part = self.metadata.get("skugga")
+        return skugga_part if isinstance(skugga_part, dict) else {}
 
     def tile(self, zoom: int, x: int, y: int) -> bytes | None:
         """Return a tile's bytes; ``None`` if the archive lacks the tile. Raises ``ArchiveError``."""
@@ -124,8 +124,8 @@ class ArchiveFile:
                 return None
             run, length, offset = (int(column[row]) for column in (directory.runs, directory.lengths, directory.offsets))
             if run:
-                inside = tile_id < int(directory.ids[row]) + run
-                return self._read(self.header["tile_data_offset"] + offset, length) if inside else None
+                is_in_run = tile_id < int(directory.ids[row]) + run
+                return self._read(self.header["tile_data_offset"] + offset, length) if is_in_run else None
             directory = self._leaf(offset, length)
         raise self._error(f"directories nested more than {DIRECTORY_DEPTH} deep")
 
@@ -154,10 +154,12 @@ class ArchiveFile:
             kind = "vector tiles" if header["tile_type"] in (TileType.MVT, TileType.MLT) else "tiles of an unknown kind"
             raise self._error(f"it has {kind}, which are not served")
         for part in ("internal", "tile"):
-            plain = Compression.UNKNOWN if part == "tile" else Compression.GZIP
-            used = header["tile_compression"] if part == "tile" else header["internal_compression"]
-            if used not in (Compression.NONE, plain):
-                raise self._error(f"its {'tiles' if part == 'tile' else 'directories'} are compressed by {used.name.lower()}")
+            default_compression = Compression.UNKNOWN if part == "tile" else Compression.GZIP
+            compression = header["tile_compression"] if part == "tile" else header["internal_compression"]
+            if compression not in (Compression.NONE, default_compression):
+                raise self._error(
+                    f"its {'tiles' if part == 'tile' else 'directories'} are compressed by {compression.name.lower()}"
+                )
         size = os.fstat(self._file).st_size
         ends = {
             "root directory": header["root_offset"] + header["root_length"],
@@ -188,10 +190,10 @@ class ArchiveFile:
 
     def _checked_root(self) -> _Directory:
         root = self._directory(self.header["root_offset"], self.header["root_length"])
-        left = CHECKED_LEAF_BYTES
+        bytes_left = CHECKED_LEAF_BYTES
         for length, offset in _leaves(root):
-            left -= length
-            if left < 0:
+            bytes_left -= length
+            if bytes_left < 0:
                 break
             self._leaf(offset, length)
         return root
@@ -237,14 +239,14 @@ class ArchiveFile:
         raw = self._read(offset, length)
         if self.header["internal_compression"] is Compression.NONE or not raw:
             return raw
-        unpacking = zlib.decompressobj(wbits=31)
+        decompressor = zlib.decompressobj(wbits=31)
         try:
-            plain = unpacking.decompress(raw, MAX_DECOMPRESSED_BYTES)
+            decompressed = decompressor.decompress(raw, MAX_DECOMPRESSED_BYTES)
         except zlib.error:
             raise self._error(f"broken {part}: not gzip") from None
-        if not unpacking.eof:
+        if not decompressor.eof:
             raise self._error(f"broken {part}: gzip that is cut short or larger than {MAX_DECOMPRESSED_BYTES // MIB} MiB")
-        return plain
+        return decompressed
 
     def _read(self, offset: int, length: int) -> bytes:
         try:
@@ -261,8 +263,8 @@ class ArchiveFile:
 
 def has_changed(archive: ArchiveFile | None, path: Path) -> bool:
     """Return whether a file has changed since it was opened as ``archive``; true for ``None``. Reads the file's status."""
-    now: Stamp = file_stamps([path])[0]
-    return archive is None or archive.stamp != now
+    stamp: Stamp = file_stamps([path])[0]
+    return archive is None or archive.stamp != stamp
 
 
 def _leaves(directory: _Directory) -> Iterator[tuple[int, int]]:
@@ -281,7 +283,7 @@ def _varints(raw: bytes) -> NDArray[np.uint64] | None:
     if not len(data) or data[-1] >= 128:
         return None
     begins = np.concatenate([[0], ends[:-1] + 1])
-    place = np.arange(len(data)) - np.repeat(begins, ends - begins + 1)
-    if place.max() >= 10:
+    byte_index = np.arange(len(data)) - np.repeat(begins, ends - begins + 1)
+    if byte_index.max() >= 10:
         return None
-    return np.add.reduceat((data & 127).astype(np.uint64) << (7 * place).astype(np.uint64), begins)
+    return np.add.reduceat((data & 127).astype(np.uint64) << (7 * byte_index).astype(np.uint64), begins)

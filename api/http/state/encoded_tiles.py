@@ -41,8 +41,10 @@ class EncodedTile:
     def answer(self, request: Request) -> Response:
         """Return the response to a request; 304 if the client's copy is current."""
         if is_fresh(request, self.headers["ETag"]):
-            unchanged = {name: value for name, value in self.headers.items() if name in ("ETag", "Cache-Control", TIME_HEADER)}
-            return Response(status_code=304, headers=unchanged)
+            not_modified_headers = {
+                name: value for name, value in self.headers.items() if name in ("ETag", "Cache-Control", TIME_HEADER)
+            }
+            return Response(status_code=304, headers=not_modified_headers)
         return Response(self.body, headers=self.headers, media_type=self.media_type)
 
 
@@ -109,10 +111,10 @@ class EncodedTiles:
 
     def cached_tile(self, scope: Scope, tile_versions: Callable[[str], TileVersions]) -> EncodedTile | None:
         """Return the cached tile of an address if the versions of its level (``tile_versions``) are unchanged, else ``None``."""
-        sent = self._by_address.get(_address(scope))
-        if isinstance(sent, Missing) or sent.versions != tile_versions(sent.level):
+        entry = self._by_address.get(_address(scope))
+        if isinstance(entry, Missing) or entry.versions != tile_versions(entry.level):
             return None
-        tile = self._lookup(sent.tag)
+        tile = self._lookup(entry.tag)
         self.hits += tile is not None  # a miss is counted later, by ``get``
         return tile
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from fastapi import Request, Response
 
 from skugga.api.http.answers import cache_headers, entity_tag, is_fresh, render_headers
-from skugga.api.http.request_times import fresh_for, time_headers
+from skugga.api.http.request_times import freshness_s, time_headers
 from skugga.api.http.state.service import Service
 from skugga.api.workers.jobs import MapJob, PointAnswer, PointJob, Snapshot, SnapshotJob
 
@@ -20,7 +20,7 @@ async def job_answer(
     subject: str,
     media_type: str,
     fresh_s: int,
-    written: Callable[[bytes], bytes] = lambda body: body,
+    write_body: Callable[[bytes], bytes] = lambda body: body,
 ) -> Response:
     """Run a job of a level and return its response, or 304 if the client's copy is current.
 
@@ -30,7 +30,7 @@ async def job_answer(
         The kind of answer, as ``map``. It is part of the entity tag.
     fresh_s
         Maximum freshness lifetime of the answer in seconds.
-    written
+    write_body
         Function that converts the job's file to the response body.
 
     Raises
@@ -40,17 +40,17 @@ async def job_answer(
     """
     parts = job.level.version, level, subject, job.model_dump(exclude={"level"}, exclude_none=True), media_type
     is_picture = not isinstance(job, PointJob)
-    by = (service.pool.renderer, service.pool.plan_version(job.level)) if is_picture else ()
-    seconds = service.fresh_s(request, fresh_s) if is_picture else fresh_for(request, fresh_s)
-    of_time = time_headers(request) if isinstance(job, PointJob) or job.request.record.when == "sun" else {}
-    headers = cache_headers(entity_tag(*by, *parts), seconds) | of_time
+    render_versions = (service.pool.renderer, service.pool.plan_version(job.level)) if is_picture else ()
+    seconds = service.fresh_s(request, fresh_s) if is_picture else freshness_s(request, fresh_s)
+    sun_time_headers = time_headers(request) if isinstance(job, PointJob) or job.request.product_record.when == "sun" else {}
+    headers = cache_headers(entity_tag(*render_versions, *parts), seconds) | sun_time_headers
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    kept = service.pool.finished(job) is not None
-    done = await service.done(request, job)
-    if isinstance(done, Snapshot):
-        headers = cache_headers(entity_tag(done.renderer, done.plan_version, *parts), seconds) | of_time
-        headers |= render_headers(done, subject, kept, done.encode_ms)
+    is_cached = service.pool.cached_picture(job) is not None
+    result = await service.run_job(request, job)
+    if isinstance(result, Snapshot):
+        headers = cache_headers(entity_tag(result.renderer, result.plan_version, *parts), seconds) | sun_time_headers
+        headers |= render_headers(result, subject, is_cached, result.encode_ms)
     else:
-        assert isinstance(done, PointAnswer)
-    return Response(written(done.body), headers=headers, media_type=media_type)
+        assert isinstance(result, PointAnswer)
+    return Response(write_body(result.body), headers=headers, media_type=media_type)

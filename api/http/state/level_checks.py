@@ -20,7 +20,7 @@ from skugga.terrain.errors import SkuggaError
 
 Value = TypeVar("Value")
 
-LOOK_AGAIN_S = 30.0
+ABANDON_CHECK_AFTER_S = 30.0
 """Time after which a check that still runs is abandoned and another check starts."""
 
 MAX_ABANDONED = 4
@@ -52,7 +52,7 @@ class LevelCheck(Generic[Value]):
         Seconds for which a result is used without another check.
     wait_s : float
         Maximum seconds that a request waits for a check.
-    what : str
+    kind : str
         Kind of the value, for logs.
     error : SkuggaError or None
         Error of the last check.
@@ -63,14 +63,14 @@ class LevelCheck(Generic[Value]):
     check: Callable[[], Value]
     fresh_s: float
     wait_s: float
-    what: str = "level"
+    kind: str = "level"
     error: SkuggaError | None = None
     _is_exhausted: bool = False
     _checked_s: float = float("-inf")
     _running: _Check[Value] | None = None
     _abandoned: list[_Check[Value]] = field(default_factory=list)
 
-    def known(self) -> Value | None:
+    def fresh_value(self) -> Value | None:
         """Return the value if it is fresh or its check hangs; ``None`` if a check is due or the last one failed."""
         return self.value if self.error is None and (self._is_fresh() or self._hangs()) else None
 
@@ -78,7 +78,7 @@ class LevelCheck(Generic[Value]):
         """Make the value stale: its next use runs a check."""
         self._checked_s = float("-inf")
 
-    def now(self) -> Value:
+    def check_now(self) -> Value:
         """Run the check in this thread and return the value. Raises the check's error."""
         return self._store(self._run_check(self.check))
 
@@ -98,7 +98,7 @@ class LevelCheck(Generic[Value]):
             await asyncio.wait({asyncio.wrap_future(running.future)}, timeout=left_s)
         if not running.future.done() and not running.is_logged:
             running.is_logged = True
-            log.error("%s %s: its files were not read within %g s. The last version is served.", self.what, self.name, self.wait_s)
+            log.error("%s %s: its files were not read within %g s. The last version is served.", self.kind, self.name, self.wait_s)
 
     def _start_check(self) -> _Check[Value] | None:
         """Return the running check or a new one; ``None`` if no thread can be started."""
@@ -106,7 +106,7 @@ class LevelCheck(Generic[Value]):
         running = self._running
         if running is not None and not running.future.done():
             self._abandoned = [abandoned for abandoned in self._abandoned if not abandoned.future.done()]
-            if now_s - running.began_s < LOOK_AGAIN_S or len(self._abandoned) >= MAX_ABANDONED:
+            if now_s - running.began_s < ABANDON_CHECK_AFTER_S or len(self._abandoned) >= MAX_ABANDONED:
                 return running
         started: _Check[Value] = _Check(now_s, Future())
         self._running = started
@@ -133,7 +133,7 @@ class LevelCheck(Generic[Value]):
 
     def _run_check(self, check: Callable[[], Value]) -> Value | SkuggaError:
         try:
-            found = check()
+            value = check()
         except Exception as error:
             if (exhausted := exhausted_error(error)) is not None:  # a lack of resources, not a fault of the files
                 self._log_exhausted(exhausted)
@@ -141,15 +141,15 @@ class LevelCheck(Generic[Value]):
             if isinstance(error, SkuggaError):
                 return error
             # A bug or an error of a library: the level is broken, and the service continues.
-            log.exception("%s %s cannot be read", self.what, self.name)
-            return SkuggaError(f"{self.what} {self.name}: cannot be read: {error!r}.")
+            log.exception("%s %s cannot be read", self.kind, self.name)
+            return SkuggaError(f"{self.kind} {self.name}: cannot be read: {error!r}.")
         self._is_exhausted = False
-        return found
+        return value
 
     def _log_exhausted(self, error: Exception) -> None:
         if not self._is_exhausted:
             self._is_exhausted = True
-            log.error("%s %s: its files cannot be checked: %s; the last version is served", self.what, self.name, error)
+            log.error("%s %s: its files cannot be checked: %s; the last version is served", self.kind, self.name, error)
 
     def _store(self, outcome: Value | SkuggaError) -> Value:
         if isinstance(outcome, ExhaustedError):

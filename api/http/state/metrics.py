@@ -51,17 +51,17 @@ class ServiceMetrics:
             registry=self.registry,
         )
         self.registry.register(_ServiceCollector(pool, tiles, animations))
-        pool.on_drawn = self.drawn
+        pool.on_drawn = self.record_passes
 
-    def drawn(self, drawn: BlockTiles | Snapshot) -> None:
+    def record_passes(self, picture: BlockTiles | Snapshot) -> None:
         """Record the passes of a rendered block or snapshot."""
-        for name, ms in (*drawn.passes, ("encode", drawn.encode_ms)):
-            pair = drawn.headline, name
+        for name, ms in (*picture.passes, ("encode", picture.encode_ms)):
+            pair = picture.headline, name
             if pair not in self._known_passes and len(self._known_passes) >= MAX_PASSES:
                 pair = "other", "other"
             self._known_passes.add(pair)
             self.pass_seconds.labels(*pair).observe(ms / 1000.0)
-        if drawn.reach_clipped:
+        if picture.reach_clipped:
             self.clipped.inc()
 
     def text(self) -> bytes:
@@ -70,8 +70,8 @@ class ServiceMetrics:
 
     def names(self) -> set[str]:
         """Return the names of all time series, as used in queries."""
-        found = {sample.name for family in self.registry.collect() for sample in family.samples}
-        return found | {name for family in self.registry.collect() for name in _names_of(family)}
+        sample_names = {sample.name for family in self.registry.collect() for sample in family.samples}
+        return sample_names | {name for family in self.registry.collect() for name in _names_of(family)}
 
 
 class _ServiceCollector(Collector):

@@ -26,10 +26,10 @@ class _Client:
 
 
 class RateLimiter:
-    """A token bucket of suns for each client: ``a_minute`` is its rate and its size; 0 means no limit."""
+    """A token bucket of suns for each client: ``per_minute`` is its rate and its size; 0 means no limit."""
 
-    def __init__(self, a_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._per_minute, self._clock = a_minute, clock
+    def __init__(self, per_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._per_minute, self._clock = per_minute, clock
         self._clients: Cache[_Client] = Cache("skugga.api.http.state.rate_limiter", "process", 32 * MIB, lambda _: CLIENT_BYTES)
 
     def acquire(self, address: str, sun: Hashable) -> None:
@@ -37,11 +37,11 @@ class RateLimiter:
         if not self._per_minute:
             return
         key, now_s = network_of(address), self._clock()
-        found = self._clients.get(key)
-        client = _Client(float(self._per_minute), now_s) if isinstance(found, Missing) else found
+        cached = self._clients.get(key)
+        client = _Client(float(self._per_minute), now_s) if isinstance(cached, Missing) else cached
         client.tokens = min(client.tokens + (now_s - client.refilled_s) * self._per_minute / 60.0, float(self._per_minute))
         client.refilled_s = now_s
-        if isinstance(found, Missing):
+        if isinstance(cached, Missing):
             self._clients.put(key, value=client)
         if sun in client.suns:
             client.suns[sun] = client.suns.pop(sun)

@@ -88,8 +88,8 @@ class ServedArchives:
     def __init__(self, paths: Sequence[Path], fresh_s: float = 0.0, wait_s: float = 60.0) -> None:
         self._fresh_s, self._wait_s = fresh_s, wait_s
         self._named: dict[str, LevelCheck[ArchiveFile]] = {}
-        self._of_levels: dict[str, tuple[tuple[Path, ...], LevelCheck[LevelArchives]]] = {}
-        self._logged: dict[Path, str] = {}
+        self._level_entries: dict[str, tuple[tuple[Path, ...], LevelCheck[LevelArchives]]] = {}
+        self._logged_errors: dict[Path, str] = {}
         for path in paths:
             name = printable(path.stem)
             if name in self._named:
@@ -101,7 +101,7 @@ class ServedArchives:
         """Return the names of the archives with their own addresses."""
         return list(self._named)
 
-    def known(self) -> dict[str, ArchiveFile]:
+    def cached_archives(self) -> dict[str, ArchiveFile]:
         """Return the archives with their own addresses as last read. Reads no file."""
         return {name: check.value for name, check in self._named.items()}
 
@@ -114,34 +114,34 @@ class ServedArchives:
             raise NotServedError("archive", f"archive: {name[:60]!r} is not served. Archives: {', '.join(self._named) or 'none'}.")
         return await self._named[name].current()
 
-    async def of_level(self, level: ServedLevel) -> LevelArchives:
+    async def archives_of_level(self, level: ServedLevel) -> LevelArchives:
         """Return the archives of a level as they are now. Unreadable archives are logged and left out."""
         return await self._check_of(level).current() if level.loaded.archives else NO_ARCHIVES
 
-    def unchanged_of(self, level: ServedLevel) -> LevelArchives | None:
+    def fresh_archives_of(self, level: ServedLevel) -> LevelArchives | None:
         """Return the archives of a level if their last check is fresh, else ``None``. Reads no file."""
-        return self._check_of(level).known() if level.loaded.archives else NO_ARCHIVES
+        return self._check_of(level).fresh_value() if level.loaded.archives else NO_ARCHIVES
 
-    def check_level(self, level: ServedLevel) -> None:
+    def open_level_archives(self, level: ServedLevel) -> None:
         """Open a level's archives. Raises ``ArchiveError`` for an unreadable one."""
         if level.loaded.archives:
             self._check_of(level).value = LevelArchives.of({path: ArchiveFile(path) for path in level.loaded.archives})
 
     def expire_all(self) -> None:
         """Check every archive at its next use."""
-        for named in self._named.values():
-            named.expire()
-        for _, of_level in self._of_levels.values():
-            of_level.expire()
+        for archive_check in self._named.values():
+            archive_check.expire()
+        for _, level_check in self._level_entries.values():
+            level_check.expire()
 
     def _check_of(self, level: ServedLevel) -> LevelCheck[LevelArchives]:
         paths = level.loaded.archives
-        found = self._of_levels.get(level.name)
-        if found is None or found[0] != paths:
-            look = partial(self._check_level_archives, level.name)
-            found = paths, LevelCheck(level.name, NO_ARCHIVES, look, self._fresh_s, self._wait_s, "archives of level")
-            self._of_levels[level.name] = found
-        return found[1]
+        entry = self._level_entries.get(level.name)
+        if entry is None or entry[0] != paths:
+            check = partial(self._check_level_archives, level.name)
+            entry = paths, LevelCheck(level.name, NO_ARCHIVES, check, self._fresh_s, self._wait_s, "archives of level")
+            self._level_entries[level.name] = entry
+        return entry[1]
 
     def _check_file(self, name: str) -> ArchiveFile:
         check = self._named[name]
@@ -152,7 +152,7 @@ class ServedArchives:
             raise
 
     def _check_level_archives(self, name: str) -> LevelArchives:
-        paths, check = self._of_levels[name]
+        paths, check = self._level_entries[name]
         before, files = check.value.files, {}
         for path in paths:
             try:
@@ -165,15 +165,15 @@ class ServedArchives:
         if archive is not None and not has_changed(archive, path):
             return archive
         opened = ArchiveFile(path)
-        if archive is not None or path in self._logged:
+        if archive is not None or path in self._logged_errors:
             log.info("archive %s has changed and was reopened", path)
-        self._logged.pop(path, None)
+        self._logged_errors.pop(path, None)
         return opened
 
     def _log_error(self, path: Path, error: SkuggaError, consequence: str = "") -> None:
         """Log the error of a file once."""
-        if self._logged.get(path) != str(error):
-            self._logged[path] = str(error)
+        if self._logged_errors.get(path) != str(error):
+            self._logged_errors[path] = str(error)
             log.error("archive %s%s", error, consequence)
 
 

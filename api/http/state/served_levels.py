@@ -138,15 +138,15 @@ class ServedLevel:
         """Return the names of the lights under a request's sun (``None``: the level's own).
 
         The sun comes first. It is left out if it does not shine and the level has other lights."""
-        every = self.loaded.level.light_names
+        names = self.loaded.level.light_names
         sunless = spec is None and self.loaded.level.sun == "none"
-        return every[1:] if sunless and len(every) > 1 else every
+        return names[1:] if sunless and len(names) > 1 else names
 
     def sun(self, spec: SunSpec | None) -> Sun | None:
         """Return the sun of a request or the level's own; ``None`` if the level has no sun. Raises ``InputError``."""
         level_sun = self.loaded.level.sun
-        chosen = spec or level_sun
-        return None if chosen is None or chosen == "none" else sun_of(chosen, self.world)
+        sun_spec = spec or level_sun
+        return None if sun_spec is None or sun_spec == "none" else sun_of(sun_spec, self.world)
 
     def summary(self) -> dict[str, Any]:
         """Return the level's entry in ``/levels``; ``minzoom`` and ``maxzoom`` are those of Web Mercator tiles."""
@@ -245,8 +245,8 @@ class ServedLevels:
                         continue
                 checks[name] = check
             self._checks = checks  # replaced as a whole: other threads may iterate over the old one
-        new, gone = ([name for name in one if name not in other] for one, other in ((checks, before), (before, checks)))
-        log.info("levels of %s: new: %s; gone: %s", self._folder, ", ".join(new) or "none", ", ".join(gone) or "none")
+        new, removed = ([name for name in names if name not in other] for names, other in ((checks, before), (before, checks)))
+        log.info("levels of %s: new: %s; gone: %s", self._folder, ", ".join(new) or "none", ", ".join(removed) or "none")
 
     def read_folder_again(self) -> None:
         """Run ``read_folder`` in a running service and log its errors."""
@@ -272,18 +272,18 @@ class ServedLevels:
 
     def get(self, name: str) -> ServedLevel:
         """Return a level as it is now, without a time limit. Raises the errors of ``current``."""
-        return self._check(name).now()
+        return self._check(name).check_now()
 
-    def unchanged(self, name: str) -> ServedLevel | None:
+    def fresh_level(self, name: str) -> ServedLevel | None:
         """Return a level if its last check is fresh, else ``None``. Reads no file."""
         check = self._checks.get(name)
-        return None if check is None else check.known()
+        return None if check is None else check.fresh_value()
 
-    def known(self) -> list[ServedLevel]:
+    def cached_levels(self) -> list[ServedLevel]:
         """Return all levels as last read. Reads no file."""
         return [check.value for check in self._checks.values()]
 
-    def known_named(self) -> list[ServedLevel]:
+    def cached_source_levels(self) -> list[ServedLevel]:
         """Return the levels of the sources, without those of the folder, as last read."""
         return [check.value for check in self._named.values()]
 
@@ -301,7 +301,7 @@ class ServedLevels:
         levels = []
         for name, check in self._checks.items():
             try:
-                levels.append(check.now())
+                levels.append(check.check_now())
             except SkuggaError as error:
                 log.error("level %s: %s", name, error)
         return levels
@@ -318,9 +318,9 @@ class ServedLevels:
         level = check.value
         if check.error is None and file_stamps(level.files) == level.stamps:
             return level
-        read = self._read(level.origin)
+        reloaded = self._read(level.origin)
         log.info("level %s has changed and was reloaded", name)
-        return read
+        return reloaded
 
     def _read(self, origin: LevelSource) -> ServedLevel:
         loaded, path = load_level(origin), origin.path
@@ -330,7 +330,7 @@ class ServedLevels:
         if origin.roots is not None:
             DataRoots(origin.roots).check_opened_files(loaded)
         for key, settings in loaded.level.shadows.all_settings.items():
-            if not names_in(settings.algorithm) <= set(served_algorithms()):
+            if not algorithm_names_in(settings.algorithm) <= set(served_algorithms()):
                 allowed = f"{', '.join(['auto', *served_algorithms()])} in a served level"
                 raise LevelError(f"{path}: {key}.algorithm", settings.algorithm, allowed)
             if settings.fit == "tight":
@@ -347,14 +347,14 @@ class ServedLevels:
 
 def _named_files(source: LevelSource) -> list[Path]:
     """Return the files of a source, and the targets of those that are links."""
-    named = [file for file in (source.path, source.canopy, source.buildings) if file is not None]
-    return [*named, *map(Path, map(os.path.realpath, named))]
+    files = [file for file in (source.path, source.canopy, source.buildings) if file is not None]
+    return [*files, *map(Path, map(os.path.realpath, files))]
 
 
-def _level_files(folder: Path, taken: Collection[str]) -> dict[str, Path]:
+def _level_files(folder: Path, reserved_names: Collection[str]) -> dict[str, Path]:
     """Return the level files of a folder by name, without hidden files.
 
-    Raises ``InputError`` for a folder that cannot be read, and for a name that is ``taken`` or appears twice.
+    Raises ``InputError`` for a folder that cannot be read, and for a name that is ``reserved_names`` or appears twice.
     """
     try:
         files = sorted(
@@ -364,16 +364,16 @@ def _level_files(folder: Path, taken: Collection[str]) -> dict[str, Path]:
         raise InputError(
             "SKUGGA_LEVELS", Problem(f"'{folder}' cannot be read ({error.strerror})"), "Give a folder of level files"
         ) from None
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for path in files:
         name = printable(path.stem)
-        if name in found or name in taken:
+        if name in paths or name in reserved_names:
             raise InputError("SKUGGA_LEVELS", Problem(f"'{path}' and another file are both a level '{name}'"), "Rename one of them")
-        found[name] = path
-    return found
+        paths[name] = path
+    return paths
 
 
-def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
+def algorithm_names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
     """Return the names of the algorithms in an override, in each of its spellings."""
     if algorithm is None:
         return set()

@@ -15,7 +15,7 @@ from skugga.api.animations.drawing import frame_job
 from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import NotServedError
 from skugga.api.http.answers import METADATA_FRESH_S, ExpectedTime
-from skugga.api.http.request_times import fresh_for
+from skugga.api.http.request_times import freshness_s
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.http.state.rate_limiter import RateLimiter, network_of
@@ -50,20 +50,20 @@ class Service:
         await self.pool.close()
 
     @property
-    def draws(self) -> bool:
+    def can_render(self) -> bool:
         """Whether the service has render processes. A service of archives alone has none."""
         return bool(self.levels.names()) or self.settings.levels is not None
 
-    def fresh_s(self, request: Request, otherwise_s: int) -> int:
+    def fresh_s(self, request: Request, default_s: int) -> int:
         """Return the freshness lifetime of a picture in seconds.
 
         It is a minute at most while a calibration or probe is pending. The plan may change then, and clients must not combine
         pictures of different plans for long.
         """
-        is_plan_pending = self.pool.calibrating.expected or self.pool.probing.waiting
-        return fresh_for(request, min(otherwise_s, METADATA_FRESH_S) if is_plan_pending else otherwise_s)
+        is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.waiting
+        return freshness_s(request, min(default_s, METADATA_FRESH_S) if is_plan_pending else default_s)
 
-    def frame_s(self, order: FilmOrder, checked: FilmChecked) -> float:
+    def expected_frame_s(self, order: FilmOrder, checked: FilmChecked) -> float:
         """Return the expected seconds of each frame of a film."""
         return self.pool.expected_s(frame_job(order, 0)) if checked.frame_ms is None else checked.frame_ms / 1000.0
 
@@ -74,15 +74,15 @@ class Service:
     async def all_levels(self) -> list[ServedLevel]:
         """Return all levels as they are now, without levels that have broken since."""
         names = self.levels.names()
-        found = await asyncio.gather(*(self.levels.current(name) for name in names), return_exceptions=True)
-        for name, level in zip(names, found, strict=True):
+        results = await asyncio.gather(*(self.levels.current(name) for name in names), return_exceptions=True)
+        for name, level in zip(names, results, strict=True):
             if isinstance(level, BaseException) and not isinstance(level, SkuggaError):
                 raise level
             if isinstance(level, SkuggaError):
                 log.error("level %s: %s", name, level)
-        return [level for level in found if isinstance(level, ServedLevel)]
+        return [level for level in results if isinstance(level, ServedLevel)]
 
-    async def done(self, request: Request, job: Job) -> Result:
+    async def run_job(self, request: Request, job: Job) -> Result:
         """Run a job and return its result. The job is cancelled if the client disconnects.
 
         Raises
@@ -96,10 +96,10 @@ class Service:
         SkuggaError
             The errors of ``Pool.run``.
         """
-        if not self.draws:
+        if not self.can_render:
             raise NotServedError("level", "level: this service has archives only and renders nothing.")
         client = network_of(request.client.host if request.client else "")
-        if self.pool.finished(job) is None:
+        if self.pool.cached_picture(job) is None:
             if job.request.sun is not None:
                 level = None if isinstance(job, DescribedPlanJob) else job.level
                 self.rate_limiter.acquire(client, (level, job.request.sun))
@@ -129,21 +129,21 @@ async def get_service(request: Request) -> Service:
     return service_of(request)
 
 
-TheService = Annotated[Service, Depends(get_service)]
+ServiceDep = Annotated[Service, Depends(get_service)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
     """Return the result of work; cancel it and raise ``ClientGoneError`` if the client disconnects."""
     task = asyncio.ensure_future(work)
-    gone = asyncio.ensure_future(_disconnected(request))
+    disconnect = asyncio.ensure_future(_disconnected(request))
     try:
-        await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait({task, disconnect}, return_when=asyncio.FIRST_COMPLETED)
         if not task.done():
             raise ClientGoneError
         return task.result()
     finally:
         task.cancel()
-        gone.cancel()
+        disconnect.cancel()
 
 
 async def _disconnected(request: Request) -> None:

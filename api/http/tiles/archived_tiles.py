@@ -24,11 +24,13 @@ async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | 
         raise
 
 
-def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *asked: object, **more: str) -> EncodedTile:
-    """Return a tile of an archive with ``more`` headers.
+def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *request_parts: object, **extra_headers: str) -> EncodedTile:
+    """Return a tile of an archive with ``extra_headers`` headers.
 
-    Its entity tag depends on its bytes and on the request's parts ``asked``. All services with this tile therefore have the same
-    tag, and it stays the same if an archive is replaced by another one with the same tile.
+    Its entity tag depends on its bytes and on the request's parts ``request_parts``. All services with this tile therefore have the
+    same tag, and it stays the same if an archive is replaced by another one with the same tile.
     """
-    tag = entity_tag("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *asked)
-    return EncodedTile(body, {**cache_headers(tag, fresh_s), "Server-Timing": "archive;desc=read", **more}, archive.media_type)
+    tag = entity_tag("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *request_parts)
+    return EncodedTile(
+        body, {**cache_headers(tag, fresh_s), "Server-Timing": "archive;desc=read", **extra_headers}, archive.media_type
+    )

@@ -14,16 +14,16 @@ from skugga.terrain.errors import InputError
 
 
 async def legend_answer(
-    request: Request, served: ServedLevel, asked: ProductRequest, format: LegendFormat, parameter: str = "layer"
+    request: Request, served_level: ServedLevel, product_request: ProductRequest, format: LegendFormat, parameter: str = "layer"
 ) -> Response:
     """Return the legend of a product as a picture. Raises ``InputError`` about ``parameter`` if it has no legend."""
-    color_scale = asked.record.color_scale
+    color_scale = product_request.product_record.color_scale
     if color_scale is None:
-        with_legends = ", ".join(products_with(lambda each: each.color_scale))
-        raise InputError(parameter, asked.product, f"a layer with a legend ({with_legends})")
-    headers = cache_headers(entity_tag("legend", format, served.version, asked.query()), REQUESTED_SUN_FRESH_S)
+        with_legends = ", ".join(products_with(lambda product: product.color_scale))
+        raise InputError(parameter, product_request.product, f"a layer with a legend ({with_legends})")
+    headers = cache_headers(entity_tag("legend", format, served_level.version, product_request.query()), REQUESTED_SUN_FRESH_S)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    scale = await run_in_threadpool(color_scale, asked.options, served.world)
+    scale = await run_in_threadpool(color_scale, product_request.options, served_level.world)
     body = await run_in_threadpool(scale.legend, format)
     return Response(body, headers=headers, media_type=LEGEND_MEDIA_TYPES[format])

@@ -22,7 +22,7 @@ MapBounds = tuple[float, float, float, float]
 DEFAULT_SIDE_PX = 1024
 """Longer side of a map whose request has no size."""
 
-CRS_WORDS = "a projected or geographic CRS by its code, as EPSG:3857 or OGC:CRS84"
+CRS_DESCRIPTION = "a projected or geographic CRS by its code, as EPSG:3857 or OGC:CRS84"
 
 _CODE = re.compile(r"(EPSG|ESRI|OGC|IGNF):(?::)?[A-Za-z0-9]{1,16}", re.IGNORECASE)
 _URN = re.compile(r"urn:ogc:def:crs:(\w+):[\w.]*:(\w+)", re.IGNORECASE)
@@ -37,7 +37,7 @@ def crs_code(text: str) -> str:
         text.upper(), f"{urn[1]}:{urn[2]}" if urn else f"EPSG:{text}" if text.isascii() and text.isdigit() else text
     )
     if not _CODE.fullmatch(code):
-        raise InputError("crs", text, CRS_WORDS)
+        raise InputError("crs", text, CRS_DESCRIPTION)
     return code.upper()
 
 
@@ -47,9 +47,9 @@ def crs_of_code(code: str) -> CRS:
     try:
         crs = CRS.from_user_input(code)
     except CRSError:
-        raise InputError("crs", code, CRS_WORDS) from None
+        raise InputError("crs", code, CRS_DESCRIPTION) from None
     if not (crs.is_projected or crs.is_geographic):
-        raise InputError("crs", code, CRS_WORDS)
+        raise InputError("crs", code, CRS_DESCRIPTION)
     check_axes("crs", crs)
     return crs
 

@@ -39,7 +39,7 @@ class MapQuery:
         Code of the CRS; ``None`` in a flat world.
     size : tuple of int
         (width, height) in pixels.
-    shown : ProductRequest
+    product_request : ProductRequest
         The product and its picture settings.
     format : MapFormat
         The file format.
@@ -50,31 +50,33 @@ class MapQuery:
     bounds: MapBounds | None
     crs: str | None
     size: tuple[int, int]
-    shown: ProductRequest
+    product_request: ProductRequest
     format: MapFormat
     background: str | None = None
 
 
-async def map_answer(request: Request, service: Service, level: ServedLevel, asked: MapQuery) -> Response:
+async def map_answer(request: Request, service: Service, level: ServedLevel, query: MapQuery) -> Response:
     """Return the map of a level, or 304 if the client's copy is current. Raises ``SkuggaError``."""
-    wanted, product = asked.shown, asked.shown.record
-    check_format(product, asked.format)
-    check_pixels(asked.size, service.settings.max_snapshot_pixels)
-    if asked.bounds is not None:
-        _check_pixel_shape(asked.bounds, asked.size)
-    crs = asked.crs and EQUIVALENT_CRS.get(asked.crs, asked.crs)
+    product_request, product = query.product_request, query.product_request.product_record
+    check_format(product, query.format)
+    check_pixels(query.size, service.settings.max_snapshot_pixels)
+    if query.bounds is not None:
+        _check_pixel_shape(query.bounds, query.size)
+    crs = query.crs and EQUIVALENT_CRS.get(query.crs, query.crs)
     job = MapJob(
-        level=level.key, bounds=asked.bounds, crs=crs, size=asked.size, format=asked.format, background=asked.background,
-        request=wanted,
+        level=level.key, bounds=query.bounds, crs=crs, size=query.size, format=query.format, background=query.background,
+        request=product_request,
     )  # fmt: skip
-    fresh_s = DEFAULT_SUN_FRESH_S if product.when == "sun" and wanted.sun is None else REQUESTED_SUN_FRESH_S
-    return await job_answer(request, service, job, level.name, "map", MEDIA_TYPES[asked.format], fresh_s)
+    fresh_s = DEFAULT_SUN_FRESH_S if product.when == "sun" and product_request.sun is None else REQUESTED_SUN_FRESH_S
+    return await job_answer(request, service, job, level.name, "map", MEDIA_TYPES[query.format], fresh_s)
 
 
 def _check_pixel_shape(bounds: MapBounds, size: tuple[int, int]) -> None:
     west, south, east, north = bounds
-    wide, high = (east - west) / size[0], (north - south) / size[1]
-    if max(wide, high) > MAX_PIXEL_ASPECT * min(wide, high):
+    pixel_width, pixel_height = (east - west) / size[0], (north - south) / size[1]
+    if max(pixel_width, pixel_height) > MAX_PIXEL_ASPECT * min(pixel_width, pixel_height):
         raise InputError(
-            "size", f"{size[0]}x{size[1]}", f"pixels at most {MAX_PIXEL_ASPECT:g} times as long as wide: {wide:.3g} by {high:.3g}"
+            "size",
+            f"{size[0]}x{size[1]}",
+            f"pixels at most {MAX_PIXEL_ASPECT:g} times as long as wide: {pixel_width:.3g} by {pixel_height:.3g}",
         )

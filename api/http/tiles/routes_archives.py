@@ -13,7 +13,7 @@ from skugga.api.http.answers import DEFAULT_SUN_FRESH_S, JSON_MEDIA, base_url, c
 from skugga.api.http.openapi_parts import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
 from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.served_archives import archive_summary
-from skugga.api.http.state.service import TheService
+from skugga.api.http.state.service import ServiceDep
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
 from skugga.api.http.tiles.tilejson import tilejson_answer
 from skugga.api.products import PRODUCTS
@@ -21,7 +21,7 @@ from skugga.api.products import PRODUCTS
 router = APIRouter(tags=["archives"], dependencies=[Depends(allow_only())], responses=problem_docs(*LEVEL_ERRORS))
 
 ArchivePath = Annotated[str, Path(description="An archive by its name, as `/archives` lists them.", examples=["shadows"])]
-EndingPath = Annotated[str, Path(description="The format that the archive's tiles have.", examples=["png"])]
+TileFormatPath = Annotated[str, Path(description="The format that the archive's tiles have.", examples=["png"])]
 
 
 @router.get(
@@ -30,18 +30,18 @@ EndingPath = Annotated[str, Path(description="The format that the archive's tile
     response_model=list[dict[str, Any]],
     responses=file_docs("All archives.", [JSON_MEDIA]),
 )
-async def archives(request: Request, service: TheService) -> Response:
+async def archives(request: Request, service: ServiceDep) -> Response:
     """Return every archive that the service was started with: name, title, attribution, bounds in degrees, zooms and format.
 
     The layer is included if this service's own command made the archive.
     """
-    found = []
+    summaries = []
     for name in service.archives.names():
         try:
-            found.append(archive_summary(name, await service.archives.current(name)))
+            summaries.append(archive_summary(name, await service.archives.current(name)))
         except ArchiveError:  # already logged
             continue
-    return json_answer(request, found)
+    return json_answer(request, summaries)
 
 
 @router.get(
@@ -50,17 +50,17 @@ async def archives(request: Request, service: TheService) -> Response:
     response_model=dict[str, Any],
     responses=file_docs("TileJSON.", [JSON_MEDIA]),
 )
-async def archive_tilejson(request: Request, service: TheService, archive: ArchivePath) -> Response:
+async def archive_tilejson(request: Request, service: ServiceDep, archive: ArchivePath) -> Response:
     """Return TileJSON 3.0.0 for map clients. Layers of heights have their `encoding`; `skugga` is that of the metadata."""
-    served = await service.archives.current(archive)
-    facts = archive_summary(archive, served)
+    archive_file = await service.archives.current(archive)
+    facts = archive_summary(archive, archive_file)
     address = f"{base_url(request, service.settings.public_url)}/archives/{quote(archive)}"
     product = PRODUCTS.get(str(facts["layer"]))
-    more = {} if product is None or product.encoding is None else {"encoding": product.encoding}
+    extra_entries = {} if product is None or product.encoding is None else {"encoding": product.encoding}
     return tilejson_answer(
-        request, facts["title"], facts["attribution"], f"{address}/{{z}}/{{x}}/{{y}}.{served.format}",
-        (facts["minzoom"], facts["maxzoom"]), served.bounds,
-        more | ({"skugga": served.skugga_metadata} if served.skugga_metadata else {}),
+        request, facts["title"], facts["attribution"], f"{address}/{{z}}/{{x}}/{{y}}.{archive_file.format}",
+        (facts["minzoom"], facts["maxzoom"]), archive_file.bounds,
+        extra_entries | ({"skugga": archive_file.skugga_metadata} if archive_file.skugga_metadata else {}),
     )  # fmt: skip
 
 
@@ -74,22 +74,22 @@ async def archive_tilejson(request: Request, service: TheService, archive: Archi
     },
 )
 async def archive_tile(
-    request: Request, service: TheService, archive: ArchivePath, z: ZoomPath, x: ColumnPath, y: RowPath, format: EndingPath
+    request: Request, service: ServiceDep, archive: ArchivePath, z: ZoomPath, x: ColumnPath, y: RowPath, format: TileFormatPath
 ) -> Response:
     """Return a tile in Web Mercator, byte for byte as in the archive.
 
     A tile that the archive lacks, inside its zooms, is a tile without data.
     """
-    served = await service.archives.current(archive)
-    if format != served.format:
-        raise NotServedError("format", f"format: the tiles of {archive} are not {format[:20]}. Use {served.format}.")
-    if z not in served.zooms:
-        raise NotServedError("z", f"z: {archive} has no zoom {z}. Use {served.zooms[0]} to {served.zooms[-1]}.")
+    archive_file = await service.archives.current(archive)
+    if format != archive_file.format:
+        raise NotServedError("format", f"format: the tiles of {archive} are not {format[:20]}. Use {archive_file.format}.")
+    if z not in archive_file.zooms:
+        raise NotServedError("z", f"z: {archive} has no zoom {z}. Use {archive_file.zooms[0]} to {archive_file.zooms[-1]}.")
     if not (0 <= x < 2**z and 0 <= y < 2**z):
         raise NotServedError("x", f"x: tile {x}, {y} is outside of zoom {z}. Use columns and rows 0 to {2**z - 1}.")
-    body = await read_tile(served, z, x, y)
+    body = await read_tile(archive_file, z, x, y)
     if body is None:
         if service.settings.empty_tile == "404":
             raise NotServedError("x", f"x: {archive} has no tile {x}, {y} at zoom {z}.")
-        return Response(status_code=204, headers=cache_headers(entity_tag(served.version, z, x, y), DEFAULT_SUN_FRESH_S))
-    return archived_tile(body, served, DEFAULT_SUN_FRESH_S).answer(request)
+        return Response(status_code=204, headers=cache_headers(entity_tag(archive_file.version, z, x, y), DEFAULT_SUN_FRESH_S))
+    return archived_tile(body, archive_file, DEFAULT_SUN_FRESH_S).answer(request)

@@ -7,14 +7,14 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.numbers import PLAIN_INTEGER
 from skugga.api.http.openapi_parts import LevelPath, example_query
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, map_query
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.http.state.service import TheService
+from skugga.api.http.state.service import ServiceDep
 from skugga.api.http.tiles.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
 from skugga.api.http.tiles.maps import MapQuery, map_answer
-from skugga.api.http.tiles.tile_docs import JPEG, PICTURE_DOCS
+from skugga.api.http.tiles.tile_docs import JPEG_LAYERS, PICTURE_DOCS
 from skugga.api.products.product import MapFormat
 from skugga.api.request import ProductRequest
 from skugga.terrain.errors import InputError, Problem
@@ -30,10 +30,10 @@ router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class
 )
 async def map_of_level(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
-    format: Annotated[MapFormat, Path(description=f"`tif` is georeferenced; JPEG is for {JPEG} alone.", examples=["png"])],
-    wanted: Annotated[ProductRequest, Depends(map_query)],
+    format: Annotated[MapFormat, Path(description=f"`tif` is georeferenced; JPEG is for {JPEG_LAYERS} alone.", examples=["png"])],
+    product_request: Annotated[ProductRequest, Depends(map_query)],
     bbox: Annotated[
         str | None,
         Query(
@@ -46,40 +46,44 @@ async def map_of_level(
         str | None, Query(max_length=60, description="As EPSG:3857; default: that of the level's own maps.", examples=["OGC:CRS84"])
     ] = None,
     width: Annotated[
-        int | None, PLAIN_WHOLE, Query(description="Pixels; default: by the height, else 1024 for the longer side.", examples=[256])
+        int | None,
+        PLAIN_INTEGER,
+        Query(description="Pixels; default: by the height, else 1024 for the longer side.", examples=[256]),
     ] = None,
-    height: Annotated[int | None, PLAIN_WHOLE, Query(description="Pixels; default: by the width.", examples=[256])] = None,
+    height: Annotated[int | None, PLAIN_INTEGER, Query(description="Pixels; default: by the width.", examples=[256])] = None,
 ) -> Response:
     """Return a map of an extent.
 
     The extent always has x (or longitude) first. Pixels without data are transparent, or nodata in arrays.
     """
-    served = await service.level(level)
+    served_level = await service.level(level)
     sides = {name: check_side(name, value) for name, value in (("width", width), ("height", height)) if value is not None}
-    if served.world.off_earth_reason is not None:
-        asked = _off_the_earth(served, bbox, crs, sides, wanted, format)
+    if served_level.world.off_earth_reason is not None:
+        query = _query_off_earth(served_level, bbox, crs, sides, product_request, format)
     else:
-        asked = await run_in_threadpool(_on_earth, served, bbox, crs, sides, wanted, format)
-    return await map_answer(request, service, served, asked)
+        query = await run_in_threadpool(_query_on_earth, served_level, bbox, crs, sides, product_request, format)
+    return await map_answer(request, service, served_level, query)
 
 
-def _on_earth(
-    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: ProductRequest, format: MapFormat
+def _query_on_earth(
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], product_request: ProductRequest, format: MapFormat
 ) -> MapQuery:
     code = level.map_crs.to_string() if crs is None else crs_code(crs)
-    in_crs = level.map_crs if crs is None else crs_of_code(code)
-    bounds = bounds_in(level, in_crs) if bbox is None else parse_bounds(bbox)
+    bounds_crs = level.map_crs if crs is None else crs_of_code(code)
+    bounds = bounds_in(level, bounds_crs) if bbox is None else parse_bounds(bbox)
     west, south, east, north = bounds
     size = map_size(sides.get("width"), sides.get("height"), (east - west) / (north - south))
-    return MapQuery(bounds, code, size, wanted, format)
+    return MapQuery(bounds, code, size, product_request, format)
 
 
-def _off_the_earth(
-    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: ProductRequest, format: MapFormat
+def _query_off_earth(
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], product_request: ProductRequest, format: MapFormat
 ) -> MapQuery:
     for name, value in (("bbox", bbox), ("crs", crs)):
         if value is not None:
             fault = Problem(f"cannot be used, since {level.world.off_earth_reason}")
             raise InputError(name, fault, "Leave it out: the map is the whole level")
-    own = level.view_sizes["map"] or (1, 1)
-    return MapQuery(None, None, map_size(sides.get("width"), sides.get("height"), own[0] / own[1]), wanted, format)
+    view_size = level.view_sizes["map"] or (1, 1)
+    return MapQuery(
+        None, None, map_size(sides.get("width"), sides.get("height"), view_size[0] / view_size[1]), product_request, format
+    )

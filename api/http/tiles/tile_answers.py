@@ -23,10 +23,10 @@ from skugga.api.http.request_times import time_headers
 from skugga.api.http.state.encoded_tiles import EncodedTile
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
-from skugga.api.matrices import check_tile, is_quadtree_level, matrix_set_of, off_data, tile_view
+from skugga.api.matrices import check_tile, is_quadtree_level, matrix_set_of, shows_no_data, tile_view
 from skugga.api.products.product import MEDIA_TYPES, MapFormat
 from skugga.api.request import ProductRequest
-from skugga.api.workers.block_tiles import empty_file, empty_tile, place_in_block
+from skugga.api.workers.block_tiles import block_and_position, empty_file, empty_tile
 from skugga.api.workers.jobs import BlockJob, BlockTiles
 from skugga.terrain.geo.grid import TILE_PX
 
@@ -39,7 +39,7 @@ async def tile_answer(
     zxy: tuple[int, int, int],
     scale: int,
     format: MapFormat,
-    wanted: ProductRequest,
+    product_request: ProductRequest,
 ) -> Response:
     """Return a tile of a level.
 
@@ -57,7 +57,7 @@ async def tile_answer(
         1, or 2 for twice the pixels a side.
     format
         The file format.
-    wanted
+    product_request
         The product and its picture settings.
 
     Raises
@@ -69,63 +69,67 @@ async def tile_answer(
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
     if scale == 2 and not is_quadtree_level(matrix_set, zxy[0]):
         raise NotServedError("z", f"z: {tms} has no @2x tiles at zoom {zxy[0]}. Use tiles without @2x.")
-    product = wanted.record
+    product = product_request.product_record
     check_format(product, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
-    empty = off_data(matrix_set, *zxy, level.data_bounds)
-    longest_s = DEFAULT_SUN_FRESH_S if product.when != "days" and wanted.sun is None else REQUESTED_SUN_FRESH_S
-    by: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
-    archives = await service.archives.of_level(level)
-    archive = archives.archive_of(product.name, format, tms, wanted.product_query(), zxy[0]) if scale == 1 and not empty else None
+    is_empty = shows_no_data(matrix_set, *zxy, level.data_bounds)
+    max_fresh_s = DEFAULT_SUN_FRESH_S if product.when != "days" and product_request.sun is None else REQUESTED_SUN_FRESH_S
+    render_versions: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
+    archives = await service.archives.archives_of_level(level)
+    archive = (
+        archives.archive_of(product.name, format, tms, product_request.product_query(), zxy[0])
+        if scale == 1 and not is_empty
+        else None
+    )
     if archive is not None:
         with suppress(ArchiveError):  # already logged; the tile is rendered instead
             body = await read_tile(archive, *zxy)
             if body is not None:
-                fresh_s, asked = service.fresh_s(request, longest_s), (name, zxy, wanted.query())
-                read = archived_tile(body, archive, fresh_s, *asked, **time_headers(request))
-                service.tiles.put(request, read, name, (level.version, *by, archives.version))
-                return read.answer(request)
-            empty = True
-    if empty and service.settings.empty_tile == "404":
+                fresh_s, request_parts = service.fresh_s(request, max_fresh_s), (name, zxy, product_request.query())
+                encoded_tile = archived_tile(body, archive, fresh_s, *request_parts, **time_headers(request))
+                service.tiles.put(request, encoded_tile, name, (level.version, *render_versions, archives.version))
+                return encoded_tile.answer(request)
+            is_empty = True
+    if is_empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"x: {name} has no data in tile {zxy[1]}, {zxy[2]} at zoom {zxy[0]}.")
 
-    tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, product.name, wanted.query())
-    if archive is not None and empty:
+    tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, product.name, product_request.query())
+    if archive is not None and is_empty:
         tag_parts += (archive.version,)  # a rendered tile may differ
-    of_time = time_headers(request)
-    headers = cache_headers(entity_tag(*by, *tag_parts), service.fresh_s(request, longest_s)) | of_time
+    sun_time_headers = time_headers(request)
+    headers = cache_headers(entity_tag(*render_versions, *tag_parts), service.fresh_s(request, max_fresh_s)) | sun_time_headers
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    if empty:
+    if is_empty:
         if service.settings.empty_tile == "204":
             return Response(status_code=204, headers=headers)
         if format in ARRAY_FORMATS:
-            shape, where = (scale * TILE_PX, scale * TILE_PX), tile_view(matrix_set, *zxy, scale)
-            body = await run_in_threadpool(empty_file, wanted, shape, format, level.lowest_m, where)
+            shape, view = (scale * TILE_PX, scale * TILE_PX), tile_view(matrix_set, *zxy, scale)
+            body = await run_in_threadpool(empty_file, product_request, shape, format, level.lowest_m, view)
         else:
-            body = await run_in_threadpool(empty_tile, wanted, format, scale, level.lowest_m)
+            body = await run_in_threadpool(empty_tile, product_request, format, scale, level.lowest_m)
         return Response(body, headers={**headers, **reach_headers("none")}, media_type=MEDIA_TYPES[format])
 
     tile = service.tiles.get(headers["ETag"])
     if tile is not None:
         tile = replace(tile, headers=tile.headers | headers)
-        service.tiles.put(request, tile, name, (level.version, *by, archives.version))
+        service.tiles.put(request, tile, name, (level.version, *render_versions, archives.version))
         return tile.answer(request)
-    (block_x, block_y), place = place_in_block(zxy[1] * scale, zxy[2] * scale, scale)
+    (block_x, block_y), position = block_and_position(zxy[1] * scale, zxy[2] * scale, scale)
     job = BlockJob(
         level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, format=format, tiles=scale,
-        request=wanted,
+        request=product_request,
     )  # fmt: skip
-    kept = service.pool.finished(job) is not None
-    block = await service.done(request, job)
+    is_cached = service.pool.cached_picture(job) is not None
+    block = await service.run_job(request, job)
     assert isinstance(block, BlockTiles)
-    by = block.renderer, block.plan_version
-    tag = entity_tag(*by, *tag_parts)
-    fresh_s = service.fresh_s(request, longest_s)  # computed again: a pending probe shortens the lifetime
-    made, again = (
-        cache_headers(tag, fresh_s) | of_time | render_headers(block, "block", kept, block.encode_ms)
-        for kept in (kept or not block.drawn, True)
+    render_versions = block.renderer, block.plan_version
+    tag = entity_tag(*render_versions, *tag_parts)
+    fresh_s = service.fresh_s(request, max_fresh_s)  # computed again: a pending probe shortens the lifetime
+    sent_headers, cached_headers = (
+        cache_headers(tag, fresh_s) | sun_time_headers | render_headers(block, "block", is_cached, block.encode_ms)
+        for is_cached in (is_cached or not block.drawn, True)
     )  # fmt: skip
-    tile = EncodedTile(block.tiles[place], again, MEDIA_TYPES[format])
-    service.tiles.put(request, tile, name, (level.version, *by, archives.version))
-    return Response(tile.body, headers=made, media_type=tile.media_type)
+    tile = EncodedTile(block.tiles[position], cached_headers, MEDIA_TYPES[format])
+    service.tiles.put(request, tile, name, (level.version, *render_versions, archives.version))
+    return Response(tile.body, headers=sent_headers, media_type=tile.media_type)

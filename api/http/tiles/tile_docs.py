@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from skugga.api.http.openapi_parts import WORK_ERRORS, Answers, file_docs, problem_docs
+from skugga.api.http.openapi_parts import WORK_ERRORS, ResponseDocs, file_docs, problem_docs
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
 from skugga.api.products.product import MEDIA_TYPES
 from skugga.selector.formatting import format_list
 
-PICTURE_DOCS: Answers = {
+PICTURE_DOCS: ResponseDocs = {
     **file_docs("The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.", MEDIA_TYPES.values()),
     **problem_docs(*WORK_ERRORS),
 }
 
-EMPTY_DOCS: Answers = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
+EMPTY_TILE_DOCS: ResponseDocs = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
 
-EXACT = format_list([f"`{name}`" for name in MAP_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
+DATA_LAYERS = format_list([f"`{name}`" for name in MAP_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
 """Layers of data (not for display), as a list in words."""
 
-JPEG = format_list([f"`{name}`" for name in MAP_PRODUCTS if "jpg" in PRODUCTS[name].formats], max_items=len(PRODUCTS))
+JPEG_LAYERS = format_list([f"`{name}`" for name in MAP_PRODUCTS if "jpg" in PRODUCTS[name].formats], max_items=len(PRODUCTS))
 """Layers that are available as JPEG, as a list in words."""

@@ -16,12 +16,12 @@ def tilejson_answer(
     tiles: str,
     zooms: tuple[int, int],
     bounds: tuple[float, float, float, float],
-    more: dict[str, Any],
+    extra_entries: dict[str, Any],
 ) -> Response:
     """Return a TileJSON document, or 304 if the client's copy is current.
 
     ``tiles`` is the URL template, and ``zooms`` has the first and last zoom. ``bounds`` are west, south, east and north in degrees.
-    ``more`` has further entries.
+    ``extra_entries`` has further entries.
     """
     west, south, east, north = bounds
     return json_answer(
@@ -36,6 +36,6 @@ def tilejson_answer(
             "maxzoom": zooms[1],
             "bounds": [west, south, east, north],
             "center": [(west + east) / 2, (south + north) / 2, zooms[0]],
-            **more,
+            **extra_entries,
         },
     )

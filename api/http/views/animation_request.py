@@ -12,7 +12,7 @@ from skugga.api.animations.film_order import FilmFormat, FilmOrder
 from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.api.http.parameters import served_settings, style_named
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.http.views.cameras import MAX_EYE_OR_TARGET_HEIGHT_M, POSITION_WORDS
+from skugga.api.http.views.cameras import MAX_EYE_OR_TARGET_HEIGHT_M, POSITION_DESCRIPTION
 from skugga.api.request import PictureRequest
 from skugga.api.settings import Settings
 from skugga.selector.film_request import ALONG_PATH, FilmSpan
@@ -74,7 +74,8 @@ class _AnimationFields(_FromModel):
 _SETTINGS = settings_of(Shadows, "pictures")
 
 _SHADOW_FIELDS: dict[str, Any] = {
-    each.name: (each.type | None, Field(default=None, description=each.about, examples=[each.example])) for each in _SETTINGS
+    setting.name: (setting.type | None, Field(default=None, description=setting.about, examples=[setting.example]))
+    for setting in _SETTINGS
 }
 
 AnimationRequest: Any = create_model(
@@ -103,7 +104,7 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
         sun=_fixed_sun(body, span),
         style=style_named(body.style),
         slope_exaggeration=body.slope_exaggeration,
-        overrides=served_settings({each.name: getattr(body, each.name) for each in _SETTINGS}),
+        overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SETTINGS}),
     )
     return FilmOrder(
         level=level.key, level_name=level.name, span=span, view=view, path=body.path, size=body.size, request=request,
@@ -116,14 +117,14 @@ def error_in_body(error: InputError, order: FilmOrder) -> InputError:
 
     The engine names the parameter of a film, the camera file or the frame.
     """
-    name, colon, of_frame = error.name.partition(": ")
+    name, colon, frame_parameter = error.name.partition(": ")
     if name.startswith("keys"):
         return error.renamed(f"path.{error.name}")
     if name.startswith("path, "):
-        at_frame = f"{name.removeprefix('path, ')}{colon}{of_frame}"
+        frame_location = f"{name.removeprefix('path, ')}{colon}{frame_parameter}"
         if isinstance(error.value, Problem):
-            return type(error)("path", Problem(f"{at_frame}: {error.value}"), error.allowed)
-        return type(error)("path", f"{at_frame}: {error.value}", error.allowed)
+            return type(error)("path", Problem(f"{frame_location}: {error.value}"), error.allowed)
+        return type(error)("path", f"{frame_location}: {error.value}", error.allowed)
     if name == "time" and order.span.start is not None:
         return error.renamed("from")
     return error
@@ -133,18 +134,18 @@ def _check_positions(path: CameraPathSpec) -> None:
     for number, key in enumerate(path.keys):
         for name, position in (("eye", key.eye), ("target", key.target)):
             if max(map(abs, position[:2])) > 1e9 or abs(position[2]) > MAX_EYE_OR_TARGET_HEIGHT_M:
-                raise InputError(f"path.keys.{number}.{name}", list(position), POSITION_WORDS)
+                raise InputError(f"path.keys.{number}.{name}", list(position), POSITION_DESCRIPTION)
 
 
 def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> None:
-    pixels, words = size[0] * size[1], f"{size[0]}x{size[1]}"
+    pixels, size_text = size[0] * size[1], f"{size[0]}x{size[1]}"
     if pixels > settings.max_animation_frame_pixels:
         limit = f"{settings.max_animation_frame_pixels} (the service's SKUGGA_MAX_ANIMATION_FRAME_PIXELS)"
-        raise InputError.over_limit("size", f"{words} is {pixels} pixels a frame", limit, "Use smaller frames")
+        raise InputError.over_limit("size", f"{size_text} is {pixels} pixels a frame", limit, "Use smaller frames")
     if frames * pixels > settings.max_animation_pixels:
         limit = f"{settings.max_animation_pixels} (the service's SKUGGA_MAX_ANIMATION_PIXELS)"
-        given = f"{frames} frames of {words} are {frames * pixels} pixels"
-        raise InputError.over_limit("size", given, limit, "Use fewer or smaller frames")
+        value_text = f"{frames} frames of {size_text} are {frames * pixels} pixels"
+        raise InputError.over_limit("size", value_text, limit, "Use fewer or smaller frames")
 
 
 def _fixed_sun(body: Any, span: FilmSpan) -> SunSpec | None:

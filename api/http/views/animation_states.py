@@ -23,7 +23,7 @@ from skugga.api.settings import Settings
 
 FILM_MEDIA: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
 
-RESULTS = "http://www.opengis.net/def/rel/ogc/1.0/results"
+RESULTS_RELATION = "http://www.opengis.net/def/rel/ogc/1.0/results"
 """Link relation of the results of a job."""
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
@@ -69,7 +69,7 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
     links = [Link(href=address, rel="self", type="application/json", title="The state")]
     if animation.status == "successful":
         media_type = FILM_MEDIA[animation.order.format]
-        links.append(Link(href=f"{address}/result", rel=RESULTS, type=media_type, title="The film"))
+        links.append(Link(href=f"{address}/result", rel=RESULTS_RELATION, type=media_type, title="The film"))
     problem = None if animation.error is None else public_problem(animation.error)
     messages: dict[AnimationStatus, str] = {
         "accepted": "The animation is in the queue.", "running": f"{done} of {frames} frames are drawn.",
@@ -90,8 +90,8 @@ def state_answer(status: int, state: AnimationState, settings: Settings) -> Resp
     headers = {"Cache-Control": "no-store", "Location": state.links[0].href}
     if state.seconds_left is not None:
         headers["Retry-After"] = str(retry_s(state.seconds_left, settings))
-    without = {"problem"} if state.problem is None else None
-    return JSONResponse(state.model_dump(mode="json", by_alias=True, exclude=without), status, headers)
+    excluded = {"problem"} if state.problem is None else None
+    return JSONResponse(state.model_dump(mode="json", by_alias=True, exclude=excluded), status, headers)
 
 
 def retry_s(seconds_left: float, settings: Settings) -> int:
@@ -125,8 +125,8 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
     part = byte_range(request.headers.get("range", ""), nbytes) if if_range == headers["ETag"] else None
     first, end = part or (0, nbytes)
     headers |= {"Content-Length": str(end - first)} | ({"Content-Range": f"bytes {first}-{end - 1}/{nbytes}"} if part else {})
-    reading = animation.film.reading(first, end)
-    return StreamingResponse(_chunks(reading), 206 if part else 200, headers=headers, media_type=FILM_MEDIA[animation.order.format])
+    reader = animation.film.open_reader(first, end)
+    return StreamingResponse(_chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA[animation.order.format])
 
 
 def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
@@ -143,9 +143,9 @@ def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
     return (begin, end) if begin < end else None
 
 
-async def _chunks(reading: FilmReader) -> AsyncIterator[bytes]:
+async def _chunks(reader: FilmReader) -> AsyncIterator[bytes]:
     try:
-        while chunk := await asyncio.to_thread(reading.chunk):
+        while chunk := await asyncio.to_thread(reader.chunk):
             yield chunk
     finally:
-        reading.close()
+        reader.close()

@@ -15,7 +15,7 @@ from skugga.terrain.level.parts import PerspectiveSpec
 MAX_EYE_OR_TARGET_HEIGHT_M = 100_000.0
 """Largest height of an eye or a target above the ground. Nobody views relief from higher up."""
 
-POSITION_WORDS = (
+POSITION_DESCRIPTION = (
     "three numbers: longitude and latitude in degrees (in a flat world metres east and north of its middle), "
     "and metres above the ground there, at most 100000"
 )
@@ -64,7 +64,7 @@ def parse_position(name: str, text: str) -> tuple[float, float, float]:
     """Return a position: longitude and latitude (or metres east and north), and height. Raises ``InputError``."""
     values = [value for part in text.split(",") if (value := parse_decimal(part)) is not None]
     if len(values) != 3 or text.count(",") != 2 or max(map(abs, values[:2])) > 1e9 or abs(values[2]) > MAX_EYE_OR_TARGET_HEIGHT_M:
-        raise InputError(name, text, POSITION_WORDS)
+        raise InputError(name, text, POSITION_DESCRIPTION)
     return values[0], values[1], values[2]
 
 

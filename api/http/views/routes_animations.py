@@ -8,9 +8,9 @@ from fastapi import APIRouter, Body, Depends, Path, Request, Response
 
 from skugga.api.animations.animation import Animation
 from skugga.api.http.answers import base_url
-from skugga.api.http.openapi_parts import WORK_ERRORS, Answers, LevelPath, file_docs, problem_docs
+from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, ResponseDocs, file_docs, problem_docs
 from skugga.api.http.parameters import allow_only
-from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.http.views.animation_request import AnimationRequest, error_in_body, film_order
 from skugga.api.http.views.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
 from skugga.api.workers.jobs import FilmChecked, FilmCheckJob
@@ -30,7 +30,7 @@ AnimationPath = Annotated[
     str, Path(max_length=100, description="An animation by its `jobID`, which nobody guesses.", examples=[EXAMPLE_ID])
 ]
 
-STATE: Answers = {200: {"description": "Its state.", "model": AnimationState}}
+STATE_DOCS: ResponseDocs = {200: {"description": "Its state.", "model": AnimationState}}
 
 
 @router.post(
@@ -47,9 +47,9 @@ STATE: Answers = {200: {"description": "Its state.", "model": AnimationState}}
 )
 async def ask_for_animation(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
-    asked: Annotated[AnimationRequest, Body(description="When it plays and what it shows.", examples=[EXAMPLE])],
+    animation_request: Annotated[AnimationRequest, Body(description="When it plays and what it shows.", examples=[EXAMPLE])],
 ) -> Response:
     """Create an animation of a level with a moving sun, a moving camera, or both.
 
@@ -57,18 +57,18 @@ async def ask_for_animation(
     requests. Poll the state at `Location`: an animation that no client asks about is dismissed. The same request returns the same
     animation while it is drawn, or while its film is kept.
     """
-    served = await service.level(level)
-    order = film_order(asked, served, service.settings)
-    animation = service.animations.known(order)
+    served_level = await service.level(level)
+    order = film_order(animation_request, served_level, service.settings)
+    animation = service.animations.find(order)
     if animation is None:
         service.animations.check_queue()
         check = FilmCheckJob(**{name: getattr(order, name) for name in FilmCheckJob.model_fields})
         try:
-            checked = await service.done(request, check)
+            checked = await service.run_job(request, check)
         except InputError as error:
             raise error_in_body(error, order) from None
         assert isinstance(checked, FilmChecked)
-        animation = service.animations.ask(order, service.frame_s(order, checked))
+        animation = service.animations.request(order, service.expected_frame_s(order, checked))
     return _state_response(request, service, animation, 200 if animation.ended else 202)
 
 
@@ -76,10 +76,10 @@ async def ask_for_animation(
     "/animations/{animation}",
     summary="How far an animation is",
     response_model=AnimationState,
-    responses=STATE | problem_docs(404),
+    responses=STATE_DOCS | problem_docs(404),
     dependencies=[Depends(allow_only())],
 )
-async def animation_state(request: Request, service: TheService, animation: AnimationPath) -> Response:
+async def animation_state(request: Request, service: ServiceDep, animation: AnimationPath) -> Response:
     """Return the state of an animation.
 
     The status is `accepted`, `running`, `successful`, `failed` or `dismissed`. The state also has the number of drawn frames and
@@ -94,10 +94,15 @@ async def animation_state(request: Request, service: TheService, animation: Anim
     response_class=Response,
     responses=problem_docs(*RESULT_ERRORS)
     | file_docs("The film.", FILM_MEDIA.values())
-    | {206: {"description": "The part of it that `Range` asks for.", "content": {each: {} for each in FILM_MEDIA.values()}}},
+    | {
+        206: {
+            "description": "The part of it that `Range` asks for.",
+            "content": {media_type: {} for media_type in FILM_MEDIA.values()},
+        }
+    },
     dependencies=[Depends(allow_only())],
 )
-async def animation_result(request: Request, service: TheService, animation: AnimationPath) -> Response:
+async def animation_result(request: Request, service: ServiceDep, animation: AnimationPath) -> Response:
     """Return the film, or the part of it that `Range` asks for.
 
     An unfinished animation answers 409 with `Retry-After`. A failed one answers with its problem.
@@ -109,10 +114,10 @@ async def animation_result(request: Request, service: TheService, animation: Ani
     "/animations/{animation}",
     summary="Dismiss an animation",
     response_model=AnimationState,
-    responses=STATE | problem_docs(404),
+    responses=STATE_DOCS | problem_docs(404),
     dependencies=[Depends(allow_only())],
 )
-async def dismiss_animation(request: Request, service: TheService, animation: AnimationPath) -> Response:
+async def dismiss_animation(request: Request, service: ServiceDep, animation: AnimationPath) -> Response:
     """Stop drawing an animation, and delete its film."""
     job = service.animations.get(animation)
     service.animations.dismiss(job, "A client dismissed it.")

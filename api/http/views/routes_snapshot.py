@@ -19,8 +19,8 @@ from skugga.api.http.parameters import (
     picture_query,
 )
 from skugga.api.http.state.job_answers import job_answer
-from skugga.api.http.state.service import TheService
-from skugga.api.http.tiles.tile_docs import JPEG, PICTURE_DOCS
+from skugga.api.http.state.service import ServiceDep
+from skugga.api.http.tiles.tile_docs import JPEG_LAYERS, PICTURE_DOCS
 from skugga.api.http.views.cameras import CAMERA_PARAMETERS, camera_query
 from skugga.api.products import PRODUCTS, VIEW_PRODUCTS, product_named
 from skugga.api.products.product import MEDIA_TYPES, PictureFormat
@@ -49,11 +49,13 @@ SINGLE_LIGHT_LAYERS = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not 
 )
 async def snapshot(
     request: Request,
-    service: TheService,
+    service: ServiceDep,
     level: LevelPath,
-    format: Annotated[PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG} alone.", examples=["png"])],
-    wanted: Annotated[PictureRequest, Depends(picture_query)],
-    seen_from: Annotated[PerspectiveSpec | None, Depends(camera_query)],
+    format: Annotated[
+        PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG_LAYERS} alone.", examples=["png"])
+    ],
+    picture_request: Annotated[PictureRequest, Depends(picture_query)],
+    camera: Annotated[PerspectiveSpec | None, Depends(camera_query)],
     view: ViewQuery = None,
     size: Annotated[
         str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.", examples=["256x256"])
@@ -84,24 +86,24 @@ async def snapshot(
     The view is one of the level, changed by the query, or one that the query defines by `eye` and `target`. In a level file these
     are lists, as `eye: [8.43, 47.5, 300]`.
     """
-    served = await service.level(level)
+    served_level = await service.level(level)
     product = product_named(layer, VIEW_PRODUCTS)
     if format not in product.view_formats:
         raise InputError("format", format, f"{', '.join(product.view_formats)} for layer {layer}")
-    if seen_from is not None and view is not None:
+    if camera is not None and view is not None:
         raise InputError.conflict("view", "eye and target")
-    name = REQUEST_VIEW_NAME if seen_from is not None else served.view_named(view)
+    name = REQUEST_VIEW_NAME if camera is not None else served_level.view_named(view)
     given_size = None if size is None else parse_size(size)
-    pixels = given_size or (served.view_sizes[name] if seen_from is None else seen_from.size)
+    pixels = given_size or (served_level.view_sizes[name] if camera is None else camera.size)
     if pixels is not None:
         check_pixels(pixels, service.settings.max_snapshot_pixels)
-    lights = served.lights(wanted.sun)
+    lights = served_level.lights(picture_request.sun)
     if light is not None and light not in lights:
         raise InputError("light", light, ", ".join(lights))
     job = SnapshotJob(
-        level=served.key, view=name, seen_from=seen_from, format=format, size=given_size,
+        level=served_level.key, view=name, camera=camera, format=format, size=given_size,
         light=None if product.is_display else light, seconds=seconds,
-        request=ProductRequest(product=layer, **dict(wanted)),
+        request=ProductRequest(product=layer, **dict(picture_request)),
     )  # fmt: skip
-    fresh_s = DEFAULT_SUN_FRESH_S if wanted.sun is None else REQUESTED_SUN_FRESH_S
+    fresh_s = DEFAULT_SUN_FRESH_S if picture_request.sun is None else REQUESTED_SUN_FRESH_S
     return await job_answer(request, service, job, level, "snapshot", MEDIA_TYPES[format], fresh_s)

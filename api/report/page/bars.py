@@ -15,8 +15,8 @@ from skugga.selector.formatting import format_duration
 
 BARS_WIDTH, BAR_STEP, BARS_TOP, BAR_HEIGHT = 1180.0, 21.0, 26.0, 14.0
 NAME_PX, BAR_CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0
-REST = "not in a stage"
-MIN_REST = 0.02
+REST_STAGE = "not in a stage"
+MIN_REST_SHARE = 0.02
 """Minimum share of a row's time outside all stages that is shown."""
 
 
@@ -73,16 +73,16 @@ def _swatch(colour: str) -> str:
 
 
 def stages_of(figures: RowFigures) -> dict[str, float]:
-    """Return the milliseconds of a row's stages, and the rest of its median time if it exceeds ``MIN_REST``."""
+    """Return the milliseconds of a row's stages, and the rest of its median time if it exceeds ``MIN_REST_SHARE``."""
     stages = {name: ms for name, ms in figures["stages"].items() if ms > 0.0}
     rest = figures["ms_median"] - sum(stages.values())
-    return stages | ({REST: rest} if rest > MIN_REST * figures["ms_median"] else {})
+    return stages | ({REST_STAGE: rest} if rest > MIN_REST_SHARE * figures["ms_median"] else {})
 
 
 def _colours(figures: list[RowFigures]) -> dict[str, str]:
     stages = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
-    colours = stage_colours([name for name in stages if name != REST])
-    return colours | ({REST: COLOURS["gray"]} if REST in stages else {})
+    colours = stage_colours([name for name in stages if name != REST_STAGE])
+    return colours | ({REST_STAGE: COLOURS["gray"]} if REST_STAGE in stages else {})
 
 
 def _total_ms(figures: RowFigures) -> float:

@@ -6,7 +6,7 @@ import json
 from html import escape
 from typing import Any
 
-VOID = frozenset({"img", "input", "br", "wbr"})
+VOID_ELEMENTS = frozenset({"img", "input", "br", "wbr"})
 """HTML elements without an end tag."""
 
 
@@ -15,10 +15,10 @@ def tag(name: str, *content: str, **attributes: Any) -> str:
 
     ``class_`` stands for ``class`` and ``data_value`` for ``data-value``. Attributes of ``None`` are omitted.
     """
-    written = "".join(
+    attribute_text = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(str(value))}"' for key, value in attributes.items() if value is not None
     )
-    return f"<{name}{written}>" if name in VOID else f"<{name}{written}>{''.join(content)}</{name}>"
+    return f"<{name}{attribute_text}>" if name in VOID_ELEMENTS else f"<{name}{attribute_text}>{''.join(content)}</{name}>"
 
 
 def definitions(pairs: dict[str, str], **attributes: Any) -> str:
@@ -28,7 +28,7 @@ def definitions(pairs: dict[str, str], **attributes: Any) -> str:
     )
 
 
-def breakable(text: str) -> str:
+def breakable_text(text: str) -> str:
     """Return escaped text that may break after a comma or a hyphen, for names of rows."""
     return escape(text).replace(",", ",<wbr>").replace("-", "-<wbr>")
 

@@ -88,9 +88,9 @@ def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], max_characters
 def indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np.ndarray:
     """Return the palette indexes, uint8, of a row's picture, shrunk by an integer factor."""
     level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((levels - 1) / 255.0))
-    false, missed = (_blocks(wrong, factor).sum(axis=(1, 3)) for wrong in (row.false_shadow, row.missed_shadow))
-    wrong = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, CORRECT))
-    return (level + levels * wrong).astype(np.uint8)
+    false, missed = (_blocks(errors, factor).sum(axis=(1, 3)) for errors in (row.false_shadow, row.missed_shadow))
+    errors = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, CORRECT))
+    return (level + levels * errors).astype(np.uint8)
 
 
 def palette(levels: int = GRAY_LEVELS) -> np.ndarray:

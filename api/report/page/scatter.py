@@ -10,7 +10,7 @@ from itertools import pairwise
 from skugga.api.report.page.marks import mark_of, mark_svg
 from skugga.api.report.page.markup import tag
 from skugga.api.report.page.scales import Scale, round_time, scale_of
-from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, algorithm_family, casts, on_front
+from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, algorithm_family, casts_shadow, is_on_front
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.compare import Comparison
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
@@ -62,13 +62,13 @@ def scatter_plot(comparison: Comparison) -> str:
 
 
 def _plot(comparison: Comparison) -> str:
-    figures_by_row = {k: row.figures for k, row in enumerate(comparison.rows) if casts(row.figures, comparison.light)}
+    figures_by_row = {k: row.figures for k, row in enumerate(comparison.rows) if casts_shadow(row.figures, comparison.light)}
     figures_by_row = figures_by_row or {k: row.figures for k, row in enumerate(comparison.rows)}
     x = scale_of([f["ms_median"] for f in figures_by_row.values()], MARGIN_LEFT, SCATTER_WIDTH - MARGIN_RIGHT)
     y = scale_of([f[comparison.error] for f in figures_by_row.values()], SCATTER_HEIGHT - MARGIN_BOTTOM, MARGIN_TOP)
     points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in figures_by_row.items()]
     points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
-    stairs = _staircase([point for point in points if on_front(point.figures, comparison.light)])
+    stairs = _staircase([point for point in points if is_on_front(point.figures, comparison.light)])
     return "".join([
         *_axes(x, y, "wrong pixels of the cast shadow" if comparison.error == "wrong_cast" else "error of the shadow share"),
         *_noise_band(y, EXACT_NOISE_FLOORS * comparison.noise_floor),
@@ -84,8 +84,8 @@ def scatter_file(comparison: Comparison, title: list[str], style: str) -> str:
     legend_top = HEAD_PX + SCATTER_HEIGHT + 8.0
     legend_items = []
     for k, name in enumerate(names):
-        down, across = divmod(k, LEGEND_COLUMNS)
-        x, y = LEGEND_PX + across * (SCATTER_WIDTH - LEGEND_PX) / LEGEND_COLUMNS, legend_top + 1.4 * LINE_PX * down
+        legend_row, legend_col = divmod(k, LEGEND_COLUMNS)
+        x, y = LEGEND_PX + legend_col * (SCATTER_WIDTH - LEGEND_PX) / LEGEND_COLUMNS, legend_top + 1.4 * LINE_PX * legend_row
         legend_items.append(
             tag("g", mark_svg(mark_of(name), 8, 0, 5.2), _text(20, 4.5, name), transform=f"translate({x:.1f} {y:.1f})")
         )
@@ -160,9 +160,9 @@ def _noise_band(y: Scale, exact_to: float) -> Iterator[str]:
 
 def _staircase(front: list[ScatterPoint]) -> list[tuple[float, float]]:
     """Return the vertices of the staircase through the Pareto front; every point above and right of it is dominated."""
-    steps = sorted((point.x, point.y) for point in front)
-    corners = [(x, y) for (x, _), (_, y) in zip(steps, [(0.0, MARGIN_TOP), *steps], strict=False)]
-    line = [place for pair in zip(corners, steps, strict=True) for place in pair]
+    front_points = sorted((point.x, point.y) for point in front)
+    corners = [(x, y) for (x, _), (_, y) in zip(front_points, [(0.0, MARGIN_TOP), *front_points], strict=False)]
+    line = [vertex for pair in zip(corners, front_points, strict=True) for vertex in pair]
     return [*line, (SCATTER_WIDTH - MARGIN_RIGHT, line[-1][1])] if line else []
 
 
@@ -189,7 +189,7 @@ def _labels(points: list[ScatterPoint], stairs: list[tuple[float, float]], light
     """
     occupied: list[TextBox] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
     occupied += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
-    for point in sorted((point for point in points if on_front(point.figures, light)), key=lambda point: -point.y):
+    for point in sorted((point for point in points if is_on_front(point.figures, light)), key=lambda point: -point.y):
         lines = point.figures["name"].replace(",", ",\n").split("\n")
         width, extra_height = LABEL_CHARACTER_PX * max(map(len, lines)), LINE_PX * (len(lines) - 1)
         for anchor, right, down in LABEL_POSITIONS:

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from skugga.api.report.page.bars import stages_of
-from skugga.api.report.page.markup import breakable, definitions, tag
+from skugga.api.report.page.markup import breakable_text, definitions, tag
 from skugga.api.report.page.scatter import swatch
 from skugga.api.report.summary import RowFigures, algorithm_family
 from skugga.selector.formatting import format_duration
@@ -40,7 +40,7 @@ class Column:
     meaning: str = ""
 
 
-def fixed(digits: int, scale: float = 1.0) -> Callable[[float], str]:
+def decimals_formatter(digits: int, scale: float = 1.0) -> Callable[[float], str]:
     """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values."""
     smallest = 10.0**-digits
 
@@ -53,36 +53,38 @@ def fixed(digits: int, scale: float = 1.0) -> Callable[[float], str]:
     return format_value
 
 
-def milliseconds(value: float) -> str:
+def format_ms(value: float) -> str:
     """Return a time with one decimal below 10 ms and without decimals from there on."""
     return "0" if value == 0.0 else f"{value:.{0 if value >= 9.95 else 1 if value >= 0.05 else 3}f}"
 
 
 COLUMNS = [
-    Column("ms_median", "time", "ms", milliseconds, "Wall clock of a frame's shadow work, median of its runs."),
-    Column("ms_p95", "p95", "ms", milliseconds, "95th percentile of the times of the runs."),
-    Column("wrong_cast", "wrong cast", "%", fixed(3, 100), "Wrong pixels as a share of the cast shadow of truth or the row."),
+    Column("ms_median", "time", "ms", format_ms, "Wall clock of a frame's shadow work, median of its runs."),
+    Column("ms_p95", "p95", "ms", format_ms, "95th percentile of the times of the runs."),
+    Column("wrong_cast", "wrong cast", "%", decimals_formatter(3, 100), ("Wrong pixels as a share of the cast shadow "
+        "of truth or the row.")),
     Column(
-        "soft_error", "soft error", "%", fixed(3, 100),
+        "soft_error", "soft error", "%", decimals_formatter(3, 100),
         "Mean difference of visibility from ray-traced truth with an area light (the sun's disc): the error of soft edges.",
     ),
-    Column("coverage", "coverage", "%", fixed(2, 100), "Mean difference in shadow share over blocks of 16 × 16 pixels."),
-    Column("wrong", "wrong", "%", fixed(3, 100), "Wrong pixels as a share of the surface where truth is certain."),
-    Column("false_shadow", "false", "%", fixed(3, 100), "Wrong among the pixels that are lit in truth."),
-    Column("missed_shadow", "missed", "%", fixed(3, 100), "Wrong among the pixels that are in shadow in truth."),
-    Column("edge_mean", "edge", "px", fixed(2), "Mean distance between the row's shadow edges and those of truth."),
-    Column("edge_p95", "edge p95", "px", fixed(2), "95th percentile of the distances of edges."),
-    Column("edge_p95_m", "edge p95", "m", fixed(2), "The same, in metres on the ground."),
+    Column("coverage", "coverage", "%", decimals_formatter(2, 100), ("Mean difference in shadow share over "
+        "blocks of 16 × 16 pixels.")),
+    Column("wrong", "wrong", "%", decimals_formatter(3, 100), "Wrong pixels as a share of the surface where truth is certain."),
+    Column("false_shadow", "false", "%", decimals_formatter(3, 100), "Wrong among the pixels that are lit in truth."),
+    Column("missed_shadow", "missed", "%", decimals_formatter(3, 100), "Wrong among the pixels that are in shadow in truth."),
+    Column("edge_mean", "edge", "px", decimals_formatter(2), "Mean distance between the row's shadow edges and those of truth."),
+    Column("edge_p95", "edge p95", "px", decimals_formatter(2), "95th percentile of the distances of edges."),
+    Column("edge_p95_m", "edge p95", "m", decimals_formatter(2), "The same, in metres on the ground."),
     Column(
-        "interior", "interior", "%", fixed(3, 100),
+        "interior", "interior", "%", decimals_formatter(3, 100),
         "Wrong pixels farther from all edges of truth than aliasing reaches: failures. A row above 0.1 % is rejected.",
     ),
     Column(
-        "interior_sees", "interior sees", "%", fixed(0, 100),
+        "interior_sees", "interior sees", "%", decimals_formatter(0, 100),
         "Share of truth's cast shadow that is far enough from edges for interior to detect errors. Large texels reduce it.",
     ),
-    Column("interior_parts", "parts", "", fixed(0), "Connected failures of at least 8 pixels."),
-    Column("bytes", "memory", "MB", fixed(1, 1e-6), "Peak memory of textures and buffers."),
+    Column("interior_parts", "parts", "", decimals_formatter(0), "Connected failures of at least 8 pixels."),
+    Column("bytes", "memory", "MB", decimals_formatter(1, 1e-6), "Peak memory of textures and buffers."),
 ]  # fmt: skip
 
 GLOSSARY = {f"{c.heading} ({c.unit})" if c.unit else c.heading: c.meaning for c in COLUMNS}
@@ -97,7 +99,7 @@ def rows_table(comparison: Comparison) -> str:
         tag("th", "algorithm and settings", scope="col"),
         *(_heading(column, column.key == comparison.error) for column in COLUMNS),
     ]
-    lines = (_line(k, figures[k], comparison.light) for k in order)
+    lines = (_table_row(k, figures[k], comparison.light) for k in order)
     return tag("table", tag("thead", tag("tr", *head)), tag("tbody", *lines))
 
 
@@ -118,28 +120,28 @@ def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
     kinds: dict[str, list[str]] = {}
     settings: dict[str, dict[str, str]] = {}
     for kind, name in figures["algorithm"].get(light, {}).items():
-        flat_settings = _flat((figures["settings"].get(light, {}).get(kind)) or {})
+        flat_settings = _flat_settings((figures["settings"].get(light, {}).get(kind)) or {})
         key = f"{name} {flat_settings}"
         kinds.setdefault(key, []).append(kind)
         settings[key] = {"algorithm": name} | flat_settings
     return {", ".join(kinds[key]): settings[key] for key in kinds}
 
 
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, str]:
+def _flat_settings(values: dict[str, Any], prefix: str = "") -> dict[str, str]:
     """Return nested settings as text by flat names, such as ``cascades 2 far m``."""
     flat: dict[str, str] = {}
     for key, value in values.items():
         name = f"{prefix}{key.replace('_', ' ')}"
         if isinstance(value, dict):
-            flat |= _flat(value, f"{name} ")
+            flat |= _flat_settings(value, f"{name} ")
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            flat |= _flat({str(k): item for k, item in enumerate(value, start=1)}, f"{name} ")
+            flat |= _flat_settings({str(k): item for k, item in enumerate(value, start=1)}, f"{name} ")
         elif value is not None:
-            flat[name] = " × ".join(map(_short, value)) if isinstance(value, list) else _short(value)
+            flat[name] = " × ".join(map(_short_text, value)) if isinstance(value, list) else _short_text(value)
     return flat
 
 
-def _short(value: Any) -> str:
+def _short_text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
@@ -156,9 +158,9 @@ def _heading(column: Column, sorted_by: bool) -> str:
     )
 
 
-def _line(k: int, figures: RowFigures, light: str) -> str:
+def _table_row(k: int, figures: RowFigures, light: str) -> str:
     front, name = figures["pareto"], figures["name"]
-    title = tag("summary", swatch(algorithm_family(figures, light)), tag("span", breakable(name)))
+    title = tag("summary", swatch(algorithm_family(figures, light)), tag("span", breakable_text(name)))
     cells = [
         tag(
             "td",

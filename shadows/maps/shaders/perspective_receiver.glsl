@@ -9,7 +9,7 @@ uniform float bias_scale;            // factor of the derived offset
 uniform float position_error;        // float32 error of a position, as a share of its coordinates
 uniform float depth_step;            // resolution of the map's depths in [0, 1]
 uniform int taps;                    // taps along a side of the square around a point
-uniform int taps_beside;             // the same where no triangle is known
+uniform int taps_without_triangle;             // the same where no triangle is known
 
 const bool lamp = false, on_nodes = false, own = true, in_the_open = false;
 const int triangles = 1;

@@ -21,13 +21,13 @@ uniform vec2 first_node;             // node coordinates (column, row) of the fi
 uniform vec2 node_step;
 uniform bool placed;                 // whether the pixels are gathered from a map's, with their places in ``place``
 uniform sampler2D place;             // rg: column and row of a pixel
-uniform bool by_triangles;           // whether depths are compared on known triangles
-uniform bool by_offset;              // whether other points are moved along their normals
+uniform bool uses_triangles;           // whether depths are compared on known triangles
+uniform bool uses_offset;              // whether other points are moved along their normals
 uniform float bias_scale;            // factor of the derived offset
 uniform float error_m;               // float32 error of a position
 uniform float depth_step;            // resolution of the map's depths in [0, 1]
 uniform int taps;                    // taps along a side of the square around a point
-uniform int taps_beside;             // the same where no triangle is known
+uniform int taps_without_triangle;             // the same where no triangle is known
 uniform bool lit_by_taps;            // whether the taps alone determine the visibility
 
 // The ring around a node, counter-clockwise from above: its neighbours, and the corners of its quads between them.
@@ -65,7 +65,7 @@ float held(vec2 at) { return texelFetch(depth_map, face_origin + ivec2(at), 0).r
 
 // Return whether a distance along the light's axis is lit in a texel.
 bool is_lit(vec2 at, float z) {
-    float rounding = by_offset ? 0.5 * depth_step : 0.0;
+    float rounding = uses_offset ? 0.5 * depth_step : 0.0;
     return is_outside(at) || min(depth_of(z) - rounding, 1.0) <= held(at);
 }
 
@@ -99,7 +99,7 @@ vec3 in_light(vec3 frame_m) { return light_from_frame * frame_m + light_offset_m
 
 // Return the point moved clear of every surface that passes through it, for ``count`` taps along a side.
 vec3 clear_of(int count) {
-    if (!by_offset) return point;
+    if (!uses_offset) return point;
     vec2 side = lamp ? vec2(2.0 * tangent * point.z) / vec2(map_size) : texel_m;
     vec2 reach = (0.5 * float(count) + 1.0 / 128.0) * side;
     float offset_m = (dot(reach, abs(normal.xy)) + length(reach) * crease) / max(1.0 - 0.5 * crease * crease, 0.25);
@@ -142,8 +142,8 @@ bool receive(ivec2 pixel) {
         normal = turned * normal;
     }
     if (dot(normal, lamp ? point : vec3(0.0, 0.0, 1.0)) > 0.0) normal = -normal;  // foliage is lit from either side
-    if (!by_triangles) return true;
-    if (lit_by_taps && !lamp && is_empty(point, taps) && is_empty(clear_of(taps_beside), taps_beside)) {
+    if (!uses_triangles) return true;
+    if (lit_by_taps && !lamp && is_empty(point, taps) && is_empty(clear_of(taps_without_triangle), taps_without_triangle)) {
         in_the_open = true;
         return true;
     }
@@ -179,8 +179,8 @@ bool receive(ivec2 pixel) {
         ivec2 beside[9];
         for (int k = 0; k < 8; k++) {
             if (k % 2 == 1) {
-                bool falls = texelFetch(node_frame_m, node + min(RING[k], ivec2(0)), 0).w > 0.5;
-                if (falls != (RING[k].x == RING[k].y)) continue;
+                bool is_cut_nw_se = texelFetch(node_frame_m, node + min(RING[k], ivec2(0)), 0).w > 0.5;
+                if (is_cut_nw_se != (RING[k].x == RING[k].y)) continue;
             }
             around[triangles] = texelFetch(node_frame_m, node + RING[k], 0).xyz;
             beside[triangles++] = RING[k];

@@ -41,13 +41,13 @@ void main() {
         }
     }
     if (counted == 0.0) {
-        vec3 clear = clear_of(taps_beside);
-        corner = texel_of(clear) - 0.5 * float(taps_beside - 1);
+        vec3 clear = clear_of(taps_without_triangle);
+        corner = texel_of(clear) - 0.5 * float(taps_without_triangle - 1);
         first_tap = floor(corner);
         beyond = fract(corner);
-        for (int row = 0; row < taps_beside; row++) {
-            for (int col = 0; col < taps_beside; col++) {
-                float weight = weight_of(taps_beside, col, row, beyond);
+        for (int row = 0; row < taps_without_triangle; row++) {
+            for (int col = 0; col < taps_without_triangle; col++) {
+                float weight = weight_of(taps_without_triangle, col, row, beyond);
                 if (is_lit(first_tap + vec2(col, row), clear.z)) lit += weight;
                 counted += weight;
             }

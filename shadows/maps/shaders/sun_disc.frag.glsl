@@ -129,12 +129,12 @@ void main() {
     if (counted == NONE) {
         counted = open;
         blocked = NONE;
-        vec3 clear = clear_of(taps_beside);
-        float radius = 0.5 * float(taps_beside - 1);
+        vec3 clear = clear_of(taps_without_triangle);
+        float radius = 0.5 * float(taps_without_triangle - 1);
         from = texel_of(clear);
         first = floor(from - radius);
-        for (int row = 0; row < taps_beside; row++) {
-            for (int col = 0; col < taps_beside; col++) {
+        for (int row = 0; row < taps_without_triangle; row++) {
+            for (int col = 0; col < taps_without_triangle; col++) {
                 vec2 at = first + vec2(col, row);
                 if (blocks(at, clear.z, far_m)) blocked |= samples_in((at - from) / radius, (at - from + 1.0) / radius);
             }

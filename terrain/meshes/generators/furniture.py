@@ -52,11 +52,12 @@ def chair() -> list[Body]:
     legs = [tube([foot, (foot[0] * 0.78, foot[1] * 0.78, SEAT_M - 0.02)], [0.013, 0.019], 6, WALNUT) for foot in feet]
     stays = [tube([(i * 0.185, -0.178, 0.2), (i * 0.185, 0.178, 0.2)], 0.011, 6, WALNUT) for i in (-1, 1)]
     stays.append(tube([(-0.185, 0.0, 0.2), (0.185, 0.0, 0.2)], 0.011, 6, WALNUT))
-    across = np.linspace(-0.18, 0.18, 7)
+    x_positions = np.linspace(-0.18, 0.18, 7)
     back = [
-        tube([(x * 0.9, 0.18, SEAT_M - 0.02), (x * 1.15, 0.27, 0.9)], 0.016 if abs(x) > 0.17 else 0.008, 6, WALNUT) for x in across
+        tube([(x * 0.9, 0.18, SEAT_M - 0.02), (x * 1.15, 0.27, 0.9)], 0.016 if abs(x) > 0.17 else 0.008, 6, WALNUT)
+        for x in x_positions
     ]
-    bow = [(x * 1.35, 0.275 - 1.2 * x * x, 0.9 + 0.012 * np.cos(8 * x)) for x in across]
+    bow = [(x * 1.35, 0.275 - 1.2 * x * x, 0.9 + 0.012 * np.cos(8 * x)) for x in x_positions]
     return [seat, *legs, *stays, *back, tube(bow, 0.021, 6, WALNUT)]
 
 
@@ -65,8 +66,8 @@ def pendant(cord_m: float) -> list[Body]:
     outside = [(0.27, 0.0), (0.262, 0.07), (0.235, 0.14), (0.18, 0.205), (0.1, 0.25), (0.05, 0.27), (0.04, 0.33)]
     inside = [(r - 0.008, up - 0.008) for r, up in outside[1:-1]]
     shade = [(0.0, 0.255), *reversed(inside), (0.262, 0.0), *outside, (0.0, 0.33)]
-    turn = np.linspace(0, np.pi, 9)
-    bulb = [(0.055 * np.sin(t), 0.1 - 0.055 * np.cos(t)) for t in turn]
+    angle = np.linspace(0, np.pi, 9)
+    bulb = [(0.055 * np.sin(t), 0.1 - 0.055 * np.cos(t)) for t in angle]
     bulb[0], bulb[-1] = (0.0, bulb[0][1]), (0.0, bulb[-1][1])
     return [
         lathe(shade, 24, BRASS),
@@ -88,10 +89,10 @@ def bookshelf() -> list[Body]:
         for bay in (-half, 0.0):
             x, end = bay + 0.03 + rng.uniform(0.0, 0.1), bay + half - rng.uniform(0.04, 0.45)
             while x < end:
-                wide, tall, back = rng.uniform(0.022, 0.055), rng.uniform(0.2, 0.33), rng.uniform(0.17, 0.23)
+                wide, tall, book_depth = rng.uniform(0.022, 0.055), rng.uniform(0.2, 0.33), rng.uniform(0.17, 0.23)
                 front = rng.uniform(0.02, 0.05)
                 spine = SPINES[rng.integers(len(SPINES))]
-                bodies.append(cuboid((x, front, up - 0.002), (x + wide, front + back, up + tall), spine))
+                bodies.append(cuboid((x, front, up - 0.002), (x + wide, front + book_depth, up + tall), spine))
                 x += wide + rng.uniform(0.001, 0.006)
     return bodies
 
@@ -130,8 +131,8 @@ def fruit_bowl() -> list[Body]:
     outside = [(0.06, 0.0), (0.065, 0.02), (0.12, 0.045), (0.17, 0.085), (0.19, 0.125)]
     inside = [(r - 0.008, up + 0.004) for r, up in reversed(outside[1:-1])]
     bodies = [lathe([(0.0, 0.0), *outside, (0.183, 0.126), *inside, (0.0, 0.026)], 24, PAINT)]
-    turn = np.linspace(0, np.pi, 9)[1:-1]
-    ball = [(0.0, -0.042), *((0.042 * np.sin(t), -0.042 * np.cos(t)) for t in turn), (0.0, 0.042)]
+    angle = np.linspace(0, np.pi, 9)[1:-1]
+    ball = [(0.0, -0.042), *((0.042 * np.sin(t), -0.042 * np.cos(t)) for t in angle), (0.0, 0.042)]
     for position in (
         (0.0, 0.08, 0.1),
         (0.078, 0.022, 0.1),
@@ -160,17 +161,17 @@ def _leaf(reach_m: float, top_m: float) -> Body:
     share = np.linspace(0.0, 1.0, 7)
     spine = np.column_stack([0.02 + reach_m * share**1.7, np.zeros(7), top_m * np.sin(0.62 * np.pi * share) / np.sin(0.5 * np.pi)])
     width = np.maximum(0.007, 0.075 * np.sin(np.pi * np.clip((share - 0.3) / 0.72, 0, 1)))
-    along = np.gradient(spine, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    over = np.column_stack([-along[:, 2], np.zeros(7), along[:, 0]])
+    tangent = np.gradient(spine, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normal = np.column_stack([-tangent[:, 2], np.zeros(7), tangent[:, 0]])
     thick = np.where(width > 0.01, 0.004, 0.006)
     side = np.array([0.0, 1.0, 0.0])
     loops = np.stack(
         [
             spine + width[:, None] * side,
-            spine + thick[:, None] * over,
+            spine + thick[:, None] * normal,
             spine - width[:, None] * side,
-            spine - thick[:, None] * over,
+            spine - thick[:, None] * normal,
         ],
         axis=1,
     )

@@ -7,7 +7,7 @@ import numpy as np
 from skugga.terrain.meshes.body import Body, transformed
 from skugga.terrain.meshes.generators.shapes import Vector, cell_box, solid, superellipsoid
 
-RINGS = ((0.0, 0.0, 0.0), (34.0, 15.0, 77.0), (-8.0, 40.0, 140.0), (-37.0, -9.0, 201.0), (10.0, -41.0, 293.0))
+RING_POSES = ((0.0, 0.0, 0.0), (34.0, 15.0, 77.0), (-8.0, 40.0, 140.0), (-37.0, -9.0, 201.0), (10.0, -41.0, 293.0))
 """East and north in metres, and rotation in degrees, of each ring."""
 
 SLOTS, RADIUS_M = 14, 9.0
@@ -21,12 +21,12 @@ UPRIGHT_M, TALL_M, LINTEL_M, LYING_M = (1.15, 2.0, 4.2), (1.2, 1.9, 5.6), (1.1, 
 
 UPRIGHT_CELLS, LINTEL_CELLS = (4, 5, 10), (4, 8, 4)
 
-SEATED_M = 0.3
+LINTEL_OVERLAP_M = 0.3
 """Overlap of a lintel with its uprights."""
 
 SUPERELLIPSOID_EXPONENT = 5.0
 TAPER = 0.18
-WEAR_M = 0.13
+WEATHERING_M = 0.13
 WAVES = 24
 STONE_GRAY, MOSS = np.array((0.60, 0.58, 0.55)), np.array((0.48, 0.49, 0.41))
 
@@ -34,7 +34,7 @@ STONE_GRAY, MOSS = np.array((0.60, 0.58, 0.55)), np.array((0.48, 0.49, 0.41))
 def rocks() -> list[Body]:
     """Return five rotated copies of one ring of 33 stones: 63,600 triangles."""
     ring = _ring()
-    return [transformed(stone, (east, north, 0.0), turn) for east, north, turn in RINGS for stone in ring]
+    return [transformed(stone, (east, north, 0.0), yaw_deg) for east, north, yaw_deg in RING_POSES for stone in ring]
 
 
 def _ring() -> list[Body]:
@@ -44,29 +44,29 @@ def _ring() -> list[Body]:
     for i in range(SLOTS):
         if i in FALLEN:
             stones.append(
-                _on_circle(transformed(_standing(LYING_M, LINTEL_CELLS, i), turn_deg=35.0), RADIUS_M + 3.6, i * slot + 11.0)
+                _on_circle(transformed(_upright_stone(LYING_M, LINTEL_CELLS, i), yaw_deg=35.0), RADIUS_M + 3.6, i * slot + 11.0)
             )
         else:
-            stones.append(_on_circle(_standing(UPRIGHT_M, UPRIGHT_CELLS, i), RADIUS_M, i * slot))
+            stones.append(_on_circle(_upright_stone(UPRIGHT_M, UPRIGHT_CELLS, i), RADIUS_M, i * slot))
         if not {i, (i + 1) % SLOTS} & set(FALLEN) and i != UNROOFED:
             stones.append(_on_circle(_lintel(UPRIGHT_M[2], SLOTS + i), chord, (i + 0.5) * slot))
-    lost = transformed(_standing(LYING_M, LINTEL_CELLS, UNROOFED + SLOTS), turn_deg=-50.0)
-    stones.append(_on_circle(lost, RADIUS_M - 3.0, (UNROOFED + 2.5) * slot))
+    fallen_lintel = transformed(_upright_stone(LYING_M, LINTEL_CELLS, UNROOFED + SLOTS), yaw_deg=-50.0)
+    stones.append(_on_circle(fallen_lintel, RADIUS_M - 3.0, (UNROOFED + 2.5) * slot))
     for seed, middle in enumerate(TRILITHONS_DEG, start=100):
         for side in (-1, 1):
-            upright = _standing(TALL_M, UPRIGHT_CELLS, seed + 10 * side)
+            upright = _upright_stone(TALL_M, UPRIGHT_CELLS, seed + 10 * side)
             stones.append(_on_circle(upright, TRILITHON_RADIUS_M, middle + side * HALF_SPAN_DEG))
         distance = TRILITHON_RADIUS_M * np.cos(np.radians(HALF_SPAN_DEG))
         stones.append(_on_circle(_lintel(TALL_M[2], seed), distance, middle))
     return stones
 
 
-def _on_circle(stone: Body, radius_m: float, at_deg: float) -> Body:
+def _on_circle(stone: Body, radius_m: float, azimuth_deg: float) -> Body:
     """Place a stone on a circle with its first axis outwards. The angle is counter-clockwise from east."""
-    return transformed(transformed(stone, (radius_m, 0.0, 0.0)), turn_deg=at_deg)
+    return transformed(transformed(stone, (radius_m, 0.0, 0.0)), yaw_deg=azimuth_deg)
 
 
-def _standing(size_m: Vector, cells: tuple[int, int, int], seed: int) -> Body:
+def _upright_stone(size_m: Vector, cells: tuple[int, int, int], seed: int) -> Body:
     """Return an upright stone on the ground, with a flat foot, tapering sides and a round head."""
     cube, triangles = cell_box(cells)
     high = (cube[:, 2:] + 1) / 2
@@ -82,7 +82,7 @@ def _lintel(upright_m: float, seed: int) -> Body:
     """Return a stone that lies across two uprights of height ``upright_m``."""
     cube, triangles = cell_box(LINTEL_CELLS)
     shape = superellipsoid(cube, SUPERELLIPSOID_EXPONENT)
-    points = shape * np.asarray(LINTEL_M) / 2 + [0, 0, upright_m + LINTEL_M[2] / 2 - SEATED_M]
+    points = shape * np.asarray(LINTEL_M) / 2 + [0, 0, upright_m + LINTEL_M[2] / 2 - LINTEL_OVERLAP_M]
     return solid(points + _weathering(points, shape, seed), triangles, _stone_color(seed))
 
 
@@ -93,7 +93,7 @@ def _weathering(points_m: np.ndarray, outward: np.ndarray, seed: int) -> np.ndar
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     length_m = np.geomspace(0.9, 5.0, WAVES)
     wave = np.sin(2 * np.pi * (points_m @ direction.T / length_m + rng.uniform(size=WAVES))) * length_m**0.9
-    return WEAR_M * wave.sum(axis=1, keepdims=True) / np.sqrt((length_m**1.8).sum() / 2) * outward
+    return WEATHERING_M * wave.sum(axis=1, keepdims=True) / np.sqrt((length_m**1.8).sum() / 2) * outward
 
 
 def _stone_color(seed: int) -> Vector:

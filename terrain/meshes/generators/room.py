@@ -10,7 +10,7 @@ from skugga.terrain.meshes.generators import furniture as furniture_pieces
 from skugga.terrain.meshes.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_M, WALNUT
 from skugga.terrain.meshes.generators.shapes import cuboid, loft, tube, wall
 
-HALF_EAST_M, HALF_NORTH_M, HIGH_M = 4.0, 3.0, 3.0
+HALF_EAST_M, HALF_NORTH_M, ROOM_HEIGHT_M = 4.0, 3.0, 3.0
 WALL_THICKNESS_M = 0.25
 LATTICE_NORTH_M = 1.5
 """North of this line the ceiling is solid."""
@@ -19,8 +19,8 @@ WINDOW_OPENING_M, DOOR_M = (1.7, 0.8, 4.1, 2.4), (1.0, 0.0, 1.9, 2.15)
 """Start, sill, end and head, metres. The window counts from the south end of the west wall, the door from the west end of the
 north wall."""
 
-BEAMS_M = (-1.9, 0.2, 2.3)
-TABLE_AT_M = (0.2, -0.75)
+BEAM_EASTS_M = (-1.9, 0.2, 2.3)
+TABLE_POSITION_M = (0.2, -0.75)
 
 PLASTER, RUG = (0.88, 0.85, 0.79), (0.60, 0.38, 0.32)
 
@@ -33,31 +33,39 @@ def room() -> list[Body]:
 def _walls() -> list[Body]:
     """Return the walls: west with a window, north with a door, east closed, south open between slender posts."""
     e, n, t = HALF_EAST_M, HALF_NORTH_M, WALL_THICKNESS_M
-    past = t + 0.02  # the side walls overlap the north wall and end a little beyond it
-    west = _pierced(2 * n + past, WINDOW_OPENING_M)
-    north = _pierced(2 * e + 0.2, DOOR_M)
+    overlap = t + 0.02  # the side walls overlap the north wall and end a little beyond it
+    west = _wall_with_opening(2 * n + overlap, WINDOW_OPENING_M)
+    north = _wall_with_opening(2 * e + 0.2, DOOR_M)
     posts = [cuboid((x - 0.06, -n + 0.02, 0.0), (x + 0.06, -n + 0.14, 2.75), OAK) for x in (-1.35, 1.35)]
     return [
-        wall(west, (-e, -n), (-e, n + past), t, PLASTER),
+        wall(west, (-e, -n), (-e, n + overlap), t, PLASTER),
         wall(north, (-e - 0.1, n), (e + 0.1, n), t, PLASTER),
-        cuboid((e, -n, 0.0), (e + t, n + past, HIGH_M), PLASTER),
+        cuboid((e, -n, 0.0), (e + t, n + overlap, ROOM_HEIGHT_M), PLASTER),
         *posts,
     ]
 
 
-def _pierced(length_m: float, opening: tuple[float, float, float, float]) -> shapely.Polygon:
+def _wall_with_opening(length_m: float, opening: tuple[float, float, float, float]) -> shapely.Polygon:
     """Return a wall's elevation with a rectangular opening (start, sill, end, head)."""
-    return shapely.difference(shapely.box(0.0, 0.0, length_m, HIGH_M), shapely.box(*opening))
+    return shapely.difference(shapely.box(0.0, 0.0, length_m, ROOM_HEIGHT_M), shapely.box(*opening))
 
 
 def _ceiling() -> list[Body]:
     """Return a slab in the north, and beams, crossing slats and crossing laths in the south."""
     e, n, edge = HALF_EAST_M, HALF_NORTH_M, LATTICE_NORTH_M
-    slab = cuboid((-e - 0.35, edge, HIGH_M - 0.02), (e + 0.35, n + 0.4, HIGH_M + 0.2), PLASTER)
-    front = cuboid((-e - 0.1, -n, HIGH_M - 0.3), (e + 0.1, -n + 0.16, HIGH_M - 0.08), OAK)
-    beams = [cuboid((x - 0.05, -n - 0.4, HIGH_M - 0.12), (x + 0.05, edge + 0.1, HIGH_M + 0.06), OAK) for x in BEAMS_M]
-    slats = [cuboid((-e - 0.3, y, HIGH_M + 0.04), (e + 0.3, y + 0.05, HIGH_M + 0.16), OAK) for y in np.arange(-n - 0.3, edge, 0.25)]
-    laths = [cuboid((x, -n - 0.35, HIGH_M + 0.14), (x + 0.035, edge + 0.02, HIGH_M + 0.18), OAK) for x in np.arange(-e, e, 0.25)]
+    slab = cuboid((-e - 0.35, edge, ROOM_HEIGHT_M - 0.02), (e + 0.35, n + 0.4, ROOM_HEIGHT_M + 0.2), PLASTER)
+    front = cuboid((-e - 0.1, -n, ROOM_HEIGHT_M - 0.3), (e + 0.1, -n + 0.16, ROOM_HEIGHT_M - 0.08), OAK)
+    beams = [
+        cuboid((x - 0.05, -n - 0.4, ROOM_HEIGHT_M - 0.12), (x + 0.05, edge + 0.1, ROOM_HEIGHT_M + 0.06), OAK) for x in BEAM_EASTS_M
+    ]
+    slats = [
+        cuboid((-e - 0.3, y, ROOM_HEIGHT_M + 0.04), (e + 0.3, y + 0.05, ROOM_HEIGHT_M + 0.16), OAK)
+        for y in np.arange(-n - 0.3, edge, 0.25)
+    ]
+    laths = [
+        cuboid((x, -n - 0.35, ROOM_HEIGHT_M + 0.14), (x + 0.035, edge + 0.02, ROOM_HEIGHT_M + 0.18), OAK)
+        for x in np.arange(-e, e, 0.25)
+    ]
     return [slab, front, *beams, *slats, *laths]
 
 
@@ -81,26 +89,29 @@ def _curtains() -> list[Body]:
     y = np.linspace(0.0, 0.55, 36)
     fold = 0.04 * np.sin(y * 2 * np.pi / 0.11)
     section = [(-0.006, 0.06), (-0.006, 2.62), (0.006, 2.62), (0.006, 0.06)]
-    curtain = loft(np.stack([np.column_stack([fold + out, y, np.full(len(y), up)]) for out, up in section], axis=1), LINEN)
+    curtain = loft(np.stack([np.column_stack([fold + offset, y, np.full(len(y), up)]) for offset, up in section], axis=1), LINEN)
     first, _, last, _ = WINDOW_OPENING_M
     ends = (first - HALF_NORTH_M - 0.5, last - HALF_NORTH_M - 0.05)
-    hung = [transformed(curtain, (-HALF_EAST_M + 0.1, y, 0.0)) for y in ends]
-    return [*hung, tube([(-HALF_EAST_M + 0.1, ends[0] - 0.1, 2.62), (-HALF_EAST_M + 0.1, ends[1] + 0.65, 2.62)], 0.018, 10, BRASS)]
+    curtains = [transformed(curtain, (-HALF_EAST_M + 0.1, y, 0.0)) for y in ends]
+    return [
+        *curtains,
+        tube([(-HALF_EAST_M + 0.1, ends[0] - 0.1, 2.62), (-HALF_EAST_M + 0.1, ends[1] + 0.65, 2.62)], 0.018, 10, BRASS),
+    ]
 
 
 def _furniture() -> list[Body]:
     """Return the dining table on its rug, the sofa, the shelf, a bench with vases, pictures and plants."""
-    x, y = TABLE_AT_M
+    x, y = TABLE_POSITION_M
     pile = 0.012
     chairs = [(-0.5, 0.62, 4), (0.52, 0.66, -7), (-0.48, -0.64, 176), (0.5, -0.72, 190), (1.32, 0.02, -92), (-1.36, -0.04, 81)]
     groups = [
         _moved_bodies(furniture_pieces.dining_table(), x, y, pile),
         _moved_bodies(furniture_pieces.fruit_bowl(), x - 0.3, y + 0.1, pile + TABLE_M),
         _moved_bodies([furniture_pieces.vase(0.34, CLAY)], x + 0.55, y - 0.12, pile + TABLE_M),
-        _moved_bodies(furniture_pieces.pendant(HIGH_M - 1.72), x, y, 1.65),
-        *(_moved_bodies(furniture_pieces.chair(), x + east, y + north, pile, turn) for east, north, turn in chairs),
+        _moved_bodies(furniture_pieces.pendant(ROOM_HEIGHT_M - 1.72), x, y, 1.65),
+        *(_moved_bodies(furniture_pieces.chair(), x + east, y + north, pile, yaw_deg) for east, north, yaw_deg in chairs),
         _moved_bodies(furniture_pieces.bookshelf(), 1.7, HALF_NORTH_M - 0.32),
-        _moved_bodies(furniture_pieces.sofa(), HALF_EAST_M - 0.5, -0.5, turn=-90.0),
+        _moved_bodies(furniture_pieces.sofa(), HALF_EAST_M - 0.5, -0.5, yaw_deg=-90.0),
         _moved_bodies(furniture_pieces.potted_plant(26, 1.5, 3), 3.4, 1.5),
         _moved_bodies(furniture_pieces.potted_plant(20, 1.15, 4), -3.45, -2.3),
         _moved_bodies([furniture_pieces.vase(0.5, GLAZE)], -3.78, -0.5, 0.5),
@@ -121,5 +132,5 @@ def _furniture() -> list[Body]:
     return [rug, *bench, *pictures, *(body for group in groups for body in group)]
 
 
-def _moved_bodies(bodies: list[Body], east: float, north: float, up: float = 0.0, turn: float = 0.0) -> list[Body]:
-    return [transformed(body, (east, north, up), turn) for body in bodies]
+def _moved_bodies(bodies: list[Body], east: float, north: float, up: float = 0.0, yaw_deg: float = 0.0) -> list[Body]:
+    return [transformed(body, (east, north, up), yaw_deg) for body in bodies]

@@ -27,11 +27,11 @@ def hull(points_m: list[Vector] | np.ndarray, color: Colour) -> Body:
     from scipy.spatial import ConvexHull
 
     points = np.asarray(points_m, np.float64)
-    found = ConvexHull(points, qhull_options="Qt")
-    triangles = found.simplices.copy()
+    convex_hull = ConvexHull(points, qhull_options="Qt")
+    triangles = convex_hull.simplices.copy()
     corner = points[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    inward = np.einsum("ij,ij->i", normal, found.equations[:, :3]) < 0
+    inward = np.einsum("ij,ij->i", normal, convex_hull.equations[:, :3]) < 0
     triangles[inward] = triangles[inward][:, ::-1]
     return solid(points, triangles, color)
 
@@ -51,18 +51,18 @@ def tube(path_m: list[Vector] | np.ndarray, radius_m: float | list[float], sides
     ``radius_m`` is one value, or one for each point. Successive cross-sections are rotated as little as possible.
     """
     path = np.asarray(path_m, np.float64)
-    along = np.gradient(path, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    tangents = np.gradient(path, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     radius = np.broadcast_to(np.asarray(radius_m, np.float64), len(path))
-    turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
-    normal = np.eye(3)[np.argmin(np.abs(along[0]))]
+    angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    normal = np.eye(3)[np.argmin(np.abs(tangents[0]))]
     loops = []
-    for point, tangent, r in zip(path, along, radius, strict=True):
+    for point, tangent, r in zip(path, tangents, radius, strict=True):
         normal = normal - tangent * (normal @ tangent)
         normal /= np.linalg.norm(normal)
         binormal = np.cross(tangent, normal)
-        loops.append(point + r * (np.cos(turn)[:, None] * normal + np.sin(turn)[:, None] * binormal))
-    return solid(*_lofted(np.array(loops), path[0], path[-1]), color)
+        loops.append(point + r * (np.cos(angle)[:, None] * normal + np.sin(angle)[:, None] * binormal))
+    return solid(*_loft_mesh(np.array(loops), path[0], path[-1]), color)
 
 
 def lathe(profile_m: list[tuple[float, float]] | np.ndarray, sides: int, color: Colour, centre: Vector = (0, 0, 0)) -> Body:
@@ -72,7 +72,7 @@ def lathe(profile_m: list[tuple[float, float]] | np.ndarray, sides: int, color: 
     """
     profile = np.asarray(profile_m, np.float64)
     ends = np.array([[0, 0, profile[0, 1]], [0, 0, profile[-1, 1]]])
-    vertices, triangles = _lofted(_revolve(profile[1:-1], sides), *ends)
+    vertices, triangles = _loft_mesh(_revolve(profile[1:-1], sides), *ends)
     return solid(vertices + np.asarray(centre), triangles, color)
 
 
@@ -99,10 +99,10 @@ def wall(elevation: shapely.Polygon, start: tuple[float, float], end: tuple[floa
     ``elevation`` is its shape (metres from ``start``, metres up), which may have holes.
     """
     slab = plate(elevation, 0.0, thick, color)
-    along = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
+    direction = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
     # axes along the wall, up, and outwards from its face: right-handed, so triangles stay counter-clockwise
-    axes = np.array([[along[0], along[1], 0], [0, 0, 1], [along[1], -along[0], 0]])
-    left = np.array([-along[1], along[0], 0]) * thick
+    axes = np.array([[direction[0], direction[1], 0], [0, 0, 1], [direction[1], -direction[0], 0]])
+    left = np.array([-direction[1], direction[0], 0]) * thick
     return solid(slab.vertices_m @ axes + [start[0], start[1], 0] + left, slab.triangles, color)
 
 
@@ -144,30 +144,30 @@ def cell_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
 def loft(loops_m: np.ndarray, color: Colour) -> Body:
     """Return a skin over closed loops (k, sides, 3), counter-clockwise seen from the next loop: 2 k ``sides`` triangles."""
     loops = np.asarray(loops_m, np.float64)
-    return solid(*_lofted(loops, loops[0].mean(axis=0), loops[-1].mean(axis=0)), color)
+    return solid(*_loft_mesh(loops, loops[0].mean(axis=0), loops[-1].mean(axis=0)), color)
 
 
 def arc(centre: Vector, radius: float, first_deg: float, last_deg: float, points: int) -> np.ndarray:
     """Return points (n, 3) on a horizontal circle, counter-clockwise from east."""
-    turn = np.radians(np.linspace(first_deg, last_deg, points))
-    return np.asarray(centre) + radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(points)], axis=1)
+    angle = np.radians(np.linspace(first_deg, last_deg, points))
+    return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(points)], axis=1)
 
 
 def circle(centre: tuple[float, float], radius: float, points: int) -> list[tuple[float, float]]:
     """Return a circular, counter-clockwise section (radius, height) for ``ring``."""
-    turn = 2 * np.pi * np.arange(points) / points
-    return [(centre[0] + radius * np.cos(t), centre[1] + radius * np.sin(t)) for t in turn]
+    angles = 2 * np.pi * np.arange(points) / points
+    return [(centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)) for angle in angles]
 
 
 def _revolve(profile: np.ndarray, sides: int) -> np.ndarray:
     """Return loops (k, sides, 3): profile points (k, 2) rotated about the up axis."""
-    turn = 2 * np.pi * np.arange(sides) / sides
-    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    flat = profile[:, None, :1] * around
-    return np.concatenate([flat, np.broadcast_to(profile[:, None, 1:], (*flat.shape[:2], 1))], axis=2)
+    angle = 2 * np.pi * np.arange(sides) / sides
+    directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    horizontal = profile[:, None, :1] * directions
+    return np.concatenate([horizontal, np.broadcast_to(profile[:, None, 1:], (*horizontal.shape[:2], 1))], axis=2)
 
 
-def _lofted(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _loft_mesh(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and triangles of a skin over loops (k, sides, 3), closed by fans around a first and a last point."""
     k, sides = loops.shape[:2]
     j = np.arange(sides)

@@ -33,13 +33,20 @@ HOUSES = (
 def street() -> list[Body]:
     """Return ten houses, seven chimneys, a church and street furniture: 400 triangles."""
     bodies = []
-    for number, (side, along, back, width, depth, eaves, ridge, chimney) in enumerate(HOUSES):
-        near = FRONT_M + back
+    for number, (side, street_position, setback, width, depth, eaves, ridge, chimney) in enumerate(HOUSES):
+        near = FRONT_M + setback
         low, high = sorted((side * near, side * (near + depth)))
         roof = TILES if number % 3 else SLATE
-        bodies += _house((low, along - width / 2), (high, along + width / 2), eaves, ridge, PLASTER[number % len(PLASTER)], roof)
+        bodies += _house(
+            (low, street_position - width / 2),
+            (high, street_position + width / 2),
+            eaves,
+            ridge,
+            PLASTER[number % len(PLASTER)],
+            roof,
+        )
         if chimney:
-            east, north = (low + high) / 2 - side * 0.9, along + (number % 2 - 0.5) * width * 0.55
+            east, north = (low + high) / 2 - side * 0.9, street_position + (number % 2 - 0.5) * width * 0.55
             bodies.append(cuboid((east - 0.45, north - 0.35, eaves), (east + 0.45, north + 0.35, ridge + 1.0), BRICK))
     return bodies + _church() + _furniture()
 
@@ -48,10 +55,10 @@ def _house(
     low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, walls: Colour, roof: Colour
 ) -> list[Body]:
     """Return walls under a gabled roof with overhanging eaves: 20 triangles."""
-    out = EAVES_M
+    overhang = EAVES_M
     return [
         cuboid((*low, 0.0), (*high, eaves + 0.1), walls),
-        gable((low[0] - out, low[1] - out), (high[0] + out, high[1] + out), eaves, ridge, roof),
+        gable((low[0] - overhang, low[1] - overhang), (high[0] + overhang, high[1] + overhang), eaves, ridge, roof),
     ]
 
 

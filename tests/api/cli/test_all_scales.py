@@ -26,7 +26,7 @@ from skugga.terrain.scene import build_scene
 
 
 @pytest.fixture
-def probed(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
+def probe_rows(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
     """Return the rows that the command prints for a level whose probes it has saved."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(3, 5))
@@ -35,47 +35,49 @@ def probed(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.Monke
     return list(json.loads(out))
 
 
-def own_probes() -> list[Path]:
+def saved_probe_files() -> list[Path]:
     return list(probes_folder(device().renderer, device().version).glob("*.json"))
 
 
-def test_a_service_plans_by_the_saved_probes(probed: list[dict], hills_level: Path):
-    served = ServedLevels([hills_level]).known()[0]
-    (path,) = own_probes()
-    assert path.stem == served.version, "the command and the service know the level by the same version"
+def test_a_service_plans_by_the_saved_probes(probe_rows: list[dict], hills_level: Path):
+    served_level = ServedLevels([hills_level]).cached_levels()[0]
+    (path,) = saved_probe_files()
+    assert path.stem == served_level.version, "the command and the service know the level by the same version"
     probes = load_probes(path)
-    assert [2.0**each.scale for each in probes.classes] == [row["pixel_m"] for row in probed]
+    assert [2.0**entry.scale for entry in probes.classes] == [row["pixel_m"] for row in probe_rows]
 
     scene, profile = build_scene(load_level(hills_level)), typical_device()
-    basis, without = PlanBasis(profile, {served.version: probes.model_dump_json()}), PlanBasis(profile)
-    for row in probed:
+    basis, unprobed_basis = PlanBasis(profile, {served_level.version: probes.model_dump_json()}), PlanBasis(profile)
+    for row in probe_rows:
         view = map_block(scene, row["pixel_m"])
 
-        def reasons(overrides: dict, by: PlanBasis = basis, view=view) -> dict[str, str]:
-            plan = plan_in_service(scene, view, "map", overrides, served.key, by)
-            return {each.name: each.reason for each in plan.reasons}
+        def reasons(overrides: dict, plan_basis: PlanBasis = basis, view=view) -> dict[str, str]:
+            plan = plan_in_service(scene, view, "map", overrides, served_level.key, plan_basis)
+            return {entry.name: entry.reason for entry in plan.reasons}
 
         assert reasons({})["sun: probe"].startswith("maps like this one were probed: ")
         assert "sun: probe" in reasons({"max_error": 0.01})
         assert "sun: probe" not in reasons({"map_size": 512}), "other settings than those that were drawn"
-        assert "sun: probe" not in reasons({}, without)
-        assert unprobed_class(scene, view, {}, served.key, basis) is None
-        wanted = unprobed_class(scene, view, {}, served.key, without)
-        assert wanted == map_class(row["pixel_m"], scene.sun.altitude_deg)
-        assert unprobed_class(scene, view, {}, served.key, PlanBasis()) is None, "nothing is predicted, so nothing is corrected"
-    assert wanted is not None
-    higher = scene.with_sun(SunSpec(azimuth=180.0, altitude=MapClass(0, wanted.sun + 2).sun_altitude_deg))
-    assert unprobed_class(higher, view, {}, served.key, basis) == MapClass(wanted.scale, wanted.sun + 2)
+        assert "sun: probe" not in reasons({}, unprobed_basis)
+        assert unprobed_class(scene, view, {}, served_level.key, basis) is None
+        missing_class = unprobed_class(scene, view, {}, served_level.key, unprobed_basis)
+        assert missing_class == map_class(row["pixel_m"], scene.sun.altitude_deg)
+        assert unprobed_class(scene, view, {}, served_level.key, PlanBasis()) is None, (
+            "nothing is predicted, so nothing is corrected"
+        )
+    assert missing_class is not None
+    higher = scene.with_sun(SunSpec(azimuth=180.0, altitude=MapClass(0, missing_class.sun + 2).sun_altitude_deg))
+    assert unprobed_class(higher, view, {}, served_level.key, basis) == MapClass(missing_class.scale, missing_class.sun + 2)
 
 
 def test_tiles_of_all_zooms_have_a_probed_scale(hills_level: Path):
-    served = ServedLevels([hills_level]).known()[0]
+    served_level = ServedLevels([hills_level]).cached_levels()[0]
     scene = build_scene(load_level(hills_level))
-    for name, zooms in served.zooms.items():
+    for name, zooms in served_level.zooms.items():
         for zoom in range(zooms.first, zooms.last + 1):
             tile = representative_block(scene, Tiles(matrix_set=name, zoom=zoom))
-            found = map_class(map_pixel_m(scene.world, tile), 45.0)
-            assert found is not None and found.scale in probed_scales(scene), (name, zoom)
+            tile_class = map_class(map_pixel_m(scene.world, tile), 45.0)
+            assert tile_class is not None and tile_class.scale in probed_scales(scene), (name, zoom)
 
 
 def test_coarse_scales_probe_one_block_and_fine_ones_three(gl, hills_level: Path):
@@ -85,29 +87,32 @@ def test_coarse_scales_probe_one_block_and_fine_ones_three(gl, hills_level: Path
     assert len(map_probing.probe_centers(scene, coarse_m)) == 1
     places = map_probing.probe_centers(scene, fine_m)
     assert len(places) == 3 and places[0] == (0.5, 0.5)
-    alone = probe_blocks(scene, coarse_m, typical_device(), budget_s=1.0)
-    several = probe_blocks(scene, fine_m, typical_device(), budget_s=1.0)
-    assert len(several.seen["sun"]) >= 3 > 0 < len(alone.seen["sun"])
-    assert several.plan.view == "map"
+    coarse_probes = probe_blocks(scene, coarse_m, typical_device(), budget_s=1.0)
+    fine_probes = probe_blocks(scene, fine_m, typical_device(), budget_s=1.0)
+    assert len(fine_probes.seen["sun"]) >= 3 > 0 < len(coarse_probes.seen["sun"])
+    assert fine_probes.plan.view == "map"
 
 
-def test_a_probe_that_saw_a_slow_choice_changes_it(probed: list[dict], hills_level: Path):
+def test_a_probe_that_saw_a_slow_choice_changes_it(probe_rows: list[dict], hills_level: Path):
     """Plan the same level on a device whose probe measured the preferred choice as very slow."""
-    served = ServedLevels([hills_level]).known()[0]
+    served_level = ServedLevels([hills_level]).cached_levels()[0]
     scene, profile = build_scene(load_level(hills_level)), typical_device()
-    view = map_block(scene, probed[0]["pixel_m"])
-    probes = load_probes(own_probes()[0])
+    view = map_block(scene, probe_rows[0]["pixel_m"])
+    probes = load_probes(saved_probe_files()[0])
     first = probes.classes[0]
-    (name,) = {each.choice for each in first.seen["sun"][:1]}
-    slow = tuple(each.model_copy(update={"ms": 1e5}) if each.choice == name else each for each in first.seen["sun"])
-    slower = probes.merged_with(type(probes)(classes=(first.model_copy(update={"seen": {"sun": slow}}),)))
+    (name,) = {observation.choice for observation in first.seen["sun"][:1]}
+    slow_observations = tuple(
+        observation.model_copy(update={"ms": 1e5}) if observation.choice == name else observation
+        for observation in first.seen["sun"]
+    )
+    slower_probes = probes.merged_with(type(probes)(classes=(first.model_copy(update={"seen": {"sun": slow_observations}}),)))
 
-    def verdict(by: PlanBasis) -> str:
-        plan = plan_in_service(scene, view, "map", {}, served.key, by)
-        return next(each.reason for each in plan.reasons if each.name == "sun: probe").rsplit("; ", 1)[1]
+    def verdict(plan_basis: PlanBasis) -> str:
+        plan = plan_in_service(scene, view, "map", {}, served_level.key, plan_basis)
+        return next(observation.reason for observation in plan.reasons if observation.name == "sun: probe").rsplit("; ", 1)[1]
 
-    assert verdict(_basis(profile, served.version, probes)) == f"the choice remains {name}"
-    assert verdict(_basis(profile, served.version, slower)).endswith(f" instead of {name}")
+    assert verdict(_basis(profile, served_level.version, probes)) == f"the choice remains {name}"
+    assert verdict(_basis(profile, served_level.version, slower_probes)).endswith(f" instead of {name}")
 
 
 def _basis(profile: DeviceProfile, version: str, probes) -> PlanBasis:

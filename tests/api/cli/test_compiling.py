@@ -16,10 +16,10 @@ from skugga.terrain.errors import RenderError
 
 @pytest.mark.parametrize(("missing", "said"), [(7, "Compiled 7 loops in "), (0, "Nothing to compile: all loops are in ")])
 def test_compile_reports_the_number_of_missing_loops(monkeypatch: pytest.MonkeyPatch, missing: int, said: str) -> None:
-    asked = []
+    compiled_products = []
 
     def compile_ahead(products, processes, progress) -> None:
-        asked.append(tuple(products))
+        compiled_products.append(tuple(products))
         for done in range(missing + 1 if missing else 0):
             progress("compiling loops for points", done, missing)
 
@@ -27,7 +27,7 @@ def test_compile_reports_the_number_of_missing_loops(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(farm, "missing_tasks", lambda products: [])
     sentence = compile_everything()
     assert sentence.startswith(said) and str(loop_store().folder) in sentence
-    assert asked == [PRODUCTS]
+    assert compiled_products == [PRODUCTS]
 
 
 def test_compile_fails_where_nothing_can_be_stored(tmp_path, monkeypatch, full_disk) -> None:

@@ -21,8 +21,8 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_words_are_completed_in_their_order():
-    complete = complete_words(["auto", 16, "analysis"])
-    assert complete("") == ["auto", "16", "analysis"] and complete("a") == ["auto", "analysis"] and complete("x") == []
+    completer = complete_words(["auto", 16, "analysis"])
+    assert completer("") == ["auto", "16", "analysis"] and completer("a") == ["auto", "analysis"] and completer("x") == []
 
 
 def test_levels_are_completed_by_name_and_file(tmp_path, monkeypatch):
@@ -87,10 +87,10 @@ complete_line skugga serve jacksboro thesis_rooms
 def test_bash_completes_once_it_is_installed(skugga):
     if shutil.which("bash") is None:
         pytest.skip("there is no bash")
-    done = subprocess.run(["skugga", "--install-completion", "bash"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and "bash completion installed" in done.stdout, done.stderr
-    done = subprocess.run(["bash", "-c", BASH], capture_output=True, text=True, cwd=skugga, check=False)
-    assert done.stdout.splitlines() == [
+    process = subprocess.run(["skugga", "--install-completion", "bash"], capture_output=True, text=True, check=False)
+    assert process.returncode == 0 and "bash completion installed" in process.stdout, process.stderr
+    process = subprocess.run(["bash", "-c", BASH], capture_output=True, text=True, cwd=skugga, check=False)
+    assert process.stdout.splitlines() == [
         "serve seed select",
         "jacksboro_alpine jacksboro_wooded",
         "--policy",
@@ -101,16 +101,18 @@ def test_bash_completes_once_it_is_installed(skugga):
         "silhouettes",
         "1 2 3 5 sun",
         "",
-    ], done.stderr
+    ], process.stderr
 
 
 def test_zsh_is_offered_words_with_their_help(skugga):
     """Test the text that zsh evaluates. zsh itself need not be installed."""
-    done = subprocess.run(["skugga", "--show-completion", "zsh"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and done.stdout.startswith("#compdef skugga")
-    asked = {**os.environ, "_SKUGGA_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": "skugga val"}
-    done = subprocess.run(["skugga"], capture_output=True, text=True, env=asked, check=False)
-    assert done.stdout.strip() == """_arguments '*: :(("validate":"Check a level file and the data it names."))'""", done.stderr
+    process = subprocess.run(["skugga", "--show-completion", "zsh"], capture_output=True, text=True, check=False)
+    assert process.returncode == 0 and process.stdout.startswith("#compdef skugga")
+    environment = {**os.environ, "_SKUGGA_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": "skugga val"}
+    process = subprocess.run(["skugga"], capture_output=True, text=True, env=environment, check=False)
+    assert process.stdout.strip() == """_arguments '*: :(("validate":"Check a level file and the data it names."))'""", (
+        process.stderr
+    )
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -129,8 +131,8 @@ def test_every_module_of_a_command_is_in_the_list():
 
 def test_help_shows_each_command_with_all_of_its_help(run):
     status, out, err = run("--help")
-    shown = " ".join(out.split())
-    assert (status, err) == (0, "") and "Usage: skugga [OPTIONS] COMMAND [ARGS]..." in shown
+    help_text = " ".join(out.split())
+    assert (status, err) == (0, "") and "Usage: skugga [OPTIONS] COMMAND [ARGS]..." in help_text
     for name, (_, summary) in COMMANDS.items():
-        assert f"{name} {summary}" in shown
+        assert f"{name} {summary}" in help_text
     assert run()[1] == out, "without arguments, too"

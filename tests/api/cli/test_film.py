@@ -29,12 +29,12 @@ LEVEL = {
     "meshes": [{"generate": "tetrahedra", "motion": {"spin": 30}}], "sun": {"azimuth": 200, "altitude": 35},
     "views": {"eye": {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [64, 48]}},
 }  # fmt: skip
-KEYS = [
+CAMERA_KEYS = [
     {"at": "0s", "eye": [-30, -48, 15], "target": [3, 2, 2]},
     {"at": "1s", "eye": [30, -40, 12], "target": [3, 2, 2]},
 ]
-CLOCK = "--from", "0s", "--to", "0.5s", "--step", "0.1s"
-DAY = "--from", "2024-10-21T15:00:00-04:00", "--to", "2024-10-21T17:00:00-04:00", "--step", "30m"
+CLOCK_SPAN = "--from", "0s", "--to", "0.5s", "--step", "0.1s"
+DAY_SPAN = "--from", "2024-10-21T15:00:00-04:00", "--to", "2024-10-21T17:00:00-04:00", "--step", "30m"
 
 
 @pytest.fixture
@@ -42,37 +42,37 @@ def folder(tmp_path: Path, monkeypatch) -> Path:
     """Return the current folder, which holds a level and a camera."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "floor.yaml").write_text(json.dumps(LEVEL))
-    (tmp_path / "camera.yaml").write_text(json.dumps({"size": [64, 48], "keys": KEYS}))
+    (tmp_path / "camera.yaml").write_text(json.dumps({"size": [64, 48], "keys": CAMERA_KEYS}))
     return tmp_path
 
 
-def pngs(folder: Path) -> list[np.ndarray]:
+def read_pngs(folder: Path) -> list[np.ndarray]:
     return [np.asarray(Image.open(path)) for path in sorted(folder.glob("*.png"))]
 
 
 def test_a_moving_camera_is_written_and_reported(gl, run, folder):
     """Compare the frames of the three kinds of files with a still by the same camera and plan."""
-    common = "render", "floor.yaml", "--path", "camera.yaml", "--fps", "5"
+    arguments = "render", "floor.yaml", "--path", "camera.yaml", "--fps", "5"
     for output in ("film.webp", "film.mp4", "frames/%02d.png"):
         lossless = ["--lossless"] if output == "film.webp" else []
-        status, out, err = run(*common, *lossless, "-o", output, "--stats", "film.json")
+        status, out, err = run(*arguments, *lossless, "-o", output, "--stats", "film.json")
         assert (status, out) == (0, "")
         lines = [line for line in err.splitlines() if line.startswith("[")]
         assert lines[0].startswith("[1/6] frame 1 (0 s): relief=none,meshes=") and len(lines) == 6
-    said = json.loads((folder / "film.json").read_text())
-    assert (said["level"], said["fps"], said["switches"]) == ("floor", 5.0, [])
-    assert [frame["seconds"] for frame in said["frames"]] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    assert {frame["share"] for frame in said["frames"]} == {1.0} and all(frame["ms"] > 0 for frame in said["frames"])
-    drawn = pngs(folder / "frames")
+    report = json.loads((folder / "film.json").read_text())
+    assert (report["level"], report["fps"], report["switches"]) == ("floor", 5.0, [])
+    assert [frame["seconds"] for frame in report["frames"]] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert {frame["share"] for frame in report["frames"]} == {1.0} and all(frame["ms"] > 0 for frame in report["frames"])
+    frames = read_pngs(folder / "frames")
     with Image.open(folder / "film.webp") as film:
-        assert film.n_frames == len(drawn) == 6
-        for number, picture in enumerate(drawn):
+        assert film.n_frames == len(frames) == 6
+        for number, picture in enumerate(frames):
             film.seek(number)
             assert (np.asarray(film.convert("RGB")) == picture).all()
-    end = {"kind": "perspective", "eye": KEYS[1]["eye"], "target": KEYS[1]["target"], "size": [64, 48]}
+    end = {"kind": "perspective", "eye": CAMERA_KEYS[1]["eye"], "target": CAMERA_KEYS[1]["target"], "size": [64, 48]}
     (folder / "still.yaml").write_text(json.dumps(LEVEL | {"seconds": 1.0, "views": {"end": end}}))
     assert run("render", "still.yaml", "--view", "end", "-o", "still.png")[0] == 0
-    assert (np.asarray(Image.open("still.png").convert("RGB")) == drawn[-1]).all()
+    assert (np.asarray(Image.open("still.png").convert("RGB")) == frames[-1]).all()
 
 
 def test_size_and_time_are_estimated_after_a_few_frames(gl, run, folder):
@@ -83,8 +83,8 @@ def test_size_and_time_are_estimated_after_a_few_frames(gl, run, folder):
     (first, *_) = (n for n, line in enumerate(lines) if line.startswith("41 frames: about "))
     assert status == 0 and 4 < first < 20
     size, unit = re.fullmatch(r"41 frames: about ([0-9.]+) (kB|MB) in total, [0-9]+ (s|minutes) left", lines[first]).groups()[:2]
-    said = float(size) * {"kB": 1e3, "MB": 1e6}[unit]
-    assert said == pytest.approx((folder / "film.webp").stat().st_size, rel=0.5)
+    estimated_bytes = float(size) * {"kB": 1e3, "MB": 1e6}[unit]
+    assert estimated_bytes == pytest.approx((folder / "film.webp").stat().st_size, rel=0.5)
 
 
 def test_frames_drawn_by_threads_equal_serial_frames(gl):
@@ -94,10 +94,13 @@ def test_frames_drawn_by_threads_equal_serial_frames(gl):
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     request = FilmRequest(FilmSpan(9, 5400.0, datetime.fromisoformat("2024-10-21T07:00:00-04:00")), "map", size=(96, 64))
     moments = frame_moments(scene, request)
-    one, ahead = (list(film_frames(scene, request, moments, Replanner(), threads)) for threads in (0, 3))
-    assert [frame.moment.number for frame in ahead] == list(range(9))
-    assert all((a.color == b.color).all() and a.plan == b.plan and a.switch == b.switch for a, b in zip(one, ahead, strict=True))
-    assert len({frame.color.tobytes() for frame in ahead}) == 9
+    serial_frames, threaded_frames = (list(film_frames(scene, request, moments, Replanner(), threads)) for threads in (0, 3))
+    assert [frame.moment.number for frame in threaded_frames] == list(range(9))
+    assert all(
+        (a.color == b.color).all() and a.plan == b.plan and a.switch == b.switch
+        for a, b in zip(serial_frames, threaded_frames, strict=True)
+    )
+    assert len({frame.color.tobytes() for frame in threaded_frames}) == 9
     frames = film_frames(scene, request, moments, Replanner(), 3)
     next(frames), next(frames)
     frames.close()
@@ -105,18 +108,18 @@ def test_frames_drawn_by_threads_equal_serial_frames(gl):
 
 
 def test_a_film_of_a_moving_sun_equals_stills(gl, run, folder):
-    assert run("render", "jacksboro", *DAY, "--size", "64x48", "-o", "day%d.png")[0] == 0
-    drawn = pngs(folder)
-    assert len(drawn) == 5 and len({each.tobytes() for each in drawn}) == 5
+    assert run("render", "jacksboro", *DAY_SPAN, "--size", "64x48", "-o", "day%d.png")[0] == 0
+    frames = read_pngs(folder)
+    assert len(frames) == 5 and len({frame.tobytes() for frame in frames}) == 5
     assert run("render", "jacksboro", "--time", "2024-10-21T16:30:00-04:00", "--size", "64x48", "-o", "still.png")[0] == 0
-    assert (np.asarray(Image.open("still.png").convert("RGB")) == drawn[3]).all()
+    assert (np.asarray(Image.open("still.png").convert("RGB")) == frames[3]).all()
 
 
 def test_sun_and_camera_can_move_together(gl, run, folder):
     level = Path("jacksboro_wooded")
     keys = [
-        {"at": DAY[1], "eye": [-84.1660, 36.22813, 62], "target": [-84.1582, 36.22573, 0], "fov": 40},
-        {"at": DAY[3], "eye": [-84.1640, 36.22713, 50], "target": [-84.1582, 36.22573, 0], "fov": 40},
+        {"at": DAY_SPAN[1], "eye": [-84.1660, 36.22813, 62], "target": [-84.1582, 36.22573, 0], "fov": 40},
+        {"at": DAY_SPAN[3], "eye": [-84.1640, 36.22713, 50], "target": [-84.1582, 36.22573, 0], "fov": 40},
     ]
     (folder / "fly.yaml").write_text(json.dumps({"size": [48, 36], "keys": keys}))
     status, _, err = run("render", str(level), "--path", "fly.yaml", "--step", "1h", "-o", "fly.webp")
@@ -126,23 +129,23 @@ def test_sun_and_camera_can_move_together(gl, run, folder):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ((*CLOCK, "-o", "film.gif"), "output: 'film.gif' is not allowed. Allowed: a film such as day.webp"),
-        ((*CLOCK, "--lossless", "-o", "film.mp4"), "--lossless: film.mp4 is no .webp film. Use .webp"),
+        ((*CLOCK_SPAN, "-o", "film.gif"), "output: 'film.gif' is not allowed. Allowed: a film such as day.webp"),
+        ((*CLOCK_SPAN, "--lossless", "-o", "film.mp4"), "--lossless: film.mp4 is no .webp film. Use .webp"),
         (("--lossless", "-o", "film.webp"), "from: missing"),
-        ((*CLOCK, "-o", "film.png"), "a name with one number for 6 frames, such as frames/%04d.png"),
-        ((*CLOCK, "-o", "no/film.webp"), "no/film.webp: folder not found"),
-        ((*CLOCK, "--layer", "mask", "-o", "film.webp"), "--layer: 'mask'"),
-        ((*CLOCK, "--light", "sun", "-o", "film.webp"), "--light: cannot be combined with --from"),
-        ((*CLOCK, "--seconds", "3", "-o", "film.webp"), "seconds: cannot be combined with from"),
-        ((*CLOCK, "--view", "hill", "-o", "film.webp"), "view: 'hill'"),
-        ((*CLOCK, "-o", "floor.yaml"), "output: 'floor.yaml'"),
-        ((*DAY, "--view", "eye", "-o", "film.webp"), "time: '2024-10-21T15:00:00-04:00'"),
-        ((*DAY, "--time", "2024-10-21T15:00:00-04:00", "-o", "film.webp"), "--time: cannot be combined with --from"),
-        (("--from", "2024-10-21T15:00:00", *DAY[2:], "-o", "film.webp"), "from: '2024-10-21T15:00:00'"),
-        ((*DAY[:2], "--to", "2024-10-20T15:00:00-04:00", *DAY[4:], "-o", "film.webp"), "to: '2024-10-20T15:00:00-04:00'"),
-        ((*DAY[:4], "--step", "0s", "-o", "film.webp"), "step: '0s'"),
+        ((*CLOCK_SPAN, "-o", "film.png"), "a name with one number for 6 frames, such as frames/%04d.png"),
+        ((*CLOCK_SPAN, "-o", "no/film.webp"), "no/film.webp: folder not found"),
+        ((*CLOCK_SPAN, "--layer", "mask", "-o", "film.webp"), "--layer: 'mask'"),
+        ((*CLOCK_SPAN, "--light", "sun", "-o", "film.webp"), "--light: cannot be combined with --from"),
+        ((*CLOCK_SPAN, "--seconds", "3", "-o", "film.webp"), "seconds: cannot be combined with from"),
+        ((*CLOCK_SPAN, "--view", "hill", "-o", "film.webp"), "view: 'hill'"),
+        ((*CLOCK_SPAN, "-o", "floor.yaml"), "output: 'floor.yaml'"),
+        ((*DAY_SPAN, "--view", "eye", "-o", "film.webp"), "time: '2024-10-21T15:00:00-04:00'"),
+        ((*DAY_SPAN, "--time", "2024-10-21T15:00:00-04:00", "-o", "film.webp"), "--time: cannot be combined with --from"),
+        (("--from", "2024-10-21T15:00:00", *DAY_SPAN[2:], "-o", "film.webp"), "from: '2024-10-21T15:00:00'"),
+        ((*DAY_SPAN[:2], "--to", "2024-10-20T15:00:00-04:00", *DAY_SPAN[4:], "-o", "film.webp"), "to: '2024-10-20T15:00:00-04:00'"),
+        ((*DAY_SPAN[:4], "--step", "0s", "-o", "film.webp"), "step: '0s'"),
         (
-            (*DAY[:4], "--step", "0.1s", "-o", "film.webp"),
+            (*DAY_SPAN[:4], "--step", "0.1s", "-o", "film.webp"),
             "step: 72001 frames, one every 0.1 s, more than the limit of 10000 frames",
         ),
         (("--fps", "25", "-o", "film.webp"), "from: missing"),
@@ -164,7 +167,7 @@ def test_sun_and_camera_can_move_together(gl, run, folder):
 def test_wrong_options_are_one_line_before_a_frame_is_drawn(run, folder, monkeypatch, options, told):
     monkeypatch.setattr("skugga.selector.film.render_frame", lambda *_: pytest.fail("a frame was drawn"))
     for name, eye in (("low.yaml", [0, 0, -13]), ("off.yaml", [900, 0, 5])):
-        (folder / name).write_text(json.dumps({"keys": [KEYS[0] | {"eye": [0, 9, 5]}, KEYS[1] | {"eye": eye}]}))
+        (folder / name).write_text(json.dumps({"keys": [CAMERA_KEYS[0] | {"eye": [0, 9, 5]}, CAMERA_KEYS[1] | {"eye": eye}]}))
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     status, out, err = run("render", "floor.yaml", *options)
     assert status == (1 if "folder" in told else 2)
@@ -177,30 +180,30 @@ def test_the_default_light_is_reported(gl, run, folder):
     standard error is no terminal.
     """
     (folder / "bare.yaml").write_text(json.dumps({key: value for key, value in LEVEL.items() if key != "sun"}))
-    for more in (("-o", "bare.png"), (*CLOCK, "--view", "eye", "-o", "bare.webp")):
-        for level, is_said in (("bare", True), ("floor", False)):
-            status, _, err = run("render", f"{level}.yaml", "--size", "64x48", *more)
-            assert status == 0 and ("skugga: bare is drawn with its default light, the sun " in err) == is_said, err
+    for options in (("-o", "bare.png"), (*CLOCK_SPAN, "--view", "eye", "-o", "bare.webp")):
+        for level, is_reported in (("bare", True), ("floor", False)):
+            status, _, err = run("render", f"{level}.yaml", "--size", "64x48", *options)
+            assert status == 0 and ("skugga: bare is drawn with its default light, the sun " in err) == is_reported, err
 
 
 def test_each_wrong_key_of_a_camera_is_one_line(run, folder):
-    (folder / "camera.yaml").write_text(json.dumps({"keys": [KEYS[0], KEYS[1] | {"at": "soon", "eye": [1, 2]}]}))
+    (folder / "camera.yaml").write_text(json.dumps({"keys": [CAMERA_KEYS[0], CAMERA_KEYS[1] | {"at": "soon", "eye": [1, 2]}]}))
     status, _, err = run("render", "floor.yaml", "--path", "camera.yaml", "-o", "film.webp")
     assert status == 2 and [line.split(": ")[2] for line in err.splitlines()] == ["keys.1.at", "keys.1.eye"]
 
 
 def test_without_the_encoder_the_extra_is_named(run, folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    status, _, err = run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", "film.mp4")
+    status, _, err = run("render", "floor.yaml", *CLOCK_SPAN, "--view", "eye", "-o", "film.mp4")
     assert status == 2 and err.count("\n") == 1 and "skugga[film]" in err
 
 
 @pytest.mark.parametrize("output", ["film.webp", "film.mp4", "frames/%d.png"])
 def test_a_full_disk_is_reported_and_leaves_no_file(gl, run, folder, full_disk, output):
-    run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", output)  # compiles and caches the loops before the disk is full
+    run("render", "floor.yaml", *CLOCK_SPAN, "--view", "eye", "-o", output)  # compiles and caches the loops before the disk is full
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     with full_disk(1000):
-        status, _, err = run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", output)
+        status, _, err = run("render", "floor.yaml", *CLOCK_SPAN, "--view", "eye", "-o", output)
     lines = [line for line in err.splitlines() if line.startswith("skugga:")]
     assert status == 1 and len(lines) == 1 and output.partition("/")[0] in lines[0]
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
@@ -233,23 +236,23 @@ def test_a_terminal_shows_a_bar_with_the_time_left(gl, folder):
     import pty
 
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
-    ours, theirs = pty.openpty()
+    controller_fd, terminal_fd = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", *CLOCK, "-o", "film.webp"],
-        stderr=theirs, env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
+        [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", *CLOCK_SPAN, "-o", "film.webp"],
+        stderr=terminal_fd, env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
     )  # fmt: skip
-    os.close(theirs)
-    said, until = b"", time.monotonic() + 120
-    while time.monotonic() < until:
+    os.close(terminal_fd)
+    output, deadline = b"", time.monotonic() + 120
+    while time.monotonic() < deadline:
         try:
-            said += (part := os.read(ours, 4096))
+            output += (part := os.read(controller_fd, 4096))
         except OSError:  # the other end is closed
             break
         if not part:
             break
-    os.close(ours)
+    os.close(controller_fd)
     assert process.wait(120) == 0
-    assert b"Filming" in said and b"6/6" in said and b"0:00:0" in said and b"[3/6] frame" not in said
+    assert b"Filming" in output and b"6/6" in output and b"0:00:0" in output and b"[3/6] frame" not in output
 
 
 def test_help_states_the_default_frame_rate(run):

@@ -13,11 +13,11 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
-LEFT_OUT = re.compile(r"^#(?! \S)(?=.)")
+COMMENTED_OUT = re.compile(r"^#(?! \S)(?=.)")
 """A commented-out line of the level: in comments, a single space and a word follow the "#"; here they do not."""
 
 
-def hills(folder: Path, crs: str = "EPSG:32633", name: str = "dem.tif") -> Path:
+def write_hills(folder: Path, crs: str = "EPSG:32633", name: str = "dem.tif") -> Path:
     row, col = np.mgrid[:120, :150].astype(np.float32)
     return write_geotiff(folder / name, 600 + 250 * np.sin(col / 11) * np.cos(row / 9), crs, 500e3, 5200e3, 30.0)
 
@@ -30,19 +30,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("crs", ["EPSG:32633", ENGINEERING])
 def test_init_writes_the_raster_s_own_level(run, folder, crs):
-    raster = hills(folder, crs)
+    raster = write_hills(folder, crs)
     assert run("init", "dem.tif") == (0, "Wrote dem.yaml. To view it: skugga serve dem.yaml\n", "")
-    written, own = load_level(folder / "dem.yaml"), build_scene(load_level(raster)).loaded
-    assert written.source == own.source == str(raster)
-    keep = {"views"}
-    assert written.level.model_dump(exclude=keep) == own.level.model_dump(exclude=keep)
-    assert list(written.level.views) == ["map", "view"]
+    written_level, raster_level = load_level(folder / "dem.yaml"), build_scene(load_level(raster)).loaded
+    assert written_level.source == raster_level.source == str(raster)
+    excluded_keys = {"views"}
+    assert written_level.level.model_dump(exclude=excluded_keys) == raster_level.level.model_dump(exclude=excluded_keys)
+    assert list(written_level.level.views) == ["map", "view"]
     status, out, err = run("validate", "dem.yaml")
     assert (status, err) == (0, "") and "valid. dem; views: map, view" in out
 
 
 def test_the_view_shows_both_lit_and_shaded_ground(gl, run, folder):
-    hills(folder)
+    write_hills(folder)
     assert run("init", "dem.tif", "-o", "a.yaml")[0] == 0
     assert run("render", "a.yaml", "--view", "view", "--layer", "mask", "--size", "160x128", "-o", "mask.png") == (0, "", "")
     mask = np.asarray(Image.open("mask.png"))
@@ -50,19 +50,19 @@ def test_the_view_shows_both_lit_and_shaded_ground(gl, run, folder):
 
 
 def test_every_commented_out_part_is_valid(run, folder):
-    hills(folder)
+    write_hills(folder)
     assert run("init", "dem.tif")[0] == 0
     lines = (folder / "dem.yaml").read_text(encoding="utf-8").splitlines()
     parts, part = [], []
     for number, line in enumerate([*lines, ""]):
-        if LEFT_OUT.match(line):
+        if COMMENTED_OUT.match(line):
             part.append(number)
         elif part:
             parts.append(part)
             part = []
     assert len(parts) == 11
     for chosen in (*parts, [number for part in parts for number in part]):
-        text = "\n".join(LEFT_OUT.sub("", line) if number in chosen else line for number, line in enumerate(lines))
+        text = "\n".join(COMMENTED_OUT.sub("", line) if number in chosen else line for number, line in enumerate(lines))
         (folder / "more.yaml").write_text(text, encoding="utf-8")
         load_level(folder / "more.yaml")
     level = load_level(folder / "more.yaml").level
@@ -71,7 +71,7 @@ def test_every_commented_out_part_is_valid(run, folder):
 
 
 def test_options_of_the_raster_are_written(run, folder):
-    hills(folder)
+    write_hills(folder)
     (folder / "trees").mkdir()
     write_geotiff(folder / "trees" / "canopy.tif", np.zeros((9, 9), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
     (folder / "houses.geojson").write_text("{}")
@@ -85,14 +85,14 @@ def test_options_of_the_raster_are_written(run, folder):
 
 def test_titles_and_paths_are_quoted_for_yaml(run, folder):
     (folder / "there").mkdir()
-    hills(folder, name='yes: "8" #1.tif')
+    write_hills(folder, name='yes: "8" #1.tif')
     assert run("init", 'yes: "8" #1.tif', "-o", "there/it.yaml")[0] == 0
     loaded = load_level(folder / "there" / "it.yaml")
     assert loaded.level.title == 'yes: "8" #1' and loaded.source == str(folder / 'yes: "8" #1.tif')
 
 
 def test_an_existing_file_is_kept_without_force(run, folder):
-    hills(folder)
+    write_hills(folder)
     (folder / "dem.yaml").write_text("mine")
     status, out, err = run("init", "dem.tif")
     assert (status, out) == (2, "") and err.count("\n") == 1 and "dem.yaml" in err and "--force" in err
@@ -110,9 +110,9 @@ def test_an_existing_file_is_kept_without_force(run, folder):
     ],
 )
 def test_wrong_input_of_init_is_one_line(run, folder, arguments, status, words):
-    hills(folder)
-    said, out, err = run("init", *arguments)
-    assert (said, out) == (status, "") and err.count("\n") == 1
+    write_hills(folder)
+    exit_status, out, err = run("init", *arguments)
+    assert (exit_status, out) == (status, "") and err.count("\n") == 1
     for word in words:
         assert word in err
     assert [path.name for path in folder.iterdir()] == ["dem.tif"]

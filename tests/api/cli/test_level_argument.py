@@ -16,7 +16,7 @@ from skugga.api.http.server import server
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.products.mask import MASK_NO_SURFACE, MASK_SHADOW
 from skugga.api.settings import Settings
-from skugga.api.workers.piped_process import Spawned
+from skugga.api.workers.piped_process import SpawnedWorker
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
@@ -51,12 +51,12 @@ def site(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def all_of(site: Path) -> LevelSource:
+def full_level_source(site: Path) -> LevelSource:
     return LevelSource(path=site / "dem.tif", canopy=site / "canopy.tif", buildings=site / "houses.geojson", nodata=7.0)
 
 
 def test_options_and_a_level_file_make_the_same_level(site):
-    options, file = (build_scene(load_level(source)) for source in (all_of(site), site / "level.yaml"))
+    options, file = (build_scene(load_level(source)) for source in (full_level_source(site), site / "level.yaml"))
     assert options.objects.kinds == file.objects.kinds == ("relief", "meshes", "forest")
     assert set(options.loaded.sources) == set(file.loaded.sources)
     assert options.loaded.level.terrain == file.loaded.level.terrain and options.loaded.level.title == file.loaded.level.title
@@ -66,10 +66,10 @@ def test_canopy_and_buildings_cast_shadows(gl, run, site):
     options = {"--canopy": site / "canopy.tif", "--buildings": site / "houses.geojson"}
     shaded = {}
     for names in ((), ("--canopy",), ("--buildings",), ("--canopy", "--buildings")):
-        given = [word for name in names for word in (name, str(options[name]))]
+        raster_options = [word for name in names for word in (name, str(options[name]))]
         path = site / "mask.png"
-        where = ("--layer", "mask", "--size", "160x160", "--algorithm", "shadow_map", "-o", str(path))
-        assert run("render", str(site / "dem.tif"), *given, *SUN, *where) == (0, "", "")
+        output_options = ("--layer", "mask", "--size", "160x160", "--algorithm", "shadow_map", "-o", str(path))
+        assert run("render", str(site / "dem.tif"), *raster_options, *SUN, *output_options) == (0, "", "")
         shaded[names] = int((np.asarray(Image.open(path)) == MASK_SHADOW).sum())
     assert shaded[()] == 0
     # The house: 20 m wide, 10 m / tan 30 degrees = 17.3 m of shadow, in pixels of 1 m.
@@ -79,39 +79,45 @@ def test_canopy_and_buildings_cast_shadows(gl, run, site):
 
 
 def test_shade_select_and_validate_accept_the_options(gl, run, site):
-    raster, given = str(site / "dem.tif"), ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson"))
-    assert run("shade", raster, *given, *SUN, "-o", str(site / "mask.tif")) == (0, "", "")
+    raster, object_options = (
+        str(site / "dem.tif"),
+        ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson")),
+    )
+    assert run("shade", raster, *object_options, *SUN, "-o", str(site / "mask.tif")) == (0, "", "")
     with rasterio.open(site / "mask.tif") as dataset:
         assert (dataset.read(1) == MASK_SHADOW).sum() > 60
-    status, out, _ = run("validate", raster, *given)
+    status, out, _ = run("validate", raster, *object_options)
     assert status == 0 and " trees, " in out and "1 meshes of" in out
-    status, out, _ = run("select", raster, *given, "--policy", "rules", "--json")
+    status, out, _ = run("select", raster, *object_options, "--policy", "rules", "--json")
     assert status == 0 and set(json.loads(out)["algorithm"]["sun"]) == {"relief", "meshes", "forest"}
 
 
 def test_validate_reports_trees_and_footprints(run, site):
-    raster, given = str(site / "dem.tif"), ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson"))
-    status, out, _ = run("validate", raster, *given)
+    raster, object_options = (
+        str(site / "dem.tif"),
+        ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson")),
+    )
+    status, out, _ = run("validate", raster, *object_options)
     assert status == 0 and "note: " in out and "warning" not in out
     assert "houses.geojson: heights: 1 of 1 footprints from the attribute 'height_m'" in out
-    planted = re.search(r"note: .*canopy.tif: (\d+) trees planted; left out: of its cells 99.6 % lower than 0.5 m\n", out)
-    assert planted is not None and f"note: {planted[1]} trees, " in out
+    tree_note = re.search(r"note: .*canopy.tif: (\d+) trees planted; left out: of its cells 99.6 % lower than 0.5 m\n", out)
+    assert tree_note is not None and f"note: {tree_note[1]} trees, " in out
 
 
 def test_every_command_warns_of_a_canopy_without_trees(gl, run, site):
     """Each command warns in one line and goes on."""
     write_geotiff(site / "canopy.tif", np.zeros((80, 80), np.float32), "EPSG:32633", WEST, NORTH, CELL)
     raster, canopy = str(site / "dem.tif"), str(site / "canopy.tif")
-    said = f"{canopy}: no tree is planted: of its cells 100 % lower than 0.5 m\n"
+    warning = f"{canopy}: no tree is planted: of its cells 100 % lower than 0.5 m\n"
     size, date = ("--size", "40x40"), ("--date", "2024-03-21", "--step", "1h")
     for command, options in (("render", (*SUN, *size)), ("shade", SUN), ("sunhours", date)):
         status, _, err = run(command, raster, "--canopy", canopy, *options, "-o", str(site / f"{command}.tif"))
-        assert (status, err) == (0, f"skugga: warning: {said}"), command
-    assert f"note: warning: {said}" in run("validate", raster, "--canopy", canopy)[1]
+        assert (status, err) == (0, f"skugga: warning: {warning}"), command
+    assert f"note: warning: {warning}" in run("validate", raster, "--canopy", canopy)[1]
 
 
 def test_the_service_and_its_workers_accept_the_options(site):
-    levels = ServedLevels([all_of(site)])
+    levels = ServedLevels([full_level_source(site)])
     level = levels.get("dem")
     assert level.loaded.level.forest and level.summary()["warnings"] == []
     assert build_scene(load_level(level.key)).objects.kinds == ("relief", "meshes", "forest")
@@ -143,11 +149,11 @@ def test_heights_without_a_unit_on_a_grid_in_feet_warn(gl, run, site):
     heights[:, :40] += 10.0
     raster = str(write_geotiff(site / "feet.tif", heights, "EPSG:2994", 636_000.0, 848_000.0, 3.0))
     shadow_m = {}
-    for given in ((), ("--units", "m"), ("--units", "ft")):
-        status, _, err = run("shade", raster, "--azimuth", "271", "--altitude", "20", *given, "-o", str(site / "mask.tif"))
-        assert status == 0 and ("x and y are in feet" in err and "--units ft" in err) is (given == ())
+    for unit_options in ((), ("--units", "m"), ("--units", "ft")):
+        status, _, err = run("shade", raster, "--azimuth", "271", "--altitude", "20", *unit_options, "-o", str(site / "mask.tif"))
+        assert status == 0 and ("x and y are in feet" in err and "--units ft" in err) is (unit_options == ())
         with rasterio.open(site / "mask.tif") as dataset:
-            shadow_m[given[-1:]] = float((dataset.read(1)[5:-5] == MASK_SHADOW).sum(axis=1).mean()) * 3.0 * 0.3048
+            shadow_m[unit_options[-1:]] = float((dataset.read(1)[5:-5] == MASK_SHADOW).sum(axis=1).mean()) * 3.0 * 0.3048
     assert shadow_m[()] == shadow_m["m",] == pytest.approx(10.0 / np.tan(np.radians(20.0)), rel=0.06)
     assert shadow_m["ft",] == pytest.approx(3.048 / np.tan(np.radians(20.0)), rel=0.12)
     assert "warning" in run("validate", raster)[1] and "warning" not in run("validate", raster, "--units", "us-ft")[1]
@@ -168,10 +174,10 @@ def test_validate_reports_the_unit_and_direction_of_heights(run, site):
     fathoms = str(write_geotiff(site / "fathoms.tif", depths / np.float32(1.8288), "EPSG:32633", WEST, NORTH, CELL))
     with rasterio.open(fathoms, "r+") as dataset:
         dataset.units = ("fathoms",)
-    odd = str(write_geotiff(site / "odd.tif", depths, "EPSG:32633", WEST, NORTH, CELL))
-    with rasterio.open(odd, "r+") as dataset:
+    depth_raster = str(write_geotiff(site / "odd.tif", depths, "EPSG:32633", WEST, NORTH, CELL))
+    with rasterio.open(depth_raster, "r+") as dataset:
         dataset.units = ("furlong",)
-    for given, heights, said in (
+    for arguments, heights, message in (
         ((named,), "-100 to -20 m", "heights in m (by its band), positive down (by its CRS 'MSL depth')"),
         ((named, "--positive", "up"), "20 to 100 m", "heights in m (by its band), positive up (by terrain.positive)"),
         ((plain,), "20 to 100 m", "heights in m (no unit is stated), positive up (no direction is stated); if that is wrong"),
@@ -179,11 +185,11 @@ def test_validate_reports_the_unit_and_direction_of_heights(run, site):
         ((plain, "--units", "dm"), "2 to 10 m", "heights in dm (by terrain.units), positive up"),
         ((fathoms, "--positive", "down"), "-100 to -20 m", "heights in fathom (by its band), positive down"),
     ):
-        status, out, err = run("validate", *given)
-        assert (status, err) == (0, "") and f"heights {heights}," in out and said in out, given
-    status, _, err = run("validate", odd)
+        status, out, err = run("validate", *arguments)
+        assert (status, err) == (0, "") and f"heights {heights}," in out and message in out, arguments
+    status, _, err = run("validate", depth_raster)
     assert status == 2 and "unit furlong of its band" in err and "us-ft, dm" in err and err.count("\n") == 1
-    assert run("validate", odd, "--units", "fathom")[0] == 0
+    assert run("validate", depth_raster, "--units", "fathom")[0] == 0
     assert run("init", plain, "--positive", "down", "-o", str(site / "depths.yaml"))[::2] == (0, "")
     assert "\n  positive: down\n" in (site / "depths.yaml").read_text()
 
@@ -219,11 +225,11 @@ def test_a_level_file_refuses_raster_options(site):
 
 
 @pytest.fixture
-def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]]]:
+def serve_calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]]]:
     """Return a list that collects the folder and level names of each call of the server."""
     calls: list[tuple[Path | None, list[str]]] = []
 
-    def note(settings: Settings, levels: list[LevelSource], archives: list[Path], spawned: Spawned | None) -> None:
+    def note(settings: Settings, levels: list[LevelSource], archives: list[Path], spawned_worker: SpawnedWorker | None) -> None:
         assert not archives
         calls.append((settings.levels, [level.path.stem for level in levels]))
 
@@ -232,11 +238,11 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]
     return calls
 
 
-def test_levels_come_from_the_command_or_the_setting(run, served, site: Path, monkeypatch: pytest.MonkeyPatch):
+def test_levels_come_from_the_command_or_the_setting(run, serve_calls, site: Path, monkeypatch: pytest.MonkeyPatch):
     level = str(site / "dem.tif")
     for arguments in (("--levels", str(site)), (level,), (level, "--levels", str(site)), ()):
         assert run("serve", *arguments) == (0, "", "")
     monkeypatch.setenv("SKUGGA_LEVELS", str(site))
     assert run("serve") == (0, "", "")
     bundled = [path.stem for path in bundled_levels()]
-    assert served == [(site, []), (None, ["dem"]), (site, ["dem"]), (None, bundled), (site, [])]
+    assert serve_calls == [(site, []), (None, ["dem"]), (site, ["dem"]), (None, bundled), (site, [])]

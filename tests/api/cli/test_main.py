@@ -17,7 +17,7 @@ from PIL import Image
 from skugga.api.products.mask import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
 from tests.rasters import write_geotiff
 
-SMALL = ("--size", "96x100", "--azimuth", "246", "--altitude", "12")
+SMALL_MAP_OPTIONS = ("--size", "96x100", "--azimuth", "246", "--altitude", "12")
 
 
 def test_render_writes_every_layer(gl, run, tmp_path):
@@ -26,7 +26,7 @@ def test_render_writes_every_layer(gl, run, tmp_path):
         ("color", "png"), ("shadow", "webp"), ("mask", "png"), ("visibility", "npy"), ("depth", "npy"), ("position", "npy"),
     ):  # fmt: skip
         path = tmp_path / f"{layer}.{suffix}"
-        status, out, err = run("render", "jacksboro", *SMALL, "--layer", layer, "-o", str(path))
+        status, out, err = run("render", "jacksboro", *SMALL_MAP_OPTIONS, "--layer", layer, "-o", str(path))
         assert (status, out, err) == (0, "", "")
         arrays[layer] = np.load(path) if suffix == "npy" else np.asarray(Image.open(path))
     valid = np.isfinite(arrays["visibility"])
@@ -71,12 +71,12 @@ def test_a_geotiff_has_the_requested_bounds_and_crs(gl, run, tmp_path):
 
 def test_stats_report_passes_and_device(gl, run, tmp_path):
     stats = tmp_path / "stats.json"
-    assert run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "c.png"), "--stats", str(stats))[0] == 0
-    said = json.loads(stats.read_text())
-    assert [record["name"] for record in said["passes"]] == said["plan"]["passes"]
-    assert said["caster_reach"]["clipped"] is True and said["caster_reach"]["needed_m"] > 5000
-    assert said["sun"]["altitude"] == 12 and said["view"]["size"] == [96, 100]
-    assert said["device"]["renderer"] == gl.renderer
+    assert run("render", "jacksboro", *SMALL_MAP_OPTIONS, "-o", str(tmp_path / "c.png"), "--stats", str(stats))[0] == 0
+    report = json.loads(stats.read_text())
+    assert [record["name"] for record in report["passes"]] == report["plan"]["passes"]
+    assert report["caster_reach"]["clipped"] is True and report["caster_reach"]["needed_m"] > 5000
+    assert report["sun"]["altitude"] == 12 and report["view"]["size"] == [96, 100]
+    assert report["device"]["renderer"] == gl.renderer
 
 
 def test_each_option_changes_the_picture(gl, run, tmp_path):
@@ -85,13 +85,13 @@ def test_each_option_changes_the_picture(gl, run, tmp_path):
         assert run("render", "jacksboro", "--size", "120x120", *options, "-o", str(path))[0] == 0
         return np.asarray(Image.open(path))
 
-    usual = picture()
+    default_picture = picture()
     for options in (
         ("--algorithm", "none"), ("--algorithm", "relief=none"), ("--time", "2024-10-21T09:00:00-04:00"), ("--filter", "5"),
         ("--azimuth", "100", "--altitude", "10"), ("--map-size", "64"), ("--bounds", "741000,4008000,751000,4018000"),
         ("--crs", "3857"),
     ):  # fmt: skip
-        assert (picture(*options) != usual).any(), options
+        assert (picture(*options) != default_picture).any(), options
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_a_raster_that_cannot_be_used_is_status_2(run, tmp_path):
 
 
 def test_an_unwritable_output_is_status_1(run, tmp_path):
-    status, _, err = run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "no" / "such" / "x.png"))
+    status, _, err = run("render", "jacksboro", *SMALL_MAP_OPTIONS, "-o", str(tmp_path / "no" / "such" / "x.png"))
     assert status == 1 and "x.png" in err and err.count("\n") == 1
 
 
@@ -180,7 +180,7 @@ def test_an_unexpected_error_is_one_line(run, tmp_path, monkeypatch):
         raise ZeroDivisionError("of all things")
 
     monkeypatch.setattr("skugga.api.cli.snapshot.compute", broken)
-    status, _, err = run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "x.png"))
+    status, _, err = run("render", "jacksboro", *SMALL_MAP_OPTIONS, "-o", str(tmp_path / "x.png"))
     assert status == 1 and err.count("\n") == 1 and "ZeroDivisionError" in err and "--debug" in err
 
 
@@ -194,7 +194,9 @@ def test_a_signal_in_a_compiled_loop_ends_the_command_cleanly(run, tmp_path, mon
         raise SystemError("returned a result with an exception set") from ended_by
 
     monkeypatch.setattr("skugga.api.cli.snapshot.compute", interrupted)
-    status, _, err = run("render", "jacksboro", *SMALL, "--azimuth", "200", "--altitude", "30", "-o", str(tmp_path / "x.png"))
+    status, _, err = run(
+        "render", "jacksboro", *SMALL_MAP_OPTIONS, "--azimuth", "200", "--altitude", "30", "-o", str(tmp_path / "x.png")
+    )
     assert (status, err) == expected
 
 
@@ -238,8 +240,8 @@ def test_doctor_finds_that_this_machine_can_draw(gl, run):
     findings = {finding["subject"]: finding for finding in json.loads(out)}
     assert findings["OpenGL"]["ok"] and gl.renderer in findings["OpenGL"]["detail"]
     assert findings["a shadowed map"]["ok"]
-    used = [subject for subject, finding in findings.items() if finding["detail"].endswith("in use")]
-    assert used == [f"EGL device {gl.egl_device.index}"] and gl.renderer in findings[used[0]]["detail"]
+    used_devices = [subject for subject, finding in findings.items() if finding["detail"].endswith("in use")]
+    assert used_devices == [f"EGL device {gl.egl_device.index}"] and gl.renderer in findings[used_devices[0]]["detail"]
     assert status == (0 if all(finding["ok"] for finding in findings.values()) else 1)
 
 
@@ -273,14 +275,14 @@ def test_the_installed_command_runs():
     command = Path(sys.executable).with_name("skugga")
     if not command.is_file():
         pytest.skip("skugga is not installed beside this Python")
-    done = subprocess.run([command, "render", "nowhere", "-o", "x.png"], capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and done.stderr.startswith("skugga: LEVEL") and done.stderr.count("\n") == 1
+    process = subprocess.run([command, "render", "nowhere", "-o", "x.png"], capture_output=True, text=True, check=False)
+    assert process.returncode == 2 and process.stderr.startswith("skugga: LEVEL") and process.stderr.count("\n") == 1
 
 
 def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypatch):
     monkeypatch.setattr("skugga.selector.measure.compare.ROW_REPEATS", 1)
     rows_file, folder = tmp_path / "rows.json", tmp_path / "errors"
-    status, out, err = run("compare", "jacksboro", *SMALL, "--json", str(rows_file), "-o", str(folder))
+    status, out, err = run("compare", "jacksboro", *SMALL_MAP_OPTIONS, "--json", str(rows_file), "-o", str(folder))
     assert (status, err) == (0, "")
     rows = json.loads(rows_file.read_text())
     assert len(rows) >= 8 and {row["algorithm"]["sun"]["relief"] for row in rows} == {
@@ -302,12 +304,12 @@ def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypa
 
 
 def test_compare_prints_commands_for_the_rows_it_left_out(gl, run, monkeypatch):
-    status, out, err = run("compare", "jacksboro", *SMALL, "--time-limit", "0")
+    status, out, err = run("compare", "jacksboro", *SMALL_MAP_OPTIONS, "--time-limit", "0")
     assert (status, err) == (0, "") and "soft %" in out
     commands = [line.strip() for line in out.splitlines() if line.startswith("  skugga compare ")]
     assert commands and all("--only" in command and "--time-limit" not in command for command in commands)
     words = shlex.split(commands[0])
-    assert words[2] == "jacksboro" and all(word in words for word in SMALL)
+    assert words[2] == "jacksboro" and all(word in words for word in SMALL_MAP_OPTIONS)
     status, out, err = run(*words[1:])
     assert (status, err) == (0, "") and words[-1] in out and "left out" not in out
 
@@ -315,7 +317,7 @@ def test_compare_prints_commands_for_the_rows_it_left_out(gl, run, monkeypatch):
 @pytest.mark.parametrize("option", ["-o", "--json"])
 def test_compare_refuses_an_unwritable_output_at_once(run, tmp_path, option):
     (tmp_path / "file").write_text("kept")
-    status, _, err = run("compare", "jacksboro", *SMALL, option, str(tmp_path / "file" / "inside"))
+    status, _, err = run("compare", "jacksboro", *SMALL_MAP_OPTIONS, option, str(tmp_path / "file" / "inside"))
     assert status == 2 and err.count("\n") == 1 and str(tmp_path / "file" / "inside") in err and "folder" in err
     assert (tmp_path / "file").read_text() == "kept"
 
@@ -327,10 +329,10 @@ def test_truth_needs_no_opengl(tmp_path):
         f" '-o', {str(tmp_path / 'x.png')!r}, '--stats', {str(tmp_path / 's.json')!r}]\n"
         "from skugga.api.cli.main import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    said = json.loads((tmp_path / "s.json").read_text())
-    assert said["device"] is None and said["plan"]["algorithm"] == {"sun": {"relief": "truth"}}
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    report = json.loads((tmp_path / "s.json").read_text())
+    assert report["device"] is None and report["plan"]["algorithm"] == {"sun": {"relief": "truth"}}
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-inf", "1e10"])

@@ -67,9 +67,9 @@ def test_no_file_of_a_level_is_an_output(folder, name):
     (folder / "link").symlink_to(name)
     os.link(folder / name, folder / "twin")
     (folder / "sub").mkdir()
-    for spelt in (name, f"./sub/../{name}", str(folder / name), "link", "twin"):
+    for path_text in (name, f"./sub/../{name}", str(folder / name), "link", "twin"):
         with pytest.raises(InputError, match=rf"--output: .*{name}"):
-            check_targets(level, [("--output", Path(spelt))])
+            check_targets(level, [("--output", Path(path_text))])
 
 
 def test_other_files_are_outputs_whether_or_not_they_exist(folder):
@@ -121,20 +121,20 @@ def test_a_full_disk_is_reported_and_keeps_the_old_file(run, folder, full_disk, 
 
 @pytest.mark.parametrize("limit", [0, 700, 8000])
 def test_a_raster_on_a_full_disk_is_an_error(run, folder, full_disk, limit):
-    asked = ("shade", "dem.tif", "--layer", "cosi", "--azimuth", "225", "--altitude", "30", "-o")
-    assert run(*asked, "first.tif")[0] == 0  # compiles and caches the loops before the disk is full
+    arguments = ("shade", "dem.tif", "--layer", "cosi", "--azimuth", "225", "--altitude", "30", "-o")
+    assert run(*arguments, "first.tif")[0] == 0  # compiles and caches the loops before the disk is full
     with full_disk(limit):
-        status, _, err = run(*asked, "cosi.tif")
+        status, _, err = run(*arguments, "cosi.tif")
     assert status == 1 and err.count("\n") == 1 and "cosi.tif" in err
     assert not (folder / "cosi.tif").exists() and not list(folder.glob(".*"))
 
 
 def test_contours_on_a_full_disk_keep_the_old_file(run, folder, full_disk):
-    asked = ("sunhours", "dem.tif", "-o", "hours.tif", "--date", "2024-03-21", "--step", "1h", "--contours", "hours.gpkg")
-    assert run(*asked)[0] == 0  # compiles the loops and caches them in files
+    arguments = ("sunhours", "dem.tif", "-o", "hours.tif", "--date", "2024-03-21", "--step", "1h", "--contours", "hours.gpkg")
+    assert run(*arguments)[0] == 0  # compiles the loops and caches them in files
     (folder / "hours.gpkg").write_bytes(b"old")
     with full_disk(90_000):  # enough for the raster
-        status, _, err = run(*asked)
+        status, _, err = run(*arguments)
     assert status == 1 and err.count("\n") == 1 and "hours.gpkg" in err
     assert (folder / "hours.gpkg").read_bytes() == b"old" and not list(folder.glob(".*"))
     with rasterio.open("hours.tif") as dataset:

@@ -21,9 +21,9 @@ SENTINEL = -32768
 
 
 @pytest.fixture(autouse=True)
-def a_small_raster_is_big(monkeypatch):
-    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 300_000)
-    monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 300_000)
+def lower_overview_limits(monkeypatch):
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 300_000)
+    monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 300_000)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
     monkeypatch.setattr(overview, "MAX_CELLS_READ", 500_000)
 
@@ -64,13 +64,13 @@ def test_the_error_names_the_command_that_makes_overviews(run, tmp_path, kind):
     path = raster_of(tmp_path, relief())
     path = mosaic_of(path) if kind == "vrt" else path
     before = path.read_bytes()
-    with pytest.raises(SourceError) as refused:
+    with pytest.raises(SourceError) as error_info:
         Elevation(str(path))
-    assert f"'skugga overviews {path}'" in str(refused.value) and "gdaladdo" in str(refused.value)
-    names = {each.name for each in tmp_path.iterdir()}
+    assert f"'skugga overviews {path}'" in str(error_info.value) and "gdaladdo" in str(error_info.value)
+    names = {file.name for file in tmp_path.iterdir()}
     assert run("overviews", str(path)) == (0, f"Wrote {path}.ovr\n", "")
     assert path.read_bytes() == before
-    assert {each.name for each in tmp_path.iterdir()} == names | {f"{path.name}.ovr"}
+    assert {file.name for file in tmp_path.iterdir()} == names | {f"{path.name}.ovr"}
     elevation = Elevation(str(path))
     with rasterio.open(path) as dataset:
         assert dataset.overviews(1) == [2, 4, 8, 16, 32]
@@ -86,12 +86,12 @@ def test_the_last_row_of_an_odd_number_is_a_mean_of_one_row(run, tmp_path):
     path = raster_of(tmp_path, relief())
     run("overviews", str(path))
     with rasterio.open(path, OVERVIEW_LEVEL=0) as dataset:
-        found = dataset.read(1)
-    assert found.shape == (551, 650)
+        coarse_heights = dataset.read(1)
+    assert coarse_heights.shape == (551, 650)
     last = relief()[-1].astype(float)
-    np.testing.assert_array_equal(found[-1], np.rint((last[::2] + last[1::2]) / 2))
+    np.testing.assert_array_equal(coarse_heights[-1], np.rint((last[::2] + last[1::2]) / 2))
     first = relief()[:2].astype(float)
-    np.testing.assert_array_equal(found[0], np.rint((first[:, ::2] + first[:, 1::2]).sum(0) / 4))
+    np.testing.assert_array_equal(coarse_heights[0], np.rint((first[:, ::2] + first[:, 1::2]).sum(0) / 4))
 
 
 @pytest.mark.parametrize("marked", [True, False])
@@ -103,12 +103,12 @@ def test_nodata_is_left_out_of_means(run, tmp_path, marked, dtype):
     assert run("overviews", str(path))[0] == 0
     for level in range(5):
         with rasterio.open(path, OVERVIEW_LEVEL=level) as dataset:
-            found = dataset.read(1, masked=True).astype(float).filled(np.nan)
-        valid = (found >= 200) & (found <= 1200)
-        assert np.isnan(found[~valid]).all() or (found[~valid] == SENTINEL).all()
+            coarse_heights = dataset.read(1, masked=True).astype(float).filled(np.nan)
+        valid = (coarse_heights >= 200) & (coarse_heights <= 1200)
+        assert np.isnan(coarse_heights[~valid]).all() or (coarse_heights[~valid] == SENTINEL).all()
         side = 2 ** (level + 1)
-        inside = max(200 / side - 2, 0) ** 2, (200 / side + 1) ** 2  # a coarse cell over at least one height is valid
-        assert inside[0] <= (~valid).sum() <= inside[1]
+        valid_count_range = max(200 / side - 2, 0) ** 2, (200 / side + 1) ** 2  # a coarse cell over at least one height is valid
+        assert valid_count_range[0] <= (~valid).sum() <= valid_count_range[1]
     elevation = Elevation(str(path))
     assert np.nanmin(elevation.overview.heights_m) >= 199.0
 
@@ -120,8 +120,8 @@ def test_a_nodata_value_given_as_an_option(run, tmp_path):
     path = raster_of(tmp_path, heights, nodata=7)
     assert run("overviews", str(path), "--nodata", "0")[0] == 0
     with rasterio.open(path, OVERVIEW_LEVEL=2) as dataset:
-        found = dataset.read(1)
-    assert set(np.unique(found)) == {0, 1000}
+        coarse_heights = dataset.read(1)
+    assert set(np.unique(coarse_heights)) == {0, 1000}
     status, _, err = run("overviews", str(raster_of(tmp_path, relief())), "--nodata", "0.5")
     assert status == 2 and "--nodata" in err and "int16" in err
 
@@ -134,36 +134,36 @@ def test_means_respect_unit_and_direction_of_heights(run, tmp_path, case):
     values = (9000 if depth else 6000) + (values - values.min()) * ((1900 if depth else 8400) / np.ptp(values))
     crs = "EPSG:32633+5715" if case == "named depths" else "EPSG:32633+8228" if "named" in case else "EPSG:32633"
     path = write_geotiff(tmp_path / "dem.tif", values, crs, 500e3, 5200e3, 30.0, tiled=True, geotiff_version="1.0")
-    given = () if "named" in case else ("--positive", "down") if depth else ("--units", "ft")
-    assert run("overviews", str(path), *given)[0] == 0
+    options = () if "named" in case else ("--positive", "down") if depth else ("--units", "ft")
+    assert run("overviews", str(path), *options)[0] == 0
     with rasterio.open(path, OVERVIEW_LEVEL=0) as dataset:
-        found = dataset.read(1)[:550]
-    np.testing.assert_allclose(found, values[:1100].reshape(550, 2, 650, 2).mean((1, 3)), rtol=1e-6)
+        coarse_heights = dataset.read(1)[:550]
+    np.testing.assert_allclose(coarse_heights, values[:1100].reshape(550, 2, 650, 2).mean((1, 3)), rtol=1e-6)
 
 
 def test_a_small_raster_needs_no_overviews(run, tmp_path):
     path = raster_of(tmp_path, relief()[:300, :400])
     status, out, err = run("overviews", str(path))
     assert (status, err) == (0, "") and "needs no overviews: 400 x 300 cells" in out
-    assert [each.name for each in tmp_path.iterdir()] == ["dem.tif"]
+    assert [file.name for file in tmp_path.iterdir()] == ["dem.tif"]
 
 
 def test_unsuitable_rasters_are_refused_with_a_remedy(run, tmp_path):
-    two = write_geotiff(tmp_path / "two.tif", np.stack([relief(), relief()]), "EPSG:32633", 500e3, 5200e3, 30.0)
-    inner = shutil.copy(raster_of(tmp_path, relief()), tmp_path / "inner.tif")
-    with rasterio.open(inner, "r+") as dataset:
+    two_band_raster = write_geotiff(tmp_path / "two.tif", np.stack([relief(), relief()]), "EPSG:32633", 500e3, 5200e3, 30.0)
+    raster_with_overviews = shutil.copy(raster_of(tmp_path, relief()), tmp_path / "inner.tif")
+    with rasterio.open(raster_with_overviews, "r+") as dataset:
         dataset.build_overviews([2])
     masked = shutil.copy(tmp_path / "dem.tif", tmp_path / "masked.tif")
     with rasterio.open(masked, "r+") as dataset:
         dataset.write_mask(np.tri(ROWS, COLS) > 0)
-    names = {each.name for each in tmp_path.iterdir()}
-    for path, word in ((two, "2 bands"), (inner, "overviews in the file itself"), (masked, "a mask")):
+    names = {file.name for file in tmp_path.iterdir()}
+    for path, word in ((two_band_raster, "2 bands"), (raster_with_overviews, "overviews in the file itself"), (masked, "a mask")):
         status, out, err = run("overviews", str(path))
         assert status == 2 and out == "" and word in err and "gdaladdo" in err and err.count("\n") == 1
     text = tmp_path / "text.tif"
     text.write_text("no raster")
     assert run("overviews", str(text))[0] == 2
-    assert {each.name for each in tmp_path.iterdir()} == names | {"text.tif"}
+    assert {file.name for file in tmp_path.iterdir()} == names | {"text.tif"}
 
 
 def test_too_few_old_overviews_are_replaced(run, tmp_path, tmp_path_factory, monkeypatch):
@@ -172,7 +172,7 @@ def test_too_few_old_overviews_are_replaced(run, tmp_path, tmp_path_factory, mon
     shutil.copy(half, f"{path}.ovr")
     with rasterio.open(path) as dataset:
         assert dataset.overviews(1) == [2]
-    older = Path(f"{path}.ovr").read_bytes()
+    old_overview = Path(f"{path}.ovr").read_bytes()
 
     def fails(*_):
         raise OSError(28, "No space left on device")
@@ -181,14 +181,14 @@ def test_too_few_old_overviews_are_replaced(run, tmp_path, tmp_path_factory, mon
         patched.setattr(module, "_build_coarser", fails)
         status, _, err = run("overviews", str(path))
     assert status == 1 and "No space left" in err
-    assert Path(f"{path}.ovr").read_bytes() == older and len(list(tmp_path.iterdir())) == 2
+    assert Path(f"{path}.ovr").read_bytes() == old_overview and len(list(tmp_path.iterdir())) == 2
     assert run("overviews", str(path))[0] == 0
-    assert Path(f"{path}.ovr").read_bytes() != older
+    assert Path(f"{path}.ovr").read_bytes() != old_overview
 
 
 def test_parts_cover_the_raster_once():
-    seen = np.zeros((1300, 9000), int)
-    for window in module._tile_windows(*seen.shape):
+    visit_count = np.zeros((1300, 9000), int)
+    for window in module._tile_windows(*visit_count.shape):
         assert isinstance(window, Window) and window.row_off % 512 == window.col_off % 512 == 0
-        seen[window.toslices()] += 1
-    assert (seen == 1).all()
+        visit_count[window.toslices()] += 1
+    assert (visit_count == 1).all()

@@ -13,7 +13,7 @@ from skugga.api.point.horizon_formats import HORIZON_FORMATS
 from skugga.shadows.point.clock import clock_of
 from tests.rasters import ENGINEERING, write_geotiff
 
-AT = "15.0,47.5"
+LON_LAT = "15.0,47.5"
 TIME = "2024-10-21T09:00:00+02:00"
 
 
@@ -26,7 +26,7 @@ def valley(tmp_path):
 
 
 def test_the_table_reports_ground_sun_and_day(run, valley):
-    status, out, err = run("point", valley, "--at", AT, "--time", TIME, "--height", "1.6")
+    status, out, err = run("point", valley, "--at", LON_LAT, "--time", TIME, "--height", "1.6")
     assert (status, err) == (0, "")
     for words in ("ground 300.0 m, 1.6 m above it", "in shadow, relief", "first sun", "last sun", "hidden", "2024-10-21"):
         assert words in out, out
@@ -34,19 +34,19 @@ def test_the_table_reports_ground_sun_and_day(run, valley):
 
 def test_json_reports_the_day_and_the_year(run, valley):
     status, out, _ = run(
-        "point", valley, "--at", AT, "--date", "2024-10-21", "--clock", "Europe/Vienna", "--year", "2024", "--json"
+        "point", valley, "--at", LON_LAT, "--date", "2024-10-21", "--clock", "Europe/Vienna", "--year", "2024", "--json"
     )
     report = json.loads(out)
     assert status == 0 and report["elevation_m"] == 300.0
     day = report["day"]
     assert day["clock"] == "Europe/Vienna" and day["sunrise"].endswith("+02:00") and 2.0 < day["masked_h"] < 8.0
     assert len(report["year"]) == 366
-    (october,) = (each for each in report["year"] if each["date"] == "2024-10-21")
+    (october,) = (day_report for day_report in report["year"] if day_report["date"] == "2024-10-21")
     assert october["direct_h"] == pytest.approx(day["direct_h"], abs=0.1)
 
 
 def test_coordinates_of_a_crs_and_west_of_greenwich(run, valley, tmp_path):
-    _, degrees, _ = run("point", valley, "--at", AT, "--time", TIME, "--json")
+    _, degrees, _ = run("point", valley, "--at", LON_LAT, "--time", TIME, "--json")
     place = json.loads(degrees)
     status, metres, _ = run("point", valley, "--at", "500000,5260871.8", "--crs", "EPSG:32633", "--time", TIME, "--json")
     assert status == 0 and json.loads(metres)["lon"] == pytest.approx(place["lon"], abs=1e-4)
@@ -58,24 +58,24 @@ def test_coordinates_of_a_crs_and_west_of_greenwich(run, valley, tmp_path):
 
 def test_horizon_and_picture_files_are_written(run, valley, tmp_path):
     horizon, chart, picture = tmp_path / "roof.hor", tmp_path / "sun.svg", tmp_path / "sun.png"
-    asked = ["point", valley, "--at", AT, "--date", "2024-10-21", "--horizon", "hor", "--output", str(horizon)]
-    assert run(*asked, "--picture", str(chart))[0] == 0
+    arguments = ["point", valley, "--at", LON_LAT, "--date", "2024-10-21", "--horizon", "hor", "--output", str(horizon)]
+    assert run(*arguments, "--picture", str(chart))[0] == 0
     rows = [line.split() for line in horizon.read_text().splitlines()]
     assert len(rows) == 360 and rows[0][0] == "-180" and float(rows[90][1]) > 15.0
     assert chart.read_text().lstrip().startswith("<?xml")
-    assert run(*asked, "--picture", str(picture))[0] == 0
-    with Image.open(picture) as shown:
-        assert min(shown.size) > 600
+    assert run(*arguments, "--picture", str(picture))[0] == 0
+    with Image.open(picture) as image:
+        assert min(image.size) > 600
 
 
 @pytest.mark.parametrize("format", HORIZON_FORMATS)
 def test_a_horizon_without_a_file_is_printed_alone(run, valley, tmp_path, format):
     """Standard output then equals the file, so that another program can read it."""
     file = tmp_path / "horizon"
-    asked = ["point", valley, "--at", AT, "--date", "2024-10-21", "--horizon", format]
-    status, report, _ = run(*asked, "-o", str(file))
+    arguments = ["point", valley, "--at", LON_LAT, "--date", "2024-10-21", "--horizon", format]
+    status, report, _ = run(*arguments, "-o", str(file))
     assert status == 0 and "ground 300.0 m" in report
-    status, out, err = run(*asked)
+    status, out, err = run(*arguments)
     assert (status, err) == (0, "") and out.encode() == file.read_bytes() and len(out) > 100
 
 
@@ -83,7 +83,7 @@ def test_without_a_date_the_day_is_today(run, valley):
     """Today is a date by the requested clock: noon by one clock is not midnight by another."""
     for clock in ("solar", "Pacific/Auckland"):
         before = datetime.now(clock_of(clock, 15.0, date(2024, 1, 1))).date()
-        status, out, _ = run("point", valley, "--at", AT, "--clock", clock, "--json")
+        status, out, _ = run("point", valley, "--at", LON_LAT, "--clock", clock, "--json")
         after = datetime.now(clock_of(clock, 15.0, date(2024, 1, 1))).date()
         report = json.loads(out)
         assert status == 0 and report["remark"] is None and report["day"]["clock"] == clock
@@ -104,14 +104,14 @@ def test_a_track_has_times_of_arrival(run, valley, tmp_path):
     file = tmp_path / "track.geojson"
     line = {"type": "LineString", "coordinates": [[14.98, 47.5], [15.03, 47.5]]}
     file.write_text(json.dumps({"type": "Feature", "properties": {}, "geometry": line}), encoding="utf-8")
-    asked = ["point", valley, "--line", str(file), "--start", "2024-10-21T08:00:00+02:00", "--speed", "6", "--every", "500"]
-    status, out, _ = run(*asked, "--json")
+    arguments = ["point", valley, "--line", str(file), "--start", "2024-10-21T08:00:00+02:00", "--speed", "6", "--every", "500"]
+    status, out, _ = run(*arguments, "--json")
     rows = json.loads(out)
     assert status == 0 and len(rows) == 9
     assert rows[0]["time"] == "2024-10-21T08:00:00+02:00" and rows[-1]["time"].startswith("2024-10-21T08:37")
-    by = {row["now"]["by"]["kind"] for row in rows if row["now"]["by"]}
-    assert by == {"relief"} and rows[-1]["elevation_m"] > 1000 and rows[3]["elevation_m"] < 500
-    status, out, _ = run(*asked)
+    obstacle_kinds = {row["now"]["by"]["kind"] for row in rows if row["now"]["by"]}
+    assert obstacle_kinds == {"relief"} and rows[-1]["elevation_m"] > 1000 and rows[3]["elevation_m"] < 500
+    status, out, _ = run(*arguments)
     assert status == 0 and "in shadow, relief" in out
 
 
@@ -166,21 +166,21 @@ def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, sa
         (["--at", "0,0"], "point: '0,0' is not allowed. Allowed: a place on the level's data: longitudes 14.9"),
         (["--at", "here"], "--at: 'here' is not allowed"),
         ([], "--at: missing. Give LON,LAT"),
-        ([AT], "unexpected extra argument"),
-        (["--at", AT, "--date", "monday"], "--date: 'monday' is not allowed. Allowed: a calendar date such as 2024-03-21"),
-        (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "--clock: 'Mars' is not allowed"),
-        (["--at", AT, "--clock", "", "--date", "2024-01-01"], "--clock: '' is not allowed. Allowed: solar, utc, an offset"),
-        (["--at", AT, "--clock", "Pacific/Apia", "--date", "2011-12-30"], "date: '2011-12-30' is not allowed"),
-        (["--at", AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
-        (["--at", AT, "--horizon", "roof.hor"], "--horizon: 'roof.hor' is not allowed. Allowed: pvgis-csv, pvgis-json"),
-        (["--at", AT, "--output", "roof.hor"], "--output: needs a horizon format. Add --horizon FORMAT: pvgis-csv"),
-        (["--at", AT, "--horizon", "hor", "--json"], "--json: cannot be combined with --horizon. Add --output FILE"),
-        (["--at", AT, "--start", TIME], "--start: needs a track. Add --line FILE"),
-        (["--at", AT, "--points", "huts.csv"], "--at: cannot be combined with --points. Use one of them."),
+        ([LON_LAT], "unexpected extra argument"),
+        (["--at", LON_LAT, "--date", "monday"], "--date: 'monday' is not allowed. Allowed: a calendar date such as 2024-03-21"),
+        (["--at", LON_LAT, "--clock", "Mars", "--date", "2024-01-01"], "--clock: 'Mars' is not allowed"),
+        (["--at", LON_LAT, "--clock", "", "--date", "2024-01-01"], "--clock: '' is not allowed. Allowed: solar, utc, an offset"),
+        (["--at", LON_LAT, "--clock", "Pacific/Apia", "--date", "2011-12-30"], "date: '2011-12-30' is not allowed"),
+        (["--at", LON_LAT, "--height", "-3"], "--height: '-3.0' is not allowed"),
+        (["--at", LON_LAT, "--horizon", "roof.hor"], "--horizon: 'roof.hor' is not allowed. Allowed: pvgis-csv, pvgis-json"),
+        (["--at", LON_LAT, "--output", "roof.hor"], "--output: needs a horizon format. Add --horizon FORMAT: pvgis-csv"),
+        (["--at", LON_LAT, "--horizon", "hor", "--json"], "--json: cannot be combined with --horizon. Add --output FILE"),
+        (["--at", LON_LAT, "--start", TIME], "--start: needs a track. Add --line FILE"),
+        (["--at", LON_LAT, "--points", "huts.csv"], "--at: cannot be combined with --points. Use one of them."),
         (["--line", "tour.gpkg", "--horizon", "hor"], "--horizon: cannot be combined with --line. Use one of them."),
         (["--line", "tour.gpkg", "--points", "huts.csv"], "--line: cannot be combined with --points. Use one of them."),
-        (["--at", AT, "--picture", "x.gif"], "--picture: 'x.gif' is not allowed. Allowed: .svg or .png"),
-        (["--at", AT, "--crs", "EPSG:0"], "--crs: 'EPSG:0' is not allowed"),
+        (["--at", LON_LAT, "--picture", "x.gif"], "--picture: 'x.gif' is not allowed. Allowed: .svg or .png"),
+        (["--at", LON_LAT, "--crs", "EPSG:0"], "--crs: 'EPSG:0' is not allowed"),
         (["--points", "nowhere.csv"], "nowhere.csv"),
     ],
 )

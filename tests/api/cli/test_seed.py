@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.api.seed.pmtiles_checker import checked
+from tests.api.seed.pmtiles_checker import check_archive
 from tests.api.seed.runs import rough_ground, write_ground
 
-QUICK = "--zooms", "12-13", "--layer", "shadow", "--azimuth", "225", "--altitude", "12"
+QUICK_OPTIONS = "--zooms", "12-13", "--layer", "shadow", "--azimuth", "225", "--altitude", "12"
 
 
 @pytest.fixture
@@ -20,20 +20,20 @@ def raster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_seed_writes_an_archive_of_a_raster(run, raster, tmp_path):
-    status, out, _ = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--dry-run", "--json")
+    status, out, _ = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--dry-run", "--json")
     outlook = json.loads(out)
     assert status == 0 and outlook["total"]["tasks"] >= 2 and {row["why"] for row in outlook["rows"]} == {"not drawn yet"}
-    status, out, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--workers", "1")
+    status, out, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--workers", "1")
     lines = [line for line in err.splitlines() if line.startswith("[")]
     assert (status, out) == (0, "Wrote a.pmtiles.\n") and len(lines) == outlook["total"]["tasks"]
     assert all(" s, " in line and "worker's peak" in line for line in lines)
-    checked(tmp_path / "a.pmtiles")
+    check_archive(tmp_path / "a.pmtiles")
     log = [json.loads(line) for line in (tmp_path / "a.pmtiles.seed" / "log.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert [each["done"] for each in log[:-1]] == list(range(1, len(lines) + 1))
-    assert all(0 < each["encode_s"] < each["seconds"] and each["peak_bytes"] > 10**8 for each in log[:-1])
-    status, out, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles")
+    assert [entry["done"] for entry in log[:-1]] == list(range(1, len(lines) + 1))
+    assert all(0 < entry["encode_s"] < entry["seconds"] and entry["peak_bytes"] > 10**8 for entry in log[:-1])
+    status, out, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles")
     assert status == 0 and out.startswith("Nothing to do: all ") and err == ""
-    status, out, _ = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--dry-run")
+    status, out, _ = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--dry-run")
     assert out.startswith("0 tasks would run") and f"Done: {len(lines)}, failed: 0." in out
 
 
@@ -70,10 +70,10 @@ def test_wrong_input_is_one_line(run, raster, tmp_path, options, words):
 
 def test_an_unwritable_folder_is_one_line(run, raster, tmp_path):
     (tmp_path / "shards").write_text("a file", encoding="utf-8")
-    status, _, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--shards", "shards")
+    status, _, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--shards", "shards")
     assert status == 1 and "shards" in err and err.count("\n") == 1
     (tmp_path / "work").write_text("a file", encoding="utf-8")
-    status, _, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--work", "work")
+    status, _, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--work", "work")
     assert status == 1 and "work" in err and err.count("\n") == 1
     assert not (tmp_path / "a.pmtiles").exists()
 
@@ -87,7 +87,7 @@ def test_a_day_of_archives_has_one_table(run, raster, tmp_path):
 
 
 def test_a_full_disk_is_reported_and_keeps_the_archive(run, raster, tmp_path, monkeypatch):
-    assert run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--workers", "1")[0] == 0
+    assert run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--workers", "1")[0] == 0
     before = (tmp_path / "a.pmtiles").read_bytes()
     write_ground(raster, rough_ground(120, seed=9))
 
@@ -95,10 +95,10 @@ def test_a_full_disk_is_reported_and_keeps_the_archive(run, raster, tmp_path, mo
         raise OSError(28, "No space left on device", str(tmp_path / "a.pmtiles"))
 
     monkeypatch.setattr("skugga.api.seed.publishing.write_archive", full)
-    status, _, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--workers", "1")
+    status, _, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--workers", "1")
     assert status == 1 and "a.pmtiles: No space left on device" in err
     assert (tmp_path / "a.pmtiles").read_bytes() == before
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
-    status, _, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles")
+    status, _, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles")
     assert (status, err) == (0, "") and (tmp_path / "a.pmtiles").read_bytes() != before, "no task is drawn again"

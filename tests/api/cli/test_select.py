@@ -45,9 +45,9 @@ def test_an_uncalibrated_device_falls_back_to_the_rules(gl, run):
 
 def test_a_probe_is_the_default_and_reports_its_candidates(gl, run):
     status, out, _ = run("select", "jacksboro", "--size", "128x128")
-    said = " ".join(out.split())
-    assert status == 0 and "chosen by a probe" in said and "This device is not calibrated" in said
-    assert "candidates drawn and compared with truth" in said and "wrong of" in said and "(expected: " in said
+    output = " ".join(out.split())
+    assert status == 0 and "chosen by a probe" in output and "This device is not calibrated" in output
+    assert "candidates drawn and compared with truth" in output and "wrong of" in output and "(expected: " in output
 
 
 @pytest.mark.parametrize("path", bundled_levels(), ids=lambda path: path.stem)
@@ -66,9 +66,9 @@ def test_each_bundled_level_has_a_plan_as_text(gl, run, path):
 def test_the_text_of_a_plan_has_every_reason(gl, run):
     _, out, _ = run("select", "thesis_room", "--view", "main", "--policy", "rules", "--json")
     plan = Plan.model_validate_json(out)
-    told = " ".join(format_plan(plan, "A plan.").split())
-    for one in (*plan.reasons, *plan.effects, *plan.left_out):
-        assert one.reason.lower() in told.lower(), one
+    plan_text = " ".join(format_plan(plan, "A plan.").split())
+    for item in (*plan.reasons, *plan.effects, *plan.left_out):
+        assert item.reason.lower() in plan_text.lower(), item
 
 
 def test_options_change_the_plan_and_are_named_in_it(gl, run):
@@ -79,7 +79,7 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
         "max_error": 0.01, "max_ms": 40.0, "met": None,
     }  # fmt: skip
     assert plan["settings"]["sun"]["relief"]["map_size"] == 777
-    reasons = {one["name"]: one["reason"] for one in plan["reasons"]}
+    reasons = {entry["name"]: entry["reason"] for entry in plan["reasons"]}
     assert reasons["sun/relief: shadow_map"] == reasons["map_size 777"] == "set by the request"
     _, out, _ = run("select", "jacksboro", "--policy", "rules", "--azimuth", "90", "--altitude", "-20")
     assert "20 degrees below the horizon in the east" in " ".join(out.split()) and "Relief casts nothing" in out
@@ -125,9 +125,9 @@ def test_a_pinned_choice_is_used_afterwards(gl, run, level):
     assert plan.reasons[0].reason == "set by the level"
     stats = level.parent / "stats.json"
     run("render", str(level), "--size", "60x60", "-o", str(level.parent / "x.png"), "--stats", str(stats))
-    drawn = json.loads(stats.read_text())["plan"]
-    assert drawn["algorithm"] == plan.model_dump(mode="json")["algorithm"]
-    assert drawn["reasons"][0]["reason"] == "set by the level"
+    rendered_plan = json.loads(stats.read_text())["plan"]
+    assert rendered_plan["algorithm"] == plan.model_dump(mode="json")["algorithm"]
+    assert rendered_plan["reasons"][0]["reason"] == "set by the level"
 
 
 def test_a_second_choice_ignores_the_first_pin(gl, run, level):
@@ -151,11 +151,11 @@ def test_a_choice_that_another_view_cannot_use_is_not_pinned(gl, run, tmp_path):
 def test_the_descriptor_survives_a_round_trip(gl, run, tmp_path):
     path = tmp_path / "facts.json"
     status, _, _ = run("select", "jacksboro", "--policy", "rules", "--descriptor", str(path))
-    described = Descriptor.model_validate_json(path.read_text(encoding="utf-8"))
-    assert status == 0 and described.view == "map" and described.casters == ("relief",)
+    restored = Descriptor.model_validate_json(path.read_text(encoding="utf-8"))
+    assert status == 0 and restored.view == "map" and restored.casters == ("relief",)
 
 
-def made(predicted: Predicted | None, **target) -> Plan:
+def make_plan(predicted: Predicted | None, **target) -> Plan:
     return Plan(
         view="map", policy="predict", algorithm={}, settings={}, effects=[], left_out=[], rejected=[], passes=[],
         predicted=predicted, target=Target(**{"max_error": 0.03, **target}), reasons=[],
@@ -163,21 +163,25 @@ def made(predicted: Predicted | None, **target) -> Plan:
 
 
 def test_the_target_is_reported_as_met_or_missed():
-    assert "not predicted" in format_expectation(made(None)) and "at most 3 %" in format_expectation(made(None))
+    assert "not predicted" in format_expectation(make_plan(None)) and "at most 3 %" in format_expectation(make_plan(None))
     figures = Predicted(ms=55.0, wrong=0.01, wrong_cast=0.05)
-    met = format_expectation(made(figures, max_error=0.06, max_ms=60, met=True))
+    met = format_expectation(make_plan(figures, max_error=0.06, max_ms=60, met=True))
     assert "55 ms" in met and "5.0 %" in met and "meets the target" in met and "within 60 ms" in met
-    missed = made(figures, max_ms=40, met=False)
-    assert format_overshoot(missed) == "2.0 % of the cast shadow and 15 ms"
-    assert "misses the target" in format_expectation(missed) and format_overshoot(missed) in format_expectation(missed)
-    assert format_overshoot(made(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
+    missed_plan = make_plan(figures, max_ms=40, met=False)
+    assert format_overshoot(missed_plan) == "2.0 % of the cast shadow and 15 ms"
+    assert "misses the target" in format_expectation(missed_plan) and format_overshoot(missed_plan) in format_expectation(
+        missed_plan
+    )
+    assert format_overshoot(make_plan(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
 
 
 def test_a_plan_over_the_render_timeout_misses_the_target(monkeypatch):
     monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "0.05")
-    said = format_expectation(made(Predicted(ms=55.0, wrong=0.01, wrong_cast=0.01), met=True))
-    assert "meets the target" not in said and "refuses" in said and "SKUGGA_RENDER_TIMEOUT_S" in said and "50 ms" in said
-    assert "meets the target" in format_expectation(made(Predicted(ms=45.0, wrong=0.01, wrong_cast=0.01), met=True))
+    message = format_expectation(make_plan(Predicted(ms=55.0, wrong=0.01, wrong_cast=0.01), met=True))
+    assert (
+        "meets the target" not in message and "refuses" in message and "SKUGGA_RENDER_TIMEOUT_S" in message and "50 ms" in message
+    )
+    assert "meets the target" in format_expectation(make_plan(Predicted(ms=45.0, wrong=0.01, wrong_cast=0.01), met=True))
 
 
 def profile(**changes) -> DeviceProfile:
@@ -189,14 +193,14 @@ def profile(**changes) -> DeviceProfile:
 
 
 def test_calibrate_saves_and_reports_the_profile(run, monkeypatch):
-    fits = {"shadow_map": Residual(rows=9, median=0.05, p90=0.2)}
-    measured = profile(rates_ns={"depth_map": {"texels": 1.5, "triangles": 20.0}}, residuals=fits)
+    residuals = {"shadow_map": Residual(rows=9, median=0.05, p90=0.2)}
+    measured = profile(rates_ns={"depth_map": {"texels": 1.5, "triangles": 20.0}}, residuals=residuals)
     monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: on_step(1, 2) or measured)
     status, out, err = run("calibrate")
     path = profile_path("a device", "4.6")
     assert (status, err) == (0, "") and load_profile("a device", "4.6") == measured
-    said = " ".join(out.split())
-    assert "a device" in said and "84 s" in said and "2 rates" in said and "5.0 %" in said and str(path) in said
+    output = " ".join(out.split())
+    assert "a device" in output and "84 s" in output and "2 rates" in output and "5.0 %" in output and str(path) in output
     assert run("calibrate", "--json")[1] == measured.model_dump_json(indent=2) + "\n"
 
 

@@ -20,7 +20,7 @@ views:
 shadows:
   max_error: 0.02   # ours
 """
-RULES = ("--all-views", "--policy", "rules")
+RULES_OPTIONS = ("--all-views", "--policy", "rules")
 
 
 @pytest.fixture
@@ -31,26 +31,26 @@ def level(tmp_path: Path) -> Path:
 
 
 def test_each_view_and_the_map_have_a_row(run, level):
-    status, out, err = run("select", str(level), *RULES)
+    status, out, err = run("select", str(level), *RULES_OPTIONS)
     assert (status, err) == (0, "")
     rows = [line.split()[0] for line in out.splitlines() if line.strip() and line.split()[0] in ("map", "eye", "away")]
     assert rows == ["map", "eye", "away"] and "35 degrees high in the south-south-west" in out and "not predicted" in out
 
 
 def test_json_has_one_object_for_each_view(run, level):
-    _, out, _ = run("select", str(level), *RULES, "--json", "--azimuth", "90", "--altitude", "20")
+    _, out, _ = run("select", str(level), *RULES_OPTIONS, "--json", "--azimuth", "90", "--altitude", "20")
     rows = json.loads(out)
     assert [row["view"] for row in rows] == ["map", "eye", "away"]
     assert all(row["sun"] == {"azimuth": 90.0, "altitude": 20.0} and row["plan"]["view"] == row["view"] for row in rows)
-    one = json.loads(
+    view_plan = json.loads(
         run("select", str(level), "--view", "eye", "--policy", "rules", "--json", "--azimuth", "90", "--altitude", "20")[1]
     )
-    assert rows[1]["plan"] == one
+    assert rows[1]["plan"] == view_plan
 
 
 def test_written_pins_are_used_by_later_plans(run, level):
-    before = {row["view"]: row["plan"] for row in json.loads(run("select", str(level), *RULES, "--json")[1])}
-    status, _, err = run("select", str(level), *RULES, "--write")
+    before = {row["view"]: row["plan"] for row in json.loads(run("select", str(level), *RULES_OPTIONS, "--json")[1])}
+    status, _, err = run("select", str(level), *RULES_OPTIONS, "--write")
     assert status == 0 and str(level) in err
     text, shadows = level.read_text(), load_level(level).level.shadows
     assert [line for line in text.splitlines() if line in LEVEL.splitlines()] == LEVEL.splitlines()
@@ -60,17 +60,17 @@ def test_written_pins_are_used_by_later_plans(run, level):
         plan = json.loads(run("select", str(level), "--view", pin.view, "--policy", "rules", "--json")[1])
         assert plan["algorithm"] == before[pin.view]["algorithm"] and plan["settings"] == before[pin.view]["settings"]
         assert f"pinned by the level for view {pin.view}" in {reason["reason"] for reason in plan["reasons"]}
-    run("select", str(level), *RULES, "--write")
+    run("select", str(level), *RULES_OPTIONS, "--write")
     assert level.read_text() == text
 
 
 def test_one_pin_for_all_views_replaces_the_list_and_back(run, level):
-    run("select", str(level), *RULES, "--algorithm", "hybrid", "--write")
+    run("select", str(level), *RULES_OPTIONS, "--algorithm", "hybrid", "--write")
     assert all("hybrid" in json.dumps(pin.algorithm) for pin in load_level(level).level.shadows.pins)
     run("select", str(level), "--view", "eye", "--policy", "rules", "--write")
     shadows = load_level(level).level.shadows
     assert shadows.pins == () and shadows.algorithm != "auto" and "hybrid" not in level.read_text()
-    run("select", str(level), *RULES, "--write")
+    run("select", str(level), *RULES_OPTIONS, "--write")
     assert load_level(level).level.shadows.algorithm == "auto" and load_level(level).level.shadows.pins
 
 
@@ -85,7 +85,7 @@ def test_one_pin_for_all_views_replaces_the_list_and_back(run, level):
     ],
 )
 def test_wrong_input_is_one_line(run, level, arguments, words):
-    status, out, err = run("select", str(level), *RULES, *arguments)
+    status, out, err = run("select", str(level), *RULES_OPTIONS, *arguments)
     assert status in (1, 2) and out == "" and err.count("\n") == 1
     for word in words:
         assert word in err

@@ -31,8 +31,8 @@ def test_a_terminal_shows_which_default_light_is_used(run, raster, tmp_path, mon
     monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
     status, _, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
     assert status == 0 and err.startswith("skugga: dem is drawn with its default light, the sun ") and "--time" in err
-    asked = "--azimuth", "200", "--altitude", "30"
-    status, _, err = run("shade", str(raster), *asked, "-o", str(tmp_path / "mask.tif"))
+    sun_options = "--azimuth", "200", "--altitude", "30"
+    status, _, err = run("shade", str(raster), *sun_options, "-o", str(tmp_path / "mask.tif"))
     assert status == 0 and "default light" not in err
 
 
@@ -83,9 +83,12 @@ COMMANDS = ("shade", "--azimuth", "200", "--altitude", "30"), ("sunhours", "--da
     ],
 )
 def test_like_reports_an_extent_outside_the_level(run, raster, tmp_path, command, crs, corner, cell, meets):
-    """The raster of ``--like`` has 60 x 60 cells; the level has 90 x 120."""
-    like, output = write_geotiff(tmp_path / "like.tif", np.zeros((60, 60), np.uint8), crs, *corner, cell), tmp_path / "out.tif"
-    status, _, err = run(command[0], str(raster), *command[1:], "--like", str(like), "-o", str(output))
+    """The raster of ``--like_raster`` has 60 x 60 cells; the level has 90 x 120."""
+    like_raster, output = (
+        write_geotiff(tmp_path / "like.tif", np.zeros((60, 60), np.uint8), crs, *corner, cell),
+        tmp_path / "out.tif",
+    )
+    status, _, err = run(command[0], str(raster), *command[1:], "--like", str(like_raster), "-o", str(output))
     assert output.exists() == (meets != "not")
     if meets == "within":
         assert (status, err) == (0, "")

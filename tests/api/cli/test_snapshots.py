@@ -56,7 +56,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def yards(yard: Path) -> Iterator[Client]:
+def yard_client(yard: Path) -> Iterator[Client]:
     """Run a service with one real render process over ``yard`` and over ``cellar``, whose only light is the lamp."""
     cellar = write_yard(yard.parent, "cellar", sun="none", views={**LEVEL["views"], "map": {"kind": "map", "size": [90, 70]}})
     with running(create_app(Settings(workers=1), [yard, cellar])) as client:
@@ -75,17 +75,17 @@ def pixels(answer: httpx.Response) -> np.ndarray:
         ("webp", "color", "RGB", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
     ],
 )  # fmt: skip
-def test_formats_and_layers_have_their_image_modes(yards: Client, format: str, layer: str, mode: str, kind: str):
-    answer = yards.get(f"{YARD}.{format}", params={"view": "across", "layer": layer})
+def test_formats_and_layers_have_their_image_modes(yard_client: Client, format: str, layer: str, mode: str, kind: str):
+    answer = yard_client.get(f"{YARD}.{format}", params={"view": "across", "layer": layer})
     image = Image.open(io.BytesIO(answer.content))
     assert (image.size, image.mode, image.format) == ((WIDTH, HEIGHT), mode, kind)
     assert answer.headers["content-type"] == f"image/{'jpeg' if format == 'jpg' else format}"
 
 
 @pytest.mark.parametrize("view", ["across", "map"])
-def test_a_snapshot_equals_one_drawn_in_this_process(yards: Client, yard: Path, view: str):
+def test_a_snapshot_equals_one_drawn_in_this_process(yard_client: Client, yard: Path, view: str):
     size = None if view == "across" else (64, 48)
-    asked = {"view": view, "azimuth": 200, "altitude": 30, "map_size": 512, "depth_bits": 24, "filter": 2, "seconds": 1.5}
+    parameters = {"view": view, "azimuth": 200, "altitude": 30, "map_size": 512, "depth_bits": 24, "filter": 2, "seconds": 1.5}
     overrides = {"map_size": 512, "depth_bits": 24, "filter": 2}
     sun = SunSpec(azimuth=200, altitude=30)
 
@@ -93,17 +93,17 @@ def test_a_snapshot_equals_one_drawn_in_this_process(yards: Client, yard: Path, 
         request = ProductRequest(product=layer, sun=sun)
         return snapshot(yard, view, request, overrides, size, seconds=1.5, light=light).computed.array
 
-    asked |= {} if size is None else {"size": "64x48"}
+    parameters |= {} if size is None else {"size": "64x48"}
     for layer, format in (("color", "png"), ("color", "webp"), ("color", "jpg"), ("shadow", "png"), ("mask", "webp")):
-        answer = yards.get(f"{YARD}.{format}", params={**asked, "layer": layer})
+        answer = yard_client.get(f"{YARD}.{format}", params={**parameters, "layer": layer})
         assert answer.content == encode_picture(here(layer), format), (layer, format)
-    lamp = yards.get(f"{YARD}.png", params={**asked, "layer": "mask", "light": "lamp"})
+    lamp = yard_client.get(f"{YARD}.png", params={**parameters, "layer": "mask", "light": "lamp"})
     assert lamp.content == encode_picture(here("mask", "lamp"), "png")
 
 
-def test_the_sky_is_opaque_and_has_no_shadow(yards: Client):
+def test_the_sky_is_opaque_and_has_no_shadow(yard_client: Client):
     color, shadow, mask = (
-        pixels(yards.get(f"{YARD}.png", params={"view": "low", "layer": name})) for name in ("color", "shadow", "mask")
+        pixels(yard_client.get(f"{YARD}.png", params={"view": "low", "layer": name})) for name in ("color", "shadow", "mask")
     )
     sky = mask == MASK_NO_SURFACE
     assert sky[0].all() and not sky[-1].any()
@@ -112,55 +112,57 @@ def test_the_sky_is_opaque_and_has_no_shadow(yards: Client):
     assert (shadow[sky] == 0).all()
 
 
-def test_the_default_view_is_the_listed_map_or_the_first(yards: Client):
-    first, named = (yards.get(f"{YARD}.png", params=query) for query in ({}, {"view": "across"}))
+def test_the_default_view_is_the_listed_map_or_the_first(yard_client: Client):
+    first, named = (yard_client.get(f"{YARD}.png", params=query) for query in ({}, {"view": "across"}))
     assert (first.content, first.headers["etag"]) == (named.content, named.headers["etag"])
-    assert pixels(yards.get("/levels/cellar/snapshot.png")).shape == (70, 90, 4)
-    assert yards.get("/levels/yard/plan").json()["view"] == "across"
-    assert yards.get("/levels/cellar/plan").json()["view"] == "map"
+    assert pixels(yard_client.get("/levels/cellar/snapshot.png")).shape == (70, 90, 4)
+    assert yard_client.get("/levels/yard/plan").json()["view"] == "across"
+    assert yard_client.get("/levels/cellar/plan").json()["view"] == "map"
 
 
-def test_the_size_of_the_query_is_respected(yards: Client):
-    assert pixels(yards.get(f"{YARD}.png", params={"view": "across", "size": "50x33"})).shape == (33, 50, 4)
-    assert pixels(yards.get(f"{YARD}.png", params={"view": "map", "size": "50x33"})).shape == (33, 50, 4)
+def test_the_size_of_the_query_is_respected(yard_client: Client):
+    assert pixels(yard_client.get(f"{YARD}.png", params={"view": "across", "size": "50x33"})).shape == (33, 50, 4)
+    assert pixels(yard_client.get(f"{YARD}.png", params={"view": "map", "size": "50x33"})).shape == (33, 50, 4)
 
 
-def test_the_light_of_the_query_selects_the_shadow(yards: Client):
+def test_the_light_of_the_query_selects_the_shadow(yard_client: Client):
     def mask(**query) -> np.ndarray:
-        return pixels(yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", **query}))
+        return pixels(yard_client.get(f"{YARD}.png", params={"view": "across", "layer": "mask", **query}))
 
-    own, sun, lamp = mask(), mask(light="sun"), mask(light="lamp")
-    assert np.array_equal(own, sun)
+    default_mask, sun, lamp = mask(), mask(light="sun"), mask(light="lamp")
+    assert np.array_equal(default_mask, sun)
     assert (sun != lamp).mean() > 0.01
     assert np.array_equal(lamp == MASK_NO_SURFACE, sun == MASK_NO_SURFACE)
-    before = yards.service.pool.counters.answered
-    sunlit, lamplit = (yards.get(f"{YARD}.png", params={"view": "across", **query}) for query in ({}, {"light": "lamp"}))
+    before = yard_client.service.pool.counters.answered
+    sunlit, lamplit = (yard_client.get(f"{YARD}.png", params={"view": "across", **query}) for query in ({}, {"light": "lamp"}))
     assert sunlit.content == lamplit.content  # light applies to shadow and mask: colour shows all lights
-    assert yards.service.pool.counters.answered - before <= 1
+    assert yard_client.service.pool.counters.answered - before <= 1
 
 
-def test_a_level_without_a_sun_shows_its_lamp(yards: Client):
+def test_a_level_without_a_sun_shows_its_lamp(yard_client: Client):
     cellar = "/levels/cellar/snapshot.png"
-    own, lamp = (yards.get(cellar, params={"layer": "mask", **query}) for query in ({}, {"light": "lamp"}))
-    assert own.content == lamp.content
-    problem = check_problem(yards.get(cellar, params={"light": "sun"}), 422, "invalid_parameter", "light")
+    default_response, lamp = (yard_client.get(cellar, params={"layer": "mask", **query}) for query in ({}, {"light": "lamp"}))
+    assert default_response.content == lamp.content
+    problem = check_problem(yard_client.get(cellar, params={"light": "sun"}), 422, "invalid_parameter", "light")
     assert problem["detail"].endswith("Allowed: lamp.")
-    lit = yards.get(cellar, params={"layer": "mask", "light": "sun", "azimuth": 90, "altitude": 40})
-    assert MASK_LIT in pixels(lit)
+    sunlit_response = yard_client.get(cellar, params={"layer": "mask", "light": "sun", "azimuth": 90, "altitude": 40})
+    assert MASK_LIT in pixels(sunlit_response)
 
 
-def test_the_clock_rotates_moving_meshes(yards: Client):
+def test_the_clock_rotates_moving_meshes(yard_client: Client):
     def mask(seconds: float) -> np.ndarray:
-        return pixels(yards.get(f"{YARD}.png", params={"view": "map", "size": "100x100", "layer": "mask", "seconds": seconds}))
+        return pixels(
+            yard_client.get(f"{YARD}.png", params={"view": "map", "size": "100x100", "layer": "mask", "seconds": seconds})
+        )
 
-    still, turned, round_ = mask(0), mask(2), mask(12)
-    assert (still != turned).mean() > 0.002
-    assert (still != round_).mean() < 0.0005  # 12 s at 30 degrees per second are one turn
+    start_mask, turned_mask, full_turn_mask = mask(0), mask(2), mask(12)
+    assert (start_mask != turned_mask).mean() > 0.002
+    assert (start_mask != full_turn_mask).mean() < 0.0005  # 12 s at 30 degrees per second are one turn
 
 
-def test_headers_report_timings_algorithm_and_caching(yards: Client):
-    answer = yards.get(f"{YARD}.png", params={"view": "across"})
-    plan = yards.get("/levels/yard/plan", params={"view": "across"}).json()
+def test_headers_report_timings_algorithm_and_caching(yard_client: Client):
+    answer = yard_client.get(f"{YARD}.png", params={"view": "across"})
+    plan = yard_client.get("/levels/yard/plan", params={"view": "across"}).json()
     assert plan["view"] == "across"
     assert set(plan["algorithm"]) == {"sun", "lamp"}
     timings = [part.split(";")[0] for part in answer.headers["server-timing"].split(", ")]
@@ -171,59 +173,59 @@ def test_headers_report_timings_algorithm_and_caching(yards: Client):
     assert set(words) == {"used", "needed", "clipped"}
     assert "meshes=shadow_volume" in answer.headers["x-skugga-algorithm"]
     assert answer.headers["cache-control"].startswith("public, max-age=3600,")
-    given = yards.get(f"{YARD}.png", params={"view": "across", "azimuth": 100, "altitude": 40})
-    assert given.headers["cache-control"].startswith("public, max-age=86400,")
-    elsewhere = yards.get(f"{YARD}.png", params={"view": "across"}, headers={"Origin": "https://map.example"})
+    fixed_sun_response = yard_client.get(f"{YARD}.png", params={"view": "across", "azimuth": 100, "altitude": 40})
+    assert fixed_sun_response.headers["cache-control"].startswith("public, max-age=86400,")
+    elsewhere = yard_client.get(f"{YARD}.png", params={"view": "across"}, headers={"Origin": "https://map.example"})
     assert elsewhere.headers["access-control-allow-origin"] == "*"
 
 
-def test_the_algorithm_of_the_query_is_used(yards: Client):
+def test_the_algorithm_of_the_query_is_used(yard_client: Client):
     def answer(algorithm: str) -> httpx.Response:
-        return yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm})
+        return yard_client.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm})
 
     assert answer("none").headers["x-skugga-algorithm"] == "none"
     assert answer("lamp=none").headers["x-skugga-algorithm"].endswith("lamp=none")
     assert (pixels(answer("none")) == MASK_SHADOW).sum() < (pixels(answer("shadow_map")) == MASK_SHADOW).sum()
 
 
-def test_variants_of_volumes_draw_the_same_shadow(yards: Client):
+def test_variants_of_volumes_draw_the_same_shadow(yard_client: Client):
     """Shadow volumes draw the same shadow by each way of counting, everywhere or only where a map cannot decide."""
 
     def answer(algorithm: str, **query) -> httpx.Response:
-        return yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm, **query})
+        return yard_client.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm, **query})
 
     plain = pixels(answer("shadow_volume"))
     assert (plain == MASK_SHADOW).sum() > (pixels(answer("none")) == MASK_SHADOW).sum()
     for algorithm, query in (("shadow_volume", {"stencil": "two_pass", "counting": "z_fail"}), ("hybrid", {})):
-        drawn = answer(algorithm, **query)
-        assert drawn.headers["x-skugga-algorithm"] == algorithm
-        np.testing.assert_array_equal(pixels(drawn), plain)
+        response = answer(algorithm, **query)
+        assert response.headers["x-skugga-algorithm"] == algorithm
+        np.testing.assert_array_equal(pixels(response), plain)
 
 
-def test_a_cached_picture_costs_no_rendering(yards: Client):
+def test_a_cached_picture_costs_no_rendering(yard_client: Client):
     query = {"view": "across", "size": "40x30", "seconds": 0.25}
-    tag = yards.get(f"{YARD}.png", params=query).headers["etag"]
-    before = yards.service.pool.counters.answered
-    for given in (tag, f'"other", W/{tag}', "*"):
-        answer = yards.get(f"{YARD}.png", params=query, headers={"If-None-Match": given})
+    tag = yard_client.get(f"{YARD}.png", params=query).headers["etag"]
+    before = yard_client.service.pool.counters.answered
+    for if_none_match in (tag, f'"other", W/{tag}', "*"):
+        answer = yard_client.get(f"{YARD}.png", params=query, headers={"If-None-Match": if_none_match})
         assert (answer.status_code, answer.content, answer.headers["etag"]) == (304, b"", tag)
-    again = yards.get(f"{YARD}.png", params=query)
-    assert "snapshot;desc=kept" in again.headers["server-timing"]
-    head = yards.head(f"{YARD}.png", params=query)
+    cached_response = yard_client.get(f"{YARD}.png", params=query)
+    assert "snapshot;desc=kept" in cached_response.headers["server-timing"]
+    head = yard_client.head(f"{YARD}.png", params=query)
     assert (head.status_code, head.content) == (200, b"")
     for name in ("etag", "content-length", "content-type", "cache-control"):
-        assert head.headers[name] == again.headers[name]
-    assert yards.service.pool.counters.answered == before
+        assert head.headers[name] == cached_response.headers[name]
+    assert yard_client.service.pool.counters.answered == before
 
 
-def test_different_queries_have_different_entity_tags(yards: Client):
+def test_different_queries_have_different_entity_tags(yard_client: Client):
     queries = [
         "png?view=across", "webp?view=across", "png?view=low", "png?view=across&layer=mask", "png?view=across&layer=shadow",
         "png?view=across&layer=mask&light=lamp", "png?view=across&seconds=1", "png?view=across&size=10x10",
         "png?view=across&azimuth=1&altitude=20", "png?view=across&algorithm=none", "png?view=across&filter=1",
         "png?view=across&stencil=two_pass", "png?view=across&counting=z_fail", "png?view=across&mask=original",
     ]  # fmt: skip
-    tags = [entity_tag(yards, f"{YARD}.{query}") for query in [*queries, *queries]]
+    tags = [entity_tag(yard_client, f"{YARD}.{query}") for query in [*queries, *queries]]
     assert len(set(tags)) == len(queries)
 
 
@@ -234,14 +236,14 @@ def entity_tag(client: Client, address: str) -> str:
     return answer.headers["etag"]
 
 
-def test_equal_snapshots_at_once_are_one_render(yards: Client):
-    before = yards.service.pool.counters.answered
+def test_equal_snapshots_at_once_are_one_render(yard_client: Client):
+    before = yard_client.service.pool.counters.answered
     query = {"view": "across", "azimuth": 33, "altitude": 44}  # not requested before
     with ThreadPoolExecutor(4) as threads:
-        answers = list(threads.map(lambda _: yards.get(f"{YARD}.png", params=query), range(4)))
+        answers = list(threads.map(lambda _: yard_client.get(f"{YARD}.png", params=query), range(4)))
     assert len({answer.content for answer in answers}) == 1
     assert [answer.status_code for answer in answers] == [200] * 4
-    assert yards.service.pool.counters.answered - before == 1
+    assert yard_client.service.pool.counters.answered - before == 1
 
 
 @pytest.mark.parametrize(
@@ -277,18 +279,18 @@ def test_equal_snapshots_at_once_are_one_render(yards: Client):
         ("png?algorithm=moon%3Dshadow_map", "algorithm", "lamp"),
     ],
 )
-def test_wrong_parameters_are_422(yards: Client, query: str, parameter: str, said: str):
-    problem = check_problem(yards.get(f"{YARD}.{query}"), 422, "invalid_parameter", parameter)
+def test_wrong_parameters_are_422(yard_client: Client, query: str, parameter: str, said: str):
+    problem = check_problem(yard_client.get(f"{YARD}.{query}"), 422, "invalid_parameter", parameter)
     assert parameter in problem["detail"] and said in problem["detail"]
 
 
-def test_an_unknown_level_is_404(yards: Client):
-    check_problem(yards.get("/levels/attic/snapshot.png"), 404, "not_found", "level")
+def test_an_unknown_level_is_404(yard_client: Client):
+    check_problem(yard_client.get("/levels/attic/snapshot.png"), 404, "not_found", "level")
 
 
-def test_openapi_lists_all_parameters(yards: Client):
-    described = yards.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
-    assert {each["name"] for each in described["parameters"]} == {
+def test_openapi_lists_all_parameters(yard_client: Client):
+    operation = yard_client.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
+    assert {parameter["name"] for parameter in operation["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
         "time", "azimuth", "altitude", "style", "slope_exaggeration", "eye", "target", "fov",
         "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
@@ -296,12 +298,12 @@ def test_openapi_lists_all_parameters(yards: Client):
     }  # fmt: skip
 
 
-def test_plans_refuse_truth_too(yards: Client):
-    check_problem(yards.get("/levels/yard/plan?view=across&algorithm=lamp%3Dtruth"), 422, "invalid_parameter", "algorithm")
+def test_plans_refuse_truth_too(yard_client: Client):
+    check_problem(yard_client.get("/levels/yard/plan?view=across&algorithm=lamp%3Dtruth"), 422, "invalid_parameter", "algorithm")
 
 
-def test_a_level_lists_its_views_and_lights(yards: Client):
-    yard, cellar = (yards.get(f"/levels/{name}").json() for name in ("yard", "cellar"))
+def test_a_level_lists_its_views_and_lights(yard_client: Client):
+    yard, cellar = (yard_client.get(f"/levels/{name}").json() for name in ("yard", "cellar"))
     assert yard["views"] == ["across", "low"]
     assert yard["view_kinds"] == {name: {"kind": "perspective", "size": [WIDTH, HEIGHT]} for name in ("across", "low")}
     assert cellar["view_kinds"]["map"] == {"kind": "map", "size": [90, 70]}
@@ -325,13 +327,13 @@ def test_a_snapshot_that_takes_too_long_is_504(serve_with):
 def test_a_full_queue_refuses_until_a_client_leaves(serve_with):
     client = serve_with(fake_workers.never_ready, queue_work_s=0.1)
     pool = client.service.pool
-    with socket.create_connection((client.base_url.host, client.base_url.port)) as gone:
-        gone.sendall(b"GET /levels/hills/snapshot.png HTTP/1.1\r\nHost: x\r\n\r\n")
+    with socket.create_connection((client.base_url.host, client.base_url.port)) as connection:
+        connection.sendall(b"GET /levels/hills/snapshot.png HTTP/1.1\r\nHost: x\r\n\r\n")
         while pool.queued < 1:
             client.get("/healthz")
-        refused = client.get("/levels/hills/snapshot.png?size=64x64")
-        check_problem(refused, 503, "busy", None)
-        assert int(refused.headers["retry-after"]) >= 1
+        refusal = client.get("/levels/hills/snapshot.png?size=64x64")
+        check_problem(refusal, 503, "busy", None)
+        assert int(refusal.headers["retry-after"]) >= 1
     while pool.queued:
         client.get("/healthz")
     assert pool.counters.abandoned == 1
@@ -351,29 +353,29 @@ def test_a_view_that_cannot_be_drawn_is_logged_at_start(tmp_path: Path, caplog: 
 
 
 def test_a_changed_forest_changes_the_entity_tag(tmp_path: Path):
-    stand = tmp_path / "stand.geojson"
+    forest_file = tmp_path / "stand.geojson"
     tree = {"type": "Feature", "properties": {"h": 9}, "geometry": {"type": "Point", "coordinates": [20, 5]}}
-    stand.write_text(json.dumps({"type": "FeatureCollection", "features": [tree]}), encoding="utf-8")
-    path = write_yard(tmp_path, forest=[{"source": stand.name, "height": "h"}])
+    forest_file.write_text(json.dumps({"type": "FeatureCollection", "features": [tree]}), encoding="utf-8")
+    path = write_yard(tmp_path, forest=[{"source": forest_file.name, "height": "h"}])
     with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
         while not client.service.pool.ready:
             client.get("/readyz")
         address = f"{YARD}.png?view=across"
         before = entity_tag(client, address)
         assert entity_tag(client, address) == before
-        later = stand.stat().st_mtime_ns + 10**9
-        os.utime(stand, ns=(later, later))
+        mtime_ns = forest_file.stat().st_mtime_ns + 10**9
+        os.utime(forest_file, ns=(mtime_ns, mtime_ns))
         after = entity_tag(client, address)
     assert after != before
 
 
 def test_a_process_over_its_limit_keeps_one_level(tmp_path: Path):
-    grown = False
-    scenes = SceneCache(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if grown else 0)
+    has_grown = False
+    scenes = SceneCache(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if has_grown else 0)
     keys = [LevelKey(path=write_yard(tmp_path, name), version="1") for name in ("a", "b")]
     first, second = (scenes.get(key) for key in keys)
     assert scenes.get(keys[0]) is first
-    grown = True
+    has_grown = True
     assert scenes.get(keys[1]) is second
     assert len(scenes) == 1
     assert scenes.get(keys[1]) is second  # a single level stays, whatever its size

@@ -36,7 +36,7 @@ def test_a_shade_raster_has_tags_of_sun_layer_and_algorithm(run, raster, tmp_pat
     sun = ("--time", "2024-03-21T09:00:00+01:00")
     assert run("shade", str(raster), *sun, "--layer", layer, "--algorithm", "sweep", "-o", str(out)) == (0, "", "")
     with rasterio.open(out) as dataset:
-        tags, (about,), (unit,) = dataset.tags(), dataset.descriptions, dataset.units
+        tags, (description,), (unit,) = dataset.tags(), dataset.descriptions, dataset.units
         assert dataset.colorinterp == (ColorInterp.gray,)
         assert dataset.crs.to_epsg() == 32633 and dataset.shape == (90, 120)
     assert tags["LAYER"] == layer and tags["LEVEL"] == "dem" and tags["ALGORITHM"] == "sweep"
@@ -44,7 +44,7 @@ def test_a_shade_raster_has_tags_of_sun_layer_and_algorithm(run, raster, tmp_pat
     # By hand, for 46.94 degrees north at 15 degrees east, an hour angle of -46.8 and a declination of 0.3 degrees.
     assert float(tags["SUN_AZIMUTH_DEG"]) == pytest.approx(124.2, abs=0.5)
     assert float(tags["SUN_ALTITUDE_DEG"]) == pytest.approx(28.2, abs=0.5)
-    assert about and about in tags["TIFFTAG_IMAGEDESCRIPTION"]
+    assert description and description in tags["TIFFTAG_IMAGEDESCRIPTION"]
     assert unit == (None if layer == "mask" else "1")
 
 
@@ -60,11 +60,11 @@ def test_colour_bands_have_names_and_interpretations(run, raster, tmp_path, laye
 def test_each_of_many_rasters_has_its_own_time(run, raster, tmp_path):
     times = "2024-03-21T08:00:00+01:00,2024-03-21T10:00:00+01:00"
     assert run("shade", str(raster), "--times", times, "-o", str(tmp_path / "m_{time}.tif")) == (0, "", "")
-    said = []
+    tag_times = []
     for path in sorted(tmp_path.glob("m_*.tif")):
         with rasterio.open(path) as dataset:
-            said.append(dataset.tags()["TIME"])
-    assert said == times.split(",")
+            tag_times.append(dataset.tags()["TIME"])
+    assert tag_times == times.split(",")
 
 
 @pytest.mark.parametrize(
@@ -76,14 +76,14 @@ def test_a_raster_of_hours_has_dates_clock_and_unit(run, raster, tmp_path, quant
     day = ("--date", "2024-12-20", "--to", "2024-12-22", "--window", "08:00-16:00", "--clock", "+01:00", "--step", "60m")
     assert run("sunhours", str(raster), *day, "--quantity", quantity, "-o", str(out)) == (0, "", "")
     with rasterio.open(out) as dataset:
-        tags, (about,) = dataset.tags(), dataset.descriptions
+        tags, (description,) = dataset.tags(), dataset.descriptions
         assert dataset.units == (unit,)
-    assert words in about
-    wanted = {
+    assert words in description
+    expected_tags = {
         "QUANTITY": quantity, "DATE": "2024-12-20", "DATE_TO": "2024-12-22", "DATES": "3", "WINDOW": "08:00-16:00",
         "CLOCK": "+01:00", "STEP_MIN": "60", "LEAST_ALTITUDE_DEG": "0", "HEIGHT_M": "0",
     }  # fmt: skip
-    assert {name: tags.get(name) for name in wanted} == wanted
+    assert {name: tags.get(name) for name in expected_tags} == expected_tags
     assert tags.get("THRESHOLD_H") == ("2" if quantity == "days" else None)
 
 

@@ -21,7 +21,7 @@ COMMANDS = {
     "serve": (),
 }
 
-WRONG = {
+MESSAGES = {
     "no_crs.tif": ("no coordinate reference system", "a raster with a CRS", "gdal_edit.py -a_srs"),
     "metres.tif": ("x from 500000 to 500600", "WGS 84", "degrees"),
     "degrees.tif": ("x from 12.5 to", "UTM zone 33N", "look like degrees"),
@@ -38,7 +38,7 @@ WRONG = {
 
 
 @pytest.fixture
-def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def unusable_rasters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     heights = np.ones((20, 20), np.float32)
     utm, degrees = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)
@@ -46,35 +46,35 @@ def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_geotiff(tmp_path / "metres.tif", heights, "EPSG:4326", *utm)
     write_geotiff(tmp_path / "degrees.tif", heights, "EPSG:32633", *degrees)
     write_geotiff(tmp_path / "empty.tif", heights, "EPSG:32633", *utm, nodata=1.0)
-    whole = write_geotiff(tmp_path / "complex.tif", heights.astype(np.complex64), "EPSG:32633", *utm)
+    complex_raster = write_geotiff(tmp_path / "complex.tif", heights.astype(np.complex64), "EPSG:32633", *utm)
     (tmp_path / "text.tif").write_text("no raster")
     (tmp_path / "nothing.tif").write_bytes(b"")
     (tmp_path / "cut.tif").write_bytes(b"II*\0" + bytes(20))
     (tmp_path / "bytes.tif").write_bytes(bytes(range(128, 256)) * 9)
     (tmp_path / "folder").mkdir()
-    (tmp_path / "folder" / "inside.tif").write_bytes(whole.read_bytes())
+    (tmp_path / "folder" / "inside.tif").write_bytes(complex_raster.read_bytes())
     return tmp_path
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_an_unusable_raster_is_one_line(run, wrong, command):
-    before = sorted(wrong.iterdir())
-    for name, words in WRONG.items():
+def test_an_unusable_raster_is_one_line(run, unusable_rasters, command):
+    before = sorted(unusable_rasters.iterdir())
+    for name, words in MESSAGES.items():
         status, out, err = run(command, name, *COMMANDS[command])
         assert (status, out) == (2, "") and err.startswith("skugga: ") and err.count("\n") == 1, (name, err)
         for word in words:
             assert word in err, name
-    assert sorted(wrong.iterdir()) == before
+    assert sorted(unusable_rasters.iterdir()) == before
 
 
-def test_nodata_that_covers_all_cells_is_refused(run, wrong):
-    write_geotiff(wrong / "flat.tif", np.ones((20, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
+def test_nodata_that_covers_all_cells_is_refused(run, unusable_rasters):
+    write_geotiff(unusable_rasters / "flat.tif", np.ones((20, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
     assert run("validate", "flat.tif")[0] == 0
     status, _, err = run("validate", "flat.tif", "--nodata", "1")
     assert status == 2 and "no height in any cell" in err
 
 
-def test_a_single_row_is_a_map(gl, run, wrong):
-    write_geotiff(wrong / "row.tif", np.ones((1, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
+def test_a_single_row_is_a_map(gl, run, unusable_rasters):
+    write_geotiff(unusable_rasters / "row.tif", np.ones((1, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
     assert run("shade", "row.tif", "--azimuth", "225", "--altitude", "30", "-o", "mask.tif") == (0, "", "")
     assert "20 x 1 cells" in run("validate", "row.tif")[1]

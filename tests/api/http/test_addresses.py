@@ -29,9 +29,12 @@ NO_OPTIONS = dict.fromkeys(("canopy", "buildings", "nodata", "units", "positive"
 def test_redirects_use_the_public_url(tmp_path: Path):
     settings = Settings(workers=1, public_url="https://maps.example.org/skugga/")
     with running(create_app(settings, [write_level(tmp_path, "hills")], fake_workers.obedient)) as client:
-        for path, to in (("/levels/hills/", "/levels/hills"), ("/wms/?REQUEST=GetCapabilities", "/wms?REQUEST=GetCapabilities")):
+        for path, target in (
+            ("/levels/hills/", "/levels/hills"),
+            ("/wms/?REQUEST=GetCapabilities", "/wms?REQUEST=GetCapabilities"),
+        ):
             answer = client.get(path, follow_redirects=False)
-            assert (answer.status_code, answer.headers["Location"]) == (307, f"https://maps.example.org/skugga{to}")
+            assert (answer.status_code, answer.headers["Location"]) == (307, f"https://maps.example.org/skugga{target}")
 
 
 def test_redirects_use_the_request_host_by_default(serve_with):
@@ -54,8 +57,8 @@ def test_long_documents_are_gzipped_if_accepted(serve_with, monkeypatch: pytest.
         assert answer.headers.get("Content-Encoding") == ("gzip" if is_packed else None)
         body = gzip.decompress(raw) if is_packed else raw
         assert body.startswith(b"<?xml") and (not is_packed or len(raw) < 0.3 * len(body))
-        again = client.get(path, headers={"Accept-Encoding": accepted, "If-None-Match": answer.headers["ETag"]})
-        assert again.status_code == 304
+        not_modified = client.get(path, headers={"Accept-Encoding": accepted, "If-None-Match": answer.headers["ETag"]})
+        assert not_modified.status_code == 304
 
 
 def test_not_found_page_lists_levels_to_browsers(serve_with):

@@ -21,25 +21,30 @@ from PIL import Image
 
 from skugga.api.cli import main as cli
 from skugga.api.http.server.app import create_app
-from skugga.api.http.views.animation_states import RESULTS, byte_range
+from skugga.api.http.views.animation_states import RESULTS_RELATION, byte_range
 from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
 
-SOON_S = 30.0
+TIMEOUT_S = 30.0
 ADDRESS = "/levels/hills/animations"
-ASKED: dict[str, Any] = {"from": "2024-06-21T16:00:00+02:00", "to": "2024-06-21T18:00:00+02:00", "step": "1h", "size": [64, 48]}
+REQUEST_BODY: dict[str, Any] = {
+    "from": "2024-06-21T16:00:00+02:00",
+    "to": "2024-06-21T18:00:00+02:00",
+    "step": "1h",
+    "size": [64, 48],
+}
 """A request for three frames."""
 
 EYE, TARGET = [8.43, 47.5, 300.0], [8.45, 47.51, 0.0]
-UNDER = [{"at": at, "eye": [lon, 47.5, 2.0], "target": TARGET} for at, lon in (("0s", 8.42), ("2h", 8.45))]
+UNDERGROUND_KEYS = [{"at": at, "eye": [lon, 47.5, 2.0], "target": TARGET} for at, lon in (("0s", 8.42), ("2h", 8.45))]
 """A camera path from one valley to the next, through the ridge."""
 
-KEYS = [{"at": "0s", "eye": EYE, "target": TARGET}, {"at": "2s", "eye": [8.431, 47.501, 400.0], "target": TARGET}]
+CAMERA_KEYS = [{"at": "0s", "eye": EYE, "target": TARGET}, {"at": "2s", "eye": [8.431, 47.501, 400.0], "target": TARGET}]
 
 
-def ended(client: Client, answer: Response) -> dict[str, Any]:
+def wait_for_end(client: Client, answer: Response) -> dict[str, Any]:
     """Poll an animation until it ends, and return its last state."""
     assert answer.status_code == 202, answer.text
     while True:
@@ -51,33 +56,33 @@ def ended(client: Client, answer: Response) -> dict[str, Any]:
 def pictures_of(film: bytes) -> list[np.ndarray]:
     """Return all frames of an animated WebP, each uint8 (rows, cols, 3)."""
     image = Image.open(io.BytesIO(film))
-    found = []
+    frames = []
     for number in range(image.n_frames):
         image.seek(number)
-        found.append(np.asarray(image.convert("RGB")))
-    return found
+        frames.append(np.asarray(image.convert("RGB")))
+    return frames
 
 
-class Gated:
+class GatedService:
     """A service whose one render worker blocks before each frame until the test opens the gate."""
 
     def __init__(self, make: Callable[..., Client], *orders: tuple[int, str], **settings: Any) -> None:
         spawn = get_context("spawn")
-        self._begun, self._go = spawn.Semaphore(0), spawn.Semaphore(0)
-        target = functools.partial(fake_workers.filming, begun=self._begun, go=self._go, orders=orders)
+        self._job_started, self._may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
+        target = functools.partial(fake_workers.filming, job_started=self._job_started, may_finish=self._may_finish, orders=orders)
         self.client = make(target, **settings)
 
-    def begun(self) -> None:
-        assert self._begun.acquire(timeout=SOON_S)
+    def job_started(self) -> None:
+        assert self._job_started.acquire(timeout=TIMEOUT_S)
 
     def open(self, times: int = 1) -> None:
         for _ in range(times):
-            self._go.release()
+            self._may_finish.release()
 
 
 @pytest.fixture
-def gated(serve_with) -> Callable[..., Gated]:
-    return functools.partial(Gated, serve_with)
+def gated_service(serve_with) -> Callable[..., GatedService]:
+    return functools.partial(GatedService, serve_with)
 
 
 @pytest.fixture
@@ -86,61 +91,63 @@ def filming(serve_with) -> Client:
     return serve_with(fake_workers.filming)
 
 
-def test_animation_runs_from_request_to_result(gated):
-    service = gated()
+def test_animation_runs_from_request_to_result(gated_service):
+    service = gated_service()
     client = service.client
-    answer = client.post(ADDRESS, json=ASKED)
+    answer = client.post(ADDRESS, json=REQUEST_BODY)
     assert answer.status_code == 202 and answer.headers["cache-control"] == "no-store"
-    address, told = answer.headers["location"], answer.json()
-    assert address == f"{str(client.base_url).rstrip('/')}/animations/{told['jobID']}"
-    assert (told["status"], told["progress"], told["frames"], told["frames_done"]) == ("accepted", 0, 3, 0)
-    assert told["seconds_left"] == 4.5, "what the plan expects of its frames"
+    address, job = answer.headers["location"], answer.json()
+    assert address == f"{str(client.base_url).rstrip('/')}/animations/{job['jobID']}"
+    assert (job["status"], job["progress"], job["frames"], job["frames_done"]) == ("accepted", 0, 3, 0)
+    assert job["seconds_left"] == 4.5, "what the plan expects of its frames"
     assert 1 <= int(answer.headers["retry-after"]) <= 5
-    service.begun()
-    refused = client.get(f"{address}/result")
-    check_problem(refused, 409, "unfinished", None)
-    assert int(refused.headers["retry-after"]) >= 1
+    service.job_started()
+    refusal = client.get(f"{address}/result")
+    check_problem(refusal, 409, "unfinished", None)
+    assert int(refusal.headers["retry-after"]) >= 1
     service.open()
-    service.begun()
+    service.job_started()
     while (running := client.get(address)).json()["frames_done"] < 1:
         pass
     state = running.json()
     assert (state["status"], state["message"], state["progress"]) == ("running", "1 of 3 frames are drawn.", 33)
     assert running.headers["cache-control"] == "no-store" and "retry-after" in running.headers
     service.open(2)
-    state = ended(client, answer)
+    state = wait_for_end(client, answer)
     assert (state["status"], state["progress"], state["seconds_left"]) == ("successful", 100, None)
-    (link,) = [each for each in state["links"] if each["rel"] == RESULTS]
+    (link,) = [item for item in state["links"] if item["rel"] == RESULTS_RELATION]
     assert link["href"] == f"{address}/result" and link["type"] == "image/webp"
     film = client.get(link["href"])
     assert film.status_code == 200 and film.headers["content-type"] == "image/webp"
     assert int(film.headers["content-length"]) == len(film.content)
-    assert [int(each[0, 0, 0]) for each in pictures_of(film.content)] == [1, 2, 3]
+    assert [int(item[0, 0, 0]) for item in pictures_of(film.content)] == [1, 2, 3]
     assert "retry-after" not in client.get(address).headers
 
 
 def test_result_supports_etags_and_byte_ranges(filming: Client):
-    state = ended(filming, filming.post(ADDRESS, json=ASKED))
+    state = wait_for_end(filming, filming.post(ADDRESS, json=REQUEST_BODY))
     address = f"/animations/{state['jobID']}/result"
-    whole = filming.get(address)
-    tag, size = whole.headers["etag"], len(whole.content)
-    assert whole.headers["cache-control"].startswith("private, max-age=") and whole.headers["accept-ranges"] == "bytes"
+    full_response = filming.get(address)
+    tag, size = full_response.headers["etag"], len(full_response.content)
+    assert (
+        full_response.headers["cache-control"].startswith("private, max-age=") and full_response.headers["accept-ranges"] == "bytes"
+    )
     unchanged = filming.get(address, headers={"If-None-Match": tag})
     assert (unchanged.status_code, unchanged.content, unchanged.headers["etag"]) == (304, b"", tag)
-    for asked, first, end in (
+    for range_header, first, end in (
         ("bytes=0-3", 0, 4),
         ("bytes=10-", 10, size),
         ("bytes=-5", size - 5, size),
         (f"bytes=4-{size}", 4, size),
     ):
-        part = filming.get(address, headers={"Range": asked})
-        assert part.status_code == 206 and part.content == whole.content[first:end], asked
+        part = filming.get(address, headers={"Range": range_header})
+        assert part.status_code == 206 and part.content == full_response.content[first:end], range_header
         assert part.headers["content-range"] == f"bytes {first}-{end - 1}/{size}"
         assert int(part.headers["content-length"]) == end - first
-    for ignored in ("bytes=5-2", f"bytes={size}-", "bytes=0-1,3-4", "lines=1-2", "bytes=-", "bytes=-0"):
-        assert filming.get(address, headers={"Range": ignored}).content == whole.content, ignored
+    for ignored_range in ("bytes=5-2", f"bytes={size}-", "bytes=0-1,3-4", "lines=1-2", "bytes=-", "bytes=-0"):
+        assert filming.get(address, headers={"Range": ignored_range}).content == full_response.content, ignored_range
     old = filming.get(address, headers={"Range": "bytes=0-3", "If-Range": '"another"'})
-    assert (old.status_code, old.content) == (200, whole.content)
+    assert (old.status_code, old.content) == (200, full_response.content)
     head = filming.head(address)
     assert (head.content, head.headers["content-length"]) == (b"", str(size))
 
@@ -151,58 +158,60 @@ def test_byte_range_parses_single_ranges_only():
     assert byte_range("", 10) is byte_range("bytes=1-x", 10) is byte_range("bytes=0-0", 0) is None
 
 
-def test_equal_requests_share_one_animation(gated):
-    service = gated()
+def test_equal_requests_share_one_animation(gated_service):
+    service = gated_service()
     client = service.client
-    first = client.post(ADDRESS, json=ASKED)
-    again = client.post(ADDRESS, content=json.dumps(dict(reversed(ASKED.items()))), headers={"Content-Type": "application/json"})
-    assert first.headers["location"] == again.headers["location"]
+    first = client.post(ADDRESS, json=REQUEST_BODY)
+    second_response = client.post(
+        ADDRESS, content=json.dumps(dict(reversed(REQUEST_BODY.items()))), headers={"Content-Type": "application/json"}
+    )
+    assert first.headers["location"] == second_response.headers["location"]
     service.open(6)
-    assert client.post(ADDRESS, json=ASKED | {"fps": 2}).headers["location"] != first.headers["location"]
-    ended(client, first)
-    kept = client.post(ADDRESS, json=ASKED)
-    assert (kept.status_code, kept.headers["location"]) == (200, first.headers["location"])
-    assert kept.json()["status"] == "successful"
+    assert client.post(ADDRESS, json=REQUEST_BODY | {"fps": 2}).headers["location"] != first.headers["location"]
+    wait_for_end(client, first)
+    finished_response = client.post(ADDRESS, json=REQUEST_BODY)
+    assert (finished_response.status_code, finished_response.headers["location"]) == (200, first.headers["location"])
+    assert finished_response.json()["status"] == "successful"
 
 
-def test_dismissed_animation_has_a_state_but_no_result(gated):
-    service = gated()
+def test_dismissed_animation_has_a_state_but_no_result(gated_service):
+    service = gated_service()
     client = service.client
-    address = client.post(ADDRESS, json=ASKED).headers["location"]
-    service.begun()
+    address = client.post(ADDRESS, json=REQUEST_BODY).headers["location"]
+    service.job_started()
     dismissed = client.delete(address)
     assert (dismissed.status_code, dismissed.json()["status"]) == (200, "dismissed")
     assert dismissed.headers["cache-control"] == "no-store"
     assert client.get(address).json()["status"] == "dismissed"
     check_problem(client.get(f"{address}/result"), 404, "not_found", "animation")
     service.open(4)  # the frame in progress, and the frames of the second animation
-    again = client.post(ADDRESS, json=ASKED)
-    assert again.headers["location"] != address
-    state = ended(client, again)
+    new_response = client.post(ADDRESS, json=REQUEST_BODY)
+    assert new_response.headers["location"] != address
+    state = wait_for_end(client, new_response)
     assert state["status"] == "successful"
-    assert client.delete(again.headers["location"]).json()["status"] == "dismissed"
-    check_problem(client.get(f"{again.headers['location']}/result"), 404, "not_found", "animation")
+    assert client.delete(new_response.headers["location"]).json()["status"] == "dismissed"
+    check_problem(client.get(f"{new_response.headers['location']}/result"), 404, "not_found", "animation")
 
 
 def test_unknown_animation_or_level_is_404(filming: Client):
     for method, path in (("GET", ""), ("GET", "/result"), ("DELETE", "")):
         check_problem(filming.request(method, f"/animations/{'0' * 32}{path}"), 404, "not_found", "animation")
-    check_problem(filming.post("/levels/nowhere/animations", json=ASKED), 404, "not_found", "level")
+    check_problem(filming.post("/levels/nowhere/animations", json=REQUEST_BODY), 404, "not_found", "level")
     assert filming.get(ADDRESS).headers["allow"] == "POST"
     assert filming.put("/animations/x").headers["allow"] == "GET, HEAD, DELETE"
 
 
-def test_retry_after_is_well_below_the_abandon_timeout(gated):
-    client = gated(animation_abandoned_s=60.0).client
-    answer = client.post(ADDRESS, json=ASKED | {"step": "1m"})
+def test_retry_after_is_well_below_the_abandon_timeout(gated_service):
+    client = gated_service(animation_abandoned_s=60.0).client
+    answer = client.post(ADDRESS, json=REQUEST_BODY | {"step": "1m"})
     assert (answer.json()["seconds_left"], answer.headers["retry-after"]) == (181.5, "20")
 
 
-def test_animation_without_polls_is_dismissed(gated):
-    service = gated(animation_abandoned_s=0.3)
+def test_animation_without_polls_is_dismissed(gated_service):
+    service = gated_service(animation_abandoned_s=0.3)
     client, animations = service.client, service.client.service.animations
-    address = client.post(ADDRESS, json=ASKED).headers["location"]
-    service.begun()
+    address = client.post(ADDRESS, json=REQUEST_BODY).headers["location"]
+    service.job_started()
     while animations.counts["running"]:
         client.get("/healthz")
     service.open()
@@ -216,37 +225,37 @@ def test_animation_without_polls_is_dismissed(gated):
 
 def test_results_expire_after_their_maximum_age(serve_with):
     client = serve_with(fake_workers.filming, animation_age_s=0.3)
-    answer = client.post(ADDRESS, json=ASKED)
+    answer = client.post(ADDRESS, json=REQUEST_BODY)
     while (state := client.get(answer.headers["location"])).status_code == 200:
         pass
     check_problem(state, 404, "not_found", "animation")
     assert client.service.animations.cached_bytes == 0
 
 
-def test_full_queue_is_503_with_retry_after(gated):
-    service = gated(animations_waiting=1)
+def test_full_queue_is_503_with_retry_after(gated_service):
+    service = gated_service(animations_waiting=1)
     client = service.client
     for fps in (1, 2):
-        assert client.post(ADDRESS, json=ASKED | {"fps": fps}).status_code == 202
-    refused = client.post(ADDRESS, json=ASKED | {"fps": 3})
-    check_problem(refused, 503, "busy", None)
-    assert int(refused.headers["retry-after"]) >= 1
-    assert client.post(ADDRESS, json=ASKED | {"fps": 2}).status_code == 202, "it has its place"
+        assert client.post(ADDRESS, json=REQUEST_BODY | {"fps": fps}).status_code == 202
+    refusal = client.post(ADDRESS, json=REQUEST_BODY | {"fps": 3})
+    check_problem(refusal, 503, "busy", None)
+    assert int(refusal.headers["retry-after"]) >= 1
+    assert client.post(ADDRESS, json=REQUEST_BODY | {"fps": 2}).status_code == 202, "it has its place"
 
 
-def test_tile_request_precedes_the_next_frame(gated):
+def test_tile_request_precedes_the_next_frame(gated_service):
     """The worker draws a tile that is requested during a frame before the next frame."""
-    service = gated()
+    service = gated_service()
     client = service.client
-    address = client.post(ADDRESS, json=ASKED).headers["location"]
-    service.begun()
+    address = client.post(ADDRESS, json=REQUEST_BODY).headers["location"]
+    service.job_started()
     x, y = CORNER
     with ThreadPoolExecutor(1) as thread:
         tile = thread.submit(client.get, f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{x}/{y}.png")
         while client.service.pool.queued < 1:
             client.get("/healthz")
         service.open()
-        service.begun()
+        service.job_started()
         while client.get(address).json()["frames_done"] < 1:  # the service counts a frame after its worker has begun the next job
             pass
         service.open()
@@ -255,20 +264,20 @@ def test_tile_request_precedes_the_next_frame(gated):
     service.open(2)
 
 
-def test_frame_of_a_killed_worker_is_drawn_again(gated):
-    service = gated()
+def test_frame_of_a_killed_worker_is_drawn_again(gated_service):
+    service = gated_service()
     client = service.client
-    answer = client.post(ADDRESS, json=ASKED)
+    answer = client.post(ADDRESS, json=REQUEST_BODY)
     service.open()
-    service.begun()
-    service.begun()
+    service.job_started()
+    service.job_started()
     os.kill(*client.service.pool.pids, signal.SIGKILL)
-    service.begun()
+    service.job_started()
     service.open(2)
-    state = ended(client, answer)
+    state = wait_for_end(client, answer)
     assert state["status"] == "successful"
     film = client.get(f"/animations/{state['jobID']}/result").content
-    assert [int(each[0, 0, 0]) for each in pictures_of(film)] == [1, 2, 3], "each was planned once"
+    assert [int(picture[0, 0, 0]) for picture in pictures_of(film)] == [1, 2, 3], "each was planned once"
 
 
 @pytest.mark.parametrize(
@@ -276,63 +285,63 @@ def test_frame_of_a_killed_worker_is_drawn_again(gated):
 )
 def test_failed_animation_reports_its_problem(serve_with, order: str, status: int, code: str):
     client = serve_with(functools.partial(fake_workers.filming, orders=((1, order),)))
-    answer = client.post(ADDRESS, json=ASKED)
-    state = ended(client, answer)
+    answer = client.post(ADDRESS, json=REQUEST_BODY)
+    state = wait_for_end(client, answer)
     assert state["status"] == "failed"
     assert (state["problem"]["status"], state["problem"]["code"]) == (status, code)
     assert state["message"] == state["problem"]["detail"] and "went wrong" not in state["message"]
     assert len(state["links"]) == 1
     check_problem(client.get(f"/animations/{state['jobID']}/result"), status, code, "view" if status == 422 else None)
-    assert client.post(ADDRESS, json=ASKED).headers["location"] != answer.headers["location"], "it is tried again"
+    assert client.post(ADDRESS, json=REQUEST_BODY).headers["location"] != answer.headers["location"], "it is tried again"
 
 
 def test_frame_timeout_fails_the_animation(serve_with):
-    gate = get_context("spawn").Semaphore(0)
-    client = serve_with(functools.partial(fake_workers.filming, go=gate), render_timeout_s=0.5)
-    state = ended(client, client.post(ADDRESS, json=ASKED))
+    may_finish = get_context("spawn").Semaphore(0)
+    client = serve_with(functools.partial(fake_workers.filming, may_finish=may_finish), render_timeout_s=0.5)
+    state = wait_for_end(client, client.post(ADDRESS, json=REQUEST_BODY))
     assert (state["status"], state["problem"]["code"]) == ("failed", "render_timeout")
-    gate.release()
+    may_finish.release()
 
 
 def test_level_change_fails_the_animation(folder: Path):
     level = write_level(folder, "changing")
     spawn = get_context("spawn")
-    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
-    target = functools.partial(fake_workers.filming, begun=begun, go=go)
+    job_started, may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
+    target = functools.partial(fake_workers.filming, job_started=job_started, may_finish=may_finish)
     with running(create_app(Settings(workers=1, level_check_s=0), [level], target)) as client:
-        answer = client.post("/levels/changing/animations", json=ASKED)
-        assert begun.acquire(timeout=SOON_S)
+        answer = client.post("/levels/changing/animations", json=REQUEST_BODY)
+        assert job_started.acquire(timeout=TIMEOUT_S)
         write_level(folder, "changing", title="Another one")
-        go.release()
-        state = ended(client, answer)
+        may_finish.release()
+        state = wait_for_end(client, answer)
         assert (state["status"], state["problem"]["code"]) == ("failed", "level_changed")
-        other = client.post("/levels/changing/animations", json=ASKED)
+        other = client.post("/levels/changing/animations", json=REQUEST_BODY)
         assert other.headers["location"] != answer.headers["location"]
         for _ in range(3):
-            go.release()
-        assert ended(client, other)["status"] == "successful"
+            may_finish.release()
+        assert wait_for_end(client, other)["status"] == "successful"
 
 
 def test_shutdown_dismisses_all_animations(hills_level: Path):
     """Shutdown dismisses one running and one waiting animation, and drops the cached result of a finished one."""
     spawn = get_context("spawn")
-    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
-    target = functools.partial(fake_workers.filming, begun=begun, go=go)
+    job_started, may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
+    target = functools.partial(fake_workers.filming, job_started=job_started, may_finish=may_finish)
     with running(create_app(Settings(workers=1), [hills_level], target)) as client:
         for _ in range(3):
-            go.release()
-        assert ended(client, client.post(ADDRESS, json=ASKED))["status"] == "successful"
+            may_finish.release()
+        assert wait_for_end(client, client.post(ADDRESS, json=REQUEST_BODY))["status"] == "successful"
         for _ in range(3):
-            assert begun.acquire(timeout=SOON_S)
+            assert job_started.acquire(timeout=TIMEOUT_S)
         with ThreadPoolExecutor(2) as threads:
-            asked = [threads.submit(client.post, ADDRESS, json=ASKED | {"fps": fps}) for fps in (1, 2)]
+            posts = [threads.submit(client.post, ADDRESS, json=REQUEST_BODY | {"fps": fps}) for fps in (1, 2)]
             for _ in range(2):  # one animation may get its first frame before the other one starts
-                go.release()
-            addresses = [each.result().headers["location"] for each in asked]
+                may_finish.release()
+            addresses = [item.result().headers["location"] for item in posts]
         animations = client.service.animations
-        going = list(animations._active.values())
-    assert {each.id for each in going} == {address.rpartition("/")[2] for address in addresses}
-    assert [each.status for each in going] == ["dismissed", "dismissed"]
+        active_animations = list(animations._active.values())
+    assert {item.id for item in active_animations} == {address.rpartition("/")[2] for address in addresses}
+    assert [item.status for item in active_animations] == ["dismissed", "dismissed"]
     assert animations.cached_bytes == 0 and not animations.counts["successful"]
 
 
@@ -354,11 +363,11 @@ def test_shutdown_dismisses_all_animations(hills_level: Path):
         ({"fps": "fast"}, "fps", "a valid number"),
         ({"format": "gif"}, "format", "'webp' or 'mp4'"),
         ({"view": "nowhere"}, "view", "map"),
-        ({"view": "map", "path": {"keys": KEYS}}, "view", "cannot be combined with path"),
-        ({"path": {"keys": KEYS[:1]}}, "path.keys", "at least 2"),
-        ({"path": {"keys": [*KEYS, KEYS[0]]}}, "path.keys.2.at", "later"),
-        ({"path": {"keys": [KEYS[0] | {"eye": [8.43, 47.5, 1e6]}, KEYS[1]]}}, "path.keys.0.eye", "at most 100000"),
-        ({"path": {"keys": [KEYS[0] | {"height": 1}, KEYS[1]]}}, "path.keys.0.height", "at, eye, target, fov"),
+        ({"view": "map", "path": {"keys": CAMERA_KEYS}}, "view", "cannot be combined with path"),
+        ({"path": {"keys": CAMERA_KEYS[:1]}}, "path.keys", "at least 2"),
+        ({"path": {"keys": [*CAMERA_KEYS, CAMERA_KEYS[0]]}}, "path.keys.2.at", "later"),
+        ({"path": {"keys": [CAMERA_KEYS[0] | {"eye": [8.43, 47.5, 1e6]}, CAMERA_KEYS[1]]}}, "path.keys.0.eye", "at most 100000"),
+        ({"path": {"keys": [CAMERA_KEYS[0] | {"height": 1}, CAMERA_KEYS[1]]}}, "path.keys.0.height", "at, eye, target, fov"),
         ({"size": [64]}, "size.1", "missing"),
         ({"size": [0, 48]}, "size.0", "greater than or equal to 1"),
         ({"size": "64x48"}, "size", "a valid tuple"),
@@ -377,7 +386,7 @@ def test_shutdown_dismisses_all_animations(hills_level: Path):
     ],
 )
 def test_invalid_request_is_refused_before_drawing(filming: Client, asked: dict[str, Any], parameter: str, said: str):
-    answer = filming.post(ADDRESS, json={key: value for key, value in (ASKED | asked).items() if value is not None})
+    answer = filming.post(ADDRESS, json={key: value for key, value in (REQUEST_BODY | asked).items() if value is not None})
     problem = check_problem(answer, 422, "invalid_parameter", parameter)
     assert said in problem["detail"]
     assert not any(filming.service.animations.counts.values())
@@ -388,18 +397,18 @@ def test_missing_or_broken_body_is_refused(filming: Client):
         filming.post(ADDRESS, content="{", headers={"Content-Type": "application/json"}), 422, "invalid_parameter", "body"
     )
     check_problem(filming.post(ADDRESS), 422, "invalid_parameter", "body")
-    check_problem(filming.post(f"{ADDRESS}?step=1h", json=ASKED), 422, "invalid_parameter", "step")
+    check_problem(filming.post(f"{ADDRESS}?step=1h", json=REQUEST_BODY), 422, "invalid_parameter", "step")
 
 
 def test_mp4_without_an_encoder_is_refused(filming: Client, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("skugga.api.http.views.animation_request.find_spec", lambda name: None)
-    problem = check_problem(filming.post(ADDRESS, json=ASKED | {"format": "mp4"}), 422, "invalid_parameter", "format")
+    problem = check_problem(filming.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4"}), 422, "invalid_parameter", "format")
     assert "no encoder of mp4" in problem["detail"]
 
 
 def test_mp4_result_has_all_frames(filming: Client):
     av = pytest.importorskip("av")
-    state = ended(filming, filming.post(ADDRESS, json=ASKED | {"format": "mp4", "fps": 5}))
+    state = wait_for_end(filming, filming.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4", "fps": 5}))
     film = filming.get(f"/animations/{state['jobID']}/result")
     assert film.headers["content-type"] == "video/mp4"
     with av.open(io.BytesIO(film.content)) as container:
@@ -408,14 +417,14 @@ def test_mp4_result_has_all_frames(filming: Client):
 
 def test_zero_max_frames_refuses_every_animation(serve_with):
     client = serve_with(fake_workers.filming, max_animation_frames=0)
-    check_problem(client.post(ADDRESS, json=ASKED), 422, "invalid_parameter", "step")
+    check_problem(client.post(ADDRESS, json=REQUEST_BODY), 422, "invalid_parameter", "step")
 
 
 def test_api_token_protects_animations(serve_with):
     client = serve_with(fake_workers.filming, api_token="a secret token")
-    check_problem(client.post(ADDRESS, json=ASKED), 401, "unauthorized", None)
+    check_problem(client.post(ADDRESS, json=REQUEST_BODY), 401, "unauthorized", None)
     client.headers["Authorization"] = "Bearer a secret token"
-    state = ended(client, client.post(ADDRESS, json=ASKED))
+    state = wait_for_end(client, client.post(ADDRESS, json=REQUEST_BODY))
     del client.headers["Authorization"]
     for path in ("", "/result"):
         check_problem(client.get(f"/animations/{state['jobID']}{path}"), 401, "unauthorized", None)
@@ -424,15 +433,15 @@ def test_api_token_protects_animations(serve_with):
 
 def test_cors_exposes_location_and_allows_delete(filming: Client):
     page = {"Origin": "https://map.example"}
-    answer = filming.post(ADDRESS, json=ASKED, headers=page)
-    exposed = answer.headers["access-control-expose-headers"]
-    assert {"Location", "Retry-After", "Content-Range"} <= {each.strip() for each in exposed.split(",")}
-    asked = filming.options(answer.headers["location"], headers=page | {"Access-Control-Request-Method": "DELETE"})
-    assert asked.status_code == 200 and "DELETE" in asked.headers["access-control-allow-methods"]
+    answer = filming.post(ADDRESS, json=REQUEST_BODY, headers=page)
+    exposed_headers = answer.headers["access-control-expose-headers"]
+    assert {"Location", "Retry-After", "Content-Range"} <= {header.strip() for header in exposed_headers.split(",")}
+    preflight = filming.options(answer.headers["location"], headers=page | {"Access-Control-Request-Method": "DELETE"})
+    assert preflight.status_code == 200 and "DELETE" in preflight.headers["access-control-allow-methods"]
 
 
 def test_metrics_count_animations(filming: Client):
-    ended(filming, filming.post(ADDRESS, json=ASKED))
+    wait_for_end(filming, filming.post(ADDRESS, json=REQUEST_BODY))
     text = filming.get("/metrics").text
     assert 'skugga_animations{status="successful"} 1.0' in text
     assert 'skugga_animations_ended_total{status="successful"} 1.0' in text
@@ -441,7 +450,7 @@ def test_metrics_count_animations(filming: Client):
 
 
 @pytest.fixture(scope="module")
-def with_view(folder: Path) -> Iterator[tuple[Client, Path]]:
+def viewed_service(folder: Path) -> Iterator[tuple[Client, Path]]:
     """Yield a client of a real service and its level, which has a perspective view."""
     view = {"kind": "perspective", "eye": EYE, "target": TARGET, "size": [96, 64]}
     level = write_level(folder, "viewed_film", views={"eye": view, "map": {"kind": "map"}})
@@ -454,21 +463,21 @@ def with_view(folder: Path) -> Iterator[tuple[Client, Path]]:
     [
         {"view": "eye", "size": None, "style": "swiss", "algorithm": "shadow_map"},
         {"view": "map"},
-        {"path": {"keys": KEYS, "size": [64, 48]}, "size": None, "to": "2024-06-21T16:00:02+02:00", "step": "1s"},
-        {"path": {"keys": KEYS}, "from": None, "to": None, "step": "1s", "azimuth": 100, "altitude": 30},
+        {"path": {"keys": CAMERA_KEYS, "size": [64, 48]}, "size": None, "to": "2024-06-21T16:00:02+02:00", "step": "1s"},
+        {"path": {"keys": CAMERA_KEYS}, "from": None, "to": None, "step": "1s", "azimuth": 100, "altitude": 30},
     ],
     ids=["view", "map", "path", "path under a sun that rests"],
 )  # fmt: skip
 def test_animation_equals_command_line_and_snapshots(
-    with_view, tmp_path: Path, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    viewed_service, tmp_path: Path, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ):
     """Their pixels are equal bit for bit, because every encoding is lossless."""
-    client, level = with_view
-    body = {key: value for key, value in (ASKED | asked).items() if value is not None}
-    state = ended(client, client.post("/levels/viewed_film/animations", json=body))
+    client, level = viewed_service
+    body = {key: value for key, value in (REQUEST_BODY | asked).items() if value is not None}
+    state = wait_for_end(client, client.post("/levels/viewed_film/animations", json=body))
     assert state["status"] == "successful", state["message"]
-    found = pictures_of(client.get(f"/animations/{state['jobID']}/result").content)
-    assert len(found) == 3 and not np.array_equal(found[0], found[2])
+    pictures = pictures_of(client.get(f"/animations/{state['jobID']}/result").content)
+    assert len(pictures) == 3 and not np.array_equal(pictures[0], pictures[2])
     options = {
         f"--{key}": str(body[key])
         for key in ("from", "to", "step", "view", "style", "algorithm", "azimuth", "altitude")
@@ -481,24 +490,24 @@ def test_animation_equals_command_line_and_snapshots(
     if "size" in body:
         options["--size"] = "x".join(map(str, body["size"]))
     output = tmp_path / "film.webp"
-    arguments = [each for pair in options.items() for each in pair]
+    arguments = [argument for pair in options.items() for argument in pair]
     monkeypatch.setattr(sys, "argv", ["skugga", "render", str(level), *arguments, "--lossless", "-o", str(output)])
     with pytest.raises(SystemExit) as command:
         cli.main()
     assert command.value.code == 0
     expected = pictures_of(output.read_bytes())
-    assert all(np.array_equal(*pair) for pair in zip(found, expected, strict=True))
+    assert all(np.array_equal(*pair) for pair in zip(pictures, expected, strict=True))
     if "path" not in body:
-        for number, picture in enumerate(found):
+        for number, picture in enumerate(pictures):
             query = {
                 "view": body["view"],
                 "time": f"2024-06-21T{16 + number}:00:00+02:00",
                 "size": "x".join(map(str, body.get("size", (96, 64)))),
             }
             query |= {key: body[key] for key in ("style", "algorithm") if key in body}
-            still = client.get("/levels/viewed_film/snapshot.png", params=query)
-            assert still.status_code == 200, still.text
-            assert np.array_equal(picture, np.asarray(Image.open(io.BytesIO(still.content)).convert("RGB"))), number
+            snapshot = client.get("/levels/viewed_film/snapshot.png", params=query)
+            assert snapshot.status_code == 200, snapshot.text
+            assert np.array_equal(picture, np.asarray(Image.open(io.BytesIO(snapshot.content)).convert("RGB"))), number
 
 
 @pytest.mark.parametrize(
@@ -506,19 +515,27 @@ def test_animation_equals_command_line_and_snapshots(
     [
         (
             "viewed_film",
-            {"path": {"keys": [KEYS[0], KEYS[1] | {"eye": [0, 0, 100]}]}},
+            {"path": {"keys": [CAMERA_KEYS[0], CAMERA_KEYS[1] | {"eye": [0, 0, 100]}]}},
             422,
             "path.keys.1.eye",
             "on the terrain's data",
         ),
-        ("viewed_film", {"path": {"keys": UNDER}, "step": "1h"}, 422, "path", "frame 2 (2024-06-21T17:00:00+02:00): eye"),
+        (
+            "viewed_film",
+            {"path": {"keys": UNDERGROUND_KEYS}, "step": "1h"},
+            422,
+            "path",
+            "frame 2 (2024-06-21T17:00:00+02:00): eye",
+        ),
         ("site_film", {}, 422, "from", "azimuth"),
         ("viewed_film", {"view": "eye", "algorithm": "planar"}, 422, None, ""),
     ],
 )
-def test_scene_errors_are_reported_on_post(with_view, level: str, asked: dict[str, Any], status: int, parameter: str, said: str):
-    client, _ = with_view
-    answer = client.post(f"/levels/{level}/animations", json=ASKED | asked)
+def test_scene_errors_are_reported_on_post(
+    viewed_service, level: str, asked: dict[str, Any], status: int, parameter: str, said: str
+):
+    client, _ = viewed_service
+    answer = client.post(f"/levels/{level}/animations", json=REQUEST_BODY | asked)
     assert answer.status_code == status, answer.text
     problem = answer.json()
     if parameter is not None:

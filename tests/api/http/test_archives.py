@@ -27,14 +27,14 @@ from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.level.level import load_level
 from tests.api.conftest import CORNER, PNG, ZOOM, Client, running, write_level, write_tiles
 from tests.api.http.test_problems import check_problem
-from tests.api.seed.pmtiles_checker import MAGIC, place_of
+from tests.api.seed.pmtiles_checker import MAGIC, tile_id_to_zxy
 from tests.api.workers import fake_workers
 
 X, Y = CORNER
 TILES = "/levels/hills/tiles/WebMercatorQuad"
 TIME = "2024-06-21T16:00:00+00:00"
 
-READY_S = 600
+READY_TIMEOUT_S = 600
 """A render worker compiles at its first start."""
 
 
@@ -43,7 +43,7 @@ def tile_of(number: int) -> bytes:
     return MAGIC["png"] + number.to_bytes(8, "big") + bytes(40)
 
 
-def replaced(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes) -> None:
     """Replace a file's content atomically."""
     part = path.with_suffix(".part")
     part.write_bytes(content)
@@ -62,14 +62,14 @@ def serve(tmp_path: Path) -> Callable[..., object]:
     return make
 
 
-def drawn(client: Client) -> int:
+def drawn_block_count(client: Client) -> int:
     """Return how many blocks the render workers have drawn."""
     return client.service.pool.counters.answered
 
 
 def test_archived_tile_equals_the_rendered_tile(client: Client, serve, tmp_path: Path):
     """One service renders the tiles; another, which renders nothing, sends equal bytes for each canonical query."""
-    end = time.monotonic() + READY_S
+    end = time.monotonic() + READY_TIMEOUT_S
     while client.get("/readyz").status_code != 200:  # this may be the first test of a run
         assert time.monotonic() < end, "no render process is ready"
         time.sleep(0.5)
@@ -80,27 +80,30 @@ def test_archived_tile_equals_the_rendered_tile(client: Client, serve, tmp_path:
         for name, query in queries.items()
     }
     for name, query in queries.items():
-        said = {"layer": query["layer"], "query": f"time={TIME.replace(':', '%3A').replace('+', '%2B')}" if "time" in query else ""}
-        write_tiles(tmp_path / f"{name}.pmtiles", rendered[name], **said)
-    with serve({"archive": [f"{name}.pmtiles" for name in queries]}) as served:
+        tile_metadata = {
+            "layer": query["layer"],
+            "query": f"time={TIME.replace(':', '%3A').replace('+', '%2B')}" if "time" in query else "",
+        }
+        write_tiles(tmp_path / f"{name}.pmtiles", rendered[name], **tile_metadata)
+    with serve({"archive": [f"{name}.pmtiles" for name in queries]}) as archive_client:
         for name, query in queries.items():
             for (z, x, y), body in rendered[name].items():
-                answer = served.get(f"{TILES}/{z}/{x}/{y}.png", params=query)
+                answer = archive_client.get(f"{TILES}/{z}/{x}/{y}.png", params=query)
                 assert (answer.status_code, answer.content) == (200, body) and body.startswith(MAGIC["png"])
                 assert answer.headers["content-type"] == "image/png" and "archive" in answer.headers["server-timing"]
         # The same instant in another spelling; heights do not depend on the sun.
-        other = served.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"time": "2024-06-21T18:00:00+02:00"})
+        other = archive_client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"time": "2024-06-21T18:00:00+02:00"})
         assert other.content == rendered["b"][ZOOM, X, Y] and other.headers["x-skugga-time"] == "2024-06-21T18:00:00+02:00"
-        high = served.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"layer": "terrarium", "time": TIME})
-        assert high.content == rendered["c"][ZOOM, X, Y]
-        assert drawn(served) == 0
+        height_response = archive_client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"layer": "terrarium", "time": TIME})
+        assert height_response.content == rendered["c"][ZOOM, X, Y]
+        assert drawn_block_count(archive_client) == 0
 
 
 def test_requests_outside_the_archive_are_rendered(serve, tmp_path: Path):
     write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG}, layer="shadow")
     with serve({"archive": "a.pmtiles"}) as client:
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=shadow").content == PNG
-        assert drawn(client) == 0
+        assert drawn_block_count(client) == 0
         for count, (address, query) in enumerate(
             [
                 (f"{ZOOM}/{X}/{Y}.png", {}),
@@ -114,7 +117,7 @@ def test_requests_outside_the_archive_are_rendered(serve, tmp_path: Path):
         ):
             answer = client.get(f"{TILES}/{address}", params=query)
             assert answer.status_code == 200 and answer.content != PNG, address
-            assert drawn(client) == count, address
+            assert drawn_block_count(client) == count, address
 
 
 def test_other_matrix_set_is_rendered(serve, tmp_path: Path):
@@ -136,8 +139,8 @@ def test_archived_tile_has_cache_headers_and_304(serve, tmp_path: Path):
         answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", headers={"Origin": "https://map.example"})
         assert answer.headers["cache-control"].startswith("public, max-age=3600,")
         assert answer.headers["access-control-allow-origin"] == "*"
-        again = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", headers={"If-None-Match": answer.headers["etag"]})
-        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", answer.headers["etag"])
+        not_modified = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", headers={"If-None-Match": answer.headers["etag"]})
+        assert (not_modified.status_code, not_modified.content, not_modified.headers["etag"]) == (304, b"", answer.headers["etag"])
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y - 1}.png").headers["etag"] != answer.headers["etag"]
         head = client.head(f"{TILES}/{ZOOM}/{X}/{Y}.png")
         assert (head.status_code, head.content, head.headers["etag"]) == (200, b"", answer.headers["etag"])
@@ -148,7 +151,7 @@ def test_missing_archived_tile_is_empty(serve, tmp_path: Path, setting: str, sta
     path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)})
     with serve({"archive": "a.pmtiles"}, empty_tile=setting) as client:
         answer = client.get(f"{TILES}/{ZOOM}/{X - 1}/{Y}.png")
-        assert answer.status_code == status and drawn(client) == 0
+        assert answer.status_code == status and drawn_block_count(client) == 0
         if status == 404:
             check_problem(answer, 404, "not_found", "x")
             return
@@ -175,25 +178,25 @@ def test_replaced_archive_is_reopened(serve, tmp_path: Path, capfd):
                     return answer
             raise AssertionError("the service has not gone over")
 
-        version = client.service.levels.known()[0].version
-        by_drawing = client.get(address).content
-        assert client.get(address).content == by_drawing and client.service.tiles.hits > 0
+        version = client.service.levels.cached_levels()[0].version
+        rendered_tile = client.get(address).content
+        assert client.get(address).content == rendered_tile and client.service.tiles.hits > 0
         other = tmp_path / "other.pmtiles"
-        replaced(path, write_tiles(other, {(ZOOM, X, Y): tile_of(2)}).read_bytes())
+        replace_file(path, write_tiles(other, {(ZOOM, X, Y): tile_of(2)}).read_bytes())
         second = until(tile_of(2))
-        replaced(path, write_tiles(other, {(ZOOM, X, Y): tile_of(3)}).read_bytes())
+        replace_file(path, write_tiles(other, {(ZOOM, X, Y): tile_of(3)}).read_bytes())
         third = until(tile_of(3))
         assert second.headers["etag"] != third.headers["etag"]
-        replaced(path, b"PMTiles\x02")
-        until(by_drawing)
-        replaced(path, other.read_bytes())
+        replace_file(path, b"PMTiles\x02")
+        until(rendered_tile)
+        replace_file(path, other.read_bytes())
         assert until(tile_of(3)).headers["etag"] == third.headers["etag"]
         path.unlink()
-        until(by_drawing)
-        assert client.service.levels.known()[0].version == version
-    said = capfd.readouterr().err
-    assert said.count("a.pmtiles: a PMTiles archive of version 2.") == 1, "told once"
-    assert said.count("a.pmtiles: No such file") == 1 and "Its tiles are rendered." in said and "was reopened" in said
+        until(rendered_tile)
+        assert client.service.levels.cached_levels()[0].version == version
+    log_text = capfd.readouterr().err
+    assert log_text.count("a.pmtiles: a PMTiles archive of version 2.") == 1, "told once"
+    assert log_text.count("a.pmtiles: No such file") == 1 and "Its tiles are rendered." in log_text and "was reopened" in log_text
 
 
 def test_equal_archived_tiles_keep_their_own_headers(serve, tmp_path: Path):
@@ -204,14 +207,14 @@ def test_equal_archived_tiles_keep_their_own_headers(serve, tmp_path: Path):
     with serve({"archive": ["a.pmtiles", "b.pmtiles"]}, tile_cache_bytes=2**20, level_check_s=60.0) as client:
         while not client.service.pool.ready:  # answers depend on the renderer, too
             client.get("/readyz")
-        for again in range(2):
+        for repeats in range(2):
             before = client.service.tiles.hits
             for moment in moments:
                 answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={} if moment is None else {"time": moment})
                 assert answer.content == tile_of(1) and answer.headers.get("x-skugga-time") == moment
                 assert answer.headers["cache-control"].startswith(f"public, max-age={3600 if moment is None else 86400},")
-            assert client.service.tiles.hits - before == again * len(moments)
-        assert drawn(client) == 0
+            assert client.service.tiles.hits - before == repeats * len(moments)
+        assert drawn_block_count(client) == 0
 
 
 def test_archive_cut_after_opening_is_logged_and_rendered(serve, tmp_path: Path, monkeypatch, capfd):
@@ -220,19 +223,19 @@ def test_archive_cut_after_opening_is_logged_and_rendered(serve, tmp_path: Path,
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content == tile_of(1)
         os.truncate(path, path.stat().st_size - 5)
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content not in (tile_of(1), b"")
-        assert drawn(client) == 1
+        assert drawn_block_count(client) == 1
     assert "a.pmtiles: cut short since it was opened" in capfd.readouterr().err
 
 
 def test_archive_does_not_change_the_level_digest(tmp_path: Path):
-    without = load_level(write_level(tmp_path, "hills"))
+    plain_level = load_level(write_level(tmp_path, "hills"))
     named = load_level(write_level(tmp_path, "hills", archive="sub/a.pmtiles"))
-    assert without.digest == named.digest != load_level(write_level(tmp_path, "hills", seconds=1)).digest
-    assert without.archives == () and named.archives == (tmp_path / "sub" / "a.pmtiles",)
-    assert named.sources == without.sources
-    for wrong in ("https://example.org/a.pmtiles", "", ["a.pmtiles", "/vsicurl/b"], 7):
+    assert plain_level.digest == named.digest != load_level(write_level(tmp_path, "hills", seconds=1)).digest
+    assert plain_level.archives == () and named.archives == (tmp_path / "sub" / "a.pmtiles",)
+    assert named.sources == plain_level.sources
+    for invalid_archive in ("https://example.org/a.pmtiles", "", ["a.pmtiles", "/vsicurl/b"], 7):
         with pytest.raises(LevelError, match="archive"):
-            load_level(write_level(tmp_path, "hills", archive=wrong))
+            load_level(write_level(tmp_path, "hills", archive=invalid_archive))
 
 
 def test_archive_must_lie_in_the_data_roots(tmp_path: Path, serve):
@@ -260,9 +263,9 @@ def test_archives_alone_need_no_render_worker(serve, tmp_path: Path):
             "name": "sun & shade", "title": "Hills", "attribution": "nobody", "bounds": [8.3, 47.4, 8.6, 47.6], "minzoom": 2,
             "maxzoom": 3, "format": "png", "layer": "terrarium",
         }  # fmt: skip
-        told = client.get("/archives/sun & shade/tilejson.json")
-        tilejson = told.json()
-        assert told.headers["etag"] and tilejson["encoding"] == "terrarium" and tilejson["skugga"]["level"] == "hills"
+        response = client.get("/archives/sun & shade/tilejson.json")
+        tilejson = response.json()
+        assert response.headers["etag"] and tilejson["encoding"] == "terrarium" and tilejson["skugga"]["level"] == "hills"
         assert (tilejson["minzoom"], tilejson["maxzoom"], tilejson["bounds"]) == (2, 3, facts["bounds"])
         assert tilejson["center"] == pytest.approx([8.45, 47.5, 2])
         for (z, x, y), body in tiles.items():
@@ -270,13 +273,13 @@ def test_archives_alone_need_no_render_worker(serve, tmp_path: Path):
             answer = client.get(address, headers={"Origin": "https://map.example"})
             assert (answer.status_code, answer.content) == (200, body)
             assert answer.headers["access-control-allow-origin"] == "*" and "max-age" in answer.headers["cache-control"]
-            again = client.get(address, headers={"If-None-Match": answer.headers["etag"]})
-            assert (again.status_code, again.content) == (304, b"")
+            not_modified = client.get(address, headers={"If-None-Match": answer.headers["etag"]})
+            assert (not_modified.status_code, not_modified.content) == (304, b"")
         assert client.get(address.replace("/3/2/2", "/3/7/7")).status_code == 204
-        asked = client.get("/openapi.json").json()["paths"]["/plan"]["post"]["requestBody"]["content"]["application/json"][
+        example = client.get("/openapi.json").json()["paths"]["/plan"]["post"]["requestBody"]["content"]["application/json"][
             "example"
         ]
-        check_problem(client.post("/plan", json=asked), 404, "not_found", "level")
+        check_problem(client.post("/plan", json=example), 404, "not_found", "level")
 
 
 @pytest.mark.parametrize(
@@ -309,15 +312,15 @@ def test_archive_replaced_or_broken_while_served_is_noticed(serve, tmp_path: Pat
     path = write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): tile_of(1)})
     with serve(None, [path]) as client:
         first = client.get("/archives/a/2/0/0.png")
-        replaced(path, write_tiles(tmp_path / "b.pmtiles", {(2, 0, 0): tile_of(2)}).read_bytes())
+        replace_file(path, write_tiles(tmp_path / "b.pmtiles", {(2, 0, 0): tile_of(2)}).read_bytes())
         second = client.get("/archives/a/2/0/0.png", headers={"If-None-Match": first.headers["etag"]})
         assert (first.content, second.content) == (tile_of(1), tile_of(2))
-        replaced(path, path.read_bytes()[:-3])
+        replace_file(path, path.read_bytes()[:-3])
         for _ in range(3):
             answer = client.get("/archives/a/2/0/0.png")
             assert answer.status_code == 500 and answer.json()["code"] == "archive" and "/" not in answer.json()["detail"]
         assert client.get("/archives").json() == []
-        replaced(path, (tmp_path / "b.pmtiles").read_bytes())
+        replace_file(path, (tmp_path / "b.pmtiles").read_bytes())
         assert client.get("/archives/a/2/0/0.png").content == tile_of(2)
     assert "a.pmtiles: cut short: its tiles end at byte" in capfd.readouterr().err
 
@@ -332,20 +335,20 @@ def test_archives_of_one_name_are_refused(tmp_path: Path):
 # Reading archive files.
 
 
-def many(path: Path, last_zoom: int = 7) -> dict[tuple[int, int, int], bytes]:
+def write_many_tiles(path: Path, last_zoom: int = 7) -> dict[tuple[int, int, int], bytes]:
     """Write an archive of all zooms with gaps and runs, and return its tiles."""
     numbers = [number for number in range(first_tile_id(last_zoom + 1)) if number % 7 and number % 1000 > 5]
-    tiles = {place_of(number): tile_of(number // 3) for number in numbers}
+    tiles = {tile_id_to_zxy(number): tile_of(number // 3) for number in numbers}
     write_tiles(path, tiles)
     return tiles
 
 
 def test_leaf_directories_lead_to_every_tile(tmp_path: Path):
-    tiles = many(tmp_path / "a.pmtiles", 8)
+    tiles = write_many_tiles(tmp_path / "a.pmtiles", 8)
     archive = ArchiveFile(tmp_path / "a.pmtiles")
     assert archive.header["leaf_directory_length"] > 0
     for number in range(0, first_tile_id(9), 3):
-        place = place_of(number)
+        place = tile_id_to_zxy(number)
         assert archive.tile(*place) == tiles.get(place)
     assert archive.tile(9, 0, 0) is None and archive.tile(2, 4, 0) is None
     assert archive.first_tile in tiles
@@ -369,10 +372,13 @@ def test_archive_of_another_writer_is_read(tmp_path: Path):
 def test_uncompressed_directories_are_read(tmp_path: Path):
     tiles = {(2, x, x): tile_of(x) for x in range(4)}
     content = write_tiles(tmp_path / "a.pmtiles", tiles).read_bytes()
-    at, length = struct.unpack_from("<QQ", content, 8)
-    at_metadata, length_metadata = struct.unpack_from("<QQ", content, 24)
+    offset, length = struct.unpack_from("<QQ", content, 8)
+    metadata_offset, metadata_length = struct.unpack_from("<QQ", content, 24)
     (data,) = struct.unpack_from("<Q", content, 56)
-    root, metadata = gzip.decompress(content[at : at + length]), gzip.decompress(content[at_metadata:][:length_metadata])
+    root, metadata = (
+        gzip.decompress(content[offset : offset + length]),
+        gzip.decompress(content[metadata_offset:][:metadata_length]),
+    )
     header = bytearray(content[:127])
     struct.pack_into("<QQQQQQQ", header, 8, 127, len(root), 127 + len(root), len(metadata), 0, 0, 127 + len(root) + len(metadata))
     header[97] = 1
@@ -383,15 +389,15 @@ def test_uncompressed_directories_are_read(tmp_path: Path):
 
 def test_broken_leaf_directory_raises_archive_error(tmp_path: Path, monkeypatch):
     path = tmp_path / "a.pmtiles"
-    tiles = many(path, 8)
+    tiles = write_many_tiles(path, 8)
     content = path.read_bytes()
-    at, length = struct.unpack_from("<QQ", content, 40)
-    path.write_bytes(content[: at + length - 2000] + bytes(2000) + content[at + length :])
+    offset, length = struct.unpack_from("<QQ", content, 40)
+    path.write_bytes(content[: offset + length - 2000] + bytes(2000) + content[offset + length :])
     with pytest.raises(ArchiveError, match="broken directories"):
         ArchiveFile(path)
     monkeypatch.setattr(archive_file, "CHECKED_LEAF_BYTES", 0)
     archive = ArchiveFile(path)
-    assert archive.tile(*place_of(7 * 7 - 1)) == tiles[place_of(48)]
+    assert archive.tile(*tile_id_to_zxy(7 * 7 - 1)) == tiles[tile_id_to_zxy(48)]
     with pytest.raises(ArchiveError, match=r"a\.pmtiles: broken directories"):
         archive.tile(*max(tiles))
 

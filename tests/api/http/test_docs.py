@@ -8,7 +8,7 @@ from urllib.parse import urljoin, urlsplit
 import pytest
 
 from tests.api.conftest import Client
-from tests.api.http.test_level_page import Links
+from tests.api.http.test_level_page import LinkParser
 from tests.api.workers import fake_workers
 
 
@@ -16,7 +16,7 @@ def test_docs_load_all_parts_from_the_service(serve_with):
     client: Client = serve_with(fake_workers.obedient)
     page = client.get("/docs")
     assert page.status_code == 200 and page.headers["content-type"].startswith("text/html")
-    parts = Links(page.text).found
+    parts = LinkParser(page.text).urls
     assert {part.rpartition(".")[2] for part in parts} == {"css", "js", "json"}
     for part in parts:
         assert not urlsplit(part).netloc, "it is relative"

@@ -26,10 +26,10 @@ MATRIX_SET = tms.get(DEFAULT_MATRIX_SET)
 TILES = f"/levels/timed/tiles/{DEFAULT_MATRIX_SET}"
 BOUNDS = MATRIX_SET.xy_bounds(*CORNER, ZOOM)
 TIME = "2024-12-21T13:00:00Z"
-SIDE = 1024
+BLOCK_SIDE_PX = 1024
 """Block side of GDAL's WMS driver, pixels."""
 
-READ = """
+READ_SCRIPT = """
 import json, sys
 import numpy, rasterio
 from rasterio.windows import from_bounds
@@ -49,7 +49,7 @@ with rasterio.Env() as environment:
 
 
 @dataclass(frozen=True)
-class Read:
+class GdalDataset:
     """What GDAL reads: pixels (rows, cols, bands), CRS, bounds and cell size of the data set, or its subdatasets."""
 
     pixels: np.ndarray | None
@@ -59,20 +59,22 @@ class Read:
     subdatasets: list[str]
 
 
-def read(folder: Path, driver: str, source: str, bounds: tuple[float, ...] | None = None, side: int | None = None) -> Read:
+def read_with_gdal(
+    folder: Path, driver: str, source: str, bounds: tuple[float, ...] | None = None, side: int | None = None
+) -> GdalDataset:
     """Read a data set, or its part within ``bounds`` in its CRS; where ``side`` is given, as ``side`` x ``side`` pixels."""
     path = folder / "read.npy"
     environment = {name: value for name, value in os.environ.items() if name not in NO_REMOTE_READS}
-    done = subprocess.run(
-        [sys.executable, "-c", READ, json.dumps([driver, source, bounds, side, str(path)])],
+    process = subprocess.run(
+        [sys.executable, "-c", READ_SCRIPT, json.dumps([driver, source, bounds, side, str(path)])],
         env={**environment, "GDAL_ENABLE_WMS_CACHE": "NO"}, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
-    if done.stderr.strip() == f"no driver {driver}":
+    if process.stderr.strip() == f"no driver {driver}":
         pytest.skip(f"this GDAL has no {driver} driver")
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     pixels = np.moveaxis(np.load(path), 0, -1) if path.exists() else None
     path.unlink(missing_ok=True)
-    return Read(pixels, **json.loads(done.stdout))
+    return GdalDataset(pixels, **json.loads(process.stdout))
 
 
 def picture(client: Client, address: str, **query: str) -> np.ndarray:
@@ -91,43 +93,47 @@ def test_wmts_driver_reads_served_tiles(client: Client, tmp_path, layer):
     """The data set has the level's extent and finest zoom; GDAL's pixels equal the served tile bit for bit."""
     zoom = client.get("/levels/timed").json()["tile_matrix_sets"][DEFAULT_MATRIX_SET]["maxzoom"]
     x, y = (index * 2 ** (zoom - ZOOM) for index in CORNER)
-    seen = read(tmp_path, "WMTS", wmts(client, layer), tuple(MATRIX_SET.xy_bounds(x, y, zoom)))
-    assert seen.crs == 3857 and seen.cell == pytest.approx(MATRIX_SET.matrix(zoom).cellSize)
-    west, south, east, north = seen.bounds
-    assert (east - west, north - south) == pytest.approx((12_000.0, 12_000.0), abs=2 * seen.cell)
-    assert np.array_equal(seen.pixels, picture(client, f"{TILES}/{zoom}/{x}/{y}.png", layer=layer))
+    dataset = read_with_gdal(tmp_path, "WMTS", wmts(client, layer), tuple(MATRIX_SET.xy_bounds(x, y, zoom)))
+    assert dataset.crs == 3857 and dataset.cell == pytest.approx(MATRIX_SET.matrix(zoom).cellSize)
+    west, south, east, north = dataset.bounds
+    assert (east - west, north - south) == pytest.approx((12_000.0, 12_000.0), abs=2 * dataset.cell)
+    assert np.array_equal(dataset.pixels, picture(client, f"{TILES}/{zoom}/{x}/{y}.png", layer=layer))
 
 
 def test_wmts_driver_reads_another_time(client: Client, tmp_path):
     """The driver reads a document's default time only, so the capabilities are requested with another default."""
     bounds = (BOUNDS.left, BOUNDS.bottom + 1000, BOUNDS.right - 4000, BOUNDS.top)
     source = f"{wmts(client, 'mask', f'?time={TIME}')},zoom_level={ZOOM}"
-    seen = read(tmp_path, "WMTS", source, bounds)
-    rows, cols = seen.pixels.shape[:2]
+    dataset = read_with_gdal(tmp_path, "WMTS", source, bounds)
+    rows, cols = dataset.pixels.shape[:2]
     expected = picture(client, f"{TILES}/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png", layer="mask", time=TIME)[:rows, :cols]
-    here = expected[..., 0] != 128
-    assert here.sum() > 10_000 and np.array_equal(seen.pixels[here], expected[here])
-    own = read(tmp_path, "WMTS", f"{wmts(client, 'mask')},zoom_level={ZOOM}", bounds)
-    assert (own.pixels[here] != seen.pixels[here]).any()
+    valid = expected[..., 0] != 128
+    assert valid.sum() > 10_000 and np.array_equal(dataset.pixels[valid], expected[valid])
+    default_dataset = read_with_gdal(tmp_path, "WMTS", f"{wmts(client, 'mask')},zoom_level={ZOOM}", bounds)
+    assert (default_dataset.pixels[valid] != dataset.pixels[valid]).any()
 
 
 @pytest.mark.parametrize("layer", ["color", "shadow", "mask", "sunhours"])
 def test_wms_driver_reads_served_maps(client: Client, tmp_path, layer):
     """A layer of the capabilities, read as PNG at a time, equals the map of the same extent and size bit for bit."""
     time = TIME[:10] if layer == "sunhours" else TIME
-    listed = read(tmp_path, "WMS", f"WMS:{client.base_url}/levels/timed/wms?FORMAT=image/png&TRANSPARENT=TRUE").subdatasets
-    assert [each.partition("LAYERS=")[2].partition("&")[0] for each in listed] == [
+    listed = read_with_gdal(
+        tmp_path, "WMS", f"WMS:{client.base_url}/levels/timed/wms?FORMAT=image/png&TRANSPARENT=TRUE"
+    ).subdatasets
+    assert [subdataset.partition("LAYERS=")[2].partition("&")[0] for subdataset in listed] == [
         f"timed%3A{layer}" for layer in ("color", "shadow", "mask", "sunhours")
     ]
-    whole = next(each for each in listed if f"timed%3A{layer}&" in each)
-    source = whole.replace(f"BBOX={whole.partition('BBOX=')[2].partition('&')[0]}", f"BBOX={','.join(map(repr, BOUNDS))}")
-    seen = read(tmp_path, "WMS", f"{source}&TIME={time}", side=SIDE)
-    assert seen.crs == 3857 and seen.bounds == pytest.approx(tuple(BOUNDS))
+    listed_source = next(subdataset for subdataset in listed if f"timed%3A{layer}&" in subdataset)
+    source = listed_source.replace(
+        f"BBOX={listed_source.partition('BBOX=')[2].partition('&')[0]}", f"BBOX={','.join(map(repr, BOUNDS))}"
+    )
+    dataset = read_with_gdal(tmp_path, "WMS", f"{source}&TIME={time}", side=BLOCK_SIDE_PX)
+    assert dataset.crs == 3857 and dataset.bounds == pytest.approx(tuple(BOUNDS))
     moment = {"date": time} if layer == "sunhours" else {"time": time}
-    asked = {"bbox": ",".join(map(repr, BOUNDS)), "crs": "EPSG:3857", "width": str(SIDE), "layer": layer, **moment}
-    expected = picture(client, "/levels/timed/map.png", **asked)
+    query = {"bbox": ",".join(map(repr, BOUNDS)), "crs": "EPSG:3857", "width": str(BLOCK_SIDE_PX), "layer": layer, **moment}
+    expected = picture(client, "/levels/timed/map.png", **query)
     valid = (expected[..., 3] == 255) if layer != "shadow" else np.ones(expected.shape[:2], bool)
-    assert valid.sum() > 100_000 and np.array_equal(seen.pixels[valid], expected[valid])
+    assert valid.sum() > 100_000 and np.array_equal(dataset.pixels[valid], expected[valid])
 
 
 def test_wms_driver_reads_a_latitude_first_crs(client: Client, tmp_path):
@@ -140,8 +146,8 @@ def test_wms_driver_reads_a_latitude_first_crs(client: Client, tmp_path):
         f"<LowerRightY>{south}</LowerRightY><SizeX>128</SizeX><SizeY>128</SizeY></DataWindow><BandsCount>4</BandsCount>"
         "<BlockSizeX>128</BlockSizeX><BlockSizeY>128</BlockSizeY></GDAL_WMS>"
     )
-    seen = read(tmp_path, "WMS", description)
-    asked = {"bbox": f"{west},{south},{east},{north}", "crs": "EPSG:4326", "width": "128", "height": "128"}
-    expected = picture(client, "/levels/timed/map.png", **asked)
+    dataset = read_with_gdal(tmp_path, "WMS", description)
+    query = {"bbox": f"{west},{south},{east},{north}", "crs": "EPSG:4326", "width": "128", "height": "128"}
+    expected = picture(client, "/levels/timed/map.png", **query)
     valid = expected[..., 3] == 255
-    assert valid.sum() > 5_000 and np.array_equal(seen.pixels[valid], expected[valid])
+    assert valid.sum() > 5_000 and np.array_equal(dataset.pixels[valid], expected[valid])

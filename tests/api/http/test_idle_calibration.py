@@ -17,17 +17,17 @@ from skugga.selector.cost.device_profile import load_profile, profile_path, save
 from tests.api import conftest
 from tests.api.conftest import CORNER, ZOOM, Client, running
 from tests.api.workers import fake_calibrations, fake_workers
-from tests.api.workers.test_pool import SOON_S, alive
+from tests.api.workers.test_pool import TIMEOUT_S, alive
 
 TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 OTHER_TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0] - 1}/{CORNER[1]}.png"
 PLAN = "/levels/hills/plan"
-BROKEN = [fake_calibrations.failing, fake_calibrations.dying, fake_calibrations.buggy, fake_calibrations.elsewhere]
+BROKEN_MEASUREMENTS = [fake_calibrations.failing, fake_calibrations.dying, fake_calibrations.buggy, fake_calibrations.other_device]
 
 Serve = Callable[..., Client]
 
 
-def soon_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def short_idle_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     """Give services an empty cache and a short idle delay, and capture their log from the start."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
@@ -39,22 +39,22 @@ def soon_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.Lo
 @pytest.fixture
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
     """Yield ``serve(measure, **settings)``, which returns a client of a service with an empty cache and a short idle delay."""
-    soon_idle(tmp_path, monkeypatch, caplog)
+    short_idle_delay(tmp_path, monkeypatch, caplog)
     monkeypatch.setattr(idle_calibration, "CHECK_EVERY_S", 0.02)
     with ExitStack() as stack:
 
         def make(measure, target=fake_workers.planning, **settings) -> Client:
-            asked = Settings(**{"workers": 1, "calibrate_when_idle": True, **settings})
-            client = stack.enter_context(running(create_app(asked, [hills_level], target, measure)))
-            until(lambda: client.service.pool.ready)
+            service_settings = Settings(**{"workers": 1, "calibrate_when_idle": True, **settings})
+            client = stack.enter_context(running(create_app(service_settings, [hills_level], target, measure)))
+            wait_until(lambda: client.service.pool.ready)
             return client
 
         yield make
 
 
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + SOON_S
-    while not true():
+def wait_until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + TIMEOUT_S
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
 
@@ -67,59 +67,59 @@ def policy(client: Client) -> str:
     return str(client.get(PLAN).json()["policy"])
 
 
-def said(caplog: pytest.LogCaptureFixture, words: str) -> int:
+def log_count(caplog: pytest.LogCaptureFixture, words: str) -> int:
     return sum(words in record.getMessage() for record in caplog.records)
 
 
 def test_calibration_replaces_rules_by_predictions(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"))
-    by_rules = client.get(TILE)
-    assert (by_rules.status_code, by_rules.content, policy(client)) == (200, b"", "rules")
-    assert by_rules.headers["cache-control"] == "public, max-age=60"
-    assert client.get(TILE, headers={"If-None-Match": by_rules.headers["etag"]}).status_code == 304
+    client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"))
+    rules_tile = client.get(TILE)
+    assert (rules_tile.status_code, rules_tile.content, policy(client)) == (200, b"", "rules")
+    assert rules_tile.headers["cache-control"] == "public, max-age=60"
+    assert client.get(TILE, headers={"If-None-Match": rules_tile.headers["etag"]}).status_code == 304
     assert state(client) in ("waiting", "running", "paused")
 
     (tmp_path / "go").touch()
-    until(lambda: state(client) == "calibrated")
+    wait_until(lambda: state(client) == "calibrated")
     version = client.service.pool.plan_version(None)
     assert version and policy(client) == "predict"
-    by_predictions = client.get(TILE, headers={"If-None-Match": by_rules.headers["etag"]})
-    assert (by_predictions.status_code, by_predictions.text) == (200, version)
-    assert by_predictions.headers["etag"] != by_rules.headers["etag"]
-    assert by_predictions.headers["cache-control"].startswith("public, max-age=3600,")
+    predictions_tile = client.get(TILE, headers={"If-None-Match": rules_tile.headers["etag"]})
+    assert (predictions_tile.status_code, predictions_tile.text) == (200, version)
+    assert predictions_tile.headers["etag"] != rules_tile.headers["etag"]
+    assert predictions_tile.headers["cache-control"].startswith("public, max-age=3600,")
     assert client.get(TILE).text == version, "of the same address, and of the same block, the older tile is kept as well"
-    assert client.get(TILE, headers={"If-None-Match": by_predictions.headers["etag"]}).status_code == 304
+    assert client.get(TILE, headers={"If-None-Match": predictions_tile.headers["etag"]}).status_code == 304
     assert client.get(OTHER_TILE).text == version
 
-    until(lambda: load_profile(fake_workers.RENDERER, fake_workers.VERSION) is not None)
-    until(lambda: said(caplog, "saved to") == 1)
-    assert said(caplog, "is not calibrated, so fixed rules choose until it is") == 1
-    assert said(caplog, "was loaded") == 0, "its own file is no news"
+    wait_until(lambda: load_profile(fake_workers.RENDERER, fake_workers.VERSION) is not None)
+    wait_until(lambda: log_count(caplog, "saved to") == 1)
+    assert log_count(caplog, "is not calibrated, so fixed rules choose until it is") == 1
+    assert log_count(caplog, "was loaded") == 0, "its own file is no news"
 
 
 def test_saved_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path):
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"), target=fake_workers.planning)
     save_profile(fake_calibrations.profile())
-    until(lambda: state(client) == "calibrated")
-    again = serve(functools.partial(fake_calibrations.failing, tmp_path / "failed"))
-    until(lambda: state(again) == "calibrated")
-    assert client.get(TILE).headers["etag"] == again.get(TILE).headers["etag"]
+    wait_until(lambda: state(client) == "calibrated")
+    second_client = serve(functools.partial(fake_calibrations.failing, tmp_path / "failed"))
+    wait_until(lambda: state(second_client) == "calibrated")
+    assert client.get(TILE).headers["etag"] == second_client.get(TILE).headers["etag"]
     assert not (tmp_path / "failed").exists()
 
 
 def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     pool = client.service.pool
-    until(lambda: (tmp_path / "begun").exists() and pool.idle.pid is not None)
+    wait_until(lambda: (tmp_path / "begun").exists() and pool.idle.pid is not None)
     pid, versions = pool.idle.pid, []
     assert pid is not None
     for took_s in (2.0, 3.0):
         save_profile(fake_calibrations.profile(took_s=took_s))
-        until(lambda: pool.plan_version(None) not in ("", *versions))
+        wait_until(lambda: pool.plan_version(None) not in ("", *versions))
         versions.append(pool.plan_version(None))
         assert client.get(TILE).text == versions[-1] and policy(client) == "predict"
-    until(lambda: not alive(pid))  # the saved profile makes the running measurement useless
-    assert said(caplog, "was loaded") == 2
+    wait_until(lambda: not alive(pid))  # the saved profile makes the running measurement useless
+    assert log_count(caplog, "was loaded") == 2
     profile_path(fake_workers.RENDERER, fake_workers.VERSION).unlink()
     time.sleep(0.1)
     assert pool.plan_version(None) == versions[-1]
@@ -128,8 +128,8 @@ def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, 
 def test_unwritable_cache_folder_warns_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "cache").write_text("in the way")  # no folder can be made in place of a file, not even by root
     (tmp_path / "go").touch()
-    client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"), recycle_blocks=1)
-    until(lambda: said(caplog, "cannot be written") == 1)
+    client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"), recycle_blocks=1)
+    wait_until(lambda: log_count(caplog, "cannot be written") == 1)
     (record,) = [record for record in caplog.records if "cannot be written" in record.getMessage()]
     path = profile_path(fake_workers.RENDERER, fake_workers.VERSION)
     assert record.levelname == "WARNING" and str(path) in record.getMessage() and "Not a directory" in record.getMessage()
@@ -138,17 +138,17 @@ def test_unwritable_cache_folder_warns_once(serve: Serve, tmp_path: Path, caplog
     for place in (TILE, PLAN, OTHER_TILE):  # also in processes that are started later
         assert client.get(place).text in (version, '{"policy":"predict"}')
     assert client.service.pool.counters.started > 1
-    assert said(caplog, "cannot be written") == 1
+    assert log_count(caplog, "cannot be written") == 1
 
 
 @pytest.mark.parametrize(("measure", "reason"), list(zip(
-    BROKEN, ["libEGL is broken", "its process ended with exit status 9", "ZeroDivisionError: division by zero",
+    BROKEN_MEASUREMENTS, ["libEGL is broken", "its process ended with exit status 9", "ZeroDivisionError: division by zero",
              "of another device"],
     strict=True,
 )))  # fmt: skip
 def test_failed_calibration_is_logged_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, measure, reason: str):
     client = serve(functools.partial(measure, tmp_path / "begun"))
-    until(lambda: state(client) == "failed")
+    wait_until(lambda: state(client) == "failed")
     client.get(TILE)
     time.sleep(0.5)  # several times the idle delay
     assert (tmp_path / "begun").read_text().count("\n") == 1
@@ -160,13 +160,13 @@ def test_failed_calibration_is_logged_once(serve: Serve, tmp_path: Path, caplog:
 def test_calibration_timeout_fails(serve: Serve, tmp_path: Path, monkeypatch, caplog: pytest.LogCaptureFixture):
     monkeypatch.setattr(idle_work, "JOB_TIMEOUT_S", 0.2)
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
-    until(lambda: state(client) == "failed")
-    assert said(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle.pid is None
+    wait_until(lambda: state(client) == "failed")
+    assert log_count(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle.pid is None
 
 
 def test_setting_disables_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), calibrate_when_idle=False)
-    assert state(client) == "off" and said(caplog, "SKUGGA_CALIBRATE_WHEN_IDLE is false") == 1
+    assert state(client) == "off" and log_count(caplog, "SKUGGA_CALIBRATE_WHEN_IDLE is false") == 1
     assert client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
     assert not (tmp_path / "begun").exists()
@@ -180,20 +180,20 @@ def test_worker_without_a_device_is_not_calibrated(serve: Serve, tmp_path: Path)
 
 
 def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"))
+    client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"))
     idle = client.service.pool.idle
-    until(lambda: idle.pid is not None and not idle.paused)
-    monkeypatch.setattr(idle_work, "QUIET_S", SOON_S)
+    wait_until(lambda: idle.pid is not None and not idle.paused)
+    monkeypatch.setattr(idle_work, "QUIET_S", TIMEOUT_S)
     answer = client.get(TILE)
     assert (answer.status_code, idle.paused, state(client)) == (200, True, "paused")
     pid = idle.pid
     assert pid is not None
-    until(lambda: is_stopped(pid))  # the signal takes effect when its process is scheduled, late on a busy machine
+    wait_until(lambda: is_stopped(pid))  # the signal takes effect when its process is scheduled, late on a busy machine
     (tmp_path / "go").touch()
     time.sleep(0.2)
     assert state(client) == "paused" and policy(client) == "rules"
     monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
-    until(lambda: state(client) == "calibrated")
+    wait_until(lambda: state(client) == "calibrated")
 
 
 @pytest.mark.parametrize("paused", [False, True])
@@ -203,11 +203,11 @@ def test_shutdown_leaves_no_process_or_file(hills_level: Path, tmp_path: Path, m
     measure = functools.partial(fake_calibrations.endless, tmp_path / "begun")
     app = create_app(Settings(workers=1, calibrate_when_idle=True), [hills_level], fake_workers.planning, measure)
     with running(app) as client:
-        until(lambda: (tmp_path / "begun").exists() and "\n" in (tmp_path / "begun").read_text())
-        pid, left = client.service.pool.idle.pid, Path((tmp_path / "begun").read_text().strip())
-        assert pid is not None and alive(pid) and left.exists()
+        wait_until(lambda: (tmp_path / "begun").exists() and "\n" in (tmp_path / "begun").read_text())
+        pid, temporary_file = client.service.pool.idle.pid, Path((tmp_path / "begun").read_text().strip())
+        assert pid is not None and alive(pid) and temporary_file.exists()
         if paused:
             monkeypatch.setattr(idle_work, "QUIET_S", 3600.0)  # so that it stays paused
             assert client.get(TILE).status_code == 200
-            until(lambda: is_stopped(pid))
-    assert not alive(pid) and not left.parent.exists()
+            wait_until(lambda: is_stopped(pid))
+    assert not alive(pid) and not temporary_file.parent.exists()

@@ -17,7 +17,7 @@ from skugga.selector.cost.device_profile import save_profile
 from skugga.selector.map_probes import MapProbes, ProbedClass
 from skugga.selector.probe_store import load_probes, probes_folder, save_probes
 from tests.api.conftest import Client, running
-from tests.api.http.test_idle_calibration import OTHER_TILE, TILE, said, soon_idle, until
+from tests.api.http.test_idle_calibration import OTHER_TILE, TILE, log_count, short_idle_delay, wait_until
 from tests.api.workers import fake_probes, fake_workers
 from tests.api.workers.fake_calibrations import profile
 
@@ -27,25 +27,25 @@ Serve = Callable[..., Client]
 @pytest.fixture
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
     """Yield ``serve(probe, **settings)``, which returns a client of a calibrated service with a short idle delay."""
-    soon_idle(tmp_path, monkeypatch, caplog)
+    short_idle_delay(tmp_path, monkeypatch, caplog)
     monkeypatch.setattr(idle_probes, "READ_EVERY_S", 0.02)
     save_profile(profile())
     with ExitStack() as stack:
 
-        def make(probe=fake_probes.at_once, **settings) -> Client:
-            asked = Settings(**{"workers": 1, "probe_when_idle": True, **settings})
-            client = stack.enter_context(running(create_app(asked, [hills_level], fake_workers.planning, probe=probe)))
-            until(lambda: client.service.pool.ready and client.service.pool.plan_version(None) != "")
+        def make(probe=fake_probes.probe_two_scales, **settings) -> Client:
+            service_settings = Settings(**{"workers": 1, "probe_when_idle": True, **settings})
+            client = stack.enter_context(running(create_app(service_settings, [hills_level], fake_workers.planning, probe=probe)))
+            wait_until(lambda: client.service.pool.ready and client.service.pool.plan_version(None) != "")
             return client
 
         yield make
 
 
-def waiting(client: Client) -> int:
+def waiting_probes(client: Client) -> int:
     return int(client.get("/readyz").json()["probes_waiting"])
 
 
-def kept() -> list[Path]:
+def saved_probe_files() -> list[Path]:
     return list(probes_folder(fake_workers.RENDERER, fake_workers.VERSION).glob("*.json"))
 
 
@@ -54,43 +54,43 @@ def test_probes_replace_predictions(serve: Serve, caplog: pytest.LogCaptureFixtu
     predicted = client.get(TILE)
     assert predicted.text == client.service.pool.plan_version(None)
     assert predicted.headers["cache-control"] == "public, max-age=60"
-    until(lambda: waiting(client) == 0)
-    level = client.service.levels.known()[0].key
+    wait_until(lambda: waiting_probes(client) == 0)
+    level = client.service.levels.cached_levels()[0].key
     version = client.service.pool.plan_version(level)
     assert version != predicted.text
     probed = client.get(TILE, headers={"If-None-Match": predicted.headers["etag"]})
     assert (probed.status_code, probed.text, "max-age=3600," in probed.headers["cache-control"]) == (200, version, True)
     assert client.get(OTHER_TILE).text == version
-    assert [path.stem for path in kept()] == [level.version]
-    assert load_probes(kept()[0]) == fake_probes.at_once(level, fake_workers.UNPROBED.sun, profile())
-    assert said(caplog, "were probed at 2 scales") == 1
+    assert [path.stem for path in saved_probe_files()] == [level.version]
+    assert load_probes(saved_probe_files()[0]) == fake_probes.probe_two_scales(level, fake_workers.UNPROBED.sun, profile())
+    assert log_count(caplog, "were probed at 2 scales") == 1
 
 
 def test_saved_probes_are_used_from_the_first_tile(serve: Serve):
     first = serve()
     first.get(TILE)
-    until(lambda: waiting(first) == 0)
-    version = first.service.pool.plan_version(first.service.levels.known()[0].key)
+    wait_until(lambda: waiting_probes(first) == 0)
+    version = first.service.pool.plan_version(first.service.levels.cached_levels()[0].key)
     assert serve(fake_probes.failing).get(TILE).text == version != first.service.pool.plan_version(None)
 
 
 def test_probes_saved_by_a_command_are_loaded(serve: Serve):
     client = serve(probe_when_idle=False)
     before = client.get(TILE)
-    assert waiting(client) == 0 and before.headers["cache-control"].startswith("public, max-age=3600,")
-    level = client.service.levels.known()[0].key
+    assert waiting_probes(client) == 0 and before.headers["cache-control"].startswith("public, max-age=3600,")
+    level = client.service.levels.cached_levels()[0].key
     probes = MapProbes(classes=(ProbedClass(scale=4, sun=-1, seen={"sun": (fake_probes.seen(),)}),))
     save_probes(fake_workers.RENDERER, fake_workers.VERSION, level.version, probes)
-    until(lambda: client.get(TILE).text != before.text)
+    wait_until(lambda: client.get(TILE).text != before.text)
 
 
 def test_failed_probe_keeps_predictions(serve: Serve, caplog: pytest.LogCaptureFixture):
     client = serve(fake_probes.failing)
     predicted = client.get(TILE).text
-    until(lambda: said(caplog, "could not be probed") == 1)
-    assert said(caplog, "the raster is gone") == 1 and waiting(client) == 0 and kept() == []
+    wait_until(lambda: log_count(caplog, "could not be probed") == 1)
+    assert log_count(caplog, "the raster is gone") == 1 and waiting_probes(client) == 0 and saved_probe_files() == []
     assert client.get(OTHER_TILE).text == predicted
-    assert said(caplog, "could not be probed") == 1, "it is not tried again"
+    assert log_count(caplog, "could not be probed") == 1, "it is not tried again"
 
 
 def test_unsaved_probes_last_until_shutdown(serve: Serve, caplog: pytest.LogCaptureFixture):
@@ -99,8 +99,8 @@ def test_unsaved_probes_last_until_shutdown(serve: Serve, caplog: pytest.LogCapt
     folder.touch()  # a file in its place
     client = serve()
     predicted = client.get(TILE).text
-    until(lambda: client.get(TILE).text != predicted)
-    assert said(caplog, "until this service ends") == 1
+    wait_until(lambda: client.get(TILE).text != predicted)
+    assert log_count(caplog, "until this service ends") == 1
 
 
 def test_probed_level_covers_all_scales(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch):
@@ -108,7 +108,7 @@ def test_probed_level_covers_all_scales(gl, hills_level: Path, monkeypatch: pyte
     from skugga.selector.cost.typical_device import typical_device
 
     monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(4, 6))
-    found = probed_level(LevelKey(path=hills_level, version="1"), -1, typical_device())
-    assert [each.scale for each in found.classes] == [4, 5]
-    assert {each.sun for each in found.classes} == {-1}
-    assert all(each.seen["sun"] for each in found.classes)
+    level_probes = probed_level(LevelKey(path=hills_level, version="1"), -1, typical_device())
+    assert [probed_class.scale for probed_class in level_probes.classes] == [4, 5]
+    assert {probed_class.sun for probed_class in level_probes.classes} == {-1}
+    assert all(probed_class.seen["sun"] for probed_class in level_probes.classes)

@@ -21,33 +21,33 @@ from tests.api.conftest import CORNER, ZOOM, running, write_level
 from tests.api.workers import fake_workers
 
 
-class Looks:
-    """A check of a level's files that blocks until the test sets ``go``."""
+class GatedCheck:
+    """A check of a level's files that blocks until the test sets ``may_finish``."""
 
     def __init__(self, outcome: object = "new") -> None:
-        self.outcome, self.begun, self.go = outcome, 0, threading.Event()
+        self.outcome, self.started_count, self.may_finish = outcome, 0, threading.Event()
 
     def __call__(self) -> object:
-        self.begun += 1
-        assert self.go.wait(30.0)
+        self.started_count += 1
+        assert self.may_finish.wait(30.0)
         if isinstance(self.outcome, Exception):
             raise self.outcome
         return self.outcome
 
 
-def check(looks: Looks, fresh_s: float = 0.0, wait_s: float = 0.2) -> LevelCheck:
-    return LevelCheck("level", "old", looks, fresh_s, wait_s)
+def check(gated_check: GatedCheck, fresh_s: float = 0.0, wait_s: float = 0.2) -> LevelCheck:
+    return LevelCheck("level", "old", gated_check, fresh_s, wait_s)
 
 
 def test_hanging_check_returns_the_old_level():
     async def scenario() -> None:
-        looks = Looks()
-        level = check(looks)
+        gated_check = GatedCheck()
+        level = check(gated_check)
         assert await asyncio.gather(*(level.current() for _ in range(50))) == ["old"] * 50
-        assert looks.begun == 1, "all wait for one look"
-        assert level.known() == "old"
+        assert gated_check.started_count == 1, "all wait for one look"
+        assert level.fresh_value() == "old"
         assert await asyncio.wait_for(level.current(), 0.1) == "old", "nobody waits any more"
-        looks.go.set()
+        gated_check.may_finish.set()
         while await level.current() == "old":
             await asyncio.sleep(0.01)
 
@@ -56,45 +56,45 @@ def test_hanging_check_returns_the_old_level():
 
 def test_check_in_time_is_awaited():
     async def scenario() -> None:
-        looks = Looks()
-        looks.go.set()
-        level = check(looks, fresh_s=60.0, wait_s=30.0)
-        assert level.known() is None
-        assert await level.current() == level.known() == "new"
+        gated_check = GatedCheck()
+        gated_check.may_finish.set()
+        level = check(gated_check, fresh_s=60.0, wait_s=30.0)
+        assert level.fresh_value() is None
+        assert await level.current() == level.fresh_value() == "new"
         await level.current()
-        assert looks.begun == 1, "it is fresh"
+        assert gated_check.started_count == 1, "it is fresh"
         level.expire()
         await level.current()
-        assert looks.begun == 2
+        assert gated_check.started_count == 2
 
     asyncio.run(scenario())
 
 
 def test_check_error_is_raised_until_a_check_succeeds():
     async def scenario() -> None:
-        looks = Looks(LevelError("level.yaml", "x", "y"))
-        looks.go.set()
-        level = check(looks, wait_s=30.0)
+        gated_check = GatedCheck(LevelError("level.yaml", "x", "y"))
+        gated_check.may_finish.set()
+        level = check(gated_check, wait_s=30.0)
         for _ in range(2):
             with pytest.raises(LevelError):
                 await level.current()
-        assert level.known() is None
-        looks.outcome = "mended"
+        assert level.fresh_value() is None
+        gated_check.outcome = "mended"
         assert await level.current() == "mended"
 
     asyncio.run(scenario())
 
 
 def test_hanging_checks_are_bounded(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(level_checks, "LOOK_AGAIN_S", 0.0)
+    monkeypatch.setattr(level_checks, "ABANDON_CHECK_AFTER_S", 0.0)
 
     async def scenario() -> None:
-        looks = Looks()
-        level = check(looks, wait_s=0.01)
+        gated_check = GatedCheck()
+        level = check(gated_check, wait_s=0.01)
         for _ in range(20):
             assert await level.current() == "old"
-        assert looks.begun == level_checks.MAX_ABANDONED + 1, "a thread each: not without end"
-        looks.go.set()
+        assert gated_check.started_count == level_checks.MAX_ABANDONED + 1, "a thread each: not without end"
+        gated_check.may_finish.set()
 
     asyncio.run(scenario())
 
@@ -113,12 +113,12 @@ def no_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_failed_thread_start_costs_no_later_check(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
     """Each failed start once used up one of the few allowed checks for ever."""
-    monkeypatch.setattr(level_checks, "LOOK_AGAIN_S", 0.0)
+    monkeypatch.setattr(level_checks, "ABANDON_CHECK_AFTER_S", 0.0)
 
     async def scenario() -> None:
-        looks = Looks()
-        looks.go.set()
-        level = check(looks, wait_s=30.0)
+        gated_check = GatedCheck()
+        gated_check.may_finish.set()
+        level = check(gated_check, wait_s=30.0)
         for _ in range(2 * level_checks.MAX_ABANDONED):
             with no_threads(monkeypatch):
                 assert await asyncio.wait_for(level.current(), 1.0) == "old"
@@ -130,11 +130,11 @@ def test_failed_thread_start_costs_no_later_check(monkeypatch: pytest.MonkeyPatc
 
 def test_check_without_descriptors_keeps_the_old_level():
     async def scenario() -> None:
-        looks = Looks(OSError(errno.EMFILE, "Too many open files"))
-        looks.go.set()
-        level = check(looks, wait_s=30.0)
+        gated_check = GatedCheck(OSError(errno.EMFILE, "Too many open files"))
+        gated_check.may_finish.set()
+        level = check(gated_check, wait_s=30.0)
         assert await level.current() == "old"
-        looks.outcome = "new"
+        gated_check.outcome = "new"
         assert await level.current() == "new"
 
     asyncio.run(scenario())
@@ -151,8 +151,8 @@ def test_request_without_a_thread_is_503_with_retry_after(tmp_path: Path, monkey
         with no_threads(monkeypatch):
             assert client.get("/levels/hills").json() == before
             monkeypatch.setattr(routes_wms, "run_in_threadpool", _without_a_thread)
-            told = client.get("/wms?REQUEST=GetCapabilities")
-        assert (told.status_code, told.headers["Retry-After"], told.headers["Content-Type"]) == (
+            response = client.get("/wms?REQUEST=GetCapabilities")
+        assert (response.status_code, response.headers["Retry-After"], response.headers["Content-Type"]) == (
             503,
             "5",
             "application/problem+json",
@@ -171,18 +171,18 @@ def tile(level: str) -> str:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
 def test_raster_replaced_by_a_pipe_blocks_no_other_level(tmp_path: Path):
     """Opening a named pipe blocks until another process writes into it."""
-    good, slow = write_level(tmp_path, "good"), write_level(tmp_path, "slow")
+    good_level, slow_level = write_level(tmp_path, "good"), write_level(tmp_path, "slow")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=2.0)
-    with running(create_app(settings, [good, slow], fake_workers.obedient)) as client:
+    with running(create_app(settings, [good_level, slow_level], fake_workers.obedient)) as client:
         while not client.service.pool.ready:
             client.get("/readyz")
         assert client.get(tile("slow")).status_code == client.get(tile("good")).status_code == 200
-        raster = slow.with_suffix(".tif")
+        raster = slow_level.with_suffix(".tif")
         raster.rename(raster.with_suffix(".old"))
         os.mkfifo(raster)
         for _ in range(3):
-            told = client.get(tile("slow"), timeout=10)
-            assert told.status_code == 500 and told.json()["code"] == "source"
+            response = client.get(tile("slow"), timeout=10)
+            assert response.status_code == 500 and response.json()["code"] == "source"
             assert client.get(tile("good"), timeout=10).status_code == 200
             assert client.get("/healthz", timeout=10).status_code == 200
         assert "good" in {level["name"] for level in client.get("/levels", timeout=10).json()}

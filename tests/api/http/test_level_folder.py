@@ -25,11 +25,11 @@ from skugga.api.workers.worker_config import WorkerConfig
 from skugga.terrain.errors import InputError, LevelError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem
-from tests.api.http.test_serve import serving
+from tests.api.http.test_serve import serving_process
 from tests.api.workers import fake_workers
 
 TILE = f"tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
-PATIENCE_S = 120
+TIMEOUT_S = 120
 
 
 @pytest.fixture
@@ -59,8 +59,8 @@ def test_broken_level_file_is_logged_and_left_out(folder: Path, caplog: pytest.L
     os.mkfifo(folder / "pipe.yaml")
     (folder / "nowhere.yaml").symlink_to(folder / "gone.yaml")
     assert ServedLevels([], folder=folder).names() == ["hills", "moor"]
-    told = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
-    assert [re.findall(r"level file \S+/(\w+).yaml is left out", text) for text in told] == [["broken"], ["nowhere"], ["pipe"]]
+    messages = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    assert [re.findall(r"level file \S+/(\w+).yaml is left out", text) for text in messages] == [["broken"], ["nowhere"], ["pipe"]]
 
 
 @pytest.mark.parametrize(("other", "named"), [("hills.yml", False), ("hills.yaml", True)])
@@ -129,8 +129,8 @@ def test_clients_see_added_and_removed_levels(folder: Path):
         check_problem(client.get(f"/levels/moor/{TILE}"), 404, "not_found", "level")
 
 
-def without_the_file(pipe: Connection, config: WorkerConfig, begun, go) -> None:
-    """Run a fake render worker that signals ``begun``, waits for ``go``, and then fails to find the level file."""
+def worker_missing_level_file(pipe: Connection, config: WorkerConfig, job_started, may_finish) -> None:
+    """Run a fake render worker that signals ``job_started``, waits for ``may_finish``, and then fails to find the level file."""
     pipe.send(Ready(fake_workers.RENDERER))
     while True:
         try:
@@ -140,46 +140,52 @@ def without_the_file(pipe: Connection, config: WorkerConfig, begun, go) -> None:
         if isinstance(job, Ping):
             pipe.send(Pong())
             continue
-        begun.release()
-        go.acquire()
+        job_started.release()
+        may_finish.acquire()
         pipe.send(Failure.of(LevelError(str(job.level.path), "No such file or directory", "a readable YAML file")))
 
 
-@pytest.mark.parametrize(("target", "status"), [(fake_workers.obedient, 200), (without_the_file, 404)])
+@pytest.mark.parametrize(("target", "status"), [(fake_workers.obedient, 200), (worker_missing_level_file, 404)])
 def test_level_removed_while_its_tile_is_drawn_is_404(folder: Path, target: Callable[..., None], status: int):
     """The tile itself is 200 if the worker had read the level before, else 404; later requests are 404."""
     spawn = get_context("spawn")
-    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
-    app = create_app(Settings(workers=1, levels=folder), [], functools.partial(target, begun=begun, go=go))
+    job_started, may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
+    app = create_app(
+        Settings(workers=1, levels=folder), [], functools.partial(target, job_started=job_started, may_finish=may_finish)
+    )
     with running(app) as client, ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(client.get, f"/levels/moor/{TILE}")
-        assert begun.acquire(timeout=PATIENCE_S)
+        assert job_started.acquire(timeout=TIMEOUT_S)
         remove(folder, "moor")
         client.service.levels.read_folder_again()
-        go.release()
+        may_finish.release()
         answer: httpx.Response = drawing.result()
         assert answer.status_code == status
         if status == 404:
             check_problem(answer, 404, "not_found", "level")
         check_problem(client.get(f"/levels/moor/{TILE}"), 404, "not_found", "level")
-        assert_lives(client)
+        assert_alive(client)
 
 
-def assert_lives(client: Client) -> None:
+def assert_alive(client: Client) -> None:
     assert client.get("/healthz").status_code == 200
     assert [level["name"] for level in client.get("/levels").json()] == ["hills"]
 
 
 def test_missing_file_of_a_served_level_is_500(folder: Path):
     spawn = get_context("spawn")
-    begun, go = spawn.Semaphore(0), spawn.Semaphore(1)
-    app = create_app(Settings(workers=1, levels=folder), [], functools.partial(without_the_file, begun=begun, go=go))
+    job_started, may_finish = spawn.Semaphore(0), spawn.Semaphore(1)
+    app = create_app(
+        Settings(workers=1, levels=folder),
+        [],
+        functools.partial(worker_missing_level_file, job_started=job_started, may_finish=may_finish),
+    )
     with running(app) as client:
         check_problem(client.get(f"/levels/moor/{TILE}"), 500, "level", None)
 
 
 def test_sighup_reads_the_folder_again(folder: Path):
-    with serving([], r"on (http://\S+)", dict(os.environ) | {"SKUGGA_LEVELS": str(folder)}) as (process, address):
+    with serving_process([], r"on (http://\S+)", dict(os.environ) | {"SKUGGA_LEVELS": str(folder)}) as (process, address):
         assert {level["name"] for level in httpx.get(f"{address}/levels").json()} == {"hills", "moor"}
         remove(folder, "moor")
         write_level(folder, "fen")

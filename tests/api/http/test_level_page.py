@@ -20,24 +20,24 @@ BROWSER = "text/html,application/xhtml+xml,application/xml;q=0.9,image/avif,imag
 X, Y = CORNER
 
 
-class Links(HTMLParser):
+class LinkParser(HTMLParser):
     """The addresses that a page links to, without ``data:`` URLs; asserts that every element is closed."""
 
     VOID = ("meta", "link", "img")
 
     def __init__(self, page: str) -> None:
         super().__init__()
-        self.found: list[str] = []
-        self.open: list[str] = []
+        self.urls: list[str] = []
+        self.open_tags: list[str] = []
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found += [value for name, value in attrs if name in ("href", "src") and value and not value.startswith("data:")]
+        self.urls += [value for name, value in attrs if name in ("href", "src") and value and not value.startswith("data:")]
         if tag not in self.VOID:
-            self.open.append(tag)
+            self.open_tags.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
+        assert self.open_tags.pop() == tag
 
 
 def test_accept_header_selects_page_or_json(client: Client):
@@ -54,9 +54,9 @@ def test_accept_header_selects_page_or_json(client: Client):
 @pytest.mark.parametrize("name", ["hills", "site"])
 def test_every_link_of_the_page_answers(client: Client, name: str):
     page = client.get(f"/levels/{name}.html")
-    links = Links(page.text)
-    assert not links.open and len(links.found) > 4
-    for link in dict.fromkeys(links.found):
+    links = LinkParser(page.text)
+    assert not links.open_tags and len(links.urls) > 4
+    for link in dict.fromkeys(links.urls):
         answer = client.get(urljoin(str(page.url), link))
         assert answer.status_code == 200, link
 
@@ -85,18 +85,20 @@ def test_page_lines_lead_to_tiles(client: Client):
 
 def test_lines_json_equals_page_lines_and_keeps_the_query(client: Client):
     page = client.get("/levels/hills.html").text
-    headings, texts = ([unescape(each) for each in re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)] for tag in ("h2", "pre"))
+    headings, texts = ([unescape(item) for item in re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)] for tag in ("h2", "pre"))
     plain = client.get("/levels/hills/lines.json").json()
-    assert [(each["client"], each["text"]) for each in plain] == list(zip(headings, texts, strict=True))
+    assert [(item["client"], item["text"]) for item in plain] == list(zip(headings, texts, strict=True))
 
-    asked = "time=2024-06-21T18%3A00%3A00%2B00%3A00"
-    lines = {each["client"]: each["text"] for each in client.get(f"/levels/hills/lines.json?layer=shadow&{asked}").json()}
-    shown = f"?layer=shadow&{asked.replace('%2B00%3A00', 'Z')}"
+    time_query = "time=2024-06-21T18%3A00%3A00%2B00%3A00"
+    lines = {item["client"]: item["text"] for item in client.get(f"/levels/hills/lines.json?layer=shadow&{time_query}").json()}
+    normalized_query = f"?layer=shadow&{time_query.replace('%2B00%3A00', 'Z')}"
     for name in ("Leaflet", "OpenLayers", "QGIS, XYZ tiles", "ipyleaflet", "MapLibre"):
-        assert shown in lines[name], lines[name]
+        assert normalized_query in lines[name], lines[name]
     tile = lines["QGIS, XYZ tiles"].format(z=ZOOM, x=X, y=Y)
-    assert client.get(tile).content == client.get(f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png{shown}").content
-    assert "terrarium" in lines["MapLibre, in three dimensions"] and asked not in lines["MapLibre, in three dimensions"]
+    assert (
+        client.get(tile).content == client.get(f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png{normalized_query}").content
+    )
+    assert "terrarium" in lines["MapLibre, in three dimensions"] and time_query not in lines["MapLibre, in three dimensions"]
     assert client.get("/levels/site/lines.json").status_code == 422
     assert client.get("/levels/hills/lines.json?layer=sunhours").json()["parameter"] == "date"
 
@@ -106,25 +108,27 @@ def test_level_texts_are_escaped_in_markup(tmp_path):
     with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:
         page = client.get("/levels/odd%20%26%20name.html")
         assert page.status_code == 200 and "<b>" not in page.text and "<i>" not in page.text
-        assert not Links(page.text).open and "it\\'s" in unescape(page.text)
+        assert not LinkParser(page.text).open_tags and "it\\'s" in unescape(page.text)
         capabilities = client.get("/levels/odd%20%26%20name/WMTSCapabilities.xml")
         assert "odd%20%26%20name" in ElementTree.tostring(ElementTree.fromstring(capabilities.content), encoding="unicode")
         assert ElementTree.fromstring(client.get("/levels/odd%20%26%20name.qlr").content).tag == "qlr"
-        served = client.service.levels.get("odd & name")
-        assert "https://maps.example/levels/odd%20%26%20name/wms" in level_page(served, "https://maps.example")
+        served_level = client.service.levels.get("odd & name")
+        assert "https://maps.example/levels/odd%20%26%20name/wms" in level_page(served_level, "https://maps.example")
 
 
 def test_qlr_lists_the_layers_for_qgis(client: Client):
     answer = client.get("/levels/timed.qlr")
     assert answer.status_code == 200 and answer.content.startswith(b"<!DOCTYPE qgis-layer-definition>")
     root = ElementTree.fromstring(answer.content)
-    sources = {each.findtext("layername", ""): each.findtext("datasource", "") for each in root.iterfind("maplayers/maplayer")}
-    shown = [each.get("name") for each in root.iter("layer-tree-layer") if each.get("checked") == "Qt::Checked"]
-    assert list(sources) == [f"The timed: {name}" for name in ("color", "shadow", "sunhours", "heights")] and shown == [
+    sources = {
+        element.findtext("layername", ""): element.findtext("datasource", "") for element in root.iterfind("maplayers/maplayer")
+    }
+    checked_layers = [element.get("name") for element in root.iter("layer-tree-layer") if element.get("checked") == "Qt::Checked"]
+    assert list(sources) == [f"The timed: {name}" for name in ("color", "shadow", "sunhours", "heights")] and checked_layers == [
         "The timed: color"
     ]
     color, heights = parse_qs(sources["The timed: color"]), parse_qs(sources["The timed: heights"])
-    assert {each.findtext("srs/spatialrefsys/authid") for each in root.iterfind("maplayers/maplayer")} == {"EPSG:3857"}
+    assert {element.findtext("srs/spatialrefsys/authid") for element in root.iterfind("maplayers/maplayer")} == {"EPSG:3857"}
     assert color["layers"] == ["timed:color"] and color["tileDimensions"] == ["Time=2024-06-21T16:00:00Z"]
     assert color["tileMatrixSet"] == ["WebMercatorQuad"] and color["crs"] == ["EPSG:3857"]
     assert client.get(color["url"][0]).status_code == 200

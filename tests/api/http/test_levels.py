@@ -52,10 +52,10 @@ def test_levels_are_listed_with_their_facts(client: Client):
 
 
 def test_level_without_a_sun_reports_a_default_sun(tmp_path):
-    (level,) = ServedLevels([write_level(tmp_path, "bare", sun=None)]).known()
-    bare = level.summary()
-    assert bare["sun_is_default"]
-    assert set(bare["sun"]) == {"azimuth", "altitude"}, "a low one of its place, at no time"
+    (level,) = ServedLevels([write_level(tmp_path, "bare", sun=None)]).cached_levels()
+    summary = level.summary()
+    assert summary["sun_is_default"]
+    assert set(summary["sun"]) == {"azimuth", "altitude"}, "a low one of its place, at no time"
 
 
 def test_engineering_level_is_listed_without_bounds(client: Client):
@@ -92,9 +92,9 @@ def test_tilejson_template_keeps_the_query(client: Client):
     query = {"layer": "shadow", "time": "2024-06-21T19:00:00+02:00", "algorithm": "relief=none", "map_size": "512"}
     document = client.get(TILEJSON.format("hills"), params={**query, "format": "webp"}).json()
     (template,) = document["tiles"]
-    address, _, passed = template.partition("?")
+    address, _, query_text = template.partition("?")
     assert address.endswith("/{z}/{x}/{y}.webp")
-    assert dict(part.split("=") for part in passed.replace("%3A", ":").replace("%2B", "+").split("&")) == {
+    assert dict(part.split("=") for part in query_text.replace("%3A", ":").replace("%2B", "+").split("&")) == {
         **query, "algorithm": "relief%3Dnone",
     }  # fmt: skip
     sun = document["skugga"]["sun"]
@@ -111,8 +111,8 @@ def test_tilejson_gives_the_angles_of_the_level_time(client: Client):
 def test_descriptions_have_etags(client: Client):
     for address in ("/levels", "/levels/hills", TILEJSON.format("hills"), "/levels/hills/plan"):
         tag = client.get(address).headers["etag"]
-        again = client.get(address, headers={"If-None-Match": tag})
-        assert (again.status_code, again.content) == (304, b"")
+        not_modified = client.get(address, headers={"If-None-Match": tag})
+        assert (not_modified.status_code, not_modified.content) == (304, b"")
 
 
 def test_plan_of_a_view_names_its_algorithms(client: Client):
@@ -143,7 +143,7 @@ def test_openapi_documents_tiles_and_problems(client: Client):
     paths = document["paths"]
     assert "/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}" in paths
     tile = paths["/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}"]["get"]
-    assert {"time", "azimuth", "altitude", "algorithm", "layer"} <= {each["name"] for each in tile["parameters"]}
+    assert {"time", "azimuth", "altitude", "algorithm", "layer"} <= {parameter["name"] for parameter in tile["parameters"]}
     schema = document["components"]["schemas"]["Problem"]
     assert tile["responses"]["422"]["content"]["application/problem+json"]["schema"] == {"$ref": "#/components/schemas/Problem"}
     assert {"type", "title", "status", "detail", "code", "parameter", "preparing"} == set(schema["properties"])

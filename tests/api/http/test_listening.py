@@ -14,26 +14,28 @@ from skugga.api.settings import Settings
 from tests.api.conftest import Client
 from tests.api.workers import fake_workers
 
-SOON_S = 20.0
+TIMEOUT_S = 20.0
 
 
 @pytest.fixture
 def open_sockets() -> Iterator[Callable[[Client, bytes], socket.socket]]:
     with ExitStack() as stack:
 
-        def connect(client: Client, said: bytes = b"") -> socket.socket:
-            one = stack.enter_context(socket.create_connection((client.base_url.host, client.base_url.port), timeout=SOON_S))
-            one.sendall(said)
-            return one
+        def connect(client: Client, data: bytes = b"") -> socket.socket:
+            connection = stack.enter_context(
+                socket.create_connection((client.base_url.host, client.base_url.port), timeout=TIMEOUT_S)
+            )
+            connection.sendall(data)
+            return connection
 
         yield connect
 
 
-def is_ended(one: socket.socket) -> bool:
-    """Return whether the server closes a connection within ``SOON_S``."""
-    one.settimeout(SOON_S)
+def is_ended(connection: socket.socket) -> bool:
+    """Return whether the server closes a connection within ``TIMEOUT_S``."""
+    connection.settimeout(TIMEOUT_S)
     try:
-        while one.recv(65536):
+        while connection.recv(65536):
             pass
     except ConnectionResetError:
         return True
@@ -59,25 +61,25 @@ def test_stalled_request_closes_its_connection(serve_with, open_sockets, said: b
 
 def test_request_sent_byte_by_byte_times_out(serve_with, open_sockets):
     client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
-    one = open_sockets(client, b"GET /healthz HTTP/1.1\r\nX: ")
-    until_s = time.monotonic() + SOON_S
+    connection = open_sockets(client, b"GET /healthz HTTP/1.1\r\nX: ")
+    until_s = time.monotonic() + TIMEOUT_S
     with pytest.raises(OSError):
         while time.monotonic() < until_s:
-            one.sendall(b"x")
+            connection.sendall(b"x")
             time.sleep(0.05)
 
 
 @pytest.mark.parametrize("start", [b"GET /", b"GET /healthz HTTP/1.1\r\nX: ", b"GET /healthz HTTP/1.1\r\n" + b"A: b\r\n" * 100])
 def test_endless_headers_close_the_connection(serve_with, open_sockets, start: bytes):
     client = serve_with(fake_workers.obedient)
-    one = open_sockets(client, start)
+    connection = open_sockets(client, start)
     part = b"x" * 65536 if not start.endswith(b"\n") else b"A: b\r\n" * 10_000
-    sent = 0
+    sent_bytes = 0
     with contextlib.suppress(OSError):
-        while sent < 64 * 2**20:
-            one.sendall(part)
-            sent += len(part)
-    assert sent < 32 * 2**20, "the connection has ended long before"
+        while sent_bytes < 64 * 2**20:
+            connection.sendall(part)
+            sent_bytes += len(part)
+    assert sent_bytes < 32 * 2**20, "the connection has ended long before"
     assert client.get("/healthz").status_code == 200
 
 
@@ -90,35 +92,35 @@ def test_header_limit_holds_per_request(serve_with):
 
 def test_unread_answers_close_their_connection(serve_with, open_sockets):
     client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
-    whole, asked = len(client.get("/openapi.json").content), 500
-    one = open_sockets(client, b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * asked)
-    assert one.recv(1) == b"H", "the server has the connection; before that, its end is not to be waited for"
+    response_bytes, request_count = len(client.get("/openapi.json").content), 500
+    connection = open_sockets(client, b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * request_count)
+    assert connection.recv(1) == b"H", "the server has the connection; before that, its end is not to be waited for"
     while client.get("/healthz").status_code == 200 and _connections(client) > 1:
         time.sleep(0.05)
-    assert 0 < _received(one) < whole * asked, "what the system's buffers held, and no more"
+    assert 0 < _received_bytes(connection) < response_bytes * request_count, "what the system's buffers held, and no more"
 
 
 def _connections(client: Client) -> int:
     return len(client.server.server_state.connections)
 
 
-def _received(one: socket.socket) -> int:
-    one.settimeout(SOON_S)
+def _received_bytes(connection: socket.socket) -> int:
+    connection.settimeout(TIMEOUT_S)
     count = 0
     with contextlib.suppress(ConnectionResetError):
-        while part := one.recv(1 << 20):
+        while part := connection.recv(1 << 20):
             count += len(part)
     return count
 
 
 def test_idle_connections_are_evicted(serve_with, open_sockets):
     client = serve_with(fake_workers.obedient, max_connections=8)
-    silent = [open_sockets(client) for _ in range(40)]
+    idle_connections = [open_sockets(client) for _ in range(40)]
     for _ in range(5):
-        with socket.create_connection((client.base_url.host, client.base_url.port), timeout=SOON_S) as one:
-            one.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
-            assert one.recv(100).startswith(b"HTTP/1.1 200")
-    assert is_ended(silent[0])
+        with socket.create_connection((client.base_url.host, client.base_url.port), timeout=TIMEOUT_S) as connection:
+            connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+            assert connection.recv(100).startswith(b"HTTP/1.1 200")
+    assert is_ended(idle_connections[0])
 
 
 def test_server_recovers_from_running_out_of_descriptors(serve_with, open_sockets, caplog: pytest.LogCaptureFixture):
@@ -128,22 +130,22 @@ def test_server_recovers_from_running_out_of_descriptors(serve_with, open_socket
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     sockets = [socket.socket() for _ in range(60)]
     try:
-        for one in sockets[30:]:
-            one.settimeout(SOON_S)
-        used = max(one.fileno() for one in sockets) + 1
-        resource.setrlimit(resource.RLIMIT_NOFILE, (used + 5, hard))
-        for one in sockets:
-            one.connect((client.base_url.host, client.base_url.port))
+        for connection in sockets[30:]:
+            connection.settimeout(TIMEOUT_S)
+        descriptor_count = max(connection.fileno() for connection in sockets) + 1
+        resource.setrlimit(resource.RLIMIT_NOFILE, (descriptor_count + 5, hard))
+        for connection in sockets:
+            connection.connect((client.base_url.host, client.base_url.port))
         time.sleep(1.5)
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         sockets[-1].sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
         assert sockets[-1].recv(100).startswith(b"HTTP/1.1 200")
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        for one in sockets:
-            one.close()
-    told = [record for record in caplog.records if "cannot be accepted" in record.getMessage()]
-    assert len(told) <= 1
+        for connection in sockets:
+            connection.close()
+    log_records = [record for record in caplog.records if "cannot be accepted" in record.getMessage()]
+    assert len(log_records) <= 1
 
 
 def test_connection_limit_leaves_spare_descriptors():

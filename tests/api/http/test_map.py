@@ -23,7 +23,7 @@ from tests.api.http.test_problems import check_problem
 X, Y = CORNER
 TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}"
 MAP = "/levels/hills/map"
-EDGES = ",".join(f"{value!r}" for value in tms.get("WebMercatorQuad").xy_bounds(X, Y, ZOOM))
+TILE_BBOX = ",".join(f"{value!r}" for value in tms.get("WebMercatorQuad").xy_bounds(X, Y, ZOOM))
 
 
 def pixels(answer: httpx.Response) -> np.ndarray:
@@ -34,45 +34,45 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 @pytest.mark.parametrize("layer", ["color", "shadow", "mask", "terrain-rgb"])
 def test_map_of_a_tile_extent_equals_the_tile(client: Client, layer: str):
     sun = {"azimuth": 221.5, "altitude": 17.25}
-    asked = {"bbox": EDGES, "crs": "EPSG:3857", "width": 256, "height": 256, "layer": layer, **sun}
-    answer = client.get(f"{MAP}.png", params=asked)
+    query = {"bbox": TILE_BBOX, "crs": "EPSG:3857", "width": 256, "height": 256, "layer": layer, **sun}
+    answer = client.get(f"{MAP}.png", params=query)
     assert np.array_equal(pixels(answer), pixels(client.get(f"{TILE}.png", params={"layer": layer, **sun})))
     if layer == "color":
         assert answer.headers["x-skugga-algorithm"] == "sweep" and "clipped" in answer.headers["x-skugga-caster-reach"]
         assert "map;desc=drawn" in answer.headers["server-timing"]
-        again = client.get(f"{MAP}.png", params=asked)
-        assert again.content == answer.content and "map;desc=kept" in again.headers["server-timing"]
+        cached_response = client.get(f"{MAP}.png", params=query)
+        assert cached_response.content == answer.content and "map;desc=kept" in cached_response.headers["server-timing"]
 
 
 def test_map_has_an_etag_before_it_is_drawn(client: Client):
-    asked = {"bbox": EDGES, "crs": "EPSG:3857", "width": 64, "height": 64, "layer": "shadow"}
-    answer = client.get(f"{MAP}.png", params=asked)
+    query = {"bbox": TILE_BBOX, "crs": "EPSG:3857", "width": 64, "height": 64, "layer": "shadow"}
+    answer = client.get(f"{MAP}.png", params=query)
     before = client.service.pool.counters.answered
-    known = client.get(f"{MAP}.png", params=asked, headers={"If-None-Match": answer.headers["etag"]})
-    assert (known.status_code, known.content, client.service.pool.counters.answered) == (304, b"", before)
+    not_modified = client.get(f"{MAP}.png", params=query, headers={"If-None-Match": answer.headers["etag"]})
+    assert (not_modified.status_code, not_modified.content, client.service.pool.counters.answered) == (304, b"", before)
     tags = {
-        client.get(f"{MAP}.png", params={**asked, **more}).headers["etag"]
-        for more in ({}, {"width": 65}, {"time": "2024-06-21T18:00:00Z"})
+        client.get(f"{MAP}.png", params={**query, **changes}).headers["etag"]
+        for changes in ({}, {"width": 65}, {"time": "2024-06-21T18:00:00Z"})
     }
     assert (
-        len(tags) == 3 and client.get(f"{MAP}.png", params={**asked, "time": "default"}).headers["etag"] == answer.headers["etag"]
+        len(tags) == 3 and client.get(f"{MAP}.png", params={**query, "time": "default"}).headers["etag"] == answer.headers["etag"]
     )
 
 
 def test_adjacent_maps_join_without_a_seam(client: Client):
     """The maps lie off the tile grid, as those of WMS clients. They join because the plan depends on level and scale alone."""
-    west, south, east, north = (float(value) for value in EDGES.split(","))
+    west, south, east, north = (float(value) for value in TILE_BBOX.split(","))
     west, east = west - 1000.3, east - 1000.3
     middle = (west + east) / 2
     half = {"crs": "EPSG:3857", "width": 96, "height": 192, "layer": "shadow"}
-    whole = pixels(client.get(f"{MAP}.png", params={**half, "bbox": f"{west},{south},{east},{north}", "width": 192}))
+    full_map = pixels(client.get(f"{MAP}.png", params={**half, "bbox": f"{west},{south},{east},{north}", "width": 192}))
     parts = [
         pixels(client.get(f"{MAP}.png", params={**half, "bbox": f"{a},{south},{b},{north}"}))
         for a, b in ((west, middle), (middle, east))
     ]
-    joined = np.hstack(parts).astype(int)
-    assert joined.shape == whole.shape and whole[..., 3].std() > 30
-    differing = np.abs(joined - whole).max(axis=2) > 2
+    joined_maps = np.hstack(parts).astype(int)
+    assert joined_maps.shape == full_map.shape and full_map[..., 3].std() > 30
+    differing = np.abs(joined_maps - full_map).max(axis=2) > 2
     assert differing.mean() < 0.002 and not differing[:, 92:100].any(axis=0).all()
 
 
@@ -103,10 +103,10 @@ def test_map_defaults_come_from_the_level(client: Client):
 
 @pytest.mark.parametrize(("bbox", "crs"), [("0,0,1000,1000", "EPSG:3857"), ("100,-40,101,-39", "OGC:CRS84")])
 def test_map_off_the_data_is_empty(client: Client, bbox: str, crs: str):
-    asked = {"bbox": bbox, "crs": crs, "width": 32, "height": 32}
-    assert not pixels(client.get(f"{MAP}.png", params=asked)).any()
-    assert (pixels(client.get(f"{MAP}.jpg", params=asked)) == 255).all()
-    with MemoryFile(client.get(f"{MAP}.tif", params={**asked, "layer": "visibility"}).content) as file, file.open() as dataset:
+    query = {"bbox": bbox, "crs": crs, "width": 32, "height": 32}
+    assert not pixels(client.get(f"{MAP}.png", params=query)).any()
+    assert (pixels(client.get(f"{MAP}.jpg", params=query)) == 255).all()
+    with MemoryFile(client.get(f"{MAP}.tif", params={**query, "layer": "visibility"}).content) as file, file.open() as dataset:
         assert np.isnan(dataset.read(1)).all()
         np.testing.assert_allclose(dataset.bounds, [float(value) for value in bbox.split(",")], rtol=1e-9)
 
@@ -122,21 +122,21 @@ def test_sun_hours_map_agrees_with_points(client: Client):
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     lon, lat, side = (west + east) / 2, (south + north) / 2, 0.016
     bbox = f"{lon - side},{lat - side},{lon + side},{lat + side}"
-    asked = {"bbox": bbox, "crs": "OGC:CRS84", "width": 64, "height": 64, "layer": "sunhours", "date": "2024-12-21"}
-    shown = pixels(client.get(f"{MAP}.png", params=asked))
-    assert shown.shape == (64, 64, 4) and (shown[..., 3] == 255).all()
+    query = {"bbox": bbox, "crs": "OGC:CRS84", "width": 64, "height": 64, "layer": "sunhours", "date": "2024-12-21"}
+    map_pixels = pixels(client.get(f"{MAP}.png", params=query))
+    assert map_pixels.shape == (64, 64, 4) and (map_pixels[..., 3] == 255).all()
     legend = client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=sunhours&date=2024-12-21").json()["skugga"]["legend"]
     hours = np.linspace(legend["low"], legend["high"], 256)
     colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).colored(hours[None])[0].astype(int)
-    rows, cols = (each.ravel() for each in np.mgrid[4:64:14, 4:64:14])
+    rows, cols = (item.ravel() for item in np.mgrid[4:64:14, 4:64:14])
     points = [
         {"lon": lon - side + (col + 0.5) * side / 32, "lat": lat + side - (row + 0.5) * side / 32}
         for row, col in zip(rows, cols, strict=True)
     ]
     answer = client.post("/levels/hills/point", json={"points": points, "time": "2024-12-21T12:00:00+01:00"}).json()
-    direct = np.array([each["direct_h"] for each in answer["points"]])
-    by_color = hours[np.abs(colors - shown[rows, cols][:, None].astype(int)).sum(axis=2).argmin(axis=1)]
-    assert np.corrcoef(by_color, direct)[0, 1] > 0.9 and direct.std() > 0.5
+    direct = np.array([item["direct_h"] for item in answer["points"]])
+    hours_by_color = hours[np.abs(colors - map_pixels[rows, cols][:, None].astype(int)).sum(axis=2).argmin(axis=1)]
+    assert np.corrcoef(hours_by_color, direct)[0, 1] > 0.9 and direct.std() > 0.5
 
 
 @pytest.mark.parametrize(
@@ -180,8 +180,8 @@ def test_current_time_is_fresh_for_at_most_its_grain(client: Client):
 
 
 def test_crs_codes_and_axis_order():
-    asked = ("epsg:3857", "3857", "CRS:84", "urn:ogc:def:crs:EPSG::2193", "urn:ogc:def:crs:OGC:1.3:CRS84")
-    assert [crs_code(text) for text in asked] == ["EPSG:3857", "EPSG:3857", "OGC:CRS84", "EPSG:2193", "OGC:CRS84"]
+    spellings = ("epsg:3857", "3857", "CRS:84", "urn:ogc:def:crs:EPSG::2193", "urn:ogc:def:crs:OGC:1.3:CRS84")
+    assert [crs_code(text) for text in spellings] == ["EPSG:3857", "EPSG:3857", "OGC:CRS84", "EPSG:2193", "OGC:CRS84"]
     codes = ("EPSG:4326", "OGC:CRS84", "EPSG:3857", "EPSG:2193", "EPSG:3035", "EPSG:32661", "EPSG:5041", "EPSG:3031")
     assert [code for code in codes if north_first(crs_of_code(code))] == ["EPSG:4326", "EPSG:2193", "EPSG:3035", "EPSG:32661"]
     with pytest.raises(InputError, match="by its code"):

@@ -14,7 +14,7 @@ from fastapi.routing import APIRoute
 from pydantic import BeforeValidator
 
 from skugga.api.http.levels import routes_levels, routes_plan
-from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD, WholeNumber
+from skugga.api.http.numbers import INTEGER_OR_WORD, PLAIN_DECIMAL, PLAIN_INTEGER, WholeNumber
 from skugga.api.http.parameters import AzimuthQuery
 from skugga.api.http.points import routes_point
 from skugga.api.http.server import routes_health
@@ -74,19 +74,19 @@ def test_decimals_are_read(client, text, number):
 
 def parameters(dependant: Dependant) -> Iterator[Any]:
     yield from (*dependant.path_params, *dependant.query_params)
-    for each in dependant.dependencies:
-        yield from parameters(each)
+    for dependency in dependant.dependencies:
+        yield from parameters(dependency)
 
 
 def test_every_numeric_parameter_is_validated():
-    seen = set()
+    names = set()
     for router in ROUTERS:
         for route in router.routes:
-            for each in parameters(route.dependant) if isinstance(route, APIRoute) else ():
-                asked = str(each.field_info.annotation)
-                if not ("int" in asked or "float" in asked) or "constr" in asked:
+            for parameter in parameters(route.dependant) if isinstance(route, APIRoute) else ():
+                annotation = str(parameter.field_info.annotation)
+                if not ("int" in annotation or "float" in annotation) or "constr" in annotation:
                     continue
-                seen.add(each.name)
-                readers = [read for read in each.field_info.metadata if isinstance(read, BeforeValidator)]
-                assert set(readers) & {PLAIN_WHOLE, PLAIN_DECIMAL, WHOLE_OR_WORD}, (route.path, each.name, asked)
-    assert {"z", "x", "y", "azimuth", "altitude", "lon", "lat", "seconds", "zoom", "year", "map_size", "width"} <= seen
+                names.add(parameter.name)
+                readers = [read for read in parameter.field_info.metadata if isinstance(read, BeforeValidator)]
+                assert set(readers) & {PLAIN_INTEGER, PLAIN_DECIMAL, INTEGER_OR_WORD}, (route.path, parameter.name, annotation)
+    assert {"z", "x", "y", "azimuth", "altitude", "lon", "lat", "seconds", "zoom", "year", "map_size", "width"} <= names

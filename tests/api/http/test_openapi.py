@@ -50,14 +50,14 @@ OPERATIONS = [
     (method, route.path) for router in ROUTERS for route in router.routes if isinstance(route, APIRoute) for method in route.methods
 ]
 
-ASKED_FOR = "/levels/{level}/animations"
-OF_A_JOB = "/animations/{animation}", "/animations/{animation}/result"
+ANIMATIONS_PATH = "/levels/{level}/animations"
+JOB_PATHS = "/animations/{animation}", "/animations/{animation}/result"
 """Their examples name an animation that does not exist; ``test_animations`` requests existing ones."""
 
-NOTHING_DRAWN = {"If-None-Match": "*"}
+NOT_MODIFIED_HEADERS = {"If-None-Match": "*"}
 """Headers that let a valid request be answered with 304 instead of being drawn."""
 
-SUN_HOURS_ALONE = "quantity", "window", "clock", "least_altitude"
+SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude"
 """Parameters of hours of sun, which need that layer and a date."""
 
 
@@ -76,7 +76,7 @@ def address_of(operation: dict[str, Any]) -> str:
 
 
 def test_document_lists_every_route(document: dict[str, Any]):
-    assert {(method.upper(), path) for path, ways in document["paths"].items() for method in ways} == set(OPERATIONS)
+    assert {(method.upper(), path) for path, operations in document["paths"].items() for method in operations} == set(OPERATIONS)
 
 
 @pytest.mark.parametrize(("method", "path"), OPERATIONS)
@@ -101,66 +101,70 @@ def test_operation_example_is_answered(client: Client, document: dict[str, Any],
     if path == "/readyz":
         client.get("/levels/hills/plan")  # by now a render worker is ready
     answer = client.request(method, address_of(operation), json=body)
-    status = 404 if path in OF_A_JOB else 202 if path == ASKED_FOR else 200
+    status = 404 if path in JOB_PATHS else 202 if path == ANIMATIONS_PATH else 200
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"].split(";")[0] in operation["responses"][str(status)]["content"]
 
 
-def beside(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, Any]:
+def companion_parameters(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, Any]:
     """Return the parameters without which a parameter has no meaning."""
     name = parameter["name"]
     if name.lower() in ("azimuth", "altitude"):
         other, degrees = ("altitude", 22) if name.lower() == "azimuth" else ("azimuth", 235)
         return {other.upper() if name.isupper() else other: degrees}
-    of_sun_hours = "least_altitude" in {each["name"] for each in parameters(operation)}
+    has_sun_hours = "least_altitude" in {item["name"] for item in parameters(operation)}
     is_eye_height = name == "height" and parameter["description"].endswith("Metres above the ground.")
-    if of_sun_hours and (name in SUN_HOURS_ALONE or is_eye_height):
+    if has_sun_hours and (name in SUN_HOURS_PARAMETERS or is_eye_height):
         return {"layer": "sunhours", "date": "2024-03-21"}
     if name in CAMERA_PARAMETERS:
         return {"eye": "8.43,47.5,300", "target": "8.44,47.51,0"}
-    return {"date": {"layer": "sunhours"}, "tms": {"zoom": ZOOM}}.get(name, {}) if of_sun_hours or name == "tms" else {}
+    return {"date": {"layer": "sunhours"}, "tms": {"zoom": ZOOM}}.get(name, {}) if has_sun_hours or name == "tms" else {}
 
 
-@pytest.mark.parametrize(("method", "path"), [each for each in OPERATIONS if "legend" not in each[1]])
+@pytest.mark.parametrize(("method", "path"), [method_path for method_path in OPERATIONS if "legend" not in method_path[1]])
 def test_parameter_examples_are_valid(client: Client, document: dict[str, Any], method: str, path: str):
     """Each example is requested alone, or with the parameters that it needs. Legends exist for hours of sun only."""
     operation = document["paths"][path][method.lower()]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
-    address, _, needed = address_of(operation).partition("?")
+    address, _, query = address_of(operation).partition("?")
     for parameter in parameters(operation):
         if parameter["in"] == "query":
-            asked = dict(parse_qsl(needed)) | beside(operation, parameter) | {parameter["name"]: parameter["schema"]["examples"][0]}
-            answer = client.request(method, address, params=asked, json=body, headers=NOTHING_DRAWN)
-            assert answer.status_code in (200, 304), (asked, answer.text)
+            query_parameters = (
+                dict(parse_qsl(query))
+                | companion_parameters(operation, parameter)
+                | {parameter["name"]: parameter["schema"]["examples"][0]}
+            )
+            answer = client.request(method, address, params=query_parameters, json=body, headers=NOT_MODIFIED_HEADERS)
+            assert answer.status_code in (200, 304), (query_parameters, answer.text)
 
 
 def test_document_lists_every_kind_of_problem(document: dict[str, Any]):
-    told: dict[str, set[str]] = {}
-    for ways in document["paths"].values():
-        for operation in ways.values():
+    documented_codes: dict[str, set[str]] = {}
+    for operations in document["paths"].values():
+        for operation in operations.values():
             for status, answer in operation["responses"].items():
                 content = answer.get("content", {}).get(MEDIA_TYPE)
                 if content is not None:
                     assert content["schema"] == {"$ref": "#/components/schemas/Problem"}
-                    told.setdefault(status, set()).update(content["examples"])
+                    documented_codes.setdefault(status, set()).update(content["examples"])
     expected: dict[str, set[str]] = {}
     for kind in problem_kinds():
         if kind.status not in (401, 405):  # 401 needs a service with a token; 405 needs a method that is not documented
             expected.setdefault(str(kind.status), set()).add(kind.code)
-    assert told == expected
+    assert documented_codes == expected
 
 
 def test_document_requires_the_token_if_set(serve_with):
     client = serve_with(fake_workers.obedient, api_token="a secret token")
     document = client.get("/openapi.json", headers={"Authorization": "Bearer a secret token"}).json()
-    for path, ways in document["paths"].items():
-        for operation in ways.values():
+    for path, operations in document["paths"].items():
+        for operation in operations.values():
             is_open = path in ("/healthz", "/readyz")
             assert ("401" in operation["responses"]) == ("security" in operation) == (not is_open), path
     assert document["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
 
 
-def narrowed(document: dict[str, Any]) -> dict[str, Any]:
+def narrow_document(document: dict[str, Any]) -> dict[str, Any]:
     """Return the document with existing names and places only, few pixels and few points, so that requests reach the renderer."""
     narrow = copy.deepcopy(document)
     x, y = CORNER
@@ -174,8 +178,8 @@ def narrowed(document: dict[str, Any]) -> dict[str, Any]:
         "size": {"enum": ["16x16", "64x32", "0x0", "9x9999"]},
         "crs": {"enum": ["OGC:CRS84", "EPSG:3857", "EPSG:32632", "EPSG:3031"]},
     }  # fmt: skip
-    for ways in narrow["paths"].values():
-        for operation in ways.values():
+    for operations in narrow["paths"].values():
+        for operation in operations.values():
             for parameter in parameters(operation):
                 schema = parameter["schema"]
                 place = places.get(parameter["name"], {})
@@ -187,34 +191,34 @@ def narrowed(document: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def right_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
-    return schemathesis.openapi.from_dict(narrowed(document))
+def narrow_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
+    return schemathesis.openapi.from_dict(narrow_document(document))
 
 
 @pytest.fixture(scope="module")
-def whole_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
+def full_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
     return schemathesis.openapi.from_dict(document)
 
 
 @pytest.mark.parametrize(("method", "path"), OPERATIONS)
 def test_answers_conform_to_the_document(
-    client: Client, right_schema: schemathesis.BaseSchema, whole_schema: schemathesis.BaseSchema, method: str, path: str
+    client: Client, narrow_schema: schemathesis.BaseSchema, full_schema: schemathesis.BaseSchema, method: str, path: str
 ):
     """Generated valid and invalid requests cause no server error, and only documented statuses, media types and JSON.
 
     The service refuses what the document forbids.
     """
     checks = [status_code_conformance, content_type_conformance, response_schema_conformance]
-    wrong = whole_schema[path][method]
-    kinds = [(right_schema[path][method], GenerationMode.POSITIVE, checks)]
-    if {each["name"] for each in parameters(wrong.definition.raw)} - {"level", "archive"}:  # any text is a valid name
-        kinds.append((wrong, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
+    negative_operation = full_schema[path][method]
+    kinds = [(narrow_schema[path][method], GenerationMode.POSITIVE, checks)]
+    if {item["name"] for item in parameters(negative_operation.definition.raw)} - {"level", "archive"}:  # any text is a valid name
+        kinds.append((negative_operation, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
     for operation, mode, checks in kinds:
 
         @drawn(max_examples=3, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
         @given(case=operation.as_strategy(generation_mode=mode))
         def ask(case: schemathesis.Case) -> None:
-            answer = case.call(base_url=str(client.base_url), headers=NOTHING_DRAWN, timeout=60, allow_redirects=False)
+            answer = case.call(base_url=str(client.base_url), headers=NOT_MODIFIED_HEADERS, timeout=60, allow_redirects=False)
             assert answer.status_code < 500, answer.text
             case.validate_response(answer, checks=checks)  # noqa: B023
 
@@ -242,16 +246,16 @@ def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: P
     settings = Settings(workers=1, max_snapshot_pixels=2**16, new_suns_per_minute=0, **animations)
     with running(create_app(settings, levels)) as client:
         assert client.get("/levels/hills/plan").status_code == 200  # by now a render worker is ready
-        asked = tmp_path / "openapi.json"
-        asked.write_text(json.dumps(narrowed(client.get("/openapi.json").json())), encoding="utf-8")
+        schema_file = tmp_path / "openapi.json"
+        schema_file.write_text(json.dumps(narrow_document(client.get("/openapi.json").json())), encoding="utf-8")
         command = [
-            sys.executable, "-m", "schemathesis.cli", "run", str(asked), "--url", str(client.base_url),
+            sys.executable, "-m", "schemathesis.cli", "run", str(schema_file), "--url", str(client.base_url),
             "--checks", ",".join(CHECKS), "--phases", "examples,coverage,fuzzing", "--max-examples", "30", "--max-time", "100",
             "--request-timeout", "60",
             "--generation-deterministic", "--no-color", "--warnings", "off",
         ]  # fmt: skip
-        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
-        assert ended.returncode == 0, ended.stdout
+        process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
+        assert process.returncode == 0, process.stdout
         assert client.service.pool.counters.failed == 0 and client.service.pool.counters.answered > 100
 
 
@@ -271,10 +275,10 @@ def test_unsupported_method_is_405_with_allow(client: Client):
 def test_cors_preflight_allows_any_headers(client: Client, document: dict[str, Any], method: str, path: str):
     """Any header is safe on every route, because no request of a page carries cookies."""
     names = "authorization, cache-control, if-none-match, traceparent, x-request-id"
-    asked = {
+    headers = {
         "Origin": "https://map.example", "Access-Control-Request-Method": method, "Access-Control-Request-Headers": names,
     }  # fmt: skip
-    answer = client.options(address_of(document["paths"][path][method.lower()]), headers=asked)
+    answer = client.options(address_of(document["paths"][path][method.lower()]), headers=headers)
     assert answer.status_code == 200 and answer.headers["access-control-allow-origin"] == "*"
     assert set(names.split(", ")) <= set(answer.headers["access-control-allow-headers"].lower().split(", "))
     assert method in answer.headers["access-control-allow-methods"]
@@ -294,11 +298,15 @@ def test_cors_origins_restrict_pages(serve_with):
 
 @pytest.mark.parametrize("path", ["/healthz", "/readyz", "/metrics"])
 def test_head_of_health_has_no_body(client: Client, path: str):
-    head, whole = client.head(path), client.get(path)
-    assert (head.status_code, head.content, head.headers["content-type"]) == (200, b"", whole.headers["content-type"])
+    head_response, get_response = client.head(path), client.get(path)
+    assert (head_response.status_code, head_response.content, head_response.headers["content-type"]) == (
+        200,
+        b"",
+        get_response.headers["content-type"],
+    )
 
 
-@pytest.mark.parametrize(("method", "path"), [each for each in OPERATIONS if "{level}" in each[1]])
+@pytest.mark.parametrize(("method", "path"), [method_path for method_path in OPERATIONS if "{level}" in method_path[1]])
 def test_unknown_level_is_a_documented_404(client: Client, document: dict[str, Any], method: str, path: str):
     operation = document["paths"][path][method.lower()]
     address = address_of(operation).replace("/levels/hills", "/levels/nowhere").replace("LAYERS=hills", "LAYERS=nowhere")

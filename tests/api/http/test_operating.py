@@ -43,7 +43,7 @@ def settings_table() -> str:
 def metrics_table(families: list[Metric]) -> str:
     """Return the table of all metrics."""
     rows = ["| metric | kind | what |", "| --- | --- | --- |"]
-    for family in sorted(families, key=lambda each: each.name):
+    for family in sorted(families, key=lambda item: item.name):
         name = family.name + ("_total" if family.type == "counter" else "")
         rows.append(f"| `{name}` | {family.type} | {family.documentation} |")
     return "\n".join(rows)
@@ -70,12 +70,12 @@ def families() -> list[Metric]:
 )
 def test_tables_of_the_page_are_up_to_date(name: str, table, request: pytest.FixtureRequest):
     text = PAGE.read_text(encoding="utf-8")
-    found = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)
-    assert found is not None
+    match = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)
+    assert match is not None
     if request.config.getoption("--regenerate-goldens"):
-        PAGE.write_text(text[: found.start(1)] + table() + "\n" + text[found.end(1) :], encoding="utf-8")
+        PAGE.write_text(text[: match.start(1)] + table() + "\n" + text[match.end(1) :], encoding="utf-8")
         return
-    assert found[1].strip() == table(), "pytest --regenerate-goldens writes it anew"
+    assert match[1].strip() == table(), "pytest --regenerate-goldens writes it anew"
 
 
 def test_every_setting_is_described():

@@ -64,14 +64,14 @@ def facts(client: Client) -> dict:
     ],
 )
 def test_plan_of_a_view_equals_that_of_its_descriptor(client: Client, seen: dict, asked: dict):
-    of_view = client.get(PLAN, params={**seen, **asked})
-    described = client.get(FACTS, params=seen)
-    assert of_view.status_code == described.status_code == 200, (of_view.text, described.text)
-    of_facts = client.post("/plan", params=asked, content=described.content, headers={"Content-Type": "application/json"})
-    assert of_facts.status_code == 200, of_facts.text
-    assert of_facts.json() == of_view.json()
-    Plan.model_validate_json(of_facts.content)
-    Descriptor.model_validate_json(described.content)
+    view_plan = client.get(PLAN, params={**seen, **asked})
+    descriptor = client.get(FACTS, params=seen)
+    assert view_plan.status_code == descriptor.status_code == 200, (view_plan.text, descriptor.text)
+    posted_plan = client.post("/plan", params=asked, content=descriptor.content, headers={"Content-Type": "application/json"})
+    assert posted_plan.status_code == 200, posted_plan.text
+    assert posted_plan.json() == view_plan.json()
+    Plan.model_validate_json(posted_plan.content)
+    Descriptor.model_validate_json(descriptor.content)
 
 
 def test_plan_contains_the_requested_options(client: Client, facts: dict):
@@ -82,9 +82,9 @@ def test_plan_contains_the_requested_options(client: Client, facts: dict):
 
 def test_plan_reports_an_uncalibrated_device(client: Client, facts: dict):
     for plan in (client.get(PLAN).json(), client.post("/plan", json=facts).json()):
-        assert plan["policy"] == "rules" and any("not calibrated" in one["reason"] for one in plan["reasons"])
-    by_rules = client.get(PLAN, params={"policy": "rules"}).json()
-    assert not any("not calibrated" in one["reason"] for one in by_rules["reasons"])
+        assert plan["policy"] == "rules" and any("not calibrated" in entry["reason"] for entry in plan["reasons"])
+    rules_plan = client.get(PLAN, params={"policy": "rules"}).json()
+    assert not any("not calibrated" in entry["reason"] for entry in rules_plan["reasons"])
 
 
 @pytest.mark.parametrize(
@@ -160,35 +160,37 @@ def test_lamps_are_bounded_and_planned_by_a_worker(client: Client, facts: dict):
     assert client.service.pool.counters.answered == before + 1
 
 
-MADE_UP = {
+GENERATED_VALUES = {
     float: st.none() | st.floats(allow_nan=False) | st.sampled_from(["Infinity", "-Infinity", 0, 0.0, 1, 0.5, -3]),
     bool: st.booleans(),
     str: st.none() | st.text(max_size=5),
 }
-RIGHT_KIND = st.fixed_dictionaries(
+KNOWN_FACTS = st.fixed_dictionaries(
     {},
     optional={
-        effect: st.fixed_dictionaries({}, optional={name: MADE_UP[kind] for name, kind in _fields(field).items()})
+        effect: st.fixed_dictionaries({}, optional={name: GENERATED_VALUES[kind] for name, kind in _fields(field).items()})
         for effect, field in FactsByEffect.model_fields.items()
     },
 )
-WRONG_KIND = st.dictionaries(
+ARBITRARY_FACTS = st.dictionaries(
     st.sampled_from(sorted(FactsByEffect.model_fields)),
-    st.dictionaries(st.sampled_from(["cover", "lies", "hidden", "x"]), MADE_UP[float] | st.booleans() | st.text(max_size=3)),
+    st.dictionaries(
+        st.sampled_from(["cover", "lies", "hidden", "x"]), GENERATED_VALUES[float] | st.booleans() | st.text(max_size=3)
+    ),
 )
 
 
-@given(made_up=RIGHT_KIND | WRONG_KIND, view_kind=st.sampled_from(["map", "perspective"]))
+@given(made_up=KNOWN_FACTS | ARBITRARY_FACTS, view_kind=st.sampled_from(["map", "perspective"]))
 @settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_all_accepted_facts_can_be_planned(facts: dict, made_up: dict, view_kind: str):
     """The effects' predicates must not fail on facts that the model accepts. The worker's job runs in this process."""
-    kept = {effect: {**facts["facts"].get(effect, {}), **values} for effect, values in made_up.items()}
+    merged_facts = {effect: {**facts["facts"].get(effect, {}), **values} for effect, values in made_up.items()}
     try:
-        sent = SentDescriptor.model_validate({**facts, "view_kind": view_kind, "facts": {**facts["facts"], **kept}})
+        descriptor = SentDescriptor.model_validate({**facts, "view_kind": view_kind, "facts": {**facts["facts"], **merged_facts}})
     except ValidationError:
         return
     with np.errstate(all="ignore"):
-        run_job(DescribedPlanJob(descriptor_json=sent.as_descriptor_json(), policy="rules"), WorkerState("a renderer"))
+        run_job(DescribedPlanJob(descriptor_json=descriptor.as_descriptor_json(), policy="rules"), WorkerState("a renderer"))
 
 
 @pytest.mark.parametrize(
@@ -250,12 +252,12 @@ def test_unknown_views_and_zooms_are_refused(client: Client, query: str, status:
 
 
 def test_cors_allows_posting_a_descriptor(client: Client):
-    asked = {
+    headers = {
         "Origin": "https://map.example",
         "Access-Control-Request-Method": "POST",
         "Access-Control-Request-Headers": "content-type",
     }
-    answer = client.options("/plan", headers=asked)
+    answer = client.options("/plan", headers=headers)
     assert answer.status_code == 200 and "POST" in answer.headers["access-control-allow-methods"]
 
 
@@ -263,15 +265,15 @@ def test_openapi_documents_plans(client: Client):
     document = client.get("/openapi.json").json()
     schemas, paths = document["components"]["schemas"], document["paths"]
 
-    def answer_of(path: str, method: str) -> str:
+    def response_schema(path: str, method: str) -> str:
         return paths[path][method]["responses"]["200"]["content"]["application/json"]["schema"]["$ref"].split("/")[-1]
 
-    assert answer_of("/levels/{level}/plan", "get") == answer_of("/plan", "post")
-    assert set(Plan.model_fields) == set(schemas[answer_of("/plan", "post")]["properties"])
-    assert set(Descriptor.model_fields) <= set(schemas[answer_of("/levels/{level}/descriptor", "get")]["properties"])
+    assert response_schema("/levels/{level}/plan", "get") == response_schema("/plan", "post")
+    assert set(Plan.model_fields) == set(schemas[response_schema("/plan", "post")]["properties"])
+    assert set(Descriptor.model_fields) <= set(schemas[response_schema("/levels/{level}/descriptor", "get")]["properties"])
     body = paths["/plan"]["post"]["requestBody"]["content"]["application/json"]["schema"]
     assert "Descriptor" in json.dumps(body)
-    names = {each["name"] for each in paths["/plan"]["post"]["parameters"]}
+    names = {parameter["name"] for parameter in paths["/plan"]["post"]["parameters"]}
     assert {"policy", "max_error", "max_ms", "algorithm", "map_size", "cascades", "depth_bits", "filter"} <= names
     assert not names & {"time", "azimuth", "altitude", "view"}
 
@@ -318,23 +320,23 @@ def test_tiles_of_a_zoom_share_one_cached_plan(gl, hills_level):
     plans = [plan_of_view(scene, block_view(job), policy="rules") for job in jobs]
     assert plans[0] == plans[1]
     state = WorkerState("a renderer")
-    made = [plan_of_tiles(job, scene, state) for job in jobs]
-    assert made[0] is made[1]
-    assert made[0].model_copy(update={"reasons": plans[0].reasons}) == plans[0]
+    tile_plans = [plan_of_tiles(job, scene, state) for job in jobs]
+    assert tile_plans[0] is tile_plans[1]
+    assert tile_plans[0].model_copy(update={"reasons": plans[0].reasons}) == plans[0]
     tiles = representative_block(scene, Tiles(matrix_set="WebMercatorQuad", zoom=ZOOM))
     assert (tiles.row0 // 1024, tiles.col0 // 1024) in {(357, 535), (357, 536), (358, 535), (358, 536)}
     other = plan_of_tiles(jobs[0].model_copy(update={"zoom": ZOOM - 1}), scene, state)
-    assert other is not made[0]
+    assert other is not tile_plans[0]
     state.basis = PlanBasis(profile())
-    by_predictions = plan_of_tiles(jobs[0], scene, state)
-    assert by_predictions.reasons != made[0].reasons and plan_of_tiles(jobs[1], scene, state) is by_predictions
+    predictions_plan = plan_of_tiles(jobs[0], scene, state)
+    assert predictions_plan.reasons != tile_plans[0].reasons and plan_of_tiles(jobs[1], scene, state) is predictions_plan
 
 
 def test_plan_cache_evicts_the_least_recently_used():
-    kept, made = TilePlanCache(limit_bytes=2 * bytes_of("plan 1")), []
+    cache, built_keys = TilePlanCache(limit_bytes=2 * bytes_of("plan 1")), []
 
     def plan_of(key: int) -> str:
-        return kept.get(key, lambda: made.append(key) or f"plan {key}")  # type: ignore[arg-type,return-value]
+        return cache.get(key, lambda: built_keys.append(key) or f"plan {key}")  # type: ignore[arg-type,return-value]
 
     assert [plan_of(key) for key in (1, 2, 1, 3, 1, 2)] == [f"plan {key}" for key in (1, 2, 1, 3, 1, 2)]
-    assert made == [1, 2, 3, 2]
+    assert built_keys == [1, 2, 3, 2]

@@ -15,17 +15,17 @@ from tests.api.conftest import Client
 from tests.api.http.test_problems import check_problem
 
 POINT = "/levels/hills/point"
-HERE = "lon=8.4375&lat=47.5"
-DAY = f"{HERE}&time=2024-12-01T09:00:00%2B01:00"
+LON_LAT_QUERY = "lon=8.4375&lat=47.5"
+DAY_QUERY = f"{LON_LAT_QUERY}&time=2024-12-01T09:00:00%2B01:00"
 
 
-def here(client: Client) -> str:
+def centre_query(client: Client) -> str:
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     return f"lon={(west + east) / 2:.5f}&lat={(south + north) / 2:.5f}"
 
 
 def test_point_report_is_consistent(client: Client):
-    answer = client.get(f"{POINT}?{here(client)}&time=2024-12-01T09:00:00%2B01:00&height=2")
+    answer = client.get(f"{POINT}?{centre_query(client)}&time=2024-12-01T09:00:00%2B01:00&height=2")
     assert answer.status_code == 200, answer.text
     report = answer.json()
     assert 500 < report["elevation_m"] < 1300 and report["height_m"] == 2.0
@@ -34,23 +34,23 @@ def test_point_report_is_consistent(client: Client):
     assert day["date"] == "2024-12-01" and day["sunrise"] < day["first_sun"] <= day["last_sun"] < day["sunset"]
     assert day["daylight_h"] == pytest.approx(day["direct_h"] + day["masked_h"], abs=1e-3)
     assert day["sunrise"].endswith("+01:00")
-    again = client.get(answer.request.url.raw_path.decode(), headers={"If-None-Match": answer.headers["etag"]})
-    assert again.status_code == 304
+    not_modified = client.get(answer.request.url.raw_path.decode(), headers={"If-None-Match": answer.headers["etag"]})
+    assert not_modified.status_code == 304
 
 
 def test_point_day_defaults_to_today(client: Client):
     """The answer expires before the day can be over, and the next day has another ETag."""
-    url = f"{POINT}?{here(client)}&clock=utc"
+    url = f"{POINT}?{centre_query(client)}&clock=utc"
     before = datetime.now(UTC).date()
     answer = client.get(url)
     day = date.fromisoformat(answer.json()["day"]["date"])
     assert before <= day <= datetime.now(UTC).date()
     assert 0 < int(answer.headers["cache-control"].partition("max-age=")[2]) <= 900
-    later = datetime.now(UTC) + timedelta(days=1)
+    next_day = datetime.now(UTC) + timedelta(days=1)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("skugga.api.http.request_times.datetime", SimpleNamespace(now=lambda zone: later))
+        patched.setattr("skugga.api.http.request_times.datetime", SimpleNamespace(now=lambda zone: next_day))
         tomorrow = client.get(url, headers={"If-None-Match": answer.headers["etag"]})
-    assert tomorrow.status_code == 200 and date.fromisoformat(tomorrow.json()["day"]["date"]) == later.date()
+    assert tomorrow.status_code == 200 and date.fromisoformat(tomorrow.json()["day"]["date"]) == next_day.date()
 
 
 def test_point_off_the_data_is_null_with_a_remark(client: Client):
@@ -64,39 +64,39 @@ def test_point_off_the_data_is_null_with_a_remark(client: Client):
 
 
 def test_horizon_and_chart_formats_agree(client: Client):
-    where = here(client)
-    series = pandas.read_csv(io.StringIO(client.get(f"{POINT}/horizon.csv?{where}&format=pvlib").text), index_col=0)
+    query = centre_query(client)
+    series = pandas.read_csv(io.StringIO(client.get(f"{POINT}/horizon.csv?{query}&format=pvlib").text), index_col=0)
     assert series.index.name == "horizon_azimuth" and len(series) == 720
     for suffix, media in (("csv", "text/csv"), ("json", "application/json"), ("txt", "text/plain"), ("hor", "text/plain")):
-        answer = client.get(f"{POINT}/horizon.{suffix}?{where}")
+        answer = client.get(f"{POINT}/horizon.{suffix}?{query}")
         assert answer.status_code == 200 and answer.headers["content-type"].startswith(media)
-    profile = client.get(f"{POINT}/horizon.json?{where}").json()["outputs"]["horizon_profile"]
-    north = next(each["H_hor"] for each in profile if each["A"] == -180.0)
+    profile = client.get(f"{POINT}/horizon.json?{query}").json()["outputs"]["horizon_profile"]
+    north = next(sample["H_hor"] for sample in profile if sample["A"] == -180.0)
     assert north == pytest.approx(float(series["horizon_elevation"].iloc[0]), abs=1e-3)
-    png = client.get(f"{POINT}/sun.png?{where}&date=2024-06-21")
+    png = client.get(f"{POINT}/sun.png?{query}&date=2024-06-21")
     assert Image.open(io.BytesIO(png.content)).size[0] > 600
-    svg = client.get(f"{POINT}/sun.svg?{where}&date=2024-06-21")
+    svg = client.get(f"{POINT}/sun.svg?{query}&date=2024-06-21")
     assert svg.text.lstrip().startswith("<?xml") and svg.headers["content-type"].startswith("image/svg+xml")
 
 
 def test_sky_agrees_with_horizon_and_day(client: Client):
-    where = f"{here(client)}&time=2024-12-01T09:00:00%2B01:00"
-    sky = client.get(f"{POINT}/sun.json?{where}").json()
-    profile = client.get(f"{POINT}/horizon.json?{where}").json()["outputs"]["horizon_profile"]
+    query = f"{centre_query(client)}&time=2024-12-01T09:00:00%2B01:00"
+    sky = client.get(f"{POINT}/sun.json?{query}").json()
+    profile = client.get(f"{POINT}/horizon.json?{query}").json()["outputs"]["horizon_profile"]
     horizon = sky["horizon"]
     highest = np.max([horizon[kind] for kind in ("relief", "solids", "forest")], axis=0)
     by_azimuth = dict(zip(horizon["azimuth"], highest, strict=True))
     assert len(by_azimuth) == 720 and highest.max() > 5 and not any(horizon["forest"])
-    for each in profile:
-        assert by_azimuth[(each["A"] + 180.0) % 360.0] == pytest.approx(each["H_hor"], abs=0.006)
+    for item in profile:
+        assert by_azimuth[(item["A"] + 180.0) % 360.0] == pytest.approx(item["H_hor"], abs=0.006)
 
-    day = client.get(f"{POINT}?{where}").json()["day"]
+    day = client.get(f"{POINT}?{query}").json()["day"]
     path = sky["path"]
     assert sky["date"] == day["date"] and path[0]["time"] > day["sunrise"] and path[-1]["time"] < day["sunset"]
-    shining = [(each["begin"], each["end"]) for each in day["sunlit"]]
-    assert {each["lit"] for each in path} == {True, False}
-    for each in path:
-        assert each["lit"] == any(begin <= each["time"] <= end for begin, end in shining), each
+    sunlit_spans = [(item["begin"], item["end"]) for item in day["sunlit"]]
+    assert {item["lit"] for item in path} == {True, False}
+    for item in path:
+        assert item["lit"] == any(begin <= item["time"] <= end for begin, end in sunlit_spans), item
     assert len(path) == pytest.approx(day["daylight_h"] * 12, abs=1)
 
 
@@ -107,40 +107,40 @@ def test_many_points_agree_with_single_points(client: Client):
     body = {"points": points, "time": "2024-12-01T09:00:00+01:00"}
     answer = client.post(POINT, json=body)
     assert answer.status_code == 200, answer.text
-    *rows, off = answer.json()["points"]
-    alone = client.get(f"{POINT}?lon={lon}&lat={lat}&time=2024-12-01T09:00:00%2B01:00").json()
-    assert rows[0]["elevation_m"] == alone["elevation_m"] and rows[0]["now"] == alone["now"]
-    assert rows[0]["direct_h"] == pytest.approx(alone["day"]["direct_h"], abs=0.15)
-    assert off["elevation_m"] is off["now"] is None and "a place on the level's data" in off["remark"]
+    *rows, outside_point = answer.json()["points"]
+    single_point = client.get(f"{POINT}?lon={lon}&lat={lat}&time=2024-12-01T09:00:00%2B01:00").json()
+    assert rows[0]["elevation_m"] == single_point["elevation_m"] and rows[0]["now"] == single_point["now"]
+    assert rows[0]["direct_h"] == pytest.approx(single_point["day"]["direct_h"], abs=0.15)
+    assert outside_point["elevation_m"] is outside_point["now"] is None and "a place on the level's data" in outside_point["remark"]
     assert len({row["elevation_m"] for row in rows}) == 5
 
 
 @pytest.mark.parametrize(
     ("query", "parameter"),
     [
-        (f"{HERE}&height=-1", "height"),
-        (f"{HERE}&clock=noon&date=2024-01-01", "clock"),
-        (f"{HERE}&date=yesterday", "date"),
-        (f"{HERE}&time=noon", "time"),
-        (f"{HERE}&year=1", "year"),
+        (f"{LON_LAT_QUERY}&height=-1", "height"),
+        (f"{LON_LAT_QUERY}&clock=noon&date=2024-01-01", "clock"),
+        (f"{LON_LAT_QUERY}&date=yesterday", "date"),
+        (f"{LON_LAT_QUERY}&time=noon", "time"),
+        (f"{LON_LAT_QUERY}&year=1", "year"),
         ("lat=47.5", "lon"),
-        (f"{HERE}&azimuth=3", "azimuth"),
+        (f"{LON_LAT_QUERY}&azimuth=3", "azimuth"),
     ],
 )
 def test_point_names_wrong_parameters(client: Client, query: str, parameter: str):
-    if query.startswith(HERE):
-        query = query.replace(HERE, here(client))
+    if query.startswith(LON_LAT_QUERY):
+        query = query.replace(LON_LAT_QUERY, centre_query(client))
     answer = client.get(f"{POINT}?{query}")
     assert answer.status_code == 422 and answer.headers["content-type"] == "application/problem+json"
     assert answer.json()["parameter"] == parameter and answer.json()["code"] == "invalid_parameter"
 
 
 def test_point_refuses_excess_and_wrong_formats(client: Client):
-    check_problem(client.get(f"{POINT}/horizon.csv?{here(client)}&format=hor"), 422, "invalid_parameter", "format")
-    many = {"points": [{"lon": 8.0, "lat": 47.0}] * 10_001}
-    check_problem(client.post(POINT, json=many), 422, "invalid_parameter", "points")
+    check_problem(client.get(f"{POINT}/horizon.csv?{centre_query(client)}&format=hor"), 422, "invalid_parameter", "format")
+    body = {"points": [{"lon": 8.0, "lat": 47.0}] * 10_001}
+    check_problem(client.post(POINT, json=body), 422, "invalid_parameter", "points")
     check_problem(client.post(POINT, json={"points": []}), 422, "invalid_parameter", "points")
-    check_problem(client.get(f"/levels/nowhere/point?{HERE}"), 404, "not_found", "level")
+    check_problem(client.get(f"/levels/nowhere/point?{LON_LAT_QUERY}"), 404, "not_found", "level")
 
 
 def test_mask_tile_agrees_with_points(client: Client):
@@ -165,5 +165,5 @@ def test_mask_tile_agrees_with_points(client: Client):
         lon, lat = matrix.lnglat(bounds.left + (j + 0.5) * step, bounds.top - (i + 0.5) * step)
         points.append({"lon": lon, "lat": lat})
     rows = client.post(POINT, json={"points": points}).json()["points"]
-    same = [row["now"]["lit"] == (values[i, j] == 255) for row, (i, j) in zip(rows, picks, strict=True)]
-    assert len(same) > 60 and np.mean(same) > 0.9
+    agreements = [row["now"]["lit"] == (values[i, j] == 255) for row, (i, j) in zip(rows, picks, strict=True)]
+    assert len(agreements) > 60 and np.mean(agreements) > 0.9

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from starlette.requests import Request
 
-from skugga.api.errors import OUTCOMES
+from skugga.api.errors import ERROR_REPORTS
 from skugga.api.http.problems import domain_problem
 from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
@@ -27,8 +27,8 @@ def check_problem(answer: httpx.Response, status: int, code: str, parameter: str
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["cache-control"] == "no-store"
     problem = answer.json()
-    more = {"parameter"} if parameter else {"preparing"} if code == "not_ready" else set()
-    assert set(problem) == {"type", "title", "status", "detail", "code"} | more
+    extra_keys = {"parameter"} if parameter else {"preparing"} if code == "not_ready" else set()
+    assert set(problem) == {"type", "title", "status", "detail", "code"} | extra_keys
     assert (problem["status"], problem["code"], problem.get("parameter")) == (status, code, parameter)
     assert "Traceback" not in problem["detail"] and "/" not in problem["detail"].replace(str(answer.url.path), "")
     return problem
@@ -144,21 +144,21 @@ def test_level_broken_while_served_is_500(hills_level: Path, tmp_path: Path):
 SECRETS = "/srv/levels/hills.tif", "libEGL.so.1: cannot open", "Traceback (most recent call last)", "hunter2"
 
 
-@pytest.mark.parametrize("kind", sorted(OUTCOMES, key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", sorted(ERROR_REPORTS, key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
 def test_problems_leak_no_internal_details(kind: type[SkuggaError]):
     """Messages of errors that the client did not cause hold paths and drivers' texts; the answer must hold none of them."""
-    outcome = OUTCOMES[kind]
-    if outcome.public is None:
-        assert outcome.status < 500 or issubclass(kind, BusyError | RenderTimeoutError), "its message is made for clients"
+    report = ERROR_REPORTS[kind]
+    if report.public is None:
+        assert report.status < 500 or issubclass(kind, BusyError | RenderTimeoutError), "its message is made for clients"
         return
     text = " ".join(SECRETS)
     error = kind(text, text, text) if issubclass(kind, InputError) else kind(text)
     request = Request({"type": "http", "method": "GET", "path": "/levels", "headers": [], "query_string": b""})
     answer = domain_problem(request, error)
-    assert answer.status_code == outcome.status
-    said = answer.body.decode() + str(answer.headers)
-    assert not [secret for secret in SECRETS if secret in said]
-    assert "/" not in outcome.public
+    assert answer.status_code == report.status
+    response_text = answer.body.decode() + str(answer.headers)
+    assert not [secret for secret in SECRETS if secret in response_text]
+    assert "/" not in report.public
 
 
 def test_unparsable_request_is_a_problem_document(client: Client):

@@ -79,7 +79,7 @@ def test_current_time_is_resolved_for_each_request(serve_with, monkeypatch: pyte
     from skugga.api.http import request_times
 
     class Clock(datetime):
-        at = datetime(2024, 6, 21, 12, 0, 30, tzinfo=UTC)
+        moment = datetime(2024, 6, 21, 12, 0, 30, tzinfo=UTC)
 
         @classmethod
         def now(cls, tz=None):
@@ -87,16 +87,19 @@ def test_current_time_is_resolved_for_each_request(serve_with, monkeypatch: pyte
 
     client = serve_with(fake_workers.obedient)
     monkeypatch.setattr(request_times, "datetime", Clock)
-    one = client.get(TILE, params={"time": "current"})
+    first_response = client.get(TILE, params={"time": "current"})
     monkeypatch.setattr(Clock, "at", datetime(2024, 6, 21, 12, 2, 1, tzinfo=UTC))
-    other = client.get(TILE, params={"time": "current"})
-    assert one.headers["etag"] != other.headers["etag"]
-    assert (one.headers["x-skugga-time"], other.headers["x-skugga-time"]) == (f"{DAY}12:00:00+00:00", f"{DAY}12:02:00+00:00")
+    second_response = client.get(TILE, params={"time": "current"})
+    assert first_response.headers["etag"] != second_response.headers["etag"]
+    assert (first_response.headers["x-skugga-time"], second_response.headers["x-skugga-time"]) == (
+        f"{DAY}12:00:00+00:00",
+        f"{DAY}12:02:00+00:00",
+    )
 
 
 def test_rate_limiter_bounds_new_suns_only():
-    now = [0.0]
-    suns = RateLimiter(3, lambda: now[0])
+    now_s = [0.0]
+    suns = RateLimiter(3, lambda: now_s[0])
     for sun in ("a", "b", "c", "a", "b"):
         suns.acquire("10.0.0.1", sun)
     with pytest.raises(RateLimitError) as caught:
@@ -104,7 +107,7 @@ def test_rate_limiter_bounds_new_suns_only():
     assert caught.value.retry_after_s == 21
     suns.acquire("10.0.0.1", "a")
     suns.acquire("10.0.0.2", "d")
-    now[0] = 20.5
+    now_s[0] = 20.5
     suns.acquire("10.0.0.1", "d")
     with pytest.raises(RateLimitError):
         suns.acquire("10.0.0.1", "e")

@@ -14,9 +14,9 @@ import pytest
 from tests.api.conftest import CORNER, ZOOM
 
 ROOT = Path(__file__).resolve().parents[3]
-SOON_S = 60
+TIMEOUT_S = 60
 
-SERVE = """
+SERVE_SCRIPT = """
 import sys
 from pathlib import Path
 from skugga.api.http.server.server import serve
@@ -26,7 +26,7 @@ if __name__ == "__main__":
     serve(Settings(port=0, workers=1), [Path(path) for path in sys.argv[1:]])
 """
 
-LOOK_INSIDE = f"""
+INSPECT_SCRIPT = f"""
 import sys
 from pathlib import Path
 from skugga.api.http.server.app import create_app
@@ -47,20 +47,20 @@ if __name__ == "__main__":
 
 
 @contextmanager
-def serving(
-    levels: Sequence[Path], until: str, environment: dict[str, str] | None = None
+def serving_process(
+    levels: Sequence[Path], log_pattern: str, environment: dict[str, str] | None = None
 ) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Yield a serving process that has logged a match of ``until``, and the match's first group; kill it at the end."""
-    command = [sys.executable, "-c", SERVE, *map(str, levels)]
+    """Yield a serving process that has logged a match of ``log_pattern``, and the match's first group; kill it at the end."""
+    command = [sys.executable, "-c", SERVE_SCRIPT, *map(str, levels)]
     with subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stderr is not None
             for line in process.stderr:
-                found = re.search(until, line)
-                if found:
-                    yield process, found.group(1)
+                match = re.search(log_pattern, line)
+                if match:
+                    yield process, match.group(1)
                     return
-            raise AssertionError(f"it did not say '{until}'")
+            raise AssertionError(f"it did not say '{log_pattern}'")
         finally:
             process.kill()
 
@@ -74,47 +74,49 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
 def test_signal_ends_service_and_worker(hills_level: Path, number: signal.Signals):
-    with serving([hills_level], r"render process (\d+) ready") as (process, worker):
+    with serving_process([hills_level], r"render process (\d+) ready") as (process, worker):
         process.send_signal(number)
-        _, said = process.communicate(timeout=SOON_S)
+        _, log_text = process.communicate(timeout=TIMEOUT_S)
         assert process.returncode in (0, -number)
-        assert "Traceback" not in said
+        assert "Traceback" not in log_text
         assert not alive(int(worker))
 
 
 def test_signal_during_start_ends_the_service(hills_level: Path):
-    with serving([hills_level], r"on (http://\S+)") as (process, address):
+    with serving_process([hills_level], r"on (http://\S+)") as (process, address):
         assert httpx.get(f"{address}/healthz").status_code == 200
         for number in (signal.SIGUSR1, signal.SIGHUP):
             process.send_signal(number)
             assert httpx.get(f"{address}/levels").status_code == 200, "it is no signal to end"
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=SOON_S)
+        _, log_text = process.communicate(timeout=TIMEOUT_S)
         assert process.returncode == 0
-        assert "Traceback" not in said
-        assert "SIGUSR1" in said and "SIGHUP" in said
+        assert "Traceback" not in log_text
+        assert "SIGUSR1" in log_text and "SIGHUP" in log_text
 
 
 def test_worker_ends_with_a_killed_service(hills_level: Path):
-    with serving([hills_level], r"render process (\d+) ready") as (process, worker):
+    with serving_process([hills_level], r"render process (\d+) ready") as (process, worker):
         process.kill()
         # The worker holds its end of the error pipe open until it ends, which is soon after its own pipe is closed.
-        process.communicate(timeout=SOON_S)
+        process.communicate(timeout=TIMEOUT_S)
         assert not alive(int(worker))
 
 
 def test_service_process_has_no_opengl(hills_level: Path, client):
     timed = hills_level.with_name("timed.yaml")
-    done = subprocess.run([sys.executable, "-c", LOOK_INSIDE, str(timed)], cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(
+        [sys.executable, "-c", INSPECT_SCRIPT, str(timed)], cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S
+    )
+    assert process.returncode == 0, process.stderr
 
 
 def test_invalid_level_ends_the_service_at_once(tmp_path: Path):
-    wrong = tmp_path / "wrong.yaml"
-    wrong.write_text("version: 7\nterrain: {source: dem.tif}", encoding="utf-8")
+    level_file = tmp_path / "wrong.yaml"
+    level_file.write_text("version: 7\nterrain: {source: dem.tif}", encoding="utf-8")
     script = "import sys; from skugga.api.cli.main import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
-    command = [sys.executable, "-c", script, str(wrong)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "wrong.yaml" in done.stderr and "version" in done.stderr
+    command = [sys.executable, "-c", script, str(level_file)]
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S)
+    assert process.returncode == 2
+    assert process.stderr.count("\n") == 1
+    assert "wrong.yaml" in process.stderr and "version" in process.stderr

@@ -31,8 +31,8 @@ def raise_ground(level: Path, metres: float) -> None:
     raster = level.with_suffix(".tif")
     with rasterio.open(raster, "r+") as dataset:
         dataset.write(dataset.read(1) + np.float32(metres), 1)
-    later = raster.stat().st_mtime_ns + 10**9
-    os.utime(raster, ns=(later, later))
+    mtime_ns = raster.stat().st_mtime_ns + 10**9
+    os.utime(raster, ns=(mtime_ns, mtime_ns))
 
 
 def test_bundled_levels_can_be_served():
@@ -70,8 +70,8 @@ def test_changed_raster_in_a_nested_vrt_changes_the_version(path: Path):
 def test_new_sidecar_file_changes_the_version(path: Path, ending: str):
     levels = ServedLevels([path])
     before = levels.get("hills").version
-    beside = path.with_name(f"hills{ending}")
-    beside.write_text("<PAMDataset/>" if ending.endswith("xml") else "", encoding="utf-8")
+    sidecar = path.with_name(f"hills{ending}")
+    sidecar.write_text("<PAMDataset/>" if ending.endswith("xml") else "", encoding="utf-8")
     assert levels.get("hills").version != before
 
 
@@ -111,38 +111,38 @@ def test_unknown_level_error_lists_the_known_ones(path: Path):
         ServedLevels([path]).get("mountains")
 
 
-def wrong_text(folder: Path) -> Path:
+def level_of_wrong_version(folder: Path) -> Path:
     path = folder / "wrong.yaml"
     path.write_text("version: 7", encoding="utf-8")
     return path
 
 
-def no_raster(folder: Path) -> Path:
+def level_without_raster(folder: Path) -> Path:
     path = write_level(folder, "wrong")
     path.with_suffix(".tif").unlink()
     return path
 
 
-def remote(folder: Path) -> Path:
+def level_with_remote_raster(folder: Path) -> Path:
     return write_level(folder, "wrong", terrain={"source": "/vsicurl/https://example.org/wrong.tif"})
 
 
-def never_served(folder: Path) -> Path:
+def level_with_truth(folder: Path) -> Path:
     return write_level(folder, "wrong", shadows={"algorithm": {"relief": "truth"}})
 
 
-def tight(folder: Path) -> Path:
+def level_with_tight_fit(folder: Path) -> Path:
     return write_level(folder, "wrong", shadows={"fit": "tight"})
 
 
 @pytest.mark.parametrize(
     ("make", "error", "said"),
     [
-        (wrong_text, LevelError, "version"),
-        (no_raster, SourceError, "wrong.tif"),
-        (remote, LevelError, "SKUGGA_REMOTE_SOURCES"),
-        (never_served, LevelError, "shadow_map"),
-        (tight, LevelError, "stable"),
+        (level_of_wrong_version, LevelError, "version"),
+        (level_without_raster, SourceError, "wrong.tif"),
+        (level_with_remote_raster, LevelError, "SKUGGA_REMOTE_SOURCES"),
+        (level_with_truth, LevelError, "shadow_map"),
+        (level_with_tight_fit, LevelError, "stable"),
     ],
 )
 def test_unservable_level_is_an_error_that_names_it(tmp_path: Path, make, error, said: str):
@@ -170,8 +170,8 @@ def test_unservable_pin_is_one_error_that_names_it(tmp_path: Path, pin: dict, wo
     for look in (lambda: ServedLevels([level]), lambda: levels.get("hills")):  # on load, and on a later check
         with pytest.raises(LevelError) as caught:
             look()
-        said = str(caught.value)
-        assert f"{level}: shadows.pins.1{words[0]}" in said and all(word in said for word in words) and "\n" not in said
+        message = str(caught.value)
+        assert f"{level}: shadows.pins.1{words[0]}" in message and all(word in message for word in words) and "\n" not in message
         assert exit_status(caught.value) == 2
     level.write_text(json.dumps({**text, "shadows": {"pins": [first]}}))
     assert levels.get("hills").loaded.level.shadows.pins[0].map_size == 512

@@ -15,7 +15,7 @@ from skugga.api.http.parameters import picture_query
 from skugga.api.request import RequestedSettings
 from skugga.api.settings import Settings
 
-SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
+SMALL_MAP_OPTIONS = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
 
 
 @pytest.fixture
@@ -26,12 +26,12 @@ def settings_of(monkeypatch, capsys, tmp_path: Path):
         stats = tmp_path / "stats.json"
         picture = str(tmp_path / "picture.png")
         monkeypatch.setattr(
-            sys, "argv", ["skugga", "render", "jacksboro", *SMALL, "-o", picture, "--stats", str(stats), *arguments]
+            sys, "argv", ["skugga", "render", "jacksboro", *SMALL_MAP_OPTIONS, "-o", picture, "--stats", str(stats), *arguments]
         )
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as exit_info:
             cli.main()
-        plan = json.loads(stats.read_text(encoding="utf-8"))["plan"] if ended.value.code == 0 else {}
-        return ended.value.code, capsys.readouterr().err, plan.get("settings", {}).get("sun", {}).get("relief", {})
+        plan = json.loads(stats.read_text(encoding="utf-8"))["plan"] if exit_info.value.code == 0 else {}
+        return exit_info.value.code, capsys.readouterr().err, plan.get("settings", {}).get("sun", {}).get("relief", {})
 
     return call
 
@@ -67,16 +67,16 @@ def test_shadow_volume_options_reach_the_plan(gl, settings_of, algorithm: str, k
     ],
 )  # fmt: skip
 def test_invalid_options_list_the_allowed_values(settings_of, key: str, value: str, words: str):
-    status, said, _ = settings_of(f"--{key}", value)
-    assert status == 2 and said.count("\n") == 1 and key in said and value in said and words in said
+    status, error_text, _ = settings_of(f"--{key}", value)
+    assert status == 2 and error_text.count("\n") == 1 and key in error_text and value in error_text and words in error_text
 
 
 def test_picture_query_carries_the_options():
-    given = {"filter": "sun", "bias": "normal_offset", "culling": "front"}
-    given |= {"stencil": "two_pass", "counting": "z_fail", "mask": "original"}
+    options = {"filter": "sun", "bias": "normal_offset", "culling": "front"}
+    options |= {"stencil": "two_pass", "counting": "z_fail", "mask": "original"}
     service = SimpleNamespace(settings=Settings())
     request = SimpleNamespace(app=SimpleNamespace(state=SimpleNamespace(service=service)))
-    asked = asyncio.run(picture_query(request, **given))
-    assert asked.overrides == RequestedSettings.of(given)
-    assert given == asked.overrides.for_selector()
-    assert asked.query() == "&".join(f"{key}={value}" for key, value in given.items())
+    parsed = asyncio.run(picture_query(request, **options))
+    assert parsed.overrides == RequestedSettings.of(options)
+    assert options == parsed.overrides.for_selector()
+    assert parsed.query() == "&".join(f"{key}={value}" for key, value in options.items())

@@ -19,18 +19,20 @@ EYE, TARGET = "8.4300,47.5000,300", "8.4500,47.5100,0"
 SMALL = {"size": "96x64"}
 
 
-def pixels(client: Client, address: str = f"{SNAPSHOT}.png", **asked: str) -> np.ndarray:
-    answer = client.get(address, params={**SMALL, **asked})
+def pixels(client: Client, address: str = f"{SNAPSHOT}.png", **parameters: str) -> np.ndarray:
+    answer = client.get(address, params={**SMALL, **parameters})
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB")).astype(int)
 
 
 def test_requested_view_equals_a_view_of_the_level(client: Client, folder: Path):
     """The same numbers in a level file draw the same picture."""
-    made = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0], "fov": 40}
-    color = snapshot(write_level(folder, "viewed", views={"made": made}), "made", ProductRequest(), {}, (96, 64)).computed.array
-    asked = pixels(client, eye=EYE, target=TARGET, fov="40")
-    assert np.array_equal(asked, color[..., :3]) and len(np.unique(asked.reshape(-1, 3), axis=0)) > 100, "it is not blank"
+    camera = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0], "fov": 40}
+    color = snapshot(write_level(folder, "viewed", views={"made": camera}), "made", ProductRequest(), {}, (96, 64)).computed.array
+    requested_pixels = pixels(client, eye=EYE, target=TARGET, fov="40")
+    assert np.array_equal(requested_pixels, color[..., :3]) and len(np.unique(requested_pixels.reshape(-1, 3), axis=0)) > 100, (
+        "it is not blank"
+    )
 
 
 def test_eye_target_and_fov_change_the_picture(client: Client):
@@ -79,21 +81,23 @@ def test_wrong_camera_parameters_are_named(client: Client, asked: dict[str, str]
      ("hybrid", "silhouettes", 255)],
 )  # fmt: skip
 def test_intermediate_layers_can_be_requested(client: Client, algorithm: str, layer: str, most: int):
-    asked = {**SMALL, "eye": EYE, "target": TARGET, "algorithm": algorithm, "layer": layer}
-    answer = client.get(f"{SNAPSHOT}.png", params=asked)
+    query = {**SMALL, "eye": EYE, "target": TARGET, "algorithm": algorithm, "layer": layer}
+    answer = client.get(f"{SNAPSHOT}.png", params=query)
     assert answer.status_code == 200, answer.text
     values = np.asarray(Image.open(io.BytesIO(answer.content)))
     assert values.max() <= most and len(np.unique(values)) > 1
     if layer == "volumes":
-        color = pixels(client, **{key: value for key, value in asked.items() if key != "layer"})
+        color = pixels(client, **{key: value for key, value in query.items() if key != "layer"})
         assert values.shape == color.shape and not np.array_equal(values, color)
 
 
 def test_missing_intermediate_layers_are_refused(client: Client):
-    made = {"eye": EYE, "target": TARGET, "algorithm": "shadow_map"}
+    camera_query = {"eye": EYE, "target": TARGET, "algorithm": "shadow_map"}
     assert "volumes" in client.get("/levels/hills").json()["layers_between"]
-    answer = client.get(f"{SNAPSHOT}.png", params={**SMALL, **made, "layer": "volumes"})
+    answer = client.get(f"{SNAPSHOT}.png", params={**SMALL, **camera_query, "layer": "volumes"})
     check_problem(answer, 422, "unsupported", "layer")
     assert "algorithms that have it" in answer.json()["detail"]
-    check_problem(client.get(f"{SNAPSHOT}.webp", params={**made, "layer": "shadow-map"}), 422, "invalid_parameter", "format")
-    check_problem(client.get(f"{SNAPSHOT}.png", params={**made, "layer": "depth"}), 422, "invalid_parameter", "layer")
+    check_problem(
+        client.get(f"{SNAPSHOT}.webp", params={**camera_query, "layer": "shadow-map"}), 422, "invalid_parameter", "format"
+    )
+    check_problem(client.get(f"{SNAPSHOT}.png", params={**camera_query, "layer": "depth"}), 422, "invalid_parameter", "layer")

@@ -31,8 +31,8 @@ def pixels(answer) -> np.ndarray:
 
 def test_styles_differ_in_colour_but_not_in_alpha(client: Client):
     pictures = {name: pixels(client.get(TILE, params={"style": name})) for name in STYLES}
-    own = client.get("/levels/hills").json()["style"]
-    assert np.array_equal(pictures[own], pixels(client.get(TILE)))
+    level_style = client.get("/levels/hills").json()["style"]
+    assert np.array_equal(pictures[level_style], pixels(client.get(TILE)))
     assert len({picture.tobytes() for picture in pictures.values()}) == len(STYLES)
     assert len({picture[..., 3].tobytes() for picture in pictures.values()}) == 1, "the same ground is there"
     grey = pictures["grey"][..., :3].astype(int)
@@ -48,17 +48,17 @@ def test_default_style_of_a_level_has_a_name(client: Client):
 def test_shadows_have_no_style(client: Client):
     for layer in ("shadow", "mask"):
         plain, styled = (
-            client.get(TILE, params={"layer": layer, **more}) for more in ({}, {"style": "swiss", "slope_exaggeration": 4})
+            client.get(TILE, params={"layer": layer, **options}) for options in ({}, {"style": "swiss", "slope_exaggeration": 4})
         )
         assert plain.headers["etag"] == styled.headers["etag"] and plain.content == styled.content
 
 
 def test_slope_exaggeration_spreads_the_shading(client: Client):
     """On ground that the mask shows as lit, steeper slopes spread the shading wider."""
-    high = {"azimuth": 235, "altitude": 60, "style": "analysis"}
-    plain, steep = (pixels(client.get(TILE, params={**high, **more}))[..., 0] for more in ({}, {"slope_exaggeration": 3}))
-    lit = pixels(client.get(TILE, params={**high, "layer": "mask"}))[..., 0] == 255
-    assert lit.mean() > 0.2 and steep[lit].std() > 1.3 * plain[lit].std()
+    high_sun = {"azimuth": 235, "altitude": 60, "style": "analysis"}
+    plain, steep = (pixels(client.get(TILE, params={**high_sun, **options}))[..., 0] for options in ({}, {"slope_exaggeration": 3}))
+    is_lit = pixels(client.get(TILE, params={**high_sun, "layer": "mask"}))[..., 0] == 255
+    assert is_lit.mean() > 0.2 and steep[is_lit].std() > 1.3 * plain[is_lit].std()
 
 
 def test_maps_and_snapshots_have_styles(client: Client):
@@ -71,33 +71,33 @@ def test_maps_and_snapshots_have_styles(client: Client):
 def test_wms_and_wmts_accept_styles(client: Client):
     for name in ("swiss", "analysis"):
         tile = client.get(TILE, params={"style": name})
-        apart = np.abs(pixels(client.get("/wms", params={**WMS, "STYLES": name})).astype(int) - pixels(tile))
-        assert apart.max() <= 1 and (apart > 0).mean() < 1e-3, "drawn by the geometry buffer, and without"
+        difference = np.abs(pixels(client.get("/wms", params={**WMS, "STYLES": name})).astype(int) - pixels(tile))
+        assert difference.max() <= 1 and (difference > 0).mean() < 1e-3, "drawn by the geometry buffer, and without"
         assert client.get("/wmts", params={**WMTS, "STYLE": name}).content == tile.content
     for address, key in (("/wms", "STYLES"), ("/wmts", "STYLE")):
-        asked = WMS if address == "/wms" else WMTS
-        refused = client.get(address, params={**asked, key: "pretty"})
-        assert refused.status_code == 422 or refused.status_code == 400
-        assert "swiss" in refused.text and key in refused.text
+        base_query = WMS if address == "/wms" else WMTS
+        refusal = client.get(address, params={**base_query, key: "pretty"})
+        assert refusal.status_code == 422 or refusal.status_code == 400
+        assert "swiss" in refusal.text and key in refusal.text
         layer = {"LAYERS" if address == "/wms" else "LAYER": "hills:mask"}
-        assert client.get(address, params={**asked, **layer, key: "swiss"}).status_code in (400, 422), "a mask has one style"
+        assert client.get(address, params={**base_query, **layer, key: "swiss"}).status_code in (400, 422), "a mask has one style"
 
 
 def test_capabilities_list_styles_of_color_only(client: Client):
     w, t = {"w": "http://www.opengis.net/wms"}, {"t": "http://www.opengis.net/wmts/1.0", "o": "http://www.opengis.net/ows/1.1"}
     wms = ElementTree.fromstring(client.get("/wms?SERVICE=WMS&REQUEST=GetCapabilities").content)
     wmts = ElementTree.fromstring(client.get("/wmts/1.0.0/WMTSCapabilities.xml").content)
-    found = {
+    styles_by_layer = {
         layer.findtext("w:Name", "", w): [style.findtext("w:Name", "", w) for style in layer.iterfind("w:Style", w)]
         for layer in wms.iter(f"{{{w['w']}}}Layer")
     }
-    assert found["hills:color"] == ["default", *STYLES] and found["hills:mask"] == ["default"]
-    of_tiles = {
+    assert styles_by_layer["hills:color"] == ["default", *STYLES] and styles_by_layer["hills:mask"] == ["default"]
+    tile_styles = {
         layer.findtext("o:Identifier", "", t): [style.findtext("o:Identifier", "", t) for style in layer.iterfind("t:Style", t)]
         for layer in wmts.iter(f"{{{t['t']}}}Layer")
     }
-    assert of_tiles["hills:color"] == ["default", *STYLES] and of_tiles["hills:shadow"] == ["default"]
-    color = next(each for each in wmts.iter(f"{{{t['t']}}}Layer") if each.findtext("o:Identifier", "", t) == "hills:color")
+    assert tile_styles["hills:color"] == ["default", *STYLES] and tile_styles["hills:shadow"] == ["default"]
+    color = next(element for element in wmts.iter(f"{{{t['t']}}}Layer") if element.findtext("o:Identifier", "", t) == "hills:color")
     template = color.find("t:ResourceURL", t).get("template")
     assert "style={Style}" in template
 

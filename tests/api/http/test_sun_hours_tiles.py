@@ -16,11 +16,11 @@ from tests.api.conftest import Client
 from tests.api.http.test_problems import check_problem
 
 MERCATOR = tms.get("WebMercatorQuad")
-ASKED = "layer=sunhours&date=2024-12-21"
+SUN_HOURS_QUERY = "layer=sunhours&date=2024-12-21"
 ZOOM = 13
 
 
-def tile_of(client: Client, query: str = ASKED, suffix: str = "png"):
+def tile_of(client: Client, query: str = SUN_HOURS_QUERY, suffix: str = "png"):
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     tile = MERCATOR.tile((west + east) / 2, (south + north) / 2, ZOOM)
     return tile, client.get(f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{tile.x}/{tile.y}{suffix and '.' + suffix}?{query}")
@@ -34,44 +34,44 @@ def picture(answer) -> np.ndarray:
 def test_sun_hours_tile_agrees_with_points(client: Client):
     """Points compute the same hours in another way, from their horizons."""
     tile, answer = tile_of(client)
-    shown = picture(answer)
-    assert shown.shape == (256, 256, 4) and (shown[..., 3] == 255).all()
-    said = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{ASKED}").json()
-    legend = said["skugga"]["legend"]
-    of_hours = np.linspace(legend["low"], legend["high"], 256)
-    colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).colored(of_hours[None])[0].astype(int)
-    rows, cols = (each.ravel() for each in np.mgrid[10:256:35, 5:256:35])
+    tile_pixels = picture(answer)
+    assert tile_pixels.shape == (256, 256, 4) and (tile_pixels[..., 3] == 255).all()
+    tilejson = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{SUN_HOURS_QUERY}").json()
+    legend = tilejson["skugga"]["legend"]
+    legend_hours = np.linspace(legend["low"], legend["high"], 256)
+    colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).colored(legend_hours[None])[0].astype(int)
+    rows, cols = (item.ravel() for item in np.mgrid[10:256:35, 5:256:35])
     bounds = MERCATOR.xy_bounds(tile)
     side = (bounds.right - bounds.left) / 256
     lon_lat = [MERCATOR.lnglat(bounds.left + col * side, bounds.top - row * side) for row, col in zip(rows, cols, strict=True)]
-    asked = {"points": [{"lon": place.x, "lat": place.y} for place in lon_lat], "time": "2024-12-21T12:00:00+01:00"}
-    direct = np.array([each["direct_h"] for each in client.post("/levels/hills/point", json=asked).json()["points"]])
-    by_color = of_hours[np.abs(colors - shown[rows, cols][:, None].astype(int)).sum(axis=2).argmin(axis=1)]
+    body = {"points": [{"lon": place.x, "lat": place.y} for place in lon_lat], "time": "2024-12-21T12:00:00+01:00"}
+    direct = np.array([item["direct_h"] for item in client.post("/levels/hills/point", json=body).json()["points"]])
+    hours_by_color = legend_hours[np.abs(colors - tile_pixels[rows, cols][:, None].astype(int)).sum(axis=2).argmin(axis=1)]
     assert direct.std() > 1.0
-    assert np.corrcoef(by_color, direct)[0, 1] > 0.95  # the tile samples the ground between the cells
-    assert np.abs(by_color - direct).mean() < 0.5
+    assert np.corrcoef(hours_by_color, direct)[0, 1] > 0.95  # the tile samples the ground between the cells
+    assert np.abs(hours_by_color - direct).mean() < 0.5
 
 
 def test_sun_hours_tiles_are_cached_per_date(client: Client):
     _, answer = tile_of(client)
-    _, again = tile_of(client)
-    assert again.content == answer.content and "kept" in again.headers["server-timing"]
+    _, cached_response = tile_of(client)
+    assert cached_response.content == answer.content and "kept" in cached_response.headers["server-timing"]
     assert "x-skugga-caster-reach" not in answer.headers
     summer = tile_of(client, "layer=sunhours&date=2024-06-21")[1]
     assert summer.headers["etag"] != answer.headers["etag"] and summer.content != answer.content
     path = answer.request.url.raw_path.decode()
     assert client.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
-    first = picture(tile_of(client, f"{ASKED}&quantity=first&clock=Europe/Zurich")[1])
+    first = picture(tile_of(client, f"{SUN_HOURS_QUERY}&quantity=first&clock=Europe/Zurich")[1])
     assert (first != picture(answer)).any()
 
 
 def test_legend_is_a_picture_and_numbers(client: Client):
-    said = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{ASKED}&quantity=first&clock=%2B01:00").json()
-    assert said["tiles"][0].endswith("?layer=sunhours&date=2024-12-21&quantity=first&clock=%2B01%3A00")
-    legend = said["skugga"]["legend"]
+    tilejson = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{SUN_HOURS_QUERY}&quantity=first&clock=%2B01:00").json()
+    assert tilejson["tiles"][0].endswith("?layer=sunhours&date=2024-12-21&quantity=first&clock=%2B01%3A00")
+    legend = tilejson["skugga"]["legend"]
     assert legend["title"] == "First sun, 21 December 2024 (+01:00)"
     assert legend["entries"][0]["label"] == "08:00" and legend["entries"][-1]["label"] in ("16:00", "17:00")
-    assert legend["picture"] in said["legend"].replace("&amp;", "&")
+    assert legend["picture"] in tilejson["legend"].replace("&amp;", "&")
     png = client.get(legend["picture"])
     assert png.headers["content-type"] == "image/png" and picture(png).shape[:2] == (85, 340)
     svg = client.get(legend["picture"].replace("legend.png", "legend.svg"))
@@ -82,9 +82,9 @@ def test_legend_is_a_picture_and_numbers(client: Client):
 @pytest.mark.parametrize(
     ("query", "name"),
     [
-        ("layer=sunhours", "date"), ("layer=sunhours&date=2023-02-29", "date"), (f"{ASKED}&time=2024-12-21T09:00Z", "time"),
-        (f"{ASKED}&algorithm=sweep", "algorithm"), ("date=2024-12-21", "date"), (f"{ASKED}&window=16:00-08:00", "window"),
-        (f"{ASKED}&quantity=weeks", "quantity"), (f"{ASKED}&height=-1", "height"),
+        ("layer=sunhours", "date"), ("layer=sunhours&date=2023-02-29", "date"), (f"{SUN_HOURS_QUERY}&time=2024-12-21T09:00Z", "time"),
+        (f"{SUN_HOURS_QUERY}&algorithm=sweep", "algorithm"), ("date=2024-12-21", "date"), (f"{SUN_HOURS_QUERY}&window=16:00-08:00", "window"),
+        (f"{SUN_HOURS_QUERY}&quantity=weeks", "quantity"), (f"{SUN_HOURS_QUERY}&height=-1", "height"),
         ("layer=hours", "layer"),
     ],
 )  # fmt: skip
@@ -94,7 +94,7 @@ def test_wrong_sun_hours_parameters_are_named(client: Client, query: str, name: 
 
 def test_picture_layers_have_no_legend(client: Client):
     check_problem(client.get("/levels/hills/legend.png?layer=mask"), 422, "invalid_parameter", "layer")
-    check_problem(tile_of(client, ASKED, "jpg")[1], 422, "invalid_parameter", "format")
+    check_problem(tile_of(client, SUN_HOURS_QUERY, "jpg")[1], 422, "invalid_parameter", "format")
 
 
 def test_color_scale_is_valid_in_polar_night(globe_at):

@@ -63,8 +63,8 @@ def test_color_shadow_and_mask_layers_agree(client: Client):
     assert (shadow[..., :3] == 0).all()
     alpha = shadow[..., 3]
     assert (mask[alpha == 255] == 0).all() and (mask[valid & (alpha == 0)] == 255).all()  # edges are anti-aliased, masks are not
-    partly = valid & (alpha > 0) & (alpha < 255)
-    assert 0.05 < partly[valid].mean() < 0.12 and ((alpha > 127) == (mask == 0))[partly].mean() > 0.94
+    is_partial = valid & (alpha > 0) & (alpha < 255)
+    assert 0.05 < is_partial[valid].mean() < 0.12 and ((alpha > 127) == (mask == 0))[is_partial].mean() > 0.94
 
 
 def test_webp_of_data_layers_is_lossless(client: Client):
@@ -81,12 +81,12 @@ def test_tiles_of_four_blocks_equal_one_map(client: Client, hills_level):
     bounds = northwest.left, southeast.bottom, southeast.right, northwest.top
     view = scene.view(bounds=bounds, crs="EPSG:3857", size=(512, 512))
     for layer in ("color", "shadow", "mask"):
-        whole = compute(scene, view, ProductRequest(product=layer), plan_of(scene, view)).array
-        assert len(np.unique(whole.reshape(-1, whole.shape[-1] if whole.ndim == 3 else 1), axis=0)) > 2
+        full_map = compute(scene, view, ProductRequest(product=layer), plan_of(scene, view)).array
+        assert len(np.unique(full_map.reshape(-1, full_map.shape[-1] if full_map.ndim == 3 else 1), axis=0)) > 2
         for row in range(2):
             for col in range(2):
                 answer = client.get(f"{TILES}/{ZOOM}/{X - 1 + col}/{Y - 1 + row}.png", params={"layer": layer})
-                part = whole[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256]
+                part = full_map[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256]
                 assert answer.content == encode(np.ascontiguousarray(part), PRODUCTS[layer], "png"), (layer, row, col)
 
 
@@ -96,19 +96,19 @@ def test_tiles_equal_the_pixels_of_a_larger_map(client: Client, layer: str):
     columns, rows = ((X, X + 1), (Y,)) if layer == "sunhours" else ((X - 1, X), (Y - 1, Y))
     matrix_set, format = matrix_sets.get("WebMercatorQuad"), "npy" if "npy" in PRODUCTS[layer].map_formats else "png"
     first, last = matrix_set.xy_bounds(columns[0], rows[0], ZOOM), matrix_set.xy_bounds(columns[-1], rows[-1], ZOOM)
-    asked = {"layer": layer, **({"date": "2024-12-21"} if layer == "sunhours" else {})}
+    query = {"layer": layer, **({"date": "2024-12-21"} if layer == "sunhours" else {})}
     extent = {"bbox": f"{first.left},{last.bottom},{last.right},{first.top}", "crs": "EPSG:3857", "width": 512}
 
-    def read(path: str, **more: object) -> np.ndarray:
-        answer = client.get(f"{path}.{format}", params={**asked, **more})
+    def read(path: str, **parameters: object) -> np.ndarray:
+        answer = client.get(f"{path}.{format}", params={**query, **parameters})
         assert answer.status_code == 200, answer.text
         body = io.BytesIO(answer.content)
         return np.load(body) if format == "npy" else np.asarray(Image.open(body).convert("RGBA"))
 
-    whole = read("/levels/hills/map", **extent)
+    map_pixels = read("/levels/hills/map", **extent)
     tiles = [np.concatenate([read(f"{TILES}/{ZOOM}/{x}/{y}") for x in columns], axis=1) for y in rows]
-    np.testing.assert_array_equal(np.concatenate(tiles), whole)
-    assert len(np.unique(whole[np.isfinite(whole)])) > 1, "it shows something"
+    np.testing.assert_array_equal(np.concatenate(tiles), map_pixels)
+    assert len(np.unique(map_pixels[np.isfinite(map_pixels)])) > 1, "it shows something"
 
 
 def test_2x_tile_equals_four_tiles_of_the_next_zoom(client: Client):
@@ -116,8 +116,8 @@ def test_2x_tile_equals_four_tiles_of_the_next_zoom(client: Client):
     assert double.shape == (512, 512, 4)
     for row in range(2):
         for col in range(2):
-            one = pixels(client.get(f"{TILES}/{ZOOM + 1}/{2 * X + col}/{2 * Y + row}.png"))
-            assert np.array_equal(double[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256], one)
+            child_pixels = pixels(client.get(f"{TILES}/{ZOOM + 1}/{2 * X + col}/{2 * Y + row}.png"))
+            assert np.array_equal(double[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256], child_pixels)
 
 
 def test_another_matrix_set_is_served(client: Client):
@@ -161,28 +161,28 @@ def test_query_sun_replaces_the_level_sun(client: Client):
     def shadows(**query) -> np.ndarray:
         return pixels(client.get(TILE, params={"layer": "mask", **query})) == 0
 
-    own, morning, overhead = shadows(), shadows(azimuth=70, altitude=18), shadows(azimuth=180, altitude=85)
-    assert (own == shadows(azimuth=250, altitude=18)).all()
-    assert (own != morning).mean() > 0.1
-    assert overhead.mean() < 0.1 < own.mean()
+    default_shadow, morning, overhead = shadows(), shadows(azimuth=70, altitude=18), shadows(azimuth=180, altitude=85)
+    assert (default_shadow == shadows(azimuth=250, altitude=18)).all()
+    assert (default_shadow != morning).mean() > 0.1
+    assert overhead.mean() < 0.1 < default_shadow.mean()
 
 
 def test_time_accepts_an_unescaped_plus(client: Client):
     escaped = client.get(f"{TILE}?time=2024-06-21T19:00:00%2B02:00")
-    spaced = client.get(f"{TILE}?time=2024-06-21T19:00:00+02:00")
+    unescaped = client.get(f"{TILE}?time=2024-06-21T19:00:00+02:00")
     assert escaped.status_code == 200
-    assert (escaped.content, escaped.headers["etag"]) == (spaced.content, spaced.headers["etag"])
+    assert (escaped.content, escaped.headers["etag"]) == (unescaped.content, unescaped.headers["etag"])
 
 
 def test_query_sets_algorithm_and_settings(client: Client):
     assert client.get(TILE).headers["x-skugga-algorithm"] == "sweep"
     none = client.get(TILE, params={"algorithm": "none", "layer": "mask"})
     assert none.headers["x-skugga-algorithm"] == "none"
-    cast = client.get(TILE, params={"algorithm": "relief=shadow_map", "layer": "mask"})
-    assert (pixels(none) == 0).sum() < (pixels(cast) == 0).sum()  # attached shadow alone
-    coarse = client.get(TILE, params={"map_size": 64, "depth_bits": 24, "filter": 1, "layer": "mask"})
-    assert coarse.status_code == 200
-    assert coarse.content != cast.content
+    shadow_map_response = client.get(TILE, params={"algorithm": "relief=shadow_map", "layer": "mask"})
+    assert (pixels(none) == 0).sum() < (pixels(shadow_map_response) == 0).sum()  # attached shadow alone
+    coarse_response = client.get(TILE, params={"map_size": 64, "depth_bits": 24, "filter": 1, "layer": "mask"})
+    assert coarse_response.status_code == 200
+    assert coarse_response.content != shadow_map_response.content
 
 
 def test_tile_headers_describe_timing_reach_and_caching(client: Client):
@@ -195,12 +195,12 @@ def test_tile_headers_describe_timing_reach_and_caching(client: Client):
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}
     assert int(words["needed"]) >= 0 and words["clipped"] in ("yes", "no")
-    later = "stale-while-revalidate={0}, stale-if-error=86400"
-    assert answer.headers["cache-control"] == f"public, max-age=3600, {later.format(3600)}"
-    given = client.get(TILE, params=NIGHT)
-    assert given.headers["cache-control"] == f"public, max-age=86400, {later.format(86400)}"
-    unchanged = client.get(TILE, params=NIGHT, headers={"If-None-Match": given.headers["etag"]})
-    assert unchanged.status_code == 304 and unchanged.headers["cache-control"] == given.headers["cache-control"]
+    stale_directives = "stale-while-revalidate={0}, stale-if-error=86400"
+    assert answer.headers["cache-control"] == f"public, max-age=3600, {stale_directives.format(3600)}"
+    night_response = client.get(TILE, params=NIGHT)
+    assert night_response.headers["cache-control"] == f"public, max-age=86400, {stale_directives.format(86400)}"
+    unchanged = client.get(TILE, params=NIGHT, headers={"If-None-Match": night_response.headers["etag"]})
+    assert unchanged.status_code == 304 and unchanged.headers["cache-control"] == night_response.headers["cache-control"]
 
 
 def test_current_tiles_and_level_facts_are_never_stale(client: Client):
@@ -238,9 +238,9 @@ def test_cors_headers_are_sent_with_every_tile(client: Client):
     answer = client.get(TILE, headers={"Origin": "https://map.example"})
     assert answer.headers["access-control-allow-origin"] == "*"
     assert "X-Skugga-Caster-Reach" in answer.headers["access-control-expose-headers"]
-    of_no_page = client.get(TILE)
+    originless_response = client.get(TILE)
     for name in ("access-control-allow-origin", "access-control-expose-headers", "vary"):
-        assert of_no_page.headers.get(name) == answer.headers.get(name), "a cache sends the one to who asks for the other"
+        assert originless_response.headers.get(name) == answer.headers.get(name), "a cache sends the one to who asks for the other"
 
 
 def test_concurrent_tiles_of_a_block_are_rendered_once(client: Client):
@@ -250,30 +250,30 @@ def test_concurrent_tiles_of_a_block_are_rendered_once(client: Client):
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda xy: client.get(f"{TILES}/{ZOOM}/{xy[0]}/{xy[1]}.png", params=query), places))
     assert [answer.status_code for answer in answers] == [200] * 4
-    drawn = client.service.pool.counters.answered - before
-    assert drawn == 1
+    rendered_count = client.service.pool.counters.answered - before
+    assert rendered_count == 1
 
 
 def test_service_answers_while_a_block_is_drawn(client: Client):
     """The bound of 1 s is far above an idle event loop's latency, and far below a block's time on one thread of a rasteriser."""
-    done = threading.Event()
+    finished = threading.Event()
 
     def draw() -> httpx.Response:
         try:
             return client.get(f"{TILES}/{ZOOM + 1}/{2 * X}/{2 * Y}.png", params={"azimuth": 131, "altitude": 7})
         finally:
-            done.set()
+            finished.set()
 
-    waits = []
+    latencies_s = []
     with ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(draw)
-        while not done.is_set():
+        while not finished.is_set():
             start = time.perf_counter()
             assert client.get("/healthz").status_code == 200
-            waits.append(time.perf_counter() - start)
+            latencies_s.append(time.perf_counter() - start)
         assert "block;desc=drawn" in drawing.result().headers["server-timing"]
-    assert len(waits) > 3
-    assert max(waits) < 1.0
+    assert len(latencies_s) > 3
+    assert max(latencies_s) < 1.0
 
 
 def test_opaque_color_tile_has_no_alpha(client: Client, hills_level):
@@ -287,32 +287,32 @@ def test_cached_tile_bypasses_the_application(client: Client, monkeypatch):
     first = client.get(TILE, params=query)
     monkeypatch.setattr(LevelCheck, "_is_fresh", lambda check: True)  # as if its files had just been checked
     monkeypatch.setattr(type(client.service.levels), "current", None)  # every request for a level fails
-    again, head = client.get(TILE, params=query), client.head(TILE, params=query)
-    assert again.content == first.content and "block;desc=kept" in again.headers["server-timing"]
-    of_the_answer = ("server-timing", "date", "x-request-id", "x-skugga-expected-time")
-    same = {name: value for name, value in first.headers.items() if name not in of_the_answer}
-    assert same.items() <= again.headers.items()
+    cached_response, head = client.get(TILE, params=query), client.head(TILE, params=query)
+    assert cached_response.content == first.content and "block;desc=kept" in cached_response.headers["server-timing"]
+    response_headers = ("server-timing", "date", "x-request-id", "x-skugga-expected-time")
+    shared_headers = {name: value for name, value in first.headers.items() if name not in response_headers}
+    assert shared_headers.items() <= cached_response.headers.items()
     assert (head.status_code, head.content, head.headers["content-length"]) == (200, b"", str(len(first.content)))
-    known = client.get(TILE, params=query, headers={"If-None-Match": first.headers["etag"]})
-    assert (known.status_code, known.content, known.headers["etag"]) == (304, b"", first.headers["etag"])
+    not_modified = client.get(TILE, params=query, headers={"If-None-Match": first.headers["etag"]})
+    assert (not_modified.status_code, not_modified.content, not_modified.headers["etag"]) == (304, b"", first.headers["etag"])
     cross_origin = client.get(TILE, params=query, headers={"Origin": "https://a.example"})
     assert cross_origin.headers["access-control-allow-origin"] == "*"
 
 
 def test_other_spelling_of_a_query_reuses_the_tile(client: Client):
-    one = client.get(TILE, params={"azimuth": 202.5, "altitude": 33.0})
+    decimal_response = client.get(TILE, params={"azimuth": 202.5, "altitude": 33.0})
     other = client.get(TILE, params={"altitude": "33", "azimuth": "202.50"})
-    assert other.content == one.content and other.headers["etag"] == one.headers["etag"]
+    assert other.content == decimal_response.content and other.headers["etag"] == decimal_response.headers["etag"]
     assert "block;desc=kept" in other.headers["server-timing"]
 
 
 def test_changed_level_invalidates_its_tiles(tmp_path):
     level = write_level(tmp_path, "hills")
     with running(create_app(Settings(workers=1, level_check_s=0), [level], fake_workers.obedient)) as client:
-        before, again = client.get(TILE), client.get(TILE)
+        before, repeated = client.get(TILE), client.get(TILE)
         level.write_text(level.read_text(encoding="utf-8").replace("The hills", "Other hills"), encoding="utf-8")
         after = client.get(TILE)
-        assert before.headers["etag"] == again.headers["etag"] != after.headers["etag"]
+        assert before.headers["etag"] == repeated.headers["etag"] != after.headers["etag"]
         assert client.service.pool.counters.answered == 2
 
 
@@ -320,6 +320,6 @@ def test_layers_and_formats_share_a_cached_block(client: Client):
     query = {"azimuth": 203.5, "altitude": 33.0}
     assert "block;desc=drawn" in client.get(TILE, params=query).headers["server-timing"]
     double = f"{TILES}/{ZOOM - 1}/{X // 2}/{Y // 2}@2x.png"
-    for path, more in ((TILE, {"layer": "shadow"}), (TILE.replace(".png", ".webp"), {}), (double, {})):
-        assert "block;desc=kept" in client.get(path, params=query | more).headers["server-timing"]
+    for path, extra_query in ((TILE, {"layer": "shadow"}), (TILE.replace(".png", ".webp"), {}), (double, {})):
+        assert "block;desc=kept" in client.get(path, params=query | extra_query).headers["server-timing"]
     assert "block;desc=drawn" in client.get(TILE, params=query | {"layer": "mask"}).headers["server-timing"]

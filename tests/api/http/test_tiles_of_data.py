@@ -29,16 +29,16 @@ def heights(client: Client, layer: str, place: str = f"{ZOOM}/{X}/{Y}", suffix: 
 
 def test_height_tiles_equal_the_interpolated_raster(client: Client):
     """Cells are 30 m wide and pixels 9.55 m; the expected heights lie bilinearly between the centres of the cells."""
-    told = heights(client, "terrarium", f"{ZOOM + 2}/{4 * X}/{4 * Y}")
+    decoded_heights = heights(client, "terrarium", f"{ZOOM + 2}/{4 * X}/{4 * Y}")
     bounds = tms.get("WebMercatorQuad").xy_bounds(4 * X, 4 * Y, ZOOM + 2)
     pixel = (bounds.right - bounds.left) / 256
-    at = (np.arange(256) + 0.5) * pixel / 30.0 + 200 - 0.5  # the tile's corner is the raster's middle
-    i = np.floor(at).astype(int)
-    t = at - i
+    cell_positions = (np.arange(256) + 0.5) * pixel / 30.0 + 200 - 0.5  # the tile's corner is the raster's middle
+    i = np.floor(cell_positions).astype(int)
+    t = cell_positions - i
     cells = hills()
     rows = cells[i] * (1 - t[:, None]) + cells[i + 1] * t[:, None]
     expected = rows[:, i] * (1 - t) + rows[:, i + 1] * t
-    assert np.abs(told - expected).max() < 0.01
+    assert np.abs(decoded_heights - expected).max() < 0.01
     assert np.abs(heights(client, "terrain-rgb", f"{ZOOM + 2}/{4 * X}/{4 * Y}") - expected).max() < 0.06
 
 
@@ -46,8 +46,8 @@ def test_heights_off_the_data_are_the_lowest_height(client: Client):
     far, near = heights(client, "terrain-rgb", f"{ZOOM}/{X + 50}/{Y}"), heights(client, "terrain-rgb")
     np.testing.assert_allclose(far, LOWEST_M, atol=1e-6)
     assert np.isclose(near.min(), LOWEST_M) and near.max() > LOWEST_M + 300
-    said = client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrarium").json()
-    assert (said["encoding"], said["skugga"]["nodata_height"], said["skugga"]["sun"]) == ("terrarium", LOWEST_M, None)
+    tilejson = client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrarium").json()
+    assert (tilejson["encoding"], tilejson["skugga"]["nodata_height"], tilejson["skugga"]["sun"]) == ("terrarium", LOWEST_M, None)
     assert client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrain-rgb").json()["encoding"] == "mapbox"
 
 
@@ -121,16 +121,16 @@ def test_layers_have_exactly_their_formats(client: Client, layer: str, suffix: s
     for place, side in ((f"{ZOOM}/{X}/{Y}", 256), (f"{ZOOM}/{X}/{Y}@2x", 512), (f"{ZOOM}/{X + 50}/{Y}", 256)):
         answer = client.get(f"{TILES}/{place}.{suffix}?layer={layer}")
         if suffix not in FORMATS[layer]:
-            said = check_problem(answer, 422, "invalid_parameter", "format")["detail"]
+            detail = check_problem(answer, 422, "invalid_parameter", "format")["detail"]
             assert (
-                said.endswith(f"for layer {layer}.")
-                and set(said.split("Allowed: ")[1].split(" for ")[0].split(", ")) == FORMATS[layer]
+                detail.endswith(f"for layer {layer}.")
+                and set(detail.split("Allowed: ")[1].split(" for ")[0].split(", ")) == FORMATS[layer]
             )
             continue
-        shown = pixels(answer.content, suffix)
-        assert shown.shape[:2] == (side, side)
-        assert shown.dtype == (np.float32 if layer in ("visibility", "height") else np.uint8)
-        bands = 1 if shown.ndim == 2 else shown.shape[2]
+        pixel_values = pixels(answer.content, suffix)
+        assert pixel_values.shape[:2] == (side, side)
+        assert pixel_values.dtype == (np.float32 if layer in ("visibility", "height") else np.uint8)
+        bands = 1 if pixel_values.ndim == 2 else pixel_values.shape[2]
         as_color = layer == "color" or suffix == "webp"  # opaque colour has no alpha, and WebP no gray
         assert bands == BANDS[layer] or (as_color and bands == 3)
 
@@ -139,11 +139,11 @@ def test_arrays_equal_masks_and_heights(client: Client):
     def array(layer: str, place: str, suffix: str = "npy") -> np.ndarray:
         return pixels(client.get(f"{TILES}/{place}.{suffix}?layer={layer}").content, suffix)
 
-    here, far = f"{ZOOM}/{X}/{Y}", f"{ZOOM}/{X + 50}/{Y}"
-    assert np.array_equal(array("mask", here), array("mask", here, "png")) and (array("mask", far) == 128).all()
-    height, seen = array("height", here), ~np.isnan(array("height", here))
-    assert np.isnan(array("height", far)).all() and np.isnan(array("height", far, "tif")).all()
-    assert np.array_equal(height, array("height", here, "tif"), equal_nan=True)
-    assert seen.any() and not seen.all()
-    assert np.abs(height - heights(client, "terrarium"))[seen].max() <= 0.5 / 256 + 1e-4
+    data_tile, empty_tile = f"{ZOOM}/{X}/{Y}", f"{ZOOM}/{X + 50}/{Y}"
+    assert np.array_equal(array("mask", data_tile), array("mask", data_tile, "png")) and (array("mask", empty_tile) == 128).all()
+    height, valid = array("height", data_tile), ~np.isnan(array("height", data_tile))
+    assert np.isnan(array("height", empty_tile)).all() and np.isnan(array("height", empty_tile, "tif")).all()
+    assert np.array_equal(height, array("height", data_tile, "tif"), equal_nan=True)
+    assert valid.any() and not valid.all()
+    assert np.abs(height - heights(client, "terrarium"))[valid].max() <= 0.5 / 256 + 1e-4
     assert "encoding" not in client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=height").json()

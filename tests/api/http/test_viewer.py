@@ -22,11 +22,11 @@ def app(hills_level: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     return make
 
 
-def check_page(client: Client, said: str) -> None:
+def check_page(client: Client, expected_text: str) -> None:
     page = client.get("/")
     assert page.status_code == 200
     assert page.headers["content-type"].startswith("text/html")
-    assert said in page.text
+    assert expected_text in page.text
 
 
 def test_page_without_a_viewer_says_how_to_build_it(app):

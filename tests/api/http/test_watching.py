@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from skugga.api.http.server.request_middleware import LogLine, request_id
+from skugga.api.http.server.request_middleware import LogFormatter, request_id
 from tests.api.conftest import CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
@@ -18,17 +18,17 @@ TILE_ROUTE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}"
 DASHBOARD = Path(__file__).resolve().parents[3] / "examples" / "grafana-dashboard.json"
 
 
-def series(client: Client) -> dict[tuple, float]:
+def metric_series(client: Client) -> dict[tuple, float]:
     """Return all series of the metrics: name and sorted labels -> value."""
     answer = client.get("/metrics")
     assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/plain; version=0.0.4")
     families = text_string_to_metric_families(answer.text)
-    return {(each.name, *sorted(each.labels.items())): each.value for family in families for each in family.samples}
+    return {(sample.name, *sorted(sample.labels.items())): sample.value for family in families for sample in family.samples}
 
 
 def requests(client: Client, route: str, status: int) -> float:
     labels = {"route": route, "method": "GET", "status": str(status)}
-    return series(client).get(("skugga_requests_total", *sorted(labels.items())), 0.0)
+    return metric_series(client).get(("skugga_requests_total", *sorted(labels.items())), 0.0)
 
 
 def test_metrics_count_requests_jobs_and_caches(serve_with):
@@ -37,18 +37,18 @@ def test_metrics_count_requests_jobs_and_caches(serve_with):
     assert client.get(TILE).status_code == 200
     assert client.get(TILE.replace("hills", "nowhere")).status_code == 404
     assert client.get("/some/where").status_code == 404
-    found = series(client)
+    values = metric_series(client)
     assert requests(client, TILE_ROUTE, 200) == 1
     assert requests(client, "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)", 200) == 1
     assert requests(client, TILE_ROUTE, 404) == 1
     assert requests(client, "other", 404) == 1
-    assert found["skugga_jobs_total", ("outcome", "answered")] == 1
-    assert found["skugga_cache_requests_total", ("cache", "tiles"), ("result", "hit")] == 1
-    assert found["skugga_cache_bytes", ("cache", "blocks")] > 0
-    assert found["skugga_render_processes",] == found["skugga_render_process_starts_total",] == 1
-    assert found["skugga_process_memory_bytes", ("process", "render 0")] > 1e6
-    assert found["skugga_pass_seconds_count", ("algorithm", "none"), ("stage", "geometry")] == 1
-    assert found["skugga_request_seconds_count", ("route", TILE_ROUTE)] == 2
+    assert values["skugga_jobs_total", ("outcome", "answered")] == 1
+    assert values["skugga_cache_requests_total", ("cache", "tiles"), ("result", "hit")] == 1
+    assert values["skugga_cache_bytes", ("cache", "blocks")] > 0
+    assert values["skugga_render_processes",] == values["skugga_render_process_starts_total",] == 1
+    assert values["skugga_process_memory_bytes", ("process", "render 0")] > 1e6
+    assert values["skugga_pass_seconds_count", ("algorithm", "none"), ("stage", "geometry")] == 1
+    assert values["skugga_request_seconds_count", ("route", TILE_ROUTE)] == 2
 
 
 def test_clients_cannot_create_metric_series(serve_with):
@@ -58,7 +58,7 @@ def test_clients_cannot_create_metric_series(serve_with):
         client.get(f"/nothing/{number}")
         client.request(f"M{number}", "/levels")
         client.get(f"/levels/nowhere{number}")
-        return len(series(client))
+        return len(metric_series(client))
 
     make_up(1)
     assert make_up(2) == make_up(3) == make_up(4)
@@ -69,9 +69,9 @@ def test_pass_metrics_by_algorithm_are_bounded(serve_with):
     from skugga.api.workers.jobs import Snapshot
 
     for number in range(1000):
-        metrics.drawn(Snapshot(b"", 1.0, f"mix {number}", (("geometry", 1.0),), 0.0, 0.0, True, "fake"))
-    told = [line for line in metrics.text().decode().splitlines() if line.startswith("skugga_pass_seconds_count")]
-    assert 200 <= len(told) <= 201
+        metrics.record_passes(Snapshot(b"", 1.0, f"mix {number}", (("geometry", 1.0),), 0.0, 0.0, True, "fake"))
+    sample_lines = [line for line in metrics.text().decode().splitlines() if line.startswith("skugga_pass_seconds_count")]
+    assert 200 <= len(sample_lines) <= 201
     assert "skugga_reach_clipped_total 1000.0" in metrics.text().decode()
 
 
@@ -115,11 +115,11 @@ def test_pages_load_nothing_from_other_hosts(serve_with):
     client = serve_with(fake_workers.obedient)
     for page in ("/", "/docs", "/levels/hills.html"):
         policy = client.get(page).headers["content-security-policy"]
-        directives = dict(each.strip().split(" ", 1) for each in policy.split(";"))
+        directives = dict(part.strip().split(" ", 1) for part in policy.split(";"))
         assert directives["default-src"] == "'self'" and directives["object-src"] == "'none'"
         assert "script-src" not in directives and "unsafe-eval" not in policy
         assert "http" not in " ".join(
-            said for name, said in directives.items() if page != "/" or name not in ("img-src", "connect-src")
+            sources for name, sources in directives.items() if page != "/" or name not in ("img-src", "connect-src")
         )
     assert "content-security-policy" not in client.get("/levels").headers
 
@@ -140,27 +140,27 @@ def test_unexpected_error_is_logged_and_has_a_request_id(
 def test_access_log_is_optional_and_has_no_forged_lines(
     serve_with, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    quiet, told = serve_with(fake_workers.obedient), serve_with(fake_workers.obedient, access_log=True)
+    plain_client, logging_client = serve_with(fake_workers.obedient), serve_with(fake_workers.obedient, access_log=True)
     monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
     with caplog.at_level("INFO", "skugga.access"):
-        quiet.get("/levels")
-        quiet.get("/healthz")
-        told.get("/levels?x=%0Aforged%20line")
-        told.get("/healthz")  # after this the previous line has been written
-    (record,) = [each for each in caplog.records if each.name == "skugga.access" and each.fields["path"] == "/levels"]
+        plain_client.get("/levels")
+        plain_client.get("/healthz")
+        logging_client.get("/levels?x=%0Aforged%20line")
+        logging_client.get("/healthz")  # after this the previous line has been written
+    (record,) = [entry for entry in caplog.records if entry.name == "skugga.access" and entry.fields["path"] == "/levels"]
     # Both services were asked for their levels; only the one with an access log wrote a line.
     assert "forged" in record.fields["query"]
     assert record.fields["route"] == "/levels" and record.fields["status"] == 422
     for as_json in (False, True):
-        assert "\n" not in LogLine(as_json).format(record)
+        assert "\n" not in LogFormatter(as_json).format(record)
 
 
 def test_log_line_formats_text_and_json():
     record = logging.makeLogRecord({"msg": "said %s", "args": ("it",), "levelname": "INFO", "fields": {"ms": 1.5}})
     token = request_id.set("number-1")
     try:
-        line = json.loads(LogLine(True).format(record))
-        assert LogLine().format(record).endswith("said it ms=1.5 [number-1]")
+        line = json.loads(LogFormatter(True).format(record))
+        assert LogFormatter().format(record).endswith("said it ms=1.5 [number-1]")
     finally:
         request_id.reset(token)
     assert (line["message"], line["request_id"], line["ms"], line["level"]) == ("said it", "number-1", 1.5, "INFO")

@@ -25,7 +25,7 @@ from tests.api.workers import fake_workers
 
 X, Y = CORNER
 ADDRESS = "/wmts/1.0.0/WMTSCapabilities.xml"
-NAMES = {"w": "http://www.opengis.net/wmts/1.0", "o": "http://www.opengis.net/ows/1.1", "x": "http://www.w3.org/1999/xlink"}
+NAMESPACES = {"w": "http://www.opengis.net/wmts/1.0", "o": "http://www.opengis.net/ows/1.1", "x": "http://www.w3.org/1999/xlink"}
 TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png"
 KEYS = {
     "SERVICE": "WMTS", "REQUEST": "GetTile", "VERSION": "1.0.0", "LAYER": "hills:color", "STYLE": "default", "FORMAT": "image/png",
@@ -34,7 +34,7 @@ KEYS = {
 
 LAYERS = {"color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium", "cosi", "sunhours"}
 
-ORDER = {
+CHILD_ORDER = {
     "Layer": [
         "Title", "Abstract", "WGS84BoundingBox", "Identifier", "Style", "Format", "Dimension", "TileMatrixSetLink", "ResourceURL",
     ],
@@ -52,18 +52,20 @@ ORDER = {
 """The order of child elements in the schema of WMTS 1.0.0 (OGC 07-057r7, annex B), by parent."""
 
 
-def short(tag: str) -> str:
+def local_name(tag: str) -> str:
     return tag.rpartition("}")[2]
 
 
 def check_order(root: ElementTree.Element, order: dict[str, list[str]]) -> None:
     """Assert that the schema knows every element's children, and that they have its order."""
     for element in root.iter():
-        children = [short(child.tag) for child in element]
-        if short(element.tag) in order and children:
-            known = order[short(element.tag)]
-            assert set(children) <= set(known), (short(element.tag), children)
-            assert [known.index(child) for child in children] == sorted(known.index(child) for child in children), children
+        children = [local_name(child.tag) for child in element]
+        if local_name(element.tag) in order and children:
+            allowed_children = order[local_name(element.tag)]
+            assert set(children) <= set(allowed_children), (local_name(element.tag), children)
+            assert [allowed_children.index(child) for child in children] == sorted(
+                allowed_children.index(child) for child in children
+            ), children
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,9 @@ def root(client: Client) -> ElementTree.Element:
 
 
 def layer_of(root: ElementTree.Element, name: str) -> ElementTree.Element:
-    return next(each for each in root.iterfind("w:Contents/w:Layer", NAMES) if each.findtext("o:Identifier", "", NAMES) == name)
+    return next(
+        node for node in root.iterfind("w:Contents/w:Layer", NAMESPACES) if node.findtext("o:Identifier", "", NAMESPACES) == name
+    )
 
 
 def pixels(answer: httpx.Response) -> np.ndarray:
@@ -83,77 +87,88 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 def test_wmts_capabilities_follow_the_schema(root: ElementTree.Element):
-    check_order(root, ORDER)
-    names = [each.findtext("o:Identifier", "", NAMES) for each in root.iterfind("w:Contents/w:Layer", NAMES)]
+    check_order(root, CHILD_ORDER)
+    names = [node.findtext("o:Identifier", "", NAMESPACES) for node in root.iterfind("w:Contents/w:Layer", NAMESPACES)]
     assert set(names) == {f"{level}:{layer}" for level in ("hills", "timed") for layer in LAYERS} and len(set(names)) == len(names)
-    for layer in root.iterfind("w:Contents/w:Layer", NAMES):
-        assert layer.findall("w:Style[@isDefault='true']", NAMES) and layer.findall("w:Format", NAMES)
+    for layer in root.iterfind("w:Contents/w:Layer", NAMESPACES):
+        assert layer.findall("w:Style[@isDefault='true']", NAMESPACES) and layer.findall("w:Format", NAMESPACES)
 
 
 def test_matrix_set_corners_follow_the_axis_order(client: Client, root: ElementTree.Element):
-    served = client.get("/levels/hills").json()["tile_matrix_sets"]
-    linked = {each.text for each in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink/w:TileMatrixSet", NAMES)}
-    described = {each.findtext("o:Identifier", "", NAMES): each for each in root.iterfind("w:Contents/w:TileMatrixSet", NAMES)}
-    assert linked == set(served) == set(described)
-    for name, element in described.items():
-        crs = CRS.from_user_input(element.findtext("o:SupportedCRS", "", NAMES))
-        first = element.find("w:TileMatrix", NAMES)
+    served_sets = client.get("/levels/hills").json()["tile_matrix_sets"]
+    linked_names = {node.text for node in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink/w:TileMatrixSet", NAMESPACES)}
+    described_sets = {
+        node.findtext("o:Identifier", "", NAMESPACES): node for node in root.iterfind("w:Contents/w:TileMatrixSet", NAMESPACES)
+    }
+    assert linked_names == set(served_sets) == set(described_sets)
+    for name, element in described_sets.items():
+        crs = CRS.from_user_input(element.findtext("o:SupportedCRS", "", NAMESPACES))
+        first = element.find("w:TileMatrix", NAMESPACES)
         assert first is not None
-        corner = tuple(float(value) for value in first.findtext("w:TopLeftCorner", "", NAMES).split())
+        corner = tuple(float(value) for value in first.findtext("w:TopLeftCorner", "", NAMESPACES).split())
         bounds = tms.get(name).xy_bounds(0, 0, tms.get(name).minzoom)
         expected = (bounds.top, bounds.left) if crs.axis_info[0].direction == "north" else (bounds.left, bounds.top)
         assert corner == pytest.approx(expected, abs=1e-3), name
-    assert described["WGS1984Quad"].findtext("w:TileMatrix/w:TopLeftCorner", "", NAMES) == "90.0 -180.0"
+    assert described_sets["WGS1984Quad"].findtext("w:TileMatrix/w:TopLeftCorner", "", NAMESPACES) == "90.0 -180.0"
 
 
 def test_matrix_sets_end_at_the_maxzoom_of_the_level(client: Client, root: ElementTree.Element):
     """GDAL opens a layer at the finest matrix, and QGIS requests its tiles, whatever the limits say."""
     last = {name: zooms["maxzoom"] for name, zooms in client.get("/levels/hills").json()["tile_matrix_sets"].items()}
-    for element in root.iterfind("w:Contents/w:TileMatrixSet", NAMES):
-        matrices = [each.text for each in element.iterfind("w:TileMatrix/o:Identifier", NAMES)]
-        name = element.findtext("o:Identifier", "", NAMES)
+    for element in root.iterfind("w:Contents/w:TileMatrixSet", NAMESPACES):
+        matrices = [node.text for node in element.iterfind("w:TileMatrix/o:Identifier", NAMESPACES)]
+        name = element.findtext("o:Identifier", "", NAMESPACES)
         assert matrices == [str(zoom) for zoom in range(tms.get(name).minzoom, last[name] + 1)], name
 
 
 def test_tile_matrix_limits_contain_the_data(client: Client, root: ElementTree.Element):
     """In every matrix set, also one twice as wide as high. The expected tiles are those of the corners by morecantile."""
-    said = client.get("/levels/hills").json()
-    west, south, east, north = said["bounds"]
+    level_info = client.get("/levels/hills").json()
+    west, south, east, north = level_info["bounds"]
     links = {
-        each.findtext("w:TileMatrixSet", "", NAMES): each
-        for each in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink", NAMES)
+        node.findtext("w:TileMatrixSet", "", NAMESPACES): node
+        for node in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink", NAMESPACES)
     }
     assert len(links) > 3
     for name, link in links.items():
-        zooms = said["tile_matrix_sets"][name]
-        limits = {each.findtext("w:TileMatrix", "", NAMES): each for each in link.iterfind(".//w:TileMatrixLimits", NAMES)}
+        zooms = level_info["tile_matrix_sets"][name]
+        limits = {
+            node.findtext("w:TileMatrix", "", NAMESPACES): node for node in link.iterfind(".//w:TileMatrixLimits", NAMESPACES)
+        }
         assert list(limits) == [str(zoom) for zoom in range(zooms["minzoom"], zooms["maxzoom"] + 1)]
         for zoom in (zooms["minzoom"], zooms["maxzoom"]):
-            first_row, last_row, first_col, last_col = (int(each.text or "") for each in list(limits[str(zoom)])[1:])
+            first_row, last_row, first_col, last_col = (int(node.text or "") for node in list(limits[str(zoom)])[1:])
             corners = [tms.get(name).tile(lon, lat, zoom) for lon in (west, east) for lat in (south, north)]
-            across, down = [tile.x for tile in corners], [tile.y for tile in corners]
-            assert first_col <= min(across) <= max(across) <= last_col and first_row <= min(down) <= max(down) <= last_row, name
-            assert (last_row - first_row, last_col - first_col) <= (max(down) - min(down) + 2, max(across) - min(across) + 2), name
+            tile_cols, tile_rows = [tile.x for tile in corners], [tile.y for tile in corners]
+            assert (
+                first_col <= min(tile_cols) <= max(tile_cols) <= last_col
+                and first_row <= min(tile_rows) <= max(tile_rows) <= last_row
+            ), name
+            assert (last_row - first_row, last_col - first_col) <= (
+                max(tile_rows) - min(tile_rows) + 2,
+                max(tile_cols) - min(tile_cols) + 2,
+            ), name
     limits = {
-        each.findtext("w:TileMatrix", "", NAMES): each for each in links["WebMercatorQuad"].iterfind(".//w:TileMatrixLimits", NAMES)
+        node.findtext("w:TileMatrix", "", NAMESPACES): node
+        for node in links["WebMercatorQuad"].iterfind(".//w:TileMatrixLimits", NAMESPACES)
     }
     # The level's middle is the corner of four tiles, which contain it.
-    assert [each.text for each in list(limits[str(ZOOM)])[1:]] == [str(Y - 1), str(Y), str(X - 1), str(X)]
+    assert [node.text for node in list(limits[str(ZOOM)])[1:]] == [str(Y - 1), str(Y), str(X - 1), str(X)]
 
 
 def test_time_dimension_lists_default_and_range(root: ElementTree.Element):
-    own, angles, hours = (
-        layer_of(root, name).find("w:Dimension", NAMES) for name in ("timed:color", "hills:color", "timed:sunhours")
+    color_dimension, angles, hours = (
+        layer_of(root, name).find("w:Dimension", NAMESPACES) for name in ("timed:color", "hills:color", "timed:sunhours")
     )
-    assert own is not None and angles is not None and hours is not None
-    assert own.findtext("o:Identifier", "", NAMES) == "Time"
-    assert own.findtext("w:Default", "", NAMES) == "2024-06-21T16:00:00Z"  # 18:00+02:00
-    values = [each.text for each in own.iterfind("w:Value", NAMES)]
+    assert color_dimension is not None and angles is not None and hours is not None
+    assert color_dimension.findtext("o:Identifier", "", NAMESPACES) == "Time"
+    assert color_dimension.findtext("w:Default", "", NAMESPACES) == "2024-06-21T16:00:00Z"  # 18:00+02:00
+    values = [node.text for node in color_dimension.iterfind("w:Value", NAMESPACES)]
     assert values == ["2024-06-21T16:00:00Z", "2024-01-01T00:00:00Z/2024-12-31T23:50:00Z/PT10M"]
-    assert angles.findtext("w:Default", "", NAMES) == "default"
-    assert hours.findtext("w:Default", "", NAMES) == "2024-06-21"
-    assert [each.text for each in hours.iterfind("w:Value", NAMES)] == ["2024-06-21", "2024-01-01/2024-12-31/P1D"]
-    assert layer_of(root, "hills:terrain-rgb").find("w:Dimension", NAMES) is None
+    assert angles.findtext("w:Default", "", NAMESPACES) == "default"
+    assert hours.findtext("w:Default", "", NAMESPACES) == "2024-06-21"
+    assert [node.text for node in hours.iterfind("w:Value", NAMESPACES)] == ["2024-06-21", "2024-01-01/2024-12-31/P1D"]
+    assert layer_of(root, "hills:terrain-rgb").find("w:Dimension", NAMESPACES) is None
     assert b"current" not in ElementTree.tostring(root)
 
 
@@ -161,8 +176,8 @@ def test_level_time_lies_on_its_time_dimension(tmp_path):
     """18:07:30 +02:00 is no multiple of the step of 10 minutes, so the range begins at 00:07:30."""
     level = write_level(tmp_path, "odd", sun={"time": "2024-06-21T18:07:30+02:00"})
     with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:
-        served = client.service.levels.get("odd")
-    assert time_dimension(served, "color", 2020) == TimeDimension(
+        served_level = client.service.levels.get("odd")
+    assert time_dimension(served_level, "color", 2020) == TimeDimension(
         "2024-06-21T16:07:30Z", "2024-01-01T00:07:30Z/2024-12-31T23:57:30Z/PT10M"
     )
 
@@ -173,7 +188,7 @@ def test_capabilities_accept_another_default_time(client: Client):
     def defaults(time: str) -> list[str]:
         document = ElementTree.fromstring(client.get("/levels/timed/WMTSCapabilities.xml", params={"time": time}).content)
         names = ("timed:color", "timed:sunhours")
-        return [layer_of(document, name).findtext("w:Dimension/w:Default", "", NAMES) for name in names]
+        return [layer_of(document, name).findtext("w:Dimension/w:Default", "", NAMESPACES) for name in names]
 
     assert defaults("2024-12-21T10:00:00+02:00") == ["2024-12-21T08:00:00Z", "2024-12-21"]
     assert defaults("current") == ["current", "2024-06-21"] and defaults("default") == ["2024-06-21T16:00:00Z", "2024-06-21"]
@@ -185,20 +200,20 @@ def test_resource_templates_lead_to_tiles(client: Client, root: ElementTree.Elem
     """Each layer and format answers; the document's own values fill every variable."""
     for layer in sorted(LAYERS):
         element = layer_of(root, f"timed:{layer}")
-        formats = [each.text for each in element.iterfind("w:Format", NAMES)]
-        templates = element.findall("w:ResourceURL", NAMES)
-        assert [each.get("format") for each in templates] == formats
-        time = element.findtext("w:Dimension/w:Default", "", NAMES)
-        for each in templates:
+        formats = [node.text for node in element.iterfind("w:Format", NAMESPACES)]
+        templates = element.findall("w:ResourceURL", NAMESPACES)
+        assert [node.get("format") for node in templates] == formats
+        time = element.findtext("w:Dimension/w:Default", "", NAMESPACES)
+        for node in templates:
             variables = {"TileMatrixSet": "WebMercatorQuad", "TileMatrix": ZOOM, "TileCol": X, "TileRow": Y, "Time": time}
-            variables["Style"] = element.findtext("w:Style[@isDefault='true']/o:Identifier", "", NAMES)
-            address = each.get("template", "").format(**variables)
+            variables["Style"] = element.findtext("w:Style[@isDefault='true']/o:Identifier", "", NAMESPACES)
+            address = node.get("template", "").format(**variables)
             if layer == "sunhours":  # its blocks take long to draw; 304 says that the address is valid
                 assert client.get(address, headers={"If-None-Match": "*"}).status_code == 304, address
                 continue
             answer = client.get(address)
-            assert answer.status_code == 200 and answer.headers["content-type"] == each.get("format"), address
-    angles = layer_of(root, "hills:color").find("w:ResourceURL", NAMES)
+            assert answer.status_code == 200 and answer.headers["content-type"] == node.get("format"), address
+    angles = layer_of(root, "hills:color").find("w:ResourceURL", NAMESPACES)
     assert angles is not None and angles.get("template", "").endswith(
         "/{TileMatrixSet}/{TileMatrix}/{TileCol}/{TileRow}.png?style={Style}&time={Time}"
     )
@@ -206,15 +221,15 @@ def test_resource_templates_lead_to_tiles(client: Client, root: ElementTree.Elem
 
 
 def test_only_sun_hours_have_a_legend(client: Client, root: ElementTree.Element):
-    legend = layer_of(root, "timed:sunhours").find("w:Style/w:LegendURL", NAMES)
+    legend = layer_of(root, "timed:sunhours").find("w:Style/w:LegendURL", NAMESPACES)
     assert legend is not None and legend.get("format") == "image/png"
-    assert pixels(client.get(legend.get(f"{{{NAMES['x']}}}href", ""))).shape == (85, 340, 4)
-    assert layer_of(root, "timed:color").find("w:Style/w:LegendURL", NAMES) is None
+    assert pixels(client.get(legend.get(f"{{{NAMESPACES['x']}}}href", ""))).shape == (85, 340, 4)
+    assert layer_of(root, "timed:color").find("w:Style/w:LegendURL", NAMESPACES) is None
 
 
 def test_level_has_capabilities_of_its_own(client: Client):
     document = ElementTree.fromstring(client.get("/levels/timed/WMTSCapabilities.xml").content)
-    names = [each.findtext("o:Identifier", "", NAMES) for each in document.iterfind("w:Contents/w:Layer", NAMES)]
+    names = [node.findtext("o:Identifier", "", NAMESPACES) for node in document.iterfind("w:Contents/w:Layer", NAMESPACES)]
     assert {name.split(":")[0] for name in names} == {"timed"}
     answer = client.get("/levels/site/WMTSCapabilities.xml")
     assert answer.status_code == 422 and b"engineering CRS" in answer.content
@@ -226,8 +241,8 @@ def test_kvp_gettile_equals_the_rest_tile(client: Client):
     answer = client.get("/wmts", params=KEYS)
     assert answer.content == tile.content and answer.headers["etag"] == tile.headers["etag"]
     assert client.get("/wmts", params=KEYS, headers={"If-None-Match": tile.headers["etag"]}).status_code == 304
-    lower = {name.lower(): value for name, value in KEYS.items()}
-    timed = client.get("/wmts", params={**lower, "time": "2024-06-21T17:00:00+02:00", "layer": "hills:mask"})
+    lowercase_query = {name.lower(): value for name, value in KEYS.items()}
+    timed = client.get("/wmts", params={**lowercase_query, "time": "2024-06-21T17:00:00+02:00", "layer": "hills:mask"})
     assert timed.content == client.get(f"{TILE}?layer=mask&time=2024-06-21T15:00:00Z").content
     assert (
         client.get("/wmts", params={**KEYS, "AZIMUTH": "70", "ALTITUDE": "18"}).content
@@ -264,10 +279,10 @@ def test_wmts_exceptions_have_code_and_locator(client: Client, change: dict[str,
     assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml")
     assert answer.headers["cache-control"] == "no-store"
     report = ElementTree.fromstring(answer.content)
-    exception = report.find("o:Exception", NAMES)
-    assert short(report.tag) == "ExceptionReport" and exception is not None
+    exception = report.find("o:Exception", NAMESPACES)
+    assert local_name(report.tag) == "ExceptionReport" and exception is not None
     assert (exception.get("exceptionCode"), exception.get("locator")) == (code, locator), answer.text
-    assert exception.findtext("o:ExceptionText", "", NAMES)
+    assert exception.findtext("o:ExceptionText", "", NAMESPACES)
 
 
 # -- third-party clients

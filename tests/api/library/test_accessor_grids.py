@@ -13,14 +13,14 @@ import xarray
 from affine import Affine
 
 import skugga
-from tests.api.library.test_library import THREADED
+from tests.api.library.test_library import IGNORE_NOT_GEOREFERENCED
 from tests.rasters import write_geotiff
 
-TURNED = Affine(30.0, 5.0, 500e3, 5.0, -30.0, 5200e3)
+ROTATED_TRANSFORM = Affine(30.0, 5.0, 500e3, 5.0, -30.0, 5200e3)
 
 SUN = {"azimuth": 250.0, "altitude": 12.0}
 
-PLACES = {
+GRIDS_BY_CRS = {
     "EPSG:4326": (10.0, 47.0, 1 / 3600), "EPSG:3035": (4321e3, 2700e3, 30.0), "EPSG:3031": (-100e3, -1500e3, 30.0),
     "EPSG:2056": (2600e3, 1200e3, 30.0), "EPSG:32633": (500e3, 5200e3, 30.0), "EPSG:3857": (1000e3, 6000e3, 30.0),
 }  # fmt: skip
@@ -41,25 +41,25 @@ def hills() -> np.ndarray:
     return height
 
 
-def placed(crs: str) -> xarray.DataArray:
-    west, north, cell = PLACES[crs]
+def georeferenced_hills(crs: str) -> xarray.DataArray:
+    west, north, cell = GRIDS_BY_CRS[crs]
     y, x = north - cell * (np.arange(90) + 0.5), west + cell * (np.arange(120) + 0.5)
     with warnings.catch_warnings(action="ignore", category=UserWarning):  # CF cannot say all of EPSG:2056
         return xarray.DataArray(hills(), dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs(crs)
 
 
-@THREADED
-@pytest.mark.parametrize("crs", PLACES)
+@IGNORE_NOT_GEOREFERENCED
+@pytest.mark.parametrize("crs", GRIDS_BY_CRS)
 @pytest.mark.parametrize("product", PRODUCTS)
 def test_chunks_equal_the_whole_in_any_crs(crs, product):
-    whole = PRODUCTS[product](placed(crs))
-    assert whole.rio.crs.to_string() == crs and whole.notnull().any()
-    lazy = PRODUCTS[product](placed(crs).chunk({"y": 40, "x": 70}))
+    full_result = PRODUCTS[product](georeferenced_hills(crs))
+    assert full_result.rio.crs.to_string() == crs and full_result.notnull().any()
+    lazy = PRODUCTS[product](georeferenced_hills(crs).chunk({"y": 40, "x": 70}))
     assert lazy.chunks == ((40, 40, 10), (70, 50))
-    xarray.testing.assert_equal(lazy.compute(), whole)
+    xarray.testing.assert_equal(lazy.compute(), full_result)
 
 
-@THREADED
+@IGNORE_NOT_GEOREFERENCED
 def test_a_geographic_file_in_chunks_equals_the_file(tmp_path):
     """``rioxarray.open_rasterio`` opens the chunked array."""
     raster = write_geotiff(tmp_path / "dem.tif", hills(), "EPSG:4326", 10.0, 47.0, 1 / 3600, nodata=float("nan"))
@@ -72,33 +72,35 @@ def test_a_geographic_file_in_chunks_equals_the_file(tmp_path):
         np.testing.assert_array_equal(horizon, level.horizon(10.02, 46.99).elevation_deg)
 
 
-@THREADED
+@IGNORE_NOT_GEOREFERENCED
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32633"])
 @pytest.mark.parametrize("steps", [(-1, 1), (1, -1), (-1, -1)])
 @pytest.mark.parametrize("chunks", [None, {"y": 40, "x": 70}])
 def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
-    right = placed(crs)
-    turned = right.isel(y=slice(None, None, steps[0]), x=slice(None, None, steps[1]))
+    right = georeferenced_hills(crs)
+    flipped = right.isel(y=slice(None, None, steps[0]), x=slice(None, None, steps[1]))
     for product in ("shadow", "hours"):
-        answer = PRODUCTS[product](turned if chunks is None else turned.chunk(chunks)).compute()
-        xarray.testing.assert_equal(answer.y, turned.y)
-        xarray.testing.assert_equal(answer.x, turned.x)
+        answer = PRODUCTS[product](flipped if chunks is None else flipped.chunk(chunks)).compute()
+        xarray.testing.assert_equal(answer.y, flipped.y)
+        xarray.testing.assert_equal(answer.x, flipped.x)
         xarray.testing.assert_equal(answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](right))
 
 
 def test_cells_without_coordinates_use_the_geotransform(tmp_path):
     raster = write_geotiff(tmp_path / "dem.tif", hills(), "EPSG:32633", 500e3, 5200e3, 30.0)
-    bare = rioxarray.open_rasterio(raster, masked=True, parse_coordinates=False).squeeze()
-    assert "x" not in bare.coords
-    np.testing.assert_array_equal(bare.skugga.shadow(**SUN), placed("EPSG:32633").skugga.shadow(**SUN))
+    array_without_coordinates = rioxarray.open_rasterio(raster, masked=True, parse_coordinates=False).squeeze()
+    assert "x" not in array_without_coordinates.coords
+    np.testing.assert_array_equal(
+        array_without_coordinates.skugga.shadow(**SUN), georeferenced_hills("EPSG:32633").skugga.shadow(**SUN)
+    )
 
 
 def test_the_answer_keeps_the_name_of_the_grid_mapping():
-    array = placed("EPSG:32633").drop_vars("spatial_ref").rio.write_crs("EPSG:32633", grid_mapping_name="utm")
+    array = georeferenced_hills("EPSG:32633").drop_vars("spatial_ref").rio.write_crs("EPSG:32633", grid_mapping_name="utm")
     assert array.skugga.shadow(**SUN).rio.crs.to_epsg() == 32633
 
 
-WRONG: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
+INVALID_ARRAYS: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
     "no coordinates": (lambda array: array.drop_vars(["x", "y"]), "cells have no coordinates"),
     "a row of no height": (lambda array: array[:1], "cells have no coordinates"),
     "uneven rows": (lambda array: array.isel(y=[*range(40), *range(41, 90)]), "y: uneven steps"),
@@ -106,7 +108,7 @@ WRONG: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
     "no number": (lambda array: array.assign_coords(x=np.full(120, np.nan)), "x: coordinates"),
     "dates": (lambda array: array.assign_coords(x=np.arange(120).astype("datetime64[D]")), "x: coordinates"),
     "turned": (
-        lambda array: array.drop_vars(["x", "y"]).rio.write_transform(TURNED), "grid is rotated",
+        lambda array: array.drop_vars(["x", "y"]).rio.write_transform(ROTATED_TRANSFORM), "grid is rotated",
     ),
     "other dimensions": (lambda array: array.rename(x="lon", y="lat"), "set_spatial_dims"),
     "three dimensions": (lambda array: array.expand_dims("band"), "two, y and x"),
@@ -118,10 +120,10 @@ WRONG: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
 
 
 @pytest.mark.parametrize("chunked", [False, True])
-@pytest.mark.parametrize("fault", WRONG)
+@pytest.mark.parametrize("fault", INVALID_ARRAYS)
 def test_arrays_on_no_regular_grid_are_refused_with_a_remedy(fault, chunked):
-    change, words = WRONG[fault]
-    array = change(placed("EPSG:32633"))
+    change, words = INVALID_ARRAYS[fault]
+    array = change(georeferenced_hills("EPSG:32633"))
     with pytest.raises(skugga.SkuggaError, match=words) as error:
         (array.chunk() if chunked else array).skugga.shadow(**SUN)
     assert "\n" not in str(error.value)
@@ -129,24 +131,24 @@ def test_arrays_on_no_regular_grid_are_refused_with_a_remedy(fault, chunked):
 
 def test_an_array_too_large_for_memory_is_refused_unread():
     huge = np.broadcast_to(np.float32(0.0), (10**7, 10**7))
-    small = placed("EPSG:32633").rio.write_transform(Affine(0.1, 0.0, 500e3, 0.0, -0.1, 5200e3))
+    small = georeferenced_hills("EPSG:32633").rio.write_transform(Affine(0.1, 0.0, 500e3, 0.0, -0.1, 5200e3))
     array = xarray.DataArray(huge, dims=("y", "x"), coords={"spatial_ref": small.spatial_ref})
     with pytest.raises(skugga.SkuggaError, match="GB.*chunks"):
         array.skugga.shadow(**SUN)
 
 
-@THREADED
+@IGNORE_NOT_GEOREFERENCED
 @pytest.mark.parametrize("chunks", [None, 50])
 def test_answers_have_the_order_of_the_arrays_dimensions(chunks):
-    turned = placed("EPSG:32633").transpose("x", "y")
-    answer = (turned if chunks is None else turned.chunk(chunks)).skugga.shadow(**SUN)
+    transposed = georeferenced_hills("EPSG:32633").transpose("x", "y")
+    answer = (transposed if chunks is None else transposed.chunk(chunks)).skugga.shadow(**SUN)
     assert answer.dims == ("x", "y")
-    np.testing.assert_array_equal(answer, placed("EPSG:32633").skugga.shadow(**SUN).to_numpy().T)
+    np.testing.assert_array_equal(answer, georeferenced_hills("EPSG:32633").skugga.shadow(**SUN).to_numpy().T)
 
 
 @pytest.mark.parametrize("chunks", [None, 50])
 def test_a_crs_of_heights_alone_is_refused(chunks):
-    heights = placed("EPSG:32633").rio.write_crs("EPSG:5773")
+    heights = georeferenced_hills("EPSG:32633").rio.write_crs("EPSG:5773")
     with pytest.raises(skugga.SkuggaError, match="^crs: .*vertical CRS"):
         (heights if chunks is None else heights.chunk(chunks)).skugga.shadow(**SUN)
     with pytest.raises(skugga.SkuggaError, match="^crs: .*vertical CRS"):

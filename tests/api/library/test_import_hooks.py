@@ -26,37 +26,37 @@ def module_file(tmp_path, monkeypatch):
 
 
 def test_hook_is_called_once_the_module_is_complete(module_file: Path) -> None:
-    seen: list[ModuleType] = []
-    call_after_import(NAME, lambda module: seen.append(module.VALUE))
-    assert NAME not in sys.modules and seen == []
+    calls: list[ModuleType] = []
+    call_after_import(NAME, lambda module: calls.append(module.VALUE))
+    assert NAME not in sys.modules and calls == []
     module = importlib.import_module(NAME)
-    assert seen == [7]
+    assert calls == [7]
     importlib.reload(module)
-    assert seen == [7]
+    assert calls == [7]
 
 
 def test_hook_of_an_imported_module_is_called_at_once(module_file: Path) -> None:
     module = importlib.import_module(NAME)
-    seen: list[ModuleType] = []
-    call_after_import(NAME, seen.append)
-    assert seen == [module]
+    calls: list[ModuleType] = []
+    call_after_import(NAME, calls.append)
+    assert calls == [module]
 
 
 def test_all_hooks_of_a_module_are_called_in_order(module_file: Path) -> None:
-    seen: list[int] = []
+    calls: list[int] = []
     for number in range(3):
-        call_after_import(NAME, lambda _, number=number: seen.append(number))
+        call_after_import(NAME, lambda _, number=number: calls.append(number))
     importlib.import_module(NAME)
-    assert seen == [0, 1, 2]
+    assert calls == [0, 1, 2]
 
 
 def test_cancelled_hook_is_not_called(module_file: Path) -> None:
-    seen: list[ModuleType] = []
-    call_after_import(NAME, seen.append)()
+    calls: list[ModuleType] = []
+    call_after_import(NAME, calls.append)()
     importlib.import_module(NAME)
-    assert seen == []
-    call_after_import(NAME, seen.append)()  # too late: the hook has been called
-    assert len(seen) == 1
+    assert calls == []
+    call_after_import(NAME, calls.append)()  # too late: the hook has been called
+    assert len(calls) == 1
 
 
 def test_module_keeps_its_loader(module_file: Path) -> None:
@@ -70,29 +70,29 @@ def test_module_keeps_its_loader(module_file: Path) -> None:
 
 
 def test_looking_for_a_module_does_not_call_its_hooks(module_file: Path) -> None:
-    seen: list[ModuleType] = []
-    call_after_import(NAME, seen.append)
+    calls: list[ModuleType] = []
+    call_after_import(NAME, calls.append)
     assert importlib.util.find_spec(NAME) is not None
-    assert seen == [] and NAME not in sys.modules
+    assert calls == [] and NAME not in sys.modules
     importlib.import_module(NAME)
-    assert len(seen) == 1
+    assert len(calls) == 1
 
 
 def test_missing_or_broken_module_raises_its_usual_error(module_file: Path) -> None:
-    seen: list[ModuleType] = []
-    cancel = call_after_import("no_module_of_this_name", seen.append)
+    calls: list[ModuleType] = []
+    cancel = call_after_import("no_module_of_this_name", calls.append)
     with pytest.raises(ModuleNotFoundError, match="no_module_of_this_name"):
         importlib.import_module("no_module_of_this_name")
     cancel()
-    call_after_import(NAME, seen.append)
+    call_after_import(NAME, calls.append)
     module_file.write_text("raise ZeroDivisionError", encoding="utf-8")
     with pytest.raises(ZeroDivisionError):
         importlib.import_module(NAME)
-    assert seen == []
+    assert calls == []
     module_file.write_text("VALUE = 12345678", encoding="utf-8")
     importlib.invalidate_caches()
     importlib.import_module(NAME)
-    assert len(seen) == 1
+    assert len(calls) == 1
 
 
 def test_hook_of_a_submodule_waits_for_the_submodule(tmp_path, monkeypatch) -> None:
@@ -101,9 +101,9 @@ def test_hook_of_a_submodule_waits_for_the_submodule(tmp_path, monkeypatch) -> N
     (package / "__init__.py").touch()
     (package / "part.py").write_text("VALUE = 7\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    seen: list[str] = []
-    call_after_import("a_package_to_wait_for.part", lambda module: seen.append(module.__name__))
+    calls: list[str] = []
+    call_after_import("a_package_to_wait_for.part", lambda module: calls.append(module.__name__))
     importlib.import_module("a_package_to_wait_for")
-    assert seen == []
+    assert calls == []
     importlib.import_module("a_package_to_wait_for.part")
-    assert seen == ["a_package_to_wait_for.part"]
+    assert calls == ["a_package_to_wait_for.part"]

@@ -18,13 +18,13 @@ import skugga
 from skugga.api.products.mask import MASK_SHADOW
 from tests.rasters import write_geotiff
 
-THREADED = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+IGNORE_NOT_GEOREFERENCED = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 """For chunks computed by several threads: rasterio silences this warning with ``warnings.catch_warnings``, which is not
 thread-safe.
 """
 
 CELL_M = 30.0
-LOW = {"azimuth": 250.0, "altitude": 12.0}
+LOW_SUN = {"azimuth": 250.0, "altitude": 12.0}
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +45,14 @@ def test_a_wall_shades_six_cells():
     """The wall is 90 m high and the sun in the west at a slope of 1:2. The shadow has 180 m, 6 cells of 30 m."""
     height_m = np.zeros((40, 200), np.float32)
     height_m[:, 100] = 90.0
-    dark = skugga.shadow(height_m, CELL_M, 270.0, float(np.degrees(np.arctan(0.5)) - 0.01))
-    np.testing.assert_array_equal(np.flatnonzero(dark[20]), np.arange(101, 107))
-    assert dark.dtype == np.bool_
+    in_shadow = skugga.shadow(height_m, CELL_M, 270.0, float(np.degrees(np.arctan(0.5)) - 0.01))
+    np.testing.assert_array_equal(np.flatnonzero(in_shadow[20]), np.arange(101, 107))
+    assert in_shadow.dtype == np.bool_
 
 
 def test_holes_have_no_shadow_and_night_shades_all_ground(height_m):
-    dark = skugga.shadow(height_m, CELL_M, 250.0, -1.0)
-    np.testing.assert_array_equal(dark, np.isfinite(height_m))
+    in_shadow = skugga.shadow(height_m, CELL_M, 250.0, -1.0)
+    np.testing.assert_array_equal(in_shadow, np.isfinite(height_m))
     assert not skugga.shadow(height_m, CELL_M, 250.0, 12.0)[~np.isfinite(height_m)].any()
 
 
@@ -65,16 +65,16 @@ def test_an_open_raster_is_shaded_and_drawn(gl, height_m, tmp_path):
     raster = write_geotiff(tmp_path / "hills.tif", height_m, "EPSG:32633", 500e3, 5200e3, CELL_M, nodata=float("nan"))
     with skugga.open_level(raster) as level, rasterio.open(raster) as dataset:
         assert (level.transform, level.shape, level.crs.to_epsg(), level.name) == (dataset.transform, dataset.shape, 32633, "hills")
-        mask = level.shade(**LOW)
+        mask = level.shade(**LOW_SUN)
         assert mask.shape == level.shape and 0.1 < (mask == MASK_SHADOW).mean() < 0.7
-        part = level.shade(bounds=(500e3, 5197e3, 503e3, 5200e3), **LOW)
+        part = level.shade(bounds=(500e3, 5197e3, 503e3, 5200e3), **LOW_SUN)
         np.testing.assert_array_equal(part, mask[:100, :100])
-        picture = level.render(size=(60, 40), **LOW)
+        picture = level.render(size=(60, 40), **LOW_SUN)
         assert picture.shape == (40, 60, 4) and picture.dtype == np.uint8 and picture[..., :3].std() > 5
-        by_time = [level.shade(time=time) for time in ("2024-03-21T16:00+01:00", np.datetime64("2024-03-21T15:00"))]
-        np.testing.assert_array_equal(*by_time)
-        np.testing.assert_array_equal(by_time[0], level.shade(time=datetime.fromisoformat("2024-03-21T15:00Z")))
-        assert (by_time[0] != mask).any()
+        shadows_by_time = [level.shade(time=time) for time in ("2024-03-21T16:00+01:00", np.datetime64("2024-03-21T15:00"))]
+        np.testing.assert_array_equal(*shadows_by_time)
+        np.testing.assert_array_equal(shadows_by_time[0], level.shade(time=datetime.fromisoformat("2024-03-21T15:00Z")))
+        assert (shadows_by_time[0] != mask).any()
 
 
 def test_a_film_is_an_iterator_of_pictures(gl, height_m):
@@ -83,15 +83,15 @@ def test_a_film_is_an_iterator_of_pictures(gl, height_m):
         pictures = list(level.film(start=start, end="2024-03-21T11:00:00+01:00", step="1h", size=size))
         assert [picture.shape for picture in pictures] == [(32, 48, 3)] * 3
         for number, picture in enumerate(pictures):
-            still = level.render(time=start.replace(hour=9 + number), size=size)
-            np.testing.assert_array_equal(picture, np.where(still[..., 3:] > 0, still[..., :3], picture))
+            expected_picture = level.render(time=start.replace(hour=9 + number), size=size)
+            np.testing.assert_array_equal(picture, np.where(expected_picture[..., 3:] > 0, expected_picture[..., :3], picture))
         with pytest.raises(skugga.SkuggaError, match="step: missing"):  # before the first frame is drawn
             level.film(start=start, end=start)
 
 
 def test_an_array_of_heights_is_a_level(height_m, tmp_path):
     with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
-        visibility = level.shade("visibility", **LOW)
+        visibility = level.shade("visibility", **LOW_SUN)
     np.testing.assert_array_equal(np.isnan(visibility), np.isnan(height_m))
     flat_world = skugga.shadow(height_m, CELL_M, 250.0, 12.0)  # on the globe the direction of north varies, and the ground curves
     assert ((visibility == 0.0) != flat_world).mean() < 0.01
@@ -114,22 +114,22 @@ def test_wrong_input_is_an_error_that_names_it(call, words):
 
 
 def test_the_accessor_keeps_coordinates_and_equals_the_level(heights, height_m):
-    dark = heights.skugga.shadow(**LOW)
-    assert dark.dtype == np.bool_ and dark.dims == ("y", "x") and dark.rio.crs.to_epsg() == 32633
-    xarray.testing.assert_equal(dark.x, heights.x)
+    in_shadow = heights.skugga.shadow(**LOW_SUN)
+    assert in_shadow.dtype == np.bool_ and in_shadow.dims == ("y", "x") and in_shadow.rio.crs.to_epsg() == 32633
+    xarray.testing.assert_equal(in_shadow.x, heights.x)
     with skugga.open_heights(height_m, heights.rio.transform(), "EPSG:32633") as level:
-        np.testing.assert_array_equal(dark, level.shade(**LOW) == MASK_SHADOW)
+        np.testing.assert_array_equal(in_shadow, level.shade(**LOW_SUN) == MASK_SHADOW)
 
 
 def test_row_order_and_dimension_order_do_not_matter(heights):
-    dark = heights.skugga.shadow(**LOW)
-    southern_first = heights.isel(y=slice(None, None, -1)).skugga.shadow(**LOW)
+    in_shadow = heights.skugga.shadow(**LOW_SUN)
+    southern_first = heights.isel(y=slice(None, None, -1)).skugga.shadow(**LOW_SUN)
     assert float(southern_first.y[0]) < float(southern_first.y[-1])
-    xarray.testing.assert_equal(southern_first.isel(y=slice(None, None, -1)), dark)
-    xarray.testing.assert_equal(heights.T.skugga.shadow(**LOW), dark.T)
+    xarray.testing.assert_equal(southern_first.isel(y=slice(None, None, -1)), in_shadow)
+    xarray.testing.assert_equal(heights.T.skugga.shadow(**LOW_SUN), in_shadow.T)
 
 
-@THREADED
+@IGNORE_NOT_GEOREFERENCED
 def test_chunks_are_computed_lazily_and_equal_the_whole(heights):
     """Shadows fall from one chunk on another. Only requested chunks are computed, and none before the request."""
     read, lock = [], threading.Lock()
@@ -141,14 +141,14 @@ def test_chunks_are_computed_lazily_and_equal_the_whole(heights):
 
     chunked = heights.chunk({"y": 70, "x": 110})
     chunked = chunked.copy(data=chunked.data.map_blocks(noted, dtype=np.float32, meta=np.empty((0, 0), np.float32)))
-    lazy = chunked.skugga.shadow(**LOW)
+    lazy = chunked.skugga.shadow(**LOW_SUN)
     assert lazy.chunks == chunked.chunks and not read
-    xarray.testing.assert_equal(lazy.compute(), heights.skugga.shadow(**LOW))
+    xarray.testing.assert_equal(lazy.compute(), heights.skugga.shadow(**LOW_SUN))
     assert len(read) == 9, "each chunk is read once"
-    np.testing.assert_array_equal(lazy[80:90, 120:130].compute(), heights.skugga.shadow(**LOW)[80:90, 120:130])
+    np.testing.assert_array_equal(lazy[80:90, 120:130].compute(), heights.skugga.shadow(**LOW_SUN)[80:90, 120:130])
 
 
-@THREADED
+@IGNORE_NOT_GEOREFERENCED
 def test_sun_hours_are_equal_through_every_interface(heights, height_m):
     """The interfaces are an array with a latitude, an open level, and the accessor, in one piece or in chunks."""
     hours = heights.skugga.sun_hours("2024-12-21", step_min=30.0)
@@ -156,17 +156,17 @@ def test_sun_hours_are_equal_through_every_interface(heights, height_m):
     np.testing.assert_array_equal(np.isnan(hours), np.isnan(height_m))
     xarray.testing.assert_equal(heights.chunk({"y": 120, "x": 200}).skugga.sun_hours("2024-12-21", step_min=30.0).compute(), hours)
     with skugga.open_heights(height_m, heights.rio.transform(), "EPSG:32633") as level:
-        by_level = level.sun_hours(date(2024, 12, 21), step_min=30.0)
+        level_hours = level.sun_hours(date(2024, 12, 21), step_min=30.0)
         first = level.sun_hours("2024-12-21", quantity="first", step_min=30.0)
         with pytest.raises(skugga.SkuggaError, match="quantity"):
             level.sun_hours("2024-12-21", quantity="hour")
         with pytest.raises(skugga.SkuggaError, match="2023-02-29"):
             level.sun_hours("2023-02-29")
-    np.testing.assert_array_equal(by_level, hours)
+    np.testing.assert_array_equal(level_hours, hours)
     assert 6 * 60 < np.nanmin(first) < 9 * 60
-    of_array = skugga.sun_hours(height_m, CELL_M, "2024-12-21", 46.9, 15.0, step_min=30.0)
-    np.testing.assert_array_equal(np.isnan(of_array), np.isnan(height_m))
-    assert np.nanmean(np.abs(of_array - hours.to_numpy())) < 0.1  # north of another grid, and the sun of another place
+    array_hours = skugga.sun_hours(height_m, CELL_M, "2024-12-21", 46.9, 15.0, step_min=30.0)
+    np.testing.assert_array_equal(np.isnan(array_hours), np.isnan(height_m))
+    assert np.nanmean(np.abs(array_hours - hours.to_numpy())) < 0.1  # north of another grid, and the sun of another place
 
 
 def test_point_and_horizon_agree_with_the_accessor(heights, height_m):
@@ -175,20 +175,20 @@ def test_point_and_horizon_agree_with_the_accessor(heights, height_m):
         report = level.point(x, y, crs=level.crs, time="2024-12-21T09:00:00+01:00", height=2.0)
         assert report.day is not None and 0.0 <= report.day.direct_h < report.day.daylight_h < 9.0
         assert report.elevation_m == pytest.approx(height_m[150, 100], abs=0.01)
-        seen = level.horizon(x, y, crs=level.crs, height=2.0)
+        horizon_profile = level.horizon(x, y, crs=level.crs, height=2.0)
     horizon = heights.skugga.horizon(x, y, height=2.0)
     assert horizon.dims == ("azimuth",) and horizon.sizes["azimuth"] == 720
-    np.testing.assert_array_equal(horizon, seen.elevation_deg)
+    np.testing.assert_array_equal(horizon, horizon_profile.elevation_deg)
     assert float(horizon.max()) > 5.0
 
 
 def test_the_accessor_refuses_invalid_arrays(heights):
     with pytest.raises(skugga.SkuggaError, match="write_crs"):
-        heights.drop_vars("spatial_ref").skugga.shadow(**LOW)
+        heights.drop_vars("spatial_ref").skugga.shadow(**LOW_SUN)
     with pytest.raises(skugga.SkuggaError, match="time"):
         heights.skugga.shadow()
     with pytest.raises(ValueError, match="two, y and x"):
-        heights.expand_dims("band").skugga.shadow(**LOW)
+        heights.expand_dims("band").skugga.shadow(**LOW_SUN)
 
 
 def test_a_level_is_a_layer_of_a_notebook_s_map(height_m):
@@ -196,17 +196,17 @@ def test_a_level_is_a_layer_of_a_notebook_s_map(height_m):
     import ipyleaflet
 
     with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
-        shown = ipyleaflet.Map()
-        shown.add(level)
-        layer = shown.layers[-1]
+        map_widget = ipyleaflet.Map()
+        map_widget.add(level)
+        layer = map_widget.layers[-1]
         assert layer.min_zoom <= layer.max_native_zoom < layer.max_zoom
         x, y = mercator_tile(15.02, 46.94, layer.max_native_zoom)
         address = layer.url.format(z=layer.max_native_zoom, x=x, y=y)
         with urlopen(address) as answer:
             tile = np.asarray(Image.open(answer))
         assert tile.shape[:2] == (256, 256) and tile[..., :3].std() > 5
-        low = level.as_leaflet_layer("mask", azimuth=250.0, altitude=12.0).url
-        with urlopen(low.format(z=layer.max_native_zoom, x=x, y=y)) as answer:
+        low_sun_url = level.as_leaflet_layer("mask", azimuth=250.0, altitude=12.0).url
+        with urlopen(low_sun_url.format(z=layer.max_native_zoom, x=x, y=y)) as answer:
             assert 0.1 < (np.asarray(Image.open(answer)) == MASK_SHADOW).mean() < 0.9
         with pytest.raises(skugga.SkuggaError, match="layer"):
             level.as_leaflet_layer("depth")

@@ -10,43 +10,43 @@ import xarray
 from affine import Affine
 
 import skugga
-from tests.api.library.test_library import THREADED
+from tests.api.library.test_library import IGNORE_NOT_GEOREFERENCED
 from tests.rasters import write_geotiff
 
 SUN = {"azimuth": 250.0, "altitude": 12.0}
-PLACE = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
-HIDDEN = np.s_[20:30, 50:70]
+TRANSFORM = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
+MASKED_CELLS = np.s_[20:30, 50:70]
 
 
 @pytest.fixture(scope="module")
 def height_m() -> np.ndarray:
     row, col = np.mgrid[:90, :120].astype(np.float32)
     height = 900 + 300 * np.sin(col / 9) * np.cos(row / 13)
-    height[HIDDEN] = np.nan
+    height[MASKED_CELLS] = np.nan
     return height
 
 
-def masked(height_m: np.ndarray, under: float) -> np.ma.MaskedArray:
-    return np.ma.masked_array(np.where(np.isnan(height_m), np.float32(under), height_m), np.isnan(height_m))
+def masked(height_m: np.ndarray, fill_value: float) -> np.ma.MaskedArray:
+    return np.ma.masked_array(np.where(np.isnan(height_m), np.float32(fill_value), height_m), np.isnan(height_m))
 
 
 @pytest.mark.parametrize("under", [0.0, 5000.0, -9999.0, -3.4e38])
 def test_masked_cells_are_no_ground(height_m, under):
-    hidden = masked(height_m, under)
+    masked_heights = masked(height_m, under)
     for call in (
         lambda heights: skugga.shadow(heights, 30.0, 250.0, 12.0),
         lambda heights: skugga.horizon(heights, 30.0, 250.0),
         lambda heights: skugga.sun_hours(heights, 30.0, "2024-12-21", 46.9, step_min=60.0),
-        lambda heights: skugga.open_heights(heights, PLACE, "EPSG:32633").shade("visibility", **SUN),
+        lambda heights: skugga.open_heights(heights, TRANSFORM, "EPSG:32633").shade("visibility", **SUN),
     ):
-        np.testing.assert_array_equal(call(hidden), call(height_m))
-    assert not skugga.shadow(hidden, 30.0, 250.0, 12.0)[HIDDEN].any()
+        np.testing.assert_array_equal(call(masked_heights), call(height_m))
+    assert not skugga.shadow(masked_heights, 30.0, 250.0, 12.0)[MASKED_CELLS].any()
 
 
 @pytest.mark.parametrize("sentinel", [np.inf, -np.inf, -3.4e38, 1e30])
 def test_sentinels_are_no_ground(height_m, sentinel):
-    marked = np.where(np.isnan(height_m), np.float32(sentinel), height_m)
-    np.testing.assert_array_equal(skugga.shadow(marked, 30.0, 250.0, 12.0), skugga.shadow(height_m, 30.0, 250.0, 12.0))
+    sentinel_heights = np.where(np.isnan(height_m), np.float32(sentinel), height_m)
+    np.testing.assert_array_equal(skugga.shadow(sentinel_heights, 30.0, 250.0, 12.0), skugga.shadow(height_m, 30.0, 250.0, 12.0))
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")  # catch_warnings is not safe in dask's threads
@@ -61,27 +61,27 @@ def test_nodata_of_a_file_is_no_ground(height_m, dtype, options, tmp_path):
     )  # fmt: skip
     with skugga.open_level(raster) as level:
         visibility = level.shade("visibility", **SUN)
-    dark = rioxarray.open_rasterio(raster, **options).squeeze().skugga.shadow(**SUN)
-    np.testing.assert_array_equal(dark, visibility < 0.5)
-    assert not dark[HIDDEN].any()
+    in_shadow = rioxarray.open_rasterio(raster, **options).squeeze().skugga.shadow(**SUN)
+    np.testing.assert_array_equal(in_shadow, visibility < 0.5)
+    assert not in_shadow[MASKED_CELLS].any()
 
 
 def heights(values: np.ndarray) -> xarray.DataArray:
     rows, cols = values.shape
-    y, x = PLACE.f + PLACE.e * (np.arange(rows) + 0.5), PLACE.c + PLACE.a * (np.arange(cols) + 0.5)
+    y, x = TRANSFORM.f + TRANSFORM.e * (np.arange(rows) + 0.5), TRANSFORM.c + TRANSFORM.a * (np.arange(cols) + 0.5)
     return xarray.DataArray(values, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")
 
 
 def test_nodata_attributes_of_an_array_are_respected(height_m):
     right = heights(height_m).skugga.shadow(**SUN)
-    marked = heights(np.where(np.isnan(height_m), -9999.0, height_m).astype(np.float32))
+    sentinel_heights = heights(np.where(np.isnan(height_m), -9999.0, height_m).astype(np.float32))
     for array in (
-        marked.rio.write_nodata(-9999),
-        marked.assign_attrs(_FillValue=-9999),
-        marked.assign_attrs(missing_value=-9999.0),
+        sentinel_heights.rio.write_nodata(-9999),
+        sentinel_heights.assign_attrs(_FillValue=-9999),
+        sentinel_heights.assign_attrs(missing_value=-9999.0),
     ):
         xarray.testing.assert_equal(array.skugga.shadow(**SUN), right)
-    assert marked.skugga.shadow(**SUN)[HIDDEN].sum() > 0, "a pit, where nobody says that it is none"
+    assert sentinel_heights.skugga.shadow(**SUN)[MASKED_CELLS].sum() > 0, "a pit, where nobody says that it is none"
 
 
 def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
@@ -98,7 +98,7 @@ def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
     assert (metres.to_numpy() != (visibility < 0.5))[np.isfinite(height_m)].mean() < 0.02, "but for the hole, which casts filled"
 
 
-@THREADED
+@IGNORE_NOT_GEOREFERENCED
 @pytest.mark.parametrize(
     ("per_metre", "said"),
     [
@@ -112,9 +112,9 @@ def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
 def test_unit_and_direction_apply_to_chunks_and_whole_arrays(height_m, per_metre, said):
     right = heights(height_m).skugga.shadow(**SUN)
     array = heights(height_m.astype(np.float64) * per_metre).assign_attrs(said)
-    whole, chunked = array.skugga.shadow(**SUN), array.chunk({"y": 40, "x": 70}).skugga.shadow(**SUN).compute()
-    xarray.testing.assert_equal(chunked, whole)
-    assert (whole != right).mean() < 0.001
+    full_result, chunked = array.skugga.shadow(**SUN), array.chunk({"y": 40, "x": 70}).skugga.shadow(**SUN).compute()
+    xarray.testing.assert_equal(chunked, full_result)
+    assert (full_result != right).mean() < 0.001
 
 
 @pytest.mark.parametrize("chunks", [None, 50])
@@ -126,5 +126,5 @@ def test_an_unknown_unit_of_an_array_is_refused_at_once(height_m, chunks):
 
 def test_nodata_outside_the_dtype_is_ignored(height_m):
     array = heights(np.nan_to_num(height_m, nan=900.0).astype(np.int16))
-    marked = array.assign_attrs(_FillValue=np.nan)
-    xarray.testing.assert_equal(marked.skugga.shadow(**SUN), array.skugga.shadow(**SUN))
+    array_with_nodata = array.assign_attrs(_FillValue=np.nan)
+    xarray.testing.assert_equal(array_with_nodata.skugga.shadow(**SUN), array.skugga.shadow(**SUN))

@@ -20,17 +20,17 @@ from skugga.api.library import memory
 
 NAN, INF = float("nan"), float("inf")
 GROUND = np.zeros((6, 7), np.float32)
-PLACE = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
+TRANSFORM = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
 SUN = {"azimuth": 250.0, "altitude": 12.0}
 
-ODD = [
+ODD_VALUES = [
     None, "", "x", b"x", 0, -1, 1, 1.5, 1e300, -1e300, 10**400, NAN, INF, True, (), [], (1, 2), (1, 2, 3, 4), "1,2,3,4", {},
     object(), np.array([1.0, 2.0]), np.zeros((2, 2)), np.float32(3), np.int64(-3), np.datetime64("NaT"), "2024-03-21",
     np.datetime64("2024-03-21T10:00"), datetime.date(2024, 3, 21), datetime.datetime(2024, 3, 21), "2024-03-21T10:00Z",
     Path("nowhere.tif"), slice(0, 2),
 ]  # fmt: skip
 
-ARRAYS = [
+ODD_ARRAYS = [
     5, "abc", [[]], [[1, 2], [3]], [[1, 2], [3, 10**400]], np.zeros(4), np.zeros((1, 5)), np.zeros((0, 5)), np.zeros((2, 2, 2)),
     np.zeros((3, 3), complex), np.full((3, 3), "a"), np.full((3, 3), None), np.full((3, 3), "2020-01-01", "datetime64[D]"),
     np.full((3, 3), NAN), np.full((3, 3), INF), np.full((3, 3), 1e38), np.full((3, 3), 1e300), np.zeros((3, 3), bool),
@@ -50,11 +50,11 @@ def answers_or_refuses(call: Callable[[], Any]) -> None:
 
 @pytest.fixture(scope="module")
 def level() -> Iterator[skugga.OpenLevel]:
-    with skugga.open_heights(GROUND, PLACE, "EPSG:32633") as opened:
+    with skugga.open_heights(GROUND, TRANSFORM, "EPSG:32633") as opened:
         yield opened
 
 
-OF_ARRAYS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+ARRAY_FUNCTIONS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "shadow": (skugga.shadow, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, altitude_deg=12.0, lines=8, cores=1)),
     "sunlit": (skugga.sunlit, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, altitude_deg=12.0, lines=8, cores=1)),
     "horizon": (skugga.horizon, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, lines=4, cores=1)),
@@ -62,7 +62,7 @@ OF_ARRAYS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         skugga.sun_hours, dict(height_m=GROUND, cell_m=30.0, date="2024-03-21", lat_deg=46.0, lon_deg=7.0, step_min=60.0),
     ),
     "open_heights": (
-        lambda **given: skugga.open_heights(**given).close(), dict(height_m=GROUND, transform=PLACE, crs="EPSG:32633"),
+        lambda **given: skugga.open_heights(**given).close(), dict(height_m=GROUND, transform=TRANSFORM, crs="EPSG:32633"),
     ),
     "open_level": (
         lambda **given: skugga.open_level(**given).close(),
@@ -71,14 +71,16 @@ OF_ARRAYS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "parameter"), [(name, each) for name, (_, right) in OF_ARRAYS.items() for each in right])
+@pytest.mark.parametrize(
+    ("name", "parameter"), [(name, argument) for name, (_, right) in ARRAY_FUNCTIONS.items() for argument in right]
+)
 def test_functions_answer_or_refuse_odd_values(name, parameter):
-    function, right = OF_ARRAYS[name]
-    for value in [*ODD, *(ARRAYS if parameter == "height_m" else ())]:
+    function, right = ARRAY_FUNCTIONS[name]
+    for value in [*ODD_VALUES, *(ODD_ARRAYS if parameter == "height_m" else ())]:
         answers_or_refuses(lambda value=value: function(**{**right, parameter: value}))
 
 
-OF_LEVELS: dict[str, dict[str, Any]] = {
+LEVEL_METHODS: dict[str, dict[str, Any]] = {
     "shade": {
         "layer": "mask", "time": None, "azimuth": 250.0, "altitude": 12.0, "bounds": None, "crs": None, "resolution": None,
         "like": None, "cells": None, "algorithm": None, "map_size": None, "max_error": None, "times": None,
@@ -100,17 +102,17 @@ OF_LEVELS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "parameter"), [(name, each) for name, right in OF_LEVELS.items() for each in right])
+@pytest.mark.parametrize(("name", "parameter"), [(name, argument) for name, right in LEVEL_METHODS.items() for argument in right])
 def test_levels_answer_or_refuse_odd_values(level, name, parameter):
-    for value in ODD:
-        answers_or_refuses(lambda value=value: getattr(level, name)(**{**OF_LEVELS[name], parameter: value}))
+    for value in ODD_VALUES:
+        answers_or_refuses(lambda value=value: getattr(level, name)(**{**LEVEL_METHODS[name], parameter: value}))
 
 
 @pytest.mark.parametrize(
     "parameter", ["view", "layer", "time", "azimuth", "altitude", "size", "bounds", "crs", "seconds", "style", "slope_exaggeration"]
 )
 def test_render_answers_or_refuses_odd_values(gl, level, parameter):
-    for value in ODD:
+    for value in ODD_VALUES:
         answers_or_refuses(lambda value=value: level.render(**{**SUN, "size": (8, 8), parameter: value}))
 
 
@@ -130,10 +132,10 @@ INTEGERS = st.sampled_from([np.int16, np.uint8, np.int64, np.bool_])
 )
 def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, altitude):
     def shaded() -> None:
-        dark = skugga.shadow(heights, cell, azimuth, altitude)
-        assert dark.shape == heights.shape and dark.dtype == np.bool_
+        in_shadow = skugga.shadow(heights, cell, azimuth, altitude)
+        assert in_shadow.shape == heights.shape and in_shadow.dtype == np.bool_
         with np.errstate(invalid="ignore"):
-            assert not dark[~(np.abs(heights.astype(np.float64)) <= 1.01e6)].any()
+            assert not in_shadow[~(np.abs(heights.astype(np.float64)) <= 1.01e6)].any()
 
     answers_or_refuses(shaded)
 
@@ -143,12 +145,13 @@ def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, a
     [
         (lambda level: level.shade("mask", times="2024-03-21T10:00Z"), ("times: unknown parameter", "time,", "algorithm")),
         (lambda level: skugga.shadow(GROUND, 0.0, 250.0, 12.0), ("cell_m: '0.0'", "more than 0")),
-        (lambda level: skugga.shadow(GROUND, (PLACE.e, PLACE.a), 250.0, 12.0), ("cell_m: '(-30.0, 30.0)'", "abs(transform.e)")),
+        (lambda level: skugga.shadow(GROUND, (TRANSFORM.e, TRANSFORM.a), 250.0, 12.0), (("cell_m: "
+            "'(-30.0, 30.0)'"), "abs(transform.e)")),
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, 95.0), ("altitude_deg: '95.0'", "90")),
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, NAN), ("altitude_deg: 'nan'", "finite")),
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, 12.0, lines=10**6), ("lines", "64")),
         (lambda level: skugga.shadow(GROUND[0], 30.0, 250.0, 12.0), ("height_m", "(7,)", "2 x 2")),
-        (lambda level: skugga.open_heights(np.full((3, 3), NAN), PLACE, "EPSG:32633"), ("the array", "no height")),
+        (lambda level: skugga.open_heights(np.full((3, 3), NAN), TRANSFORM, "EPSG:32633"), ("the array", "no height")),
         (lambda level: level.shade(cells=np.s_[6:, :], **SUN), ("cells", "6 x 7")),
         (lambda level: level.shade(cells=np.s_[:2, :2], crs=3857, **SUN), ("crs", "cannot be combined with cells")),
         (lambda level: level.shade(resolution=1e-9, **SUN), ("resolution: '1e-09'", "2^40")),
@@ -175,7 +178,7 @@ def test_an_unknown_argument_is_a_type_error():
 
 
 def test_a_closed_level_is_an_error():
-    level = skugga.open_heights(GROUND, PLACE, "EPSG:32633")
+    level = skugga.open_heights(GROUND, TRANSFORM, "EPSG:32633")
     level.close()
     level.close()
     with pytest.raises(skugga.SkuggaError, match="closed"):
@@ -190,7 +193,7 @@ def test_arrays_too_large_for_memory_are_refused_at_once():
         lambda: skugga.sunlit(huge, 30.0, 250.0, 12.0),
         lambda: skugga.horizon(huge, 30.0, 250.0),
         lambda: skugga.sun_hours(huge, 30.0, "2024-03-21", 46.0),
-        lambda: skugga.open_heights(huge, PLACE, "EPSG:32633"),
+        lambda: skugga.open_heights(huge, TRANSFORM, "EPSG:32633"),
     ):
         with pytest.raises(skugga.SkuggaError, match=r"height_m: 10000000 x 10000000 cells take .* GB .*skugga shade.*dask"):
             call()
@@ -218,7 +221,7 @@ def test_free_memory_respects_system_and_container(tmp_path, monkeypatch):
 def test_a_slice_of_cells_equals_part_of_the_whole():
     row, col = np.mgrid[:90, :120]
     hills = 300.0 * np.sin(col / 9) * np.cos(row / 13)
-    with skugga.open_heights(hills, PLACE, "EPSG:32633") as level:
+    with skugga.open_heights(hills, TRANSFORM, "EPSG:32633") as level:
         part = np.s_[20:70, 30:]
         np.testing.assert_array_equal(level.shade(cells=part, **SUN), level.shade(**SUN)[part])
         hours = level.sun_hours("2024-12-21", step_min=60.0)
@@ -230,7 +233,7 @@ def test_a_slice_of_cells_equals_part_of_the_whole():
 def test_lists_are_accepted_as_heights_and_cell_sizes():
     wall = np.zeros((5, 30), np.float32)
     wall[:, 10] = 60.0
-    dark = skugga.shadow(wall, 30.0, 270.0, 26.0)
-    assert dark[2].sum() > 3
+    in_shadow = skugga.shadow(wall, 30.0, 270.0, 26.0)
+    assert in_shadow[2].sum() > 3
     for heights in (wall.tolist(), wall.astype(int), np.asfortranarray(wall)):
-        np.testing.assert_array_equal(skugga.shadow(heights, [30, 30], 270, 26), dark)
+        np.testing.assert_array_equal(skugga.shadow(heights, [30, 30], 270, 26), in_shadow)

@@ -15,18 +15,18 @@ from skugga.api.request import ProductRequest
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
 
-PAGE = (Path(__file__).parents[3] / "docs" / "products.md").read_text(encoding="utf-8")
+PAGE_TEXT = (Path(__file__).parents[3] / "docs" / "products.md").read_text(encoding="utf-8")
 
 
 def test_the_page_has_the_table_of_all_products():
-    assert product_table().strip() in PAGE, "put the table of product_table() there"
+    assert product_table().strip() in PAGE_TEXT, "put the table of product_table() there"
 
 
 @pytest.fixture
 def slope(monkeypatch) -> Product:
     """Return the product of the page's example."""
     namespace: dict[str, object] = {"__name__": "slope"}
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE_TEXT, re.DOTALL)
     exec(compile(code, "docs/products.md", "exec"), namespace)  # noqa: S102  # our own page
     product = namespace["PRODUCT"]
     assert isinstance(product, Product)
@@ -34,10 +34,10 @@ def slope(monkeypatch) -> Product:
     return product
 
 
-def computed(scene: Scene, product: Product, cols: int, **options: object) -> np.ndarray:
+def compute_product(scene: Scene, product: Product, cols: int, **options: object) -> np.ndarray:
     """Return the product on 40 rows of the level's own cells."""
-    own = scene.view("map")
-    view = MapView(own.grid, float(np.floor(own.row0)), float(np.floor(own.col0)), 1.0, 1.0, 40, cols)
+    map_view = scene.view("map")
+    view = MapView(map_view.grid, float(np.floor(map_view.row0)), float(np.floor(map_view.col0)), 1.0, 1.0, 40, cols)
     return compute(scene, view, ProductRequest(product="slope", options=product.options_of(options)), None).array
 
 
@@ -48,11 +48,11 @@ def test_the_pages_example_computes_slopes(write_raster, make_scene, slope):
     heights[10:14, 200:210] = np.nan
     scene = make_scene(write_raster(heights, "EPSG:32633", 500e3, 5_200e3, 10.0, nodata=np.nan), 200.0, 30.0)
     for exaggeration, expected in ((1.0, 36.87), (2.0, 56.31)):
-        found = computed(scene, slope, 1200, exaggeration=exaggeration)
-        inside = found[22:-5, 5:-5]
+        slopes_deg = compute_product(scene, slope, 1200, exaggeration=exaggeration)
+        inside = slopes_deg[22:-5, 5:-5]
         assert np.isfinite(inside).all(), "no seam between blocks"
         np.testing.assert_allclose(inside, expected, atol=0.1)
-        assert np.isnan(found).sum() >= 20, "a hole has no slope"
+        assert np.isnan(slopes_deg).sum() >= 20, "a hole has no slope"
 
 
 @pytest.mark.parametrize("towards", ["east", "north"])
@@ -60,15 +60,19 @@ def test_the_pages_example_handles_pixels_that_are_not_square(write_raster, make
     """The plane has ten degrees, at 60 degrees north in longitude and latitude, where a cell is half as wide as it is high."""
     cell_deg, semi_major_m, flattening = 1.0 / 3600.0, 6_378_137.0, 1.0 / 298.257223563
     row, col = np.mgrid[:80, :120]
-    lat, squared = np.radians(60.0 - (row + 0.5) * cell_deg), flattening * (2.0 - flattening)
-    across_m = np.radians(cell_deg) * semi_major_m * np.cos(lat) / np.sqrt(1.0 - squared * np.sin(lat) ** 2)
-    along_m = np.radians(cell_deg) * semi_major_m * (1.0 - squared) / (1.0 - squared * np.sin(lat) ** 2) ** 1.5
+    lat, eccentricity_squared = np.radians(60.0 - (row + 0.5) * cell_deg), flattening * (2.0 - flattening)
+    across_m = np.radians(cell_deg) * semi_major_m * np.cos(lat) / np.sqrt(1.0 - eccentricity_squared * np.sin(lat) ** 2)
+    along_m = (
+        np.radians(cell_deg) * semi_major_m * (1.0 - eccentricity_squared) / (1.0 - eccentricity_squared * np.sin(lat) ** 2) ** 1.5
+    )
     rise_m = np.tan(np.radians(10.0)) * (across_m * col if towards == "east" else np.cumsum(along_m, axis=0)[::-1])
     scene = make_scene(write_raster(rise_m.astype(np.float32), "EPSG:4326", 10.0, 60.0, cell_deg), 200.0, 30.0)
-    own = scene.view("map", crs="EPSG:4326")
-    view = MapView(own.grid, float(np.floor(own.row0)), float(np.floor(own.col0)), 1.0, 1.0, own.rows, own.cols)
-    found = compute(scene, view, ProductRequest(product="slope", options=slope.options()), None).array
-    inside = found[np.isfinite(found)]
+    map_view = scene.view("map", crs="EPSG:4326")
+    view = MapView(
+        map_view.grid, float(np.floor(map_view.row0)), float(np.floor(map_view.col0)), 1.0, 1.0, map_view.rows, map_view.cols
+    )
+    slopes_deg = compute(scene, view, ProductRequest(product="slope", options=slope.options()), None).array
+    inside = slopes_deg[np.isfinite(slopes_deg)]
     assert inside.size > 1000
     np.testing.assert_allclose(np.median(inside), 10.0, atol=0.05)
     assert (np.abs(inside - 10.0) < 0.1).mean() > 0.9
@@ -78,7 +82,7 @@ def test_the_pages_example_has_colours_for_its_numbers(slope, make_scene, write_
     assert slope.color_scale is not None
     scale = slope.color_scale(slope.options(), None)  # type: ignore[arg-type]
     colors = scale.colored(np.array([[0.0, 30.0, 60.0, np.nan]]))[0]
-    assert colors[:, 3].tolist() == [255, 255, 255, 0] and len({tuple(each) for each in colors}) == 4
+    assert colors[:, 3].tolist() == [255, 255, 255, 0] and len({tuple(color) for color in colors}) == 4
 
 
 @pytest.mark.parametrize("name", PRODUCTS)

@@ -21,7 +21,7 @@ ROWS, COLS = 6, 8
 VIEW = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, ROWS, COLS)
 
 
-def figures(name: str, ms: float, error: float, **more: Any) -> dict[str, Any]:
+def figures(name: str, ms: float, error: float, **extra_figures: Any) -> dict[str, Any]:
     """Return figures of a row for both kinds of casters. The algorithm is the name up to its first hyphen."""
     algorithm = name.partition("-")[0]
     zeros = dict.fromkeys(("wrong", "false_shadow", "missed_shadow", "edge_mean", "edge_p95", "edge_mean_m", "edge_p95_m"), 0.0)
@@ -47,41 +47,46 @@ def figures(name: str, ms: float, error: float, **more: Any) -> dict[str, Any]:
         "stages": {"depth map": 0.25 * ms, "visibility": 0.7 * ms},
         "pareto": False,
         "pareto_soft": False,
-    } | more  # fmt: skip
+    } | extra_figures  # fmt: skip
 
 
-def comparison(*rows: dict[str, Any], **more: Any) -> Comparison:
+def comparison(*rows: dict[str, Any], **overrides: Any) -> Comparison:
     """Return a comparison of rows that are right everywhere. The front is that of time against the chosen error."""
-    error = more.get("error", "wrong_cast")
+    error = overrides.get("error", "wrong_cast")
     keys = [(f["ms_median"], f[error]) for f in rows]
     for f, key in zip(rows, keys, strict=True):
         f["pareto"] = not any(other != key and other[0] <= key[0] and other[1] <= key[1] for other in keys)
     dark, lit = np.zeros((ROWS, COLS), np.uint8), np.full((ROWS, COLS), 255, np.uint8)
     lit[:, COLS // 2 :] = dark[:, COLS // 2 :]
     nowhere = np.zeros((ROWS, COLS), bool)
-    made = [ComparisonRow(f, np.full_like(lit, 255) if f["name"] == "none" else lit, nowhere.copy(), nowhere.copy()) for f in rows]
-    whole = Comparison(VIEW, "sun", made, ~nowhere, "wrong_cast", 0.02, 0.25, 0.001, 0.0, [])
-    return replace(whole, **more)
+    comparison_rows = [
+        ComparisonRow(f, np.full_like(lit, 255) if f["name"] == "none" else lit, nowhere.copy(), nowhere.copy()) for f in rows
+    ]
+    result = Comparison(VIEW, "sun", comparison_rows, ~nowhere, "wrong_cast", 0.02, 0.25, 0.001, 0.0, [])
+    return replace(result, **overrides)
 
 
-NONE = figures("none", 0.0, 1.0)
+NONE_FIGURES = figures("none", 0.0, 1.0)
 
 
-@pytest.mark.parametrize("rows", [[], [NONE]], ids=["no rows", "none alone"])
+@pytest.mark.parametrize("rows", [[], [NONE_FIGURES]], ids=["no rows", "none alone"])
 def test_summary_is_empty_where_nothing_casts(rows: list[dict[str, Any]]) -> None:
     assert format_summary(comparison(*rows)) == []
 
 
 def test_a_single_casting_row_is_reported_as_the_only_one() -> None:
-    assert format_summary(comparison(NONE, figures("sweep", 40.0, 0.0123))) == [
+    assert format_summary(comparison(NONE_FIGURES, figures("sweep", 40.0, 0.0123))) == [
         "sweep is the only one that casts shadows here: 1.2 % of the cast shadow wrong, in 40 ms."
     ]
 
 
 def test_summary_has_the_extremes_and_each_halving() -> None:
-    fast, middle, best = (figures(f"shadow_map-{k}", *at) for k, at in enumerate([(10.0, 0.08), (20.0, 0.035), (100.0, 0.001)]))
-    between = figures("shadow_map-3", 15.0, 0.06)  # on the front, but less than a halving
-    assert format_summary(comparison(NONE, best, between, middle, fast)) == [
+    fast, middle, best = (
+        figures(f"shadow_map-{k}", *time_and_error)
+        for k, time_and_error in enumerate([(10.0, 0.08), (20.0, 0.035), (100.0, 0.001)])
+    )
+    middle_row = figures("shadow_map-3", 15.0, 0.06)  # on the front, but less than a halving
+    assert format_summary(comparison(NONE_FIGURES, best, middle_row, middle, fast)) == [
         "The fastest is shadow_map-0: 8.0 % of the cast shadow wrong, in 10 ms.",
         "The most accurate is shadow_map-2: 0.10 % of the cast shadow wrong, in 100 ms, 10 times the time.",
         "Halving the error from 8.0 % costs 2.0 times the time (shadow_map-0 to shadow_map-1).",
@@ -90,16 +95,16 @@ def test_summary_has_the_extremes_and_each_halving() -> None:
 
 
 def test_none_is_never_the_fastest() -> None:
-    said = " ".join(format_summary(comparison(NONE, figures("sweep", 40.0, 0.01), figures("hybrid", 80.0, 0.001))))
-    assert "fastest is sweep" in said and "none" not in said
+    summary_text = " ".join(format_summary(comparison(NONE_FIGURES, figures("sweep", 40.0, 0.01), figures("hybrid", 80.0, 0.001))))
+    assert "fastest is sweep" in summary_text and "none" not in summary_text
 
 
 def test_errors_up_to_three_noise_floors_are_exact() -> None:
     rows = figures("sweep", 10.0, 0.02), figures("hybrid", 20.0, 0.0029), figures("shadow_volume", 30.0, 0.0)
-    said = format_summary(comparison(*rows, noise_floor=0.001))
-    assert "2 rows are exact within the noise of truth; the fastest of them is hybrid, in 20 ms, 2.0 times the time." in said
-    assert "Bringing the error from 2.0 % down to the noise of truth costs 2.0 times the time (sweep to hybrid)." in said
-    assert not any("hybrid to shadow_volume" in text for text in said)
+    sentences = format_summary(comparison(*rows, noise_floor=0.001))
+    assert "2 rows are exact within the noise of truth; the fastest of them is hybrid, in 20 ms, 2.0 times the time." in sentences
+    assert "Bringing the error from 2.0 % down to the noise of truth costs 2.0 times the time (sweep to hybrid)." in sentences
+    assert not any("hybrid to shadow_volume" in text for text in sentences)
     assert "The most accurate is shadow_volume" in " ".join(format_summary(comparison(*rows, noise_floor=0.0009))), (
         "not at 2.9 of them"
     )
@@ -107,8 +112,8 @@ def test_errors_up_to_three_noise_floors_are_exact() -> None:
 
 @pytest.mark.parametrize(("count", "others"), [(2, "; 1 more is as accurate"), (3, "; 2 more are as accurate")])
 def test_exact_rows_are_reported_with_the_fastest(count: int, others: str) -> None:
-    said = format_summary(comparison(*(figures(f"sweep-{k}", 10.0 + k, 0.0) for k in range(count))))
-    assert said == [f"sweep-0 is both the fastest and the most accurate: exact within the noise of truth, in 10 ms{others}."]
+    sentences = format_summary(comparison(*(figures(f"sweep-{k}", 10.0 + k, 0.0) for k in range(count))))
+    assert sentences == [f"sweep-0 is both the fastest and the most accurate: exact within the noise of truth, in 10 ms{others}."]
 
 
 @pytest.mark.parametrize(
@@ -122,8 +127,8 @@ def test_interior_errors_of_accurate_rows_are_reported(more: list[float], words:
     rows = [figures("sweep", 10.0, 0.01, interior=0.002), *(figures("hybrid", 20.0, 0.005, interior=i) for i in more)]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
     aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR)
-    told = [text for text in format_summary(comparison(*rows, plainly_wrong, aliased)) if "interior errors" in text]
-    assert len(told) == 1 and told[0].startswith(words)
+    sentences = [text for text in format_summary(comparison(*rows, plainly_wrong, aliased)) if "interior errors" in text]
+    assert len(sentences) == 1 and sentences[0].startswith(words)
 
 
 @pytest.mark.parametrize(
@@ -132,8 +137,10 @@ def test_interior_errors_of_accurate_rows_are_reported(more: list[float], words:
 )
 def test_algorithms_never_on_the_front_are_listed(lost: list[str], words: str) -> None:
     rows = figures("sweep", 10.0, 0.01), figures("shadow_map-64", 50.0, 0.001), figures("shadow_map-32", 60.0, 0.02)
-    told = [text for text in format_summary(comparison(*rows, *(figures(name, 70.0, 0.05) for name in lost))) if "never" in text]
-    assert len(told) == 1 and told[0].startswith(words), "shadow_map is on the front by one of its settings"
+    sentences = [
+        text for text in format_summary(comparison(*rows, *(figures(name, 70.0, 0.05) for name in lost))) if "never" in text
+    ]
+    assert len(sentences) == 1 and sentences[0].startswith(words), "shadow_map is on the front by one of its settings"
 
 
 def test_none_on_the_front_lists_no_dominated_algorithms() -> None:
@@ -148,8 +155,8 @@ def test_the_summary_names_its_error_metric() -> None:
 
 def test_soft_edges_are_reported_if_another_row_is_best() -> None:
     hard, soft = figures("shadow_map-1", 10.0, 0.01, soft_error=0.04), figures("shadow_map-sun", 50.0, 0.02, soft_error=0.005)
-    said = format_summary(comparison(hard, soft))
-    assert "Nearest to the soft edges of truth is shadow_map-sun: 0.50 % soft error, in 50 ms." in said
+    sentences = format_summary(comparison(hard, soft))
+    assert "Nearest to the soft edges of truth is shadow_map-sun: 0.50 % soft error, in 50 ms." in sentences
     assert not any("soft edges" in text for text in format_summary(comparison(hard, figures("sweep", 5.0, 0.2))))
 
 
@@ -163,10 +170,10 @@ def test_soft_edges_are_reported_if_another_row_is_best() -> None:
 )
 def test_the_default_is_compared_with_the_front(ms: float, soft_front: bool, words: str) -> None:
     default = figures("sweep", ms, 0.03, pareto_soft=soft_front)
-    told = [
+    sentences = [
         text for text in format_summary(comparison(default, figures("hybrid", 10.0, 0.01), default="sweep")) if "default" in text
     ]
-    assert len(told) == 1 and told[0].startswith(words)
+    assert len(sentences) == 1 and sentences[0].startswith(words)
 
 
 def test_the_algorithm_family_is_that_of_one_light() -> None:
@@ -194,10 +201,10 @@ def test_the_algorithm_family_is_that_of_one_light() -> None:
     st.sampled_from(["wrong_cast", "coverage"]),
 )
 def test_any_times_and_errors_give_finite_sentences(rows: list[Any], floor: float, error: str) -> None:
-    made = [figures(f"sweep-{k}", ms, wrong, coverage=wrong) for k, (ms, wrong) in enumerate(rows)]
-    said = format_summary(comparison(NONE, *made, noise_floor=floor, error=error))
-    assert said and all(text.endswith(".") and "nan" not in text and "inf" not in text for text in said)
-    assert len(said) == len(set(said))
+    row_figures = [figures(f"sweep-{k}", ms, error_share, coverage=error_share) for k, (ms, error_share) in enumerate(rows)]
+    sentences = format_summary(comparison(NONE_FIGURES, *row_figures, noise_floor=floor, error=error))
+    assert sentences and all(text.endswith(".") and "nan" not in text and "inf" not in text for text in sentences)
+    assert len(sentences) == len(set(sentences))
 
 
 @given(st.floats(1e-7, 1.0))

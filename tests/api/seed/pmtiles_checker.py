@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "jpg": b"\xff\xd8\xff", "webp": b"RIFF"}
-TYPES = {2: "png", 3: "jpg", 4: "webp"}
+TILE_TYPES = {2: "png", 3: "jpg", 4: "webp"}
 """Codes of the supported tile types."""
 
 HEADER = struct.Struct("<7sB 11Q 6B 4i B 2i")
-NAMES = (
+HEADER_FIELDS = (
     "magic", "version", "root_at", "root_bytes", "metadata_at", "metadata_bytes", "leaves_at", "leaves_bytes", "data_at",
     "data_bytes", "addressed", "entries", "contents", "clustered", "internal", "compression", "type", "min_zoom", "max_zoom",
     "west", "south", "east", "north", "center_zoom", "center_lon", "center_lat",
@@ -45,7 +45,7 @@ class Archive:
     leaves: int = 0
 
 
-def checked(path: Path, any_content: bool = False) -> Archive:
+def check_archive(path: Path, any_content: bool = False) -> Archive:
     """Return an archive that conforms to the specification.
 
     Directories are gzipped or plain, tiles plain. ``any_content`` lets tiles have any bytes. Raises ``AssertionError``
@@ -54,55 +54,57 @@ def checked(path: Path, any_content: bool = False) -> Archive:
     data = path.read_bytes()
     assert len(data) >= 127, "shorter than a header"
     assert HEADER.size == 127
-    header = dict(zip(NAMES, HEADER.unpack(data[:127]), strict=True))
+    header = dict(zip(HEADER_FIELDS, HEADER.unpack(data[:127]), strict=True))
     assert (header["magic"], header["version"]) == (b"PMTiles", 3)
     assert header["clustered"] in (0, 1)
     assert header["internal"] in (1, 2), "directories are plain or gzipped"
     assert header["compression"] == 1, "tiles are plain"
-    assert header["type"] in TYPES
+    assert header["type"] in TILE_TYPES
 
     parts = sorted((header[f"{part}_at"], header[f"{part}_bytes"], part) for part in ("root", "metadata", "leaves", "data"))
     end = 127
-    for at, length, part in parts:
-        assert at >= end or not length, f"{part} overlaps what is before it"
-        end = max(end, at + length)
+    for section_offset, length, part in parts:
+        assert section_offset >= end or not length, f"{part} overlaps what is before it"
+        end = max(end, section_offset + length)
         assert end <= len(data), f"{part} reaches past the end"
     assert header["root_at"] + header["root_bytes"] <= 16_384, "the root is not within the first 16 KiB"
 
-    def unpacked(at: int, length: int) -> bytes:
-        raw = data[at : at + length]
+    def unpacked(section_offset: int, length: int) -> bytes:
+        raw = data[section_offset : section_offset + length]
         return gzip.decompress(raw) if header["internal"] == 2 else raw
 
     metadata = json.loads(unpacked(header["metadata_at"], header["metadata_bytes"]).decode("utf-8"))
     assert isinstance(metadata, dict)
     archive = Archive(header, metadata)
 
-    begins: set[int] = set()
-    addressed = entries = reached = next_id = 0
+    content_offsets: set[int] = set()
+    addressed = entries = data_end = next_id = 0
     leaves_read: list[tuple[int, int]] = []
     for tile_id, run, length, offset in _entries(header, unpacked, leaves_read):
         assert tile_id >= next_id, f"tile ids do not ascend, or a run overlaps: {tile_id}"
         assert length > 0 and run > 0
         assert offset + length <= header["data_bytes"], f"tile {tile_id} reaches past the tiles' data"
         if header["clustered"]:
-            assert offset == reached or offset in begins, f"clustered, but tile {tile_id} neither follows nor repeats another one"
-        begins.add(offset)
-        reached = max(reached, offset + length)
+            assert offset == data_end or offset in content_offsets, (
+                f"clustered, but tile {tile_id} neither follows nor repeats another one"
+            )
+        content_offsets.add(offset)
+        data_end = max(data_end, offset + length)
         next_id = tile_id + run
         addressed, entries = addressed + run, entries + 1
         content = data[header["data_at"] + offset : header["data_at"] + offset + length]
-        assert any_content or content.startswith(MAGIC[TYPES[header["type"]]]), f"tile {tile_id} is of another type"
-        for each in range(tile_id, next_id):
-            archive.tiles[place_of(each)] = content
+        assert any_content or content.startswith(MAGIC[TILE_TYPES[header["type"]]]), f"tile {tile_id} is of another type"
+        for run_id in range(tile_id, next_id):
+            archive.tiles[tile_id_to_zxy(run_id)] = content
     archive.leaves = len(leaves_read)
     end = 0
-    for at, length in sorted(leaves_read):
-        assert at == end, "leaf directories overlap, or leave a gap"
-        end = at + length
+    for section_offset, length in sorted(leaves_read):
+        assert section_offset == end, "leaf directories overlap, or leave a gap"
+        end = section_offset + length
     assert end == header["leaves_bytes"], "leaf directories that are not reached"
 
-    assert (header["addressed"], header["entries"], header["contents"]) == (addressed, entries, len(begins))
-    assert reached == header["data_bytes"], "bytes that no tile has"
+    assert (header["addressed"], header["entries"], header["contents"]) == (addressed, entries, len(content_offsets))
+    assert data_end == header["data_bytes"], "bytes that no tile has"
     zooms = {z for z, _, _ in archive.tiles}
     assert (header["min_zoom"], header["max_zoom"]) == (min(zooms), max(zooms))
     assert header["min_zoom"] <= header["center_zoom"] <= header["max_zoom"]
@@ -158,7 +160,7 @@ def _varints(raw: bytes) -> Iterator[int]:
     assert not shift, "a number is cut short"
 
 
-def place_of(tile_id: int) -> tuple[int, int, int]:
+def tile_id_to_zxy(tile_id: int) -> tuple[int, int, int]:
     """Return zoom, column and row of a tile id.
 
     Ids count zooms one after another, and in each zoom along a Hilbert curve from the top left to the top right. From the

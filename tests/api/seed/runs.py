@@ -24,7 +24,7 @@ from tests.rasters import write_geotiff
 
 LOW_SUN = SunSpec(azimuth=225.0, altitude=12.0)
 
-Fate = Callable[[Task], TaskFailure | None]
+FailureInjector = Callable[[Task], TaskFailure | None]
 
 
 def rough_ground(cells: int, seed: int = 3) -> np.ndarray:
@@ -40,24 +40,24 @@ def write_ground(path: Path, heights: np.ndarray) -> Path:
     return write_geotiff(path, heights, "EPSG:32633", 500e3, 5200e3, 30.0)
 
 
-class HereRunner:
-    """Runner that draws in this process, one task at a time. ``fate`` may replace the result of a task."""
+class InProcessRunner:
+    """Runner that draws in this process, one task at a time. ``inject_failure`` may replace the result of a task."""
 
-    def __init__(self, run: PlannedRun, store: FolderStore, fate: Fate | None = None) -> None:
-        self._drawer, self._fate = Drawer(run.spec, store), fate
-        self._given: deque[Task] = deque()
+    def __init__(self, run: PlannedRun, store: FolderStore, inject_failure: FailureInjector | None = None) -> None:
+        self._drawer, self._inject_failure = Drawer(run.spec, store), inject_failure
+        self._queue: deque[Task] = deque()
         self.drawn: list[Task] = []
 
     def free(self) -> Sequence[int]:
-        return [0] * (2 - len(self._given))
+        return [0] * (2 - len(self._queue))
 
     def submit(self, task: Task, lane: int) -> None:
-        self._given.append(task)
+        self._queue.append(task)
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
-        task = self._given.popleft()
-        if self._fate is not None and (ended := self._fate(task)) is not None:
-            return [ended]
+        task = self._queue.popleft()
+        if self._inject_failure is not None and (failure := self._inject_failure(task)) is not None:
+            return [failure]
         self.drawn.append(task)
         return [self._drawer.draw(task)]
 
@@ -87,22 +87,24 @@ class Run:
     @property
     def request(self) -> SeedRequest:
         source = LevelSource(path=self.level.resolve())
-        asked = ProductRequest(product=self.layer, overrides=RequestedSettings.of(self.settings))
-        return SeedRequest(source, ZoomRange(*self.zooms), self.suns, asked, "png")
+        product_request = ProductRequest(product=self.layer, overrides=RequestedSettings.of(self.settings))
+        return SeedRequest(source, ZoomRange(*self.zooms), self.suns, product_request, "png")
 
-    def __call__(self, fate: Fate | None = None, **options: object) -> tuple[SeedResult, list[Task]]:
+    def __call__(self, inject_failure: FailureInjector | None = None, **options: object) -> tuple[SeedResult, list[Task]]:
         """Seed, and return the result and the tasks that were drawn."""
-        runners: list[HereRunner] = []
+        runners: list[InProcessRunner] = []
         with TaskTable(self.work / "tasks.sqlite") as table:
             run = plan_run(table, self.request, lambda text: None)
 
-            def start() -> HereRunner:
-                runners.append(HereRunner(run, self.store, fate))
+            def start() -> InProcessRunner:
+                runners.append(InProcessRunner(run, self.store, inject_failure))
                 return runners[-1]
 
             outputs = {name: self.output_of(number) for number, name in enumerate(run.sun_names)}
-            done = draw_and_publish(table, run, self.store, str(self.work / "shards"), outputs, start, self.on_progress, **options)
-        return done, [task for runner in runners for task in runner.drawn]
+            result = draw_and_publish(
+                table, run, self.store, str(self.work / "shards"), outputs, start, self.on_progress, **options
+            )
+        return result, [task for runner in runners for task in runner.drawn]
 
     def output_of(self, number: int) -> Path:
         """Return the output of one of several suns."""

@@ -13,10 +13,10 @@ import pytest
 from pmtiles.reader import MmapSource, Reader, all_tiles
 
 from skugga.api.errors import BrokenShardError
-from skugga.api.seed.archive import SHARED_BELOW_BYTES, ArchiveFacts, ArchiveSize, ShardIndex, first_tile_id, write_archive
+from skugga.api.seed.archive import DEDUPLICATED_BELOW_BYTES, ArchiveFacts, ArchiveSize, ShardIndex, first_tile_id, write_archive
 from skugga.terrain.errors import InputError
 from tests.api.seed import pmtiles_checker
-from tests.api.seed.pmtiles_checker import MAGIC, checked, place_of
+from tests.api.seed.pmtiles_checker import MAGIC, check_archive, tile_id_to_zxy
 
 Shards = Sequence[Mapping[int, bytes]]
 
@@ -32,14 +32,14 @@ def tile_of(number: int, size: int = 40) -> bytes:
 
 
 def write(path: Path, shards: Shards, facts: ArchiveFacts) -> ArchiveSize:
-    made = [ShardIndex.of(shard) for shard in shards]
-    return write_archive(path, [index for index, _ in made], lambda number: made[number][1], facts)
+    indexed_shards = [ShardIndex.from_tiles(shard) for shard in shards]
+    return write_archive(path, [index for index, _ in indexed_shards], lambda number: indexed_shards[number][1], facts)
 
 
 def pyramid(first_zoom: int, last_zoom: int, per_shard: int = 16) -> list[dict[int, bytes]]:
     """Return all tiles of some zooms, each with a different content, in shards."""
     ids = range(first_tile_id(first_zoom), first_tile_id(last_zoom + 1))
-    return [{each: tile_of(each) for each in ids[begin : begin + per_shard]} for begin in range(0, len(ids), per_shard)]
+    return [{tile_id: tile_of(tile_id) for tile_id in ids[begin : begin + per_shard]} for begin in range(0, len(ids), per_shard)]
 
 
 def read_back(path: Path) -> dict[tuple[int, int, int], bytes]:
@@ -51,14 +51,14 @@ def read_back(path: Path) -> dict[tuple[int, int, int], bytes]:
 def test_another_reader_finds_every_tile(tmp_path):
     path, shards = tmp_path / "hills.pmtiles", pyramid(0, 5)
     size = write(path, shards, facts_of(0, 5))
-    expected = {place_of(tile_id): tile for shard in shards for tile_id, tile in shard.items()}
+    expected = {tile_id_to_zxy(tile_id): tile for shard in shards for tile_id, tile in shard.items()}
     assert len(expected) == size.tiles == 1365
     with path.open("rb") as file:
         reader = Reader(MmapSource(file))
         assert {place: reader.get(*place) for place in expected} == expected
         assert reader.get(6, 0, 0) is None
         assert reader.metadata() == {"name": "hills", "skugga": {"layer": "shadow"}}
-    archive = checked(path)
+    archive = check_archive(path)
     assert archive.tiles == expected
     assert archive.metadata == {"name": "hills", "skugga": {"layer": "shadow"}}
     assert archive.leaves == 0
@@ -78,36 +78,36 @@ def test_the_same_tiles_give_the_same_bytes(tmp_path, monkeypatch):
 def test_counts_of_runs_and_shared_contents(tmp_path):
     first = first_tile_id(3)
     sea, snow = tile_of(1), tile_of(2)
-    large = tile_of(3, SHARED_BELOW_BYTES)  # too large to be deduplicated; in a run it is stored once
+    large = tile_of(3, DEDUPLICATED_BELOW_BYTES)  # too large to be deduplicated; in a run it is stored once
     shards = [
         {first: sea, first + 1: sea, first + 2: snow, first + 3: sea},  # a run of two, one, and the first again
         {first + 4: sea, first + 5: large, first + 6: large},  # the run continues across shards
         {first + 8: sea, first + 9: large, first + 10: tile_of(4)},  # after a gap: no run
     ]
     size = write(tmp_path / "a.pmtiles", shards, facts_of(3, 3))
-    archive = checked(tmp_path / "a.pmtiles")
+    archive = check_archive(tmp_path / "a.pmtiles")
     # Entries: sea (2), snow, sea (2, shared), large (2), sea (shared), large, 4. Contents: sea, snow, large twice, 4.
     assert (size.tiles, size.entries, size.contents) == (10, 7, 5)
     assert [archive.header[name] for name in ("addressed", "entries", "contents")] == [10, 7, 5]
-    assert archive.header["data_bytes"] == 3 * 40 + 2 * SHARED_BELOW_BYTES
+    assert archive.header["data_bytes"] == 3 * 40 + 2 * DEDUPLICATED_BELOW_BYTES
     assert archive.header["clustered"] == 1
-    assert read_back(tmp_path / "a.pmtiles") == {place_of(i): tile for shard in shards for i, tile in shard.items()}
+    assert read_back(tmp_path / "a.pmtiles") == {tile_id_to_zxy(i): tile for shard in shards for i, tile in shard.items()}
 
 
 def test_equal_tiles_across_a_gap_of_ids_are_no_run(tmp_path):
     last_of_2, first_of_3 = first_tile_id(3) - 1, first_tile_id(3)
     size = write(tmp_path / "a.pmtiles", [{last_of_2: tile_of(1), first_of_3 + 1: tile_of(1)}], facts_of(2, 3))
     assert (size.entries, size.contents) == (2, 1)
-    assert set(checked(tmp_path / "a.pmtiles").tiles) == {place_of(last_of_2), place_of(first_of_3 + 1)}
+    assert set(check_archive(tmp_path / "a.pmtiles").tiles) == {tile_id_to_zxy(last_of_2), tile_id_to_zxy(first_of_3 + 1)}
 
 
 def test_many_entries_have_leaf_directories(tmp_path):
     path, shards = tmp_path / "many.pmtiles", pyramid(0, 7)
     write(path, shards, facts_of(0, 7))
-    archive = checked(path)
+    archive = check_archive(path)
     assert archive.header["entries"] == 21_845
     assert archive.leaves == 6  # of 4096 entries
-    assert archive.tiles == {place_of(i): tile for shard in shards for i, tile in shard.items()} == read_back(path)
+    assert archive.tiles == {tile_id_to_zxy(i): tile for shard in shards for i, tile in shard.items()} == read_back(path)
 
 
 def test_leaf_directories_grow_until_their_root_fits(tmp_path, monkeypatch):
@@ -115,9 +115,9 @@ def test_leaf_directories_grow_until_their_root_fits(tmp_path, monkeypatch):
     rng = np.random.default_rng(7)
     tiles = {i: tile_of(i, int(rng.integers(16, 60))) for i in sorted(rng.choice(4**12, 20_000, replace=False).tolist())}
     write(tmp_path / "a.pmtiles", [tiles], facts_of(0, 12))
-    archive = checked(tmp_path / "a.pmtiles")
+    archive = check_archive(tmp_path / "a.pmtiles")
     assert 1000 < archive.leaves < 20_000
-    assert archive.tiles == {place_of(i): tile for i, tile in tiles.items()}
+    assert archive.tiles == {tile_id_to_zxy(i): tile for i, tile in tiles.items()}
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_leaf_directories_grow_until_their_root_fits(tmp_path, monkeypatch):
 )
 def test_bounds_are_those_of_a_map(tmp_path, bounds, edges):
     write(tmp_path / "a.pmtiles", pyramid(1, 2), facts_of(1, 2, bounds=bounds))
-    header = checked(tmp_path / "a.pmtiles").header
+    header = check_archive(tmp_path / "a.pmtiles").header
     assert tuple(header[name] for name in ("west", "south", "east", "north")) == edges
     assert (header["min_zoom"], header["max_zoom"], header["center_zoom"]) == (1, 2, 1)
 
@@ -138,28 +138,33 @@ def test_bounds_are_those_of_a_map(tmp_path, bounds, edges):
 @pytest.mark.parametrize("format", ["png", "jpg", "webp"])
 def test_tiles_are_of_the_type_that_the_header_says(tmp_path, format):
     write(tmp_path / "a.pmtiles", [{0: MAGIC[format] + b"1"}], facts_of(0, 0, format=format))
-    checked(tmp_path / "a.pmtiles")
+    check_archive(tmp_path / "a.pmtiles")
 
 
 def test_an_index_survives_a_round_trip():
-    index, shard = ShardIndex.of({9: b"nine", 5: b"five!"})
+    index, shard = ShardIndex.from_tiles({9: b"nine", 5: b"five!"})
     assert shard == b"five!nine"
     blob = index.to_bytes()
     assert len(blob) == 2 * 28
-    back = ShardIndex.from_bytes(blob)
+    restored = ShardIndex.from_bytes(blob)
     for name in ("ids", "lengths", "digests"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(index, name))
-        assert getattr(back, name).dtype == getattr(index, name).dtype
-    assert back.ids.tolist() == [5, 9] and back.lengths.tolist() == [5, 4]
+        np.testing.assert_array_equal(getattr(restored, name), getattr(index, name))
+        assert getattr(restored, name).dtype == getattr(index, name).dtype
+    assert restored.ids.tolist() == [5, 9] and restored.lengths.tolist() == [5, 4]
     with pytest.raises(ValueError):
         ShardIndex.from_bytes(blob[:-1])
 
 
 def test_shards_are_read_once_each_in_order(tmp_path):
-    made = [ShardIndex.of(shard) for shard in [*pyramid(2, 3), {}]]  # the last one has no tile
-    asked = []
-    write_archive(tmp_path / "a", [index for index, _ in made], lambda i: asked.append(i) or made[i][1], facts_of(2, 3))
-    assert asked == list(range(len(made)))
+    indexed_shards = [ShardIndex.from_tiles(shard) for shard in [*pyramid(2, 3), {}]]  # the last one has no tile
+    read_order = []
+    write_archive(
+        tmp_path / "a",
+        [index for index, _ in indexed_shards],
+        lambda i: read_order.append(i) or indexed_shards[i][1],
+        facts_of(2, 3),
+    )
+    assert read_order == list(range(len(indexed_shards)))
 
 
 @pytest.mark.parametrize(
@@ -175,16 +180,21 @@ def test_a_broken_shard_is_named_and_keeps_the_old_archive(tmp_path, broken):
     path = tmp_path / "a.pmtiles"
     write(path, pyramid(2, 2), facts_of(2, 2))
     before = path.read_bytes()
-    made = [ShardIndex.of(shard) for shard in pyramid(2, 4)]
+    indexed_shards = [ShardIndex.from_tiles(shard) for shard in pyramid(2, 4)]
     with pytest.raises(BrokenShardError, match="shard 7") as caught:
-        write_archive(path, [index for index, _ in made], lambda i: broken(made[i][1]) if i == 7 else made[i][1], facts_of(2, 4))
+        write_archive(
+            path,
+            [index for index, _ in indexed_shards],
+            lambda i: broken(indexed_shards[i][1]) if i == 7 else indexed_shards[i][1],
+            facts_of(2, 4),
+        )
     assert caught.value.number == 7
     assert path.read_bytes() == before
-    assert [each.name for each in tmp_path.iterdir()] == ["a.pmtiles"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a.pmtiles"]
 
 
 def test_a_deduplicated_tile_is_checked_too(tmp_path):
-    index, shard = ShardIndex.of({5: tile_of(1), 6: tile_of(1)})
+    index, shard = ShardIndex.from_tiles({5: tile_of(1), 6: tile_of(1)})
     with pytest.raises(BrokenShardError, match="tile 2/1/0 "):
         write_archive(tmp_path / "a", [index], lambda _: shard[:-1] + b"x", facts_of(1, 2))
 
@@ -202,9 +212,9 @@ def test_an_archive_without_tiles_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def _patched(path: Path, at: int, form: str, value: int) -> None:
+def _patched(path: Path, offset: int, struct_format: str, value: int) -> None:
     content = bytearray(path.read_bytes())
-    struct.pack_into(form, content, at, value)
+    struct.pack_into(struct_format, content, offset, value)
     path.write_bytes(bytes(content))
 
 
@@ -219,23 +229,23 @@ def _patched(path: Path, at: int, form: str, value: int) -> None:
 def test_the_checker_detects_a_wrong_header(tmp_path, at, form, value):
     path = tmp_path / "a.pmtiles"
     write(path, pyramid(2, 3), facts_of(2, 3))
-    checked(path)
+    check_archive(path)
     _patched(path, at, form, value)
     with pytest.raises((AssertionError, OSError, json.JSONDecodeError)):
-        checked(path)
+        check_archive(path)
 
 
 def test_the_checker_detects_wrong_directories(tmp_path, monkeypatch):
     path = tmp_path / "a.pmtiles"
     write(path, pyramid(2, 2), facts_of(2, 2))
     rows = [(first_tile_id(2) + row, 1, 40, 40 * row) for row in range(16)]
-    for wrong in (
+    for wrong_entries in (
         [rows[1], rows[0], *rows[2:]],  # ids
         [(*rows[0][:1], 2, *rows[0][2:]), *rows[1:]],  # a run over the next one
         [(*rows[0][:3], rows[5][3]), *rows[1:]],  # an offset ahead
         [(*rows[0][:2], 10**6, rows[0][3]), *rows[1:]],  # a length
         rows[:-1],
     ):
-        monkeypatch.setattr(pmtiles_checker, "directory", lambda raw, wrong=wrong: wrong)
+        monkeypatch.setattr(pmtiles_checker, "directory", lambda raw, wrong_entries=wrong_entries: wrong_entries)
         with pytest.raises(AssertionError):
-            checked(path)
+            check_archive(path)

@@ -39,10 +39,10 @@ def block_on_raster(zoom: int, x: int, y: int) -> Polygon:
 
 def swept_shadow(area: Polygon, azimuth_deg: float, length_m: float) -> Polygon:
     """Return the union of an area and everything that it can cast its shadow on."""
-    away = np.radians(azimuth_deg + 180.0)
-    step = length_m * np.sin(away), length_m * np.cos(away)
-    moved = Polygon([(x + step[0], y + step[1]) for x, y in area.exterior.coords])
-    return area.union(moved).convex_hull
+    shadow_azimuth_rad = np.radians(azimuth_deg + 180.0)
+    step = length_m * np.sin(shadow_azimuth_rad), length_m * np.cos(shadow_azimuth_rad)
+    shifted = Polygon([(x + step[0], y + step[1]) for x, y in area.exterior.coords])
+    return area.union(shifted).convex_hull
 
 
 @pytest.fixture
@@ -69,26 +69,26 @@ def test_a_change_redraws_tiles_that_its_shadows_reach(tmp_path: Path, heights: 
     changed = heights.copy()
     changed[rows, cols] = np.clip(change(heights[rows, cols]), heights.min() + 30.0, heights.max() - 1.0)
     write_ground(run.level, changed)
-    _, drawn = run()
-    fresh = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), suns=(sun,))
-    fresh()
+    _, drawn_tasks = run()
+    fresh_run = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), suns=(sun,))
+    fresh_run()
 
-    assert run.output.read_bytes() == fresh.output.read_bytes(), "not less"
-    anew = {(task.zoom, task.x, task.y) for task in drawn}
-    different = {place for place, tiles in tiles_by_block(fresh).items() if tiles != before[place]}
-    assert different and different <= anew
+    assert run.output.read_bytes() == fresh_run.output.read_bytes(), "not less"
+    redrawn_tiles = {(task.zoom, task.x, task.y) for task in drawn_tasks}
+    different = {place for place, tiles in tiles_by_block(fresh_run).items() if tiles != before[place]}
+    assert different and different <= redrawn_tiles
     # Computed on a plane: a chunk of cells around the change, and the longest shadow of its highest ground over the lowest.
     first, last = (np.array([s.start, s.stop]) for s in (rows, cols))
     top, bottom = first[0] // CHUNK_CELLS * CHUNK_CELLS, -(-first[1] // CHUNK_CELLS) * CHUNK_CELLS
     left, right = last[0] // CHUNK_CELLS * CHUNK_CELLS, -(-last[1] // CHUNK_CELLS) * CHUNK_CELLS
     chunks = box(WEST + left * CELL_M, NORTH - bottom * CELL_M, WEST + right * CELL_M, NORTH - top * CELL_M)
-    high_m = max(float(each[top:bottom, left:right].max()) for each in (heights, changed))
+    high_m = max(float(grid[top:bottom, left:right].max()) for grid in (heights, changed))
     length_m = (high_m - float(min(heights.min(), changed.min()))) / np.tan(np.radians(sun.altitude))
     reach = swept_shadow(chunks, sun.azimuth, length_m).buffer(0.06 * length_m + 1.5 * CHUNK_CELLS * CELL_M)
-    reached = {place for place in before if block_on_raster(*place).intersects(reach)}
-    assert anew <= reached, "not more"
+    reachable_tiles = {place for place in before if block_on_raster(*place).intersects(reach)}
+    assert redrawn_tiles <= reachable_tiles, "not more"
     if case != "a tower in the middle":
-        assert len(anew) <= len(before) / 2
+        assert len(redrawn_tiles) <= len(before) / 2
 
 
 def test_a_new_maximum_height_redraws_all_tiles(tmp_path: Path, heights: np.ndarray):
@@ -105,11 +105,11 @@ def test_colours_depend_on_the_range_of_heights(tmp_path: Path, heights: np.ndar
     for height_m in (700.0, 1800.0):  # within the range, and beyond it
         heights[280:, :20] = height_m
         write_ground(run.level, heights)
-        _, drawn = run()
-        fresh = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), layer="color")
-        fresh()
-        assert drawn and run.output.read_bytes() == fresh.output.read_bytes()
-    assert len(drawn) == len(tiles_by_block(run)), "all colours go by the highest ground"
+        _, drawn_tasks = run()
+        fresh_run = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), layer="color")
+        fresh_run()
+        assert drawn_tasks and run.output.read_bytes() == fresh_run.output.read_bytes()
+    assert len(drawn_tasks) == len(tiles_by_block(run)), "all colours go by the highest ground"
 
 
 def test_at_night_a_change_redraws_only_its_own_tiles(tmp_path: Path, heights: np.ndarray):
@@ -120,9 +120,9 @@ def test_at_night_a_change_redraws_only_its_own_tiles(tmp_path: Path, heights: n
     write_ground(run.level, heights)
     side_m = CHUNK_CELLS * CELL_M
     chunk = box(WEST, NORTH - CELLS * CELL_M, WEST + side_m, NORTH - 4 * side_m).buffer(12 * CELL_M)
-    anew = {(task.zoom, task.x, task.y) for task in run()[1]}
-    assert anew == {place for place in tiles_by_block(run) if block_on_raster(*place).intersects(chunk)}
-    assert len(anew) < len(tiles_by_block(run)) / 2
+    redrawn_tiles = {(task.zoom, task.x, task.y) for task in run()[1]}
+    assert redrawn_tiles == {place for place in tiles_by_block(run) if block_on_raster(*place).intersects(chunk)}
+    assert len(redrawn_tiles) < len(tiles_by_block(run)) / 2
 
 
 def test_a_rewritten_file_with_equal_heights_redraws_nothing(tmp_path: Path, heights: np.ndarray):
@@ -130,27 +130,27 @@ def test_a_rewritten_file_with_equal_heights_redraws_nothing(tmp_path: Path, hei
     run()
     archive = run.output.read_bytes()
     write_ground(run.level, heights)
-    done, drawn = run()
-    assert (done.drawn, drawn) == (0, []) and run.output.read_bytes() == archive
-    moved = tmp_path / "elsewhere"
-    moved.mkdir()
-    run.level = run.level.rename(moved / "dem.tif")
+    result, drawn_tasks = run()
+    assert (result.drawn, drawn_tasks) == (0, []) and run.output.read_bytes() == archive
+    new_folder = tmp_path / "elsewhere"
+    new_folder.mkdir()
+    run.level = run.level.rename(new_folder / "dem.tif")
     assert run()[1] == [], "nor is one that lies elsewhere"
 
 
 @pytest.mark.long
 def test_shadow_maps_redraw_more_tiles_than_sweeps(tmp_path: Path, heights: np.ndarray):
     """The last bits of depth maps depend on whole patches of casters, so more ground counts than for a sweep."""
-    asked = {"algorithm": "shadow_map"}
-    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM - 1, ZOOM - 1), settings=asked)
+    settings = {"algorithm": "shadow_map"}
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM - 1, ZOOM - 1), settings=settings)
     run()
     heights[270:290, 10:30] = np.clip(heights[270:290, 10:30] + 180.0, None, heights.max() - 1.0)
     write_ground(run.level, heights)
-    _, drawn = run()
-    fresh = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM - 1, ZOOM - 1), settings=asked)
-    fresh()
-    assert run.output.read_bytes() == fresh.output.read_bytes()
-    assert 0 < len(drawn)
+    _, drawn_tasks = run()
+    fresh_run = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM - 1, ZOOM - 1), settings=settings)
+    fresh_run()
+    assert run.output.read_bytes() == fresh_run.output.read_bytes()
+    assert 0 < len(drawn_tasks)
 
 
 @pytest.mark.long
@@ -173,11 +173,11 @@ def test_changed_ground_moves_the_objects_on_it(tmp_path: Path, heights: np.ndar
     run()
 
     def check() -> int:
-        _, drawn = run()
-        fresh = Run(level, tmp_path / "fresh.pmtiles", (ZOOM - 1, ZOOM - 1))
-        fresh()
-        assert run.output.read_bytes() == fresh.output.read_bytes()
-        return len(drawn)
+        _, drawn_tasks = run()
+        fresh_run = Run(level, tmp_path / "fresh.pmtiles", (ZOOM - 1, ZOOM - 1))
+        fresh_run()
+        assert run.output.read_bytes() == fresh_run.output.read_bytes()
+        return len(drawn_tasks)
 
     heights[270:290, 10:30] = np.clip(heights[270:290, 10:30] + 180.0, None, heights.max() - 1.0)
     write_ground(tmp_path / "dem.tif", heights)

@@ -40,9 +40,9 @@ class Cluster:
     """A scheduler and workers, each a separate process."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.socket() as one:
-            one.bind(("127.0.0.1", 0))
-            self.port = int(one.getsockname()[1])
+        with socket.socket() as port_socket:
+            port_socket.bind(("127.0.0.1", 0))
+            self.port = int(port_socket.getsockname()[1])
         self.address, self._folder = f"tcp://127.0.0.1:{self.port}", folder
         self.scheduler = self._scheduler()
         self.workers: list[subprocess.Popen[bytes]] = []
@@ -81,9 +81,9 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    found = Cluster(tmp_path)
-    yield found
-    found.close()
+    new_cluster = Cluster(tmp_path)
+    yield new_cluster
+    new_cluster.close()
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def run(tmp_path: Path) -> Run:
     return Run(write_ground(tmp_path / "dem.tif", rough_ground(120)), tmp_path / "out.pmtiles", ZOOMS)
 
 
-def on_cluster(
+def seed_on_cluster(
     run: Run,
     cluster: Cluster,
     on_end: Callable[[TaskEnd], None] = lambda end: None,
@@ -99,11 +99,11 @@ def on_cluster(
     cluster_timeout_s: float = 60.0,
 ) -> list[str]:
     """Seed on a cluster, and return the name of the worker that drew each task."""
-    drawn_by: list[str] = []
+    worker_names: list[str] = []
     place = shards or str(run.work / "shards")
 
     def note(end: TaskEnd) -> None:
-        drawn_by.append(end.outcome.worker)
+        worker_names.append(end.outcome.worker)
         on_end(end)
 
     with TaskTable(run.work / "tasks.sqlite") as table:
@@ -112,17 +112,17 @@ def on_cluster(
             table, planned, store_at(place), place, {planned.sun_names[0]: run.output},
             lambda: DaskCluster(cluster.address, cluster_timeout_s).begin(planned.spec, place), note,
         )  # fmt: skip
-    return drawn_by
+    return worker_names
 
 
 def test_a_cluster_with_object_storage_writes_the_same_archive(run, cluster, tmp_path, object_store):
     cluster.add_worker()
     cluster.add_worker()
-    drawn_by = on_cluster(run, cluster, shards=f"{object_store}/dask")
-    assert len(set(drawn_by)) == 2 and not (run.work / "shards").exists()
-    here = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
-    here()
-    assert run.output.read_bytes() == here.output.read_bytes()
+    worker_names = seed_on_cluster(run, cluster, shards=f"{object_store}/dask")
+    assert len(set(worker_names)) == 2 and not (run.work / "shards").exists()
+    local_run = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
+    local_run()
+    assert run.output.read_bytes() == local_run.output.read_bytes()
     assert all(name.endswith(".tiles") for name in store_at(f"{object_store}/dask").names())
 
 
@@ -138,10 +138,10 @@ def test_dead_workers_are_replaced(run, cluster, tmp_path):
             first.kill()
             cluster.add_worker()
 
-    on_cluster(run, cluster, kill)
-    here = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
-    here()
-    assert first.wait(10) == -signal.SIGKILL and run.output.read_bytes() == here.output.read_bytes()
+    seed_on_cluster(run, cluster, kill)
+    local_run = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
+    local_run()
+    assert first.wait(10) == -signal.SIGKILL and run.output.read_bytes() == local_run.output.read_bytes()
 
 
 def test_a_restarted_scheduler_gets_its_tasks_again(run, cluster, tmp_path):
@@ -155,10 +155,10 @@ def test_a_restarted_scheduler_gets_its_tasks_again(run, cluster, tmp_path):
             cluster.restart_scheduler()
             cluster.add_worker()  # a worker ends with its scheduler
 
-    on_cluster(run, cluster, restart)
-    here = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
-    here()
-    assert run.output.read_bytes() == here.output.read_bytes()
+    seed_on_cluster(run, cluster, restart)
+    local_run = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
+    local_run()
+    assert run.output.read_bytes() == local_run.output.read_bytes()
 
 
 def test_a_slow_worker_gets_fewer_tasks(run, cluster):
@@ -169,7 +169,7 @@ def test_a_slow_worker_gets_fewer_tasks(run, cluster):
         "c.persistent_process.draw\nc.persistent_process.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
     )
     cluster.add_worker(before=slow)
-    counts = sorted(Counter(on_cluster(run, cluster)).values())
+    counts = sorted(Counter(seed_on_cluster(run, cluster)).values())
     assert len(counts) == 2 and counts[0] < counts[1]
 
 
@@ -180,32 +180,32 @@ def test_a_worker_with_another_renderer_is_refused(run, cluster):
     )
     cluster.add_worker(before=other)
     with pytest.raises(GraphicsError, match="no worker of the cluster can draw this run.*another renderer"):
-        on_cluster(run, cluster)
+        seed_on_cluster(run, cluster)
     cluster.add_worker()
-    until(lambda: workers_of(cluster) == 2)  # with the other worker alone, no worker could draw
-    assert len(set(on_cluster(run, cluster))) == 1, "the other one draws all"
+    wait_until(lambda: workers_of(cluster) == 2)  # with the other worker alone, no worker could draw
+    assert len(set(seed_on_cluster(run, cluster))) == 1, "the other one draws all"
 
 
 def test_render_processes_start_early_and_end_with_the_run(cluster):
     first = cluster.add_worker()
-    until(lambda: workers_of(cluster) == 1)
+    wait_until(lambda: workers_of(cluster) == 1)
     waiting = DaskCluster(cluster.address)
     try:
-        until(lambda: len(render_processes(first.pid)) == 1)
-        later = cluster.add_worker()
-        until(lambda: len(render_processes(later.pid)) == 1)
+        wait_until(lambda: len(render_processes(first.pid)) == 1)
+        late_worker = cluster.add_worker()
+        wait_until(lambda: len(render_processes(late_worker.pid)) == 1)
     finally:
         waiting.close()
-    until(lambda: not render_processes(first.pid) and not render_processes(later.pid))
+    wait_until(lambda: not render_processes(first.pid) and not render_processes(late_worker.pid))
     third = cluster.add_worker()
-    until(lambda: workers_of(cluster) == 3)
+    wait_until(lambda: workers_of(cluster) == 3)
     assert render_processes(third.pid) == [], "nobody has asked for it"
 
 
-def until(true: Callable[[], bool]) -> None:
+def wait_until(condition: Callable[[], bool]) -> None:
     """Wait until a condition holds. Fail after a minute."""
     end = time.monotonic() + 60.0
-    while not true():
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.1)
 
@@ -218,10 +218,10 @@ def workers_of(cluster: Cluster) -> int:
 
 def test_a_missing_scheduler_or_worker_is_an_error(run, cluster):
     with pytest.raises(RenderError, match="no worker joined within 3 s. Run the same command again to resume"):
-        on_cluster(run, cluster, cluster_timeout_s=3.0)
+        seed_on_cluster(run, cluster, cluster_timeout_s=3.0)
     cluster.close()
     with pytest.raises(InputError, match=r"--scheduler.*no Dask scheduler answers at tcp://127.0.0.1:\d+"):
-        on_cluster(run, cluster)
+        seed_on_cluster(run, cluster)
 
 
 def test_a_lost_scheduler_ends_the_run_with_an_error(run, cluster):
@@ -231,4 +231,4 @@ def test_a_lost_scheduler_ends_the_run_with_an_error(run, cluster):
         cluster.scheduler.kill()
 
     with pytest.raises(RenderError, match="the scheduler did not return within 3 s.*Run the same command again to resume"):
-        on_cluster(run, cluster, end_it, cluster_timeout_s=3.0)
+        seed_on_cluster(run, cluster, end_it, cluster_timeout_s=3.0)

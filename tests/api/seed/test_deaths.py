@@ -14,40 +14,40 @@ from pathlib import Path
 
 import pytest
 
-from tests.api.seed.pmtiles_checker import checked
+from tests.api.seed.pmtiles_checker import check_archive
 from tests.api.seed.runs import rough_ground, write_ground
 
 pytestmark = pytest.mark.long
 
-DEATHS, OF_A_RUN = 50, 4
+DEATHS, RUN_KILL_INTERVAL = 50, 4
 """Every fourth kill hits the run itself."""
 
-ASKED = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
+SEED_OPTIONS = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
 
 
 def command(folder: Path, output: str, *options: str) -> list[str]:
     run = "from skugga.api.cli.main import main; main()"
-    return [sys.executable, "-c", run, "seed", str(folder / "dem.tif"), *ASKED, "-o", str(folder / output), *options]
+    return [sys.executable, "-c", run, "seed", str(folder / "dem.tif"), *SEED_OPTIONS, "-o", str(folder / output), *options]
 
 
 def render_processes(parent: int) -> list[int]:
     """Return the child processes of a run that draw."""
-    found = []
+    pids = []
     for entry in Path("/proc").iterdir():
         try:
             status = (entry / "stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
         except (OSError, ValueError):
             continue
         if entry.name.isdigit() and int(status[1]) == parent:
-            found.append(int(entry.name))
-    return found
+            pids.append(int(entry.name))
+    return pids
 
 
 def done_tasks(folder: Path, output: str) -> int:
-    said = subprocess.run(command(folder, output, "--dry-run"), capture_output=True, text=True, check=True).stdout
-    found = re.search(r"Done: (\d+)", said)
-    assert found
-    return int(found[1])
+    dry_run_output = subprocess.run(command(folder, output, "--dry-run"), capture_output=True, text=True, check=True).stdout
+    match = re.search(r"Done: (\d+)", dry_run_output)
+    assert match
+    return int(match[1])
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_fifty_kills_do_not_change_the_archive(folder: Path):
-    chance = random.Random(28)
+    rng = random.Random(28)
     subprocess.run(command(folder, "whole.pmtiles", "--workers", "1", "--json"), check=True, capture_output=True)
     deaths, done_before, runs = 0, 0, 0
     while deaths < DEATHS:
@@ -66,26 +66,26 @@ def test_fifty_kills_do_not_change_the_archive(folder: Path):
         ) as run:
             runs += 1
             while run.poll() is None:
-                time.sleep(chance.uniform(0.2, 5.0))
+                time.sleep(rng.uniform(0.2, 5.0))
                 deaths += 1
-                victims = [run.pid] if deaths % OF_A_RUN == 0 else render_processes(run.pid) or [run.pid]
+                victims = [run.pid] if deaths % RUN_KILL_INTERVAL == 0 else render_processes(run.pid) or [run.pid]
                 try:
-                    os.kill(chance.choice(victims), signal.SIGKILL)
+                    os.kill(rng.choice(victims), signal.SIGKILL)
                 except ProcessLookupError:
                     deaths -= 1
             run.wait()
-        done = done_tasks(folder, "a.pmtiles")
-        assert done >= done_before, "what was done stays done"
-        done_before = done
+        done_count = done_tasks(folder, "a.pmtiles")
+        assert done_count >= done_before, "what was done stays done"
+        done_before = done_count
         if run.returncode == 0:  # the run ended: repeat publishing, which must survive kills, too
             (folder / "a.pmtiles").unlink()
-    assert runs > DEATHS / OF_A_RUN / 2
+    assert runs > DEATHS / RUN_KILL_INTERVAL / 2
     last = subprocess.run(command(folder, "a.pmtiles", "--json", "--retry-failed"), capture_output=True, text=True, check=True)
     assert json.loads(last.stdout)["written"] in ([], [str(folder / "a.pmtiles")])  # the last death may have come after the archive
     assert (folder / "a.pmtiles").read_bytes() == (folder / "whole.pmtiles").read_bytes()
-    checked(folder / "a.pmtiles")
-    left = [path.name for path in folder.iterdir() if not path.name.startswith((".", "dem", "a.", "whole."))]
-    assert left == []
+    check_archive(folder / "a.pmtiles")
+    leftover_names = [path.name for path in folder.iterdir() if not path.name.startswith((".", "dem", "a.", "whole."))]
+    assert leftover_names == []
 
 
 def test_a_signal_ends_a_run_and_its_processes(folder: Path):

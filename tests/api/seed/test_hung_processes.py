@@ -29,7 +29,7 @@ def run(tmp_path: Path) -> Run:
     return Run(write_ground(tmp_path / "dem.tif", rough_ground(120)), tmp_path / "out.pmtiles", (11, 14))
 
 
-class Stopping(LocalPool):
+class StoppingPool(LocalPool):
     """Pool of one process, which is stopped ``times`` times when it receives the task of zoom 11."""
 
     def __init__(self, times: int, limit_s: float | None = None) -> None:
@@ -45,7 +45,7 @@ class Stopping(LocalPool):
         os.kill(self.pids[0], signal.SIGSTOP)
 
 
-def seeded(run: Run, pool: LocalPool, **options: float) -> list[TaskEnd]:
+def seed_with_pool(run: Run, pool: LocalPool, **options: float) -> list[TaskEnd]:
     """Seed by a pool, and return the ends of tasks."""
     ends: list[TaskEnd] = []
     shards = str(run.work / "shards")
@@ -58,7 +58,7 @@ def seeded(run: Run, pool: LocalPool, **options: float) -> list[TaskEnd]:
     return ends
 
 
-def tries_of(run: Run) -> list[int]:
+def attempt_counts(run: Run) -> list[int]:
     """Return the number of attempts in which a worker died, for each task with any."""
     with closing(sqlite3.connect(run.work / "tasks.sqlite")) as table:
         return [row[0] for row in table.execute("SELECT tries FROM tasks WHERE tries > 0")]
@@ -66,62 +66,65 @@ def tries_of(run: Run) -> list[int]:
 
 @pytest.mark.long
 def test_a_stopped_process_is_replaced_and_its_task_drawn(run: Run, tmp_path: Path):
-    pool = Stopping(times=1)
+    pool = StoppingPool(times=1)
     first = pool.pids
-    seeded(run, pool, min_limit_s=LIMIT_S)
-    assert pool.left == 0 and tries_of(run) == [1]
+    seed_with_pool(run, pool, min_limit_s=LIMIT_S)
+    assert pool.left == 0 and attempt_counts(run) == [1]
     assert pool.pids != first and not Path(f"/proc/{first[0]}").exists()
-    whole = Run(run.level, tmp_path / "whole.pmtiles", run.zooms)
-    whole()
-    assert run.output.read_bytes() == whole.output.read_bytes()
+    undisturbed_run = Run(run.level, tmp_path / "whole.pmtiles", run.zooms)
+    undisturbed_run()
+    assert run.output.read_bytes() == undisturbed_run.output.read_bytes()
 
 
 @pytest.mark.long
 def test_a_task_that_always_hangs_is_listed_as_failed(run: Run):
-    pool = Stopping(times=100, limit_s=1.0)
+    pool = StoppingPool(times=100, limit_s=1.0)
     with pytest.raises(RenderError, match=r"1 of \d+ tasks failed.*zoom 11 .*did not answer within 1 s"):
-        seeded(run, pool)
-    assert pool.left == 97 and tries_of(run) == [3]
+        seed_with_pool(run, pool)
+    assert pool.left == 97 and attempt_counts(run) == [3]
 
 
 @pytest.mark.long
 def test_a_hung_process_of_a_cluster_worker_is_replaced(run: Run):
     from skugga.api.seed.dask_worker import PersistentProcess
 
-    kept, shards = PersistentProcess(), str(run.work / "shards")
+    render_process, shards = PersistentProcess(), str(run.work / "shards")
     with TaskTable(run.work / "tasks.sqlite") as table:
         planned = plan_run(table, run.request, lambda text: None)
-        task = task_of(table, planned, table.waiting()[0], MIN_LIMIT_S)
+        task = task_of(table, planned, table.waiting_tasks()[0], MIN_LIMIT_S)
     run.store.write("run.json", planned.spec.model_dump_json().encode())
-    assert isinstance(kept.draw(shards, "run.json", task), TaskResult)
-    assert kept._process is not None
-    os.kill(kept._process.pid, signal.SIGSTOP)
-    said = kept.draw(shards, "run.json", task._replace(limit_s=1.0))
-    assert isinstance(said, TaskFailure) and (said.how, said.error) == ("died", "its render process did not answer within 1 s")
-    assert isinstance(kept.draw(shards, "run.json", task), TaskResult)
-    kept.end()
+    assert isinstance(render_process.draw(shards, "run.json", task), TaskResult)
+    assert render_process._process is not None
+    os.kill(render_process._process.pid, signal.SIGSTOP)
+    failure = render_process.draw(shards, "run.json", task._replace(limit_s=1.0))
+    assert isinstance(failure, TaskFailure) and (failure.kind, failure.error) == (
+        "died",
+        "its render process did not answer within 1 s",
+    )
+    assert isinstance(render_process.draw(shards, "run.json", task), TaskResult)
+    render_process.end()
 
 
 def test_processes_that_hang_at_the_start_end_the_run(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(RunSpec, "model_dump_json", lambda self: "")
     pool = LocalPool(1, start_limit_s=0.2)
-    stopped: list[int] = []
+    stopped_pids: list[int] = []
     try:
         pool.begin(RunSpec.model_construct(), "nowhere")
         with pytest.raises(GraphicsError, match=f"{MAX_FAILED_STARTS} render processes in a row ended or did not answer"):
             for _ in range(2 * MAX_FAILED_STARTS):
                 os.kill(pool.pids[0], signal.SIGSTOP)
-                stopped += pool.pids
+                stopped_pids += pool.pids
                 assert pool.wait(1.0) == []
     finally:
         pool.close()
-    assert len(set(stopped)) == MAX_FAILED_STARTS and not any(Path(f"/proc/{pid}").exists() for pid in stopped)
+    assert len(set(stopped_pids)) == MAX_FAILED_STARTS and not any(Path(f"/proc/{pid}").exists() for pid in stopped_pids)
 
 
 def test_the_limit_of_a_task_has_a_minimum_and_a_ratio(run: Run):
     with TaskTable(run.work / "tasks.sqlite") as table:
         planned = plan_run(table, run.request, lambda text: None)
-        number = table.waiting()[0]
-        expected_s = table.place(number)[-1]
+        number = table.waiting_tasks()[0]
+        expected_s = table.task_row(number)[-1]
         assert task_of(table, planned, number, MIN_LIMIT_S).limit_s == MIN_LIMIT_S > 100.0 * expected_s > 0.0
         assert task_of(table, planned, number, 0.01).limit_s == MAX_TIME_RATIO * expected_s

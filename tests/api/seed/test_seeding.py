@@ -13,7 +13,7 @@ from skugga.api.request import ProductRequest
 from skugga.api.seed import planning
 from skugga.api.seed.archive import ShardIndex
 from skugga.api.seed.messages import TaskFailure
-from skugga.api.seed.publishing import MANIFEST
+from skugga.api.seed.publishing import MANIFEST_NAME
 from skugga.api.seed.running import shard_name
 from skugga.api.seed.seeding import FAILED_LIST
 from skugga.api.seed.task_table import TaskTable
@@ -23,7 +23,7 @@ from skugga.api.workers.worker_state import WorkerState
 from skugga.shadows import render
 from skugga.terrain.errors import InputError, RenderError
 from skugga.terrain.level.parts import SunSpec
-from tests.api.seed.pmtiles_checker import checked
+from tests.api.seed.pmtiles_checker import check_archive
 from tests.api.seed.runs import LOW_SUN, Run, rough_ground, write_ground
 
 ZOOMS = 11, 14
@@ -43,41 +43,41 @@ def tiles_of(archive: Path) -> dict[tuple[int, int, int], bytes]:
         return {place: bytes(content) for place, content in all_tiles(MmapSource(file))}
 
 
-def work_of(table_of: Run) -> TaskTable:
-    return TaskTable(table_of.work / "tasks.sqlite")
+def task_table_of(seed_run: Run) -> TaskTable:
+    return TaskTable(seed_run.work / "tasks.sqlite")
 
 
 def test_seeded_tiles_equal_those_of_a_service(run: Run):
     run.layer = "color"
-    done, drawn = run()
-    assert done.written == [run.output] and done.drawn == len(drawn) > 4
-    checked(run.output)
+    result, drawn_tasks = run()
+    assert result.written == [run.output] and result.drawn == len(drawn_tasks) > 4
+    check_archive(run.output)
     with run.output.open("rb") as file:
         header, metadata = (reader := Reader(MmapSource(file))).header(), reader.metadata()
     assert (header["min_zoom"], header["max_zoom"]) == ZOOMS
     assert metadata["skugga"] == {
         "level": "dem", "layer": "color", "format": "png", "tms": "WebMercatorQuad", "query": "azimuth=225.0&altitude=12.0",
     }  # fmt: skip
-    sent: dict[tuple[int, int, int], bytes] = {}
+    service_tiles: dict[tuple[int, int, int], bytes] = {}
     state = WorkerState("any")
     level = LevelKey(**{**run.request.level.model_dump(), "version": "1"})
-    for task in drawn:
+    for task in drawn_tasks:
         job = BlockJob(
             level=level, matrix_set="WebMercatorQuad", zoom=task.zoom, block_x=task.x, block_y=task.y,
             request=ProductRequest(sun=LOW_SUN),
         )  # fmt: skip
         tiles = run_job(job, state).tiles
-        sent |= {(task.zoom, 4 * task.x + col, 4 * task.y + row): body for (row, col), body in tiles.items()}
-    kept = tiles_of(run.output)
-    assert set(kept) < set(sent) and all(sent[place] == body for place, body in kept.items())
-    assert len({body for place, body in sent.items() if place not in kept}) == 1, "all others are empty"
+        service_tiles |= {(task.zoom, 4 * task.x + col, 4 * task.y + row): body for (row, col), body in tiles.items()}
+    archive_tiles = tiles_of(run.output)
+    assert set(archive_tiles) < set(service_tiles) and all(service_tiles[place] == body for place, body in archive_tiles.items())
+    assert len({body for place, body in service_tiles.items() if place not in archive_tiles}) == 1, "all others are empty"
 
 
 def test_an_unchanged_level_draws_nothing(run: Run):
     run()
     before = run.output.stat()
-    done, drawn = run()
-    assert (done.drawn, done.written, drawn) == (0, [], [])
+    result, drawn_tasks = run()
+    assert (result.drawn, result.written, drawn_tasks) == (0, [], [])
     assert run.output.stat() == before
     run.output.unlink()
     assert run()[0].written == [run.output], "it is written again from what was drawn"
@@ -85,18 +85,19 @@ def test_an_unchanged_level_draws_nothing(run: Run):
 
 def test_the_order_of_tasks_does_not_change_the_archive(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     run()
-    in_order = TaskTable.waiting
-    monkeypatch.setattr(TaskTable, "waiting", lambda table: in_order(table)[::-1])
+    original_waiting = TaskTable.waiting_tasks
+    monkeypatch.setattr(TaskTable, "waiting_tasks", lambda table: original_waiting(table)[::-1])
     other = Run(run.level, tmp_path / "other.pmtiles", ZOOMS)
     other()
     assert other.output.read_bytes() == run.output.read_bytes()
 
 
 def test_the_most_expensive_tasks_come_first(run: Run):
-    with work_of(run) as table:
+    with task_table_of(run) as table:
         planned = planning.plan_run(table, run.request, lambda text: None)
         expected = [
-            table._db.execute("SELECT expected_s FROM tasks WHERE id = ?", (number,)).fetchone()[0] for number in table.waiting()
+            table._db.execute("SELECT expected_s FROM tasks WHERE id = ?", (number,)).fetchone()[0]
+            for number in table.waiting_tasks()
         ]
     assert planned.zooms.last == 14 and expected == sorted(expected, reverse=True) and len(set(expected)) > 3
 
@@ -113,11 +114,11 @@ def test_an_interrupted_run_resumes(run: Run, tmp_path: Path):
     with pytest.raises(KeyboardInterrupt):
         run(ends)
     assert not run.output.exists()
-    done, drawn = run()
-    whole = Run(run.level, tmp_path / "whole.pmtiles", ZOOMS)
-    all_drawn = whole()[1]
-    assert len(drawn) == len(all_drawn) - 3
-    assert run.output.read_bytes() == whole.output.read_bytes()
+    result, drawn_tasks = run()
+    complete_run = Run(run.level, tmp_path / "whole.pmtiles", ZOOMS)
+    all_drawn = complete_run()[1]
+    assert len(drawn_tasks) == len(all_drawn) - 3
+    assert run.output.read_bytes() == complete_run.output.read_bytes()
 
 
 def test_failed_tasks_are_listed_and_retried_on_request(run: Run):
@@ -131,9 +132,9 @@ def test_failed_tasks_are_listed_and_retried_on_request(run: Run):
     assert not run.output.exists()
     with pytest.raises(RenderError, match="tasks failed"):
         run()  # tasks stay failed
-    done, drawn = run(retry_failed=True)
-    assert {task.zoom for task in drawn} == {12} and len(drawn) == len(listed)
-    assert done.written == [run.output] and not (run.work / FAILED_LIST).exists()
+    result, drawn_tasks = run(retry_failed=True)
+    assert {task.zoom for task in drawn_tasks} == {12} and len(drawn_tasks) == len(listed)
+    assert result.written == [run.output] and not (run.work / FAILED_LIST).exists()
 
 
 @pytest.mark.parametrize(("deaths", "fails"), [(2, False), (3, True)])
@@ -174,11 +175,11 @@ def test_more_tasks_than_allowed_are_refused(run: Run):
 def test_lost_and_broken_shards_are_redrawn(run: Run):
     run()
     archive = run.output.read_bytes()
-    with work_of(run) as table:
+    with task_table_of(run) as table:
         names = [shard_name(key) for _, key in table.tasks_with_shards()]
-    lost, broken = (run.work / "shards" / name for name in names[:2])
-    lost.unlink()
-    broken.write_bytes(broken.read_bytes()[:-1] + b"x")
+    lost_shard, broken_shard = (run.work / "shards" / name for name in names[:2])
+    lost_shard.unlink()
+    broken_shard.write_bytes(broken_shard.read_bytes()[:-1] + b"x")
     run.output.unlink()
     assert len(run()[1]) == 2
     assert run.output.read_bytes() == archive
@@ -197,9 +198,9 @@ def test_a_level_that_changes_during_a_run_is_an_error(run: Run, tmp_path: Path)
         run(changes)
     assert not run.output.exists()
     run()
-    fresh = Run(run.level, tmp_path / "fresh.pmtiles", ZOOMS)
-    fresh()
-    assert run.output.read_bytes() == fresh.output.read_bytes()
+    fresh_run = Run(run.level, tmp_path / "fresh.pmtiles", ZOOMS)
+    fresh_run()
+    assert run.output.read_bytes() == fresh_run.output.read_bytes()
 
 
 def test_an_output_has_the_requested_zooms(run: Run):
@@ -215,8 +216,8 @@ def test_an_output_has_the_requested_zooms(run: Run):
 def test_suns_have_an_archive_each(run: Run):
     run.suns, run.zooms = (LOW_SUN, SunSpec(azimuth=90.0, altitude=30.0)), (12, 13)
     run()
-    one, other = (tiles_of(run.output_of(number)) for number in (0, 1))
-    assert set(one) == set(other) and one != other
+    first_tiles, second_tiles = (tiles_of(run.output_of(number)) for number in (0, 1))
+    assert set(first_tiles) == set(second_tiles) and first_tiles != second_tiles
     run.suns = (*run.suns, SunSpec(azimuth=180.0, altitude=45.0))
     assert {task.sun for task in run()[1]} == {2}, "a sun more draws its own tiles alone"
 
@@ -249,9 +250,9 @@ def test_the_outlook_gives_reasons_for_tasks(run: Run, monkeypatch: pytest.Monke
     run.zooms = 11, 12
 
     def reasons() -> set[str]:
-        with work_of(run) as table:
+        with task_table_of(run) as table:
             planning.plan_run(table, run.request, lambda text: None)
-            return {row[2] for row in table.outlook()}
+            return {row[2] for row in table.forecast()}
 
     assert reasons() == {"not drawn yet"}
     run()
@@ -278,8 +279,8 @@ def test_changed_metadata_redraws_nothing(run: Run, tmp_path: Path):
     run.level = level
     run()
     level.write_text("# said\nversion: 1\ntitle: Other\nattribution: Me\nterrain: {source: dem.tif}\n", encoding="utf-8")
-    done, drawn = run()
-    assert drawn == [] and done.written == [run.output], "the title stands in the archive"
+    result, drawn_tasks = run()
+    assert drawn_tasks == [] and result.written == [run.output], "the title stands in the archive"
     level.write_text("version: 1\nterrain: {source: dem.tif, exaggeration: 1.5}\n", encoding="utf-8")
     assert run()[1] != []
 
@@ -293,8 +294,8 @@ def test_a_folder_has_the_same_tiles_as_an_archive(run: Run, tmp_path: Path):
         for path in folder.output.rglob("*.png")
     }
     assert existing == tiles_of(run.output)
-    said = json.loads((folder.output / MANIFEST).read_text(encoding="utf-8"))
-    assert (said["minzoom"], said["maxzoom"], said["tiles"]) == (11, 14, ["{z}/{x}/{y}.png"])
+    manifest = json.loads((folder.output / MANIFEST_NAME).read_text(encoding="utf-8"))
+    assert (manifest["minzoom"], manifest["maxzoom"], manifest["tiles"]) == (11, 14, ["{z}/{x}/{y}.png"])
     folder.zooms = 12, 13
     folder()
     assert {int(path.parts[-3]) for path in folder.output.rglob("*.png")} == {12, 13}
@@ -308,7 +309,7 @@ def test_a_table_for_another_renderer_is_refused(run: Run, monkeypatch: pytest.M
 
 
 def test_a_table_has_one_run_at_a_time(run: Run):
-    with work_of(run), pytest.raises(InputError, match=r"--work.*in use by process \d+.*that run"):
+    with task_table_of(run), pytest.raises(InputError, match=r"--work.*in use by process \d+.*that run"):
         run()
     run()
 
@@ -327,10 +328,10 @@ def test_zooms_beyond_the_data_are_refused(run: Run):
 
 
 def test_tiles_of_a_task_are_one_range_of_ids(run: Run):
-    _, drawn = run()
-    with work_of(run) as table:
+    _, drawn_tasks = run()
+    with task_table_of(run) as table:
         (name,) = {row[0] for row in table._db.execute("SELECT sun FROM tasks")}
-        ranges = [ShardIndex.from_bytes(tiles).ids for _, _, tiles in table.done(name)]
+        ranges = [ShardIndex.from_bytes(tiles).ids for _, _, tiles in table.finished_tasks(name)]
     for before, after in zip(ranges, ranges[1:], strict=False):
         assert before.size == 0 or after.size == 0 or before[-1] < after[0]
     assert all(ids.size == 0 or ids[-1] - ids[0] < 16 for ids in ranges)

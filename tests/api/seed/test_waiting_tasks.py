@@ -7,7 +7,7 @@ import pytest
 from skugga.api.seed.running import MAX_STRETCH, WaitingTasks
 
 
-def handed_out(waiting: WaitingTasks, lanes: int) -> list[list[int]]:
+def hand_out_tasks(waiting: WaitingTasks, lanes: int) -> list[list[int]]:
     """Return the tasks of each lane when lanes take turns."""
     out: list[list[int]] = [[] for _ in range(lanes)]
     while waiting:
@@ -19,31 +19,31 @@ def handed_out(waiting: WaitingTasks, lanes: int) -> list[list[int]]:
 @pytest.mark.parametrize("lanes", [1, 2, 7, 400])
 @pytest.mark.parametrize("count", [1, 10, 1000])
 def test_every_task_is_handed_out_once(lanes: int, count: int):
-    assert sorted(sum(handed_out(WaitingTasks(range(count)), lanes), [])) == list(range(count))
+    assert sorted(sum(hand_out_tasks(WaitingTasks(range(count)), lanes), [])) == list(range(count))
 
 
 def test_one_lane_gets_all_tasks_in_order():
-    assert handed_out(WaitingTasks(range(1000)), 1) == [list(range(1000))]
+    assert hand_out_tasks(WaitingTasks(range(1000)), 1) == [list(range(1000))]
 
 
 def test_lanes_get_neighbouring_tasks():
-    drawn = handed_out(WaitingTasks(range(10_000)), 4)
-    for lane in drawn:
-        beside = sum(b == a + 1 for a, b in zip(lane, lane[1:], strict=False))
-        assert beside > (1.0 - 1.5 / MAX_STRETCH) * len(lane)
+    task_lanes = hand_out_tasks(WaitingTasks(range(10_000)), 4)
+    for lane in task_lanes:
+        adjacent_count = sum(b == a + 1 for a, b in zip(lane, lane[1:], strict=False))
+        assert adjacent_count > (1.0 - 1.5 / MAX_STRETCH) * len(lane)
 
 
 def test_tasks_start_about_in_their_order():
-    lanes = handed_out(WaitingTasks(range(1000)), 4)
-    turns = {task: turn for lane in lanes for turn, task in enumerate(lane)}
-    assert all(abs(4 * turn - task) <= 4 * 4 * MAX_STRETCH for task, turn in turns.items())
+    lanes = hand_out_tasks(WaitingTasks(range(1000)), 4)
+    position_by_task = {task: position for lane in lanes for position, task in enumerate(lane)}
+    assert all(abs(4 * position - task) <= 4 * 4 * MAX_STRETCH for task, position in position_by_task.items())
 
 
 def test_a_slow_lane_keeps_only_its_one_task():
     waiting = WaitingTasks(range(100))
     waiting.take(1)
-    others = [waiting.take(0) for _ in range(99)]
-    assert len(set(others)) == 99 and not waiting
+    tasks = [waiting.take(0) for _ in range(99)]
+    assert len(set(tasks)) == 99 and not waiting
     with pytest.raises(IndexError):
         waiting.take(0)
 

@@ -23,42 +23,42 @@ def profile(**changes) -> DeviceProfile:
     return DeviceProfile(**{**fields, **changes})
 
 
-def when_told(told: Path) -> DeviceProfile:
+def when_file_exists(path: Path) -> DeviceProfile:
     """Return a profile as soon as a file exists."""
-    while not told.exists():
+    while not path.exists():
         time.sleep(0.01)
     return profile()
 
 
-def endless(begun: Path) -> DeviceProfile:
-    """Leave a temporary file behind, append its path to ``begun``, and never end."""
-    _, left = tempfile.mkstemp()
-    _append(begun, left)
+def endless(start_log: Path) -> DeviceProfile:
+    """Leave a temporary file behind, append its path to ``start_log``, and never end."""
+    _, temporary_file = tempfile.mkstemp()
+    _append(start_log, temporary_file)
     signal.pause()
     raise AssertionError
 
 
-def failing(begun: Path) -> DeviceProfile:
+def failing(start_log: Path) -> DeviceProfile:
     """Fail to find a device."""
-    _append(begun, "failing")
+    _append(start_log, "failing")
     raise GraphicsError("libEGL is broken")
 
 
-def dying(begun: Path) -> DeviceProfile:
+def dying(start_log: Path) -> DeviceProfile:
     """End the process."""
-    _append(begun, "dying")
+    _append(start_log, "dying")
     os._exit(9)
 
 
-def buggy(begun: Path) -> DeviceProfile:
+def buggy(start_log: Path) -> DeviceProfile:
     """Divide by zero."""
-    _append(begun, "buggy")
+    _append(start_log, "buggy")
     return profile(took_s=1 / 0)
 
 
-def elsewhere(begun: Path) -> DeviceProfile:
+def other_device(start_log: Path) -> DeviceProfile:
     """Return the profile of another device."""
-    _append(begun, "elsewhere")
+    _append(start_log, "elsewhere")
     return profile(renderer="another")
 
 

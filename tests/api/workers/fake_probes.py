@@ -13,7 +13,7 @@ def seen(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0)
     return Observation(choice=choice, error=error, error_noise=0.1, interior=0.0, interior_noise=0.1, ms=ms, ms_noise=0.1)
 
 
-def at_once(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
+def probe_two_scales(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
     """Return an observation at each of two scales."""
     return MapProbes(classes=tuple(ProbedClass(scale=scale, sun=sun, seen={"sun": (seen(),)}) for scale in (4, 5)))
 

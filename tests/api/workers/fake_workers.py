@@ -36,17 +36,17 @@ from skugga.terrain.errors import GraphicsError, InputError, RenderError
 RENDERER, VERSION = "fake", "1"
 UNPROBED = MapClass(4, -1)
 FILM_ROWS, FILM_COLS = 4, 6
-PLACES = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
+TILE_POSITIONS = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
 
 
 def obedient(
     pipe: Connection,
     config: WorkerConfig,
-    begun: Semaphore | None = None,
-    go: Semaphore | None = None,
+    job_started: Semaphore | None = None,
+    may_finish: Semaphore | None = None,
     always: str | None = None,
 ) -> None:
-    """Answer at once. If ``go`` is given, signal ``begun`` for each job and wait for ``go``.
+    """Answer at once. If ``may_finish`` is given, signal ``job_started`` for each job and wait for ``may_finish``.
 
     The view of a plan is an order, unless ``always`` orders the same for all jobs: ``crash``, ``hang``, ``refuse`` (wrong
     input), ``fail``, ``doubt`` (broken OpenGL).
@@ -61,10 +61,10 @@ def obedient(
         if isinstance(job, Ping):
             pipe.send(Pong())
             continue
-        if begun is not None:
-            begun.release()
-        if go is not None:
-            go.acquire()
+        if job_started is not None:
+            job_started.release()
+        if may_finish is not None:
+            may_finish.acquire()
         order = always or "draw" if isinstance(job, BlockJob) else getattr(job, "view", "described")
         if order == "crash":
             os._exit(9)
@@ -73,7 +73,9 @@ def obedient(
         pipe.send(_answer(order))
 
 
-def planning(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = None, go: Semaphore | None = None) -> None:
+def planning(
+    pipe: Connection, config: WorkerConfig, job_started: Semaphore | None = None, may_finish: Semaphore | None = None
+) -> None:
     """Answer with the basis of plans.
 
     A plan has the name of its policy, a tile the version of its plans. On a calibrated basis a tile reports a missing probe
@@ -92,24 +94,24 @@ def planning(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = N
         if isinstance(job, PlanBasis):
             basis = job
             continue
-        if begun is not None:
-            begun.release()
-        if go is not None:
-            go.acquire()
+        if job_started is not None:
+            job_started.release()
+        if may_finish is not None:
+            may_finish.acquire()
         if isinstance(job, PlanJob):
             pipe.send(PlanAnswer(f'{{"policy": "{"rules" if basis.device is None else "predict"}"}}'))
         else:
             version = basis.version_of(job.level)
-            lacks = None if basis.device is None or basis.probes_of(job.level).classes else UNPROBED
-            tiles = dict.fromkeys(PLACES, version.encode())
-            pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed=lacks))
+            unprobed_class = None if basis.device is None or basis.probes_of(job.level).classes else UNPROBED
+            tiles = dict.fromkeys(TILE_POSITIONS, version.encode())
+            pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed=unprobed_class))
 
 
 def filming(
     pipe: Connection,
     config: WorkerConfig,
-    begun: Semaphore | None = None,
-    go: Semaphore | None = None,
+    job_started: Semaphore | None = None,
+    may_finish: Semaphore | None = None,
     orders: tuple[tuple[int, str], ...] = (),
 ) -> None:
     """Draw frames that hold the number of frames planned one after the other. Answer all other jobs like ``obedient``.
@@ -128,20 +130,20 @@ def filming(
             pipe.send(Pong())
             continue
         if isinstance(job, FilmCheckJob):
-            refused = Failure.of(InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground"))
-            pipe.send(refused if job.view == "refuse" else FilmChecked(1500.0))
+            failure = Failure.of(InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground"))
+            pipe.send(failure if job.view == "refuse" else FilmChecked(1500.0))
             continue
-        if begun is not None:
-            begun.release()
-        if go is not None:
-            go.acquire()
+        if job_started is not None:
+            job_started.release()
+        if may_finish is not None:
+            may_finish.acquire()
         if not isinstance(job, FrameJob):
             pipe.send(_answer("draw"))
             continue
         order = dict(orders).get(job.number)
         if order == "crash":
             os._exit(9)
-        planned = 1 if job.before is None else job.before.state + 1
+        planned = 1 if job.previous_plans is None else job.previous_plans.state + 1
         picture = FilmPicture(np.full((FILM_ROWS, FILM_COLS, 3), planned, np.uint8), PlanHandover(planned))  # type: ignore[arg-type]
         pipe.send(picture if order is None else _answer(order))
 
@@ -159,15 +161,20 @@ def unable(pipe: Connection, config: WorkerConfig) -> None:
 
 
 def compiling(
-    pipe: Connection, config: WorkerConfig, go: Semaphore | None = None, steps: int = 0, step_s: float = 0.0, missing: int = 0
+    pipe: Connection,
+    config: WorkerConfig,
+    may_finish: Semaphore | None = None,
+    steps: int = 0,
+    step_s: float = 0.0,
+    missing: int = 0,
 ) -> None:
-    """Report compilation before the process is ready, until ``go``, and in some steps before each job.
+    """Report compilation before the process is ready, until ``may_finish``, and in some steps before each job.
 
     ``missing`` loops remain to be compiled.
     """
     pipe.send(Preparing("compiling loops for map tiles", 3, 9))
-    if go is not None:
-        go.acquire()
+    if may_finish is not None:
+        may_finish.acquire()
     pipe.send(Ready(RENDERER, missing_loops=missing))
     while True:
         try:
@@ -210,4 +217,4 @@ def _answer(order: str) -> BlockTiles | PlanAnswer | Failure:
         return Failure.of(GraphicsError("OpenGL left an error behind"), fatal=True)
     if order != "draw":
         return PlanAnswer(f'{{"view": "{order}"}}')
-    return BlockTiles(dict.fromkeys(PLACES, b"tile"), 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)
+    return BlockTiles(dict.fromkeys(TILE_POSITIONS, b"tile"), 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)

@@ -80,7 +80,7 @@ def test_a_child_that_exits_leaves_its_status():
         await child.start()
         with pytest.raises(EOFError):
             await child.in_new_thread(child.pipe.recv)
-        await child.gone()
+        await child.wait_for_end()
         assert child.exitcode == 3
 
     with_child(scenario, leave, 3)

@@ -18,10 +18,10 @@ from skugga.api.workers.jobs import Ready
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.worker_config import WorkerConfig
 from tests.api.http.test_serve import ROOT
-from tests.api.workers.test_pool import until, with_pool
-from tests.terrain.gl.egl_machines import two_mesas
+from tests.api.workers.test_pool import run_with_pool, wait_until
+from tests.terrain.gl.egl_machines import duplicate_mesa_environment
 
-SERVE = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 'skugga'; main()"
+SERVE_SCRIPT = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 'skugga'; main()"
 
 
 def numbered(pipe: Connection, config: WorkerConfig) -> None:
@@ -35,14 +35,14 @@ def test_a_replaced_process_keeps_its_device_number(caplog: pytest.LogCaptureFix
         return re.findall(r"render process (\d+) ready after .*: card, EGL device (\d+)", caplog.text)
 
     async def scenario(pool: Pool) -> None:
-        await until(lambda: len(devices()) == 3)
+        await wait_until(lambda: len(devices()) == 3)
         assert sorted(number for _, number in devices()) == ["0", "1", "2"]
         os.kill(int(next(pid for pid, number in devices() if number == "1")), signal.SIGKILL)
-        await until(lambda: len(devices()) == 4)
+        await wait_until(lambda: len(devices()) == 4)
         assert devices()[-1][1] == "1"
 
     with caplog.at_level(logging.INFO, "skugga"):
-        with_pool(scenario, numbered, workers=3)
+        run_with_pool(scenario, numbered, workers=3)
 
 
 def test_seeding_processes_have_device_numbers(monkeypatch: pytest.MonkeyPatch):
@@ -54,14 +54,20 @@ def test_seeding_processes_have_device_numbers(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.usefixtures("gl")
 def test_a_service_uses_two_devices(hills_level: Path, tmp_path: Path):
-    environment = {**os.environ, **two_mesas(tmp_path), "SKUGGA_EGL_DEVICE": "0,1", "SKUGGA_WORKERS": "2", "SKUGGA_PORT": "0"}
-    command = [sys.executable, "-c", SERVE, "serve", str(hills_level)]
+    environment = {
+        **os.environ,
+        **duplicate_mesa_environment(tmp_path),
+        "SKUGGA_EGL_DEVICE": "0,1",
+        "SKUGGA_WORKERS": "2",
+        "SKUGGA_PORT": "0",
+    }
+    command = [sys.executable, "-c", SERVE_SCRIPT, "serve", str(hills_level)]
     with subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        used: list[str] = []
+        device_numbers: list[str] = []
         for line in process.stderr:
-            used += re.findall(r"ready after .*EGL device (\d+)", line)
-            if len(used) == 2:
+            device_numbers += re.findall(r"ready after .*EGL device (\d+)", line)
+            if len(device_numbers) == 2:
                 break
         process.kill()
-    assert used == ["0", "1"]
+    assert device_numbers == ["0", "1"]

@@ -12,8 +12,8 @@ from tests.products import sun_hours_of
 LEVEL = LevelKey(path=Path("hills.yaml"), version="1")
 
 
-def a_map(side: int, **more: object) -> MapJob:
-    return MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, side), format="png", **more)
+def map_job(side: int, **fields: object) -> MapJob:
+    return MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, side), format="png", **fields)
 
 
 def test_every_kind_of_job_has_an_initial_estimate():
@@ -22,8 +22,8 @@ def test_every_kind_of_job_has_an_initial_estimate():
 
 def test_map_times_scale_with_pixels_and_differ_by_product():
     times = ExpectedTimes()
-    assert times.of(a_map(2000)) == 4 * times.of(a_map(1000)) == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
-    times.learn(a_map(1000), 0.2)
-    assert abs(times.of(a_map(2000)) - 0.8) < 1e-9
-    of_a_date = a_map(1000, request=sun_hours_of(date="2024-03-21"))
-    assert times.of(of_a_date) == INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
+    assert times.of(map_job(2000)) == 4 * times.of(map_job(1000)) == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
+    times.learn(map_job(1000), 0.2)
+    assert abs(times.of(map_job(2000)) - 0.8) < 1e-9
+    sun_hours_job = map_job(1000, request=sun_hours_of(date="2024-03-21"))
+    assert times.of(sun_hours_job) == INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX

@@ -19,7 +19,7 @@ from skugga.api.workers.jobs import Job, MapJob, PlanJob, SnapshotJob
 from tests.api.workers.test_pool import LEVEL, block
 
 SETTINGS = Settings(workers=1, queue_timeout_s=20.0)
-SCREEN = SETTINGS.queue_length
+SCREENFUL = SETTINGS.queue_length
 
 
 def snapshot(number: int) -> SnapshotJob:
@@ -34,11 +34,11 @@ def pending(job: Job, client: str, arrived_s: float = 0.0) -> PendingJob:
 class Crowd:
     """Clients that send jobs to one process, some at a time.
 
-    ``takes`` returns the time of a job. Like map clients, a client sends its next job after each answer, and does not
+    ``job_seconds`` returns the time of a job. Like map clients, a client sends its next job after each answer, and does not
     repeat a refused one.
     """
 
-    takes: Callable[[Job], float]
+    job_seconds: Callable[[Job], float]
     queue: JobQueue = field(default_factory=lambda: JobQueue(1))
     answered: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
@@ -47,45 +47,45 @@ class Crowd:
     waited_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
     def run(self, clients: dict[str, tuple[int, list[Job]]], until_s: float = 1e9) -> Crowd:
-        left = {client: list(jobs) for client, (_, jobs) in clients.items()}
+        remaining_jobs = {client: list(jobs) for client, (_, jobs) in clients.items()}
         events: list[tuple[float, int, str, Any]] = []
         running: PendingJob | None = None
         number = 0
 
-        def later(at_s: float, what: str, of: Any) -> None:
+        def later(at_s: float, event_kind: str, event_target: Any) -> None:
             nonlocal number
             number += 1
-            heapq.heappush(events, (at_s, number, what, of))
+            heapq.heappush(events, (at_s, number, event_kind, event_target))
 
-        for client, (at_a_time, _) in clients.items():
-            for _ in range(at_a_time):
+        for client, (concurrency, _) in clients.items():
+            for _ in range(concurrency):
                 later(0.0, "ask", client)
         while events and events[0][0] < until_s:
-            now_s, _, what, of = heapq.heappop(events)
-            if what == "ask" and left[of]:
-                job = left[of].pop(0)
+            now_s, _, event_kind, event_target = heapq.heappop(events)
+            if event_kind == "ask" and remaining_jobs[event_target]:
+                job = remaining_jobs[event_target].pop(0)
                 try:
-                    check_admission(self.queue, job, of, now_s, SETTINGS)
-                    each = pending(job, of, now_s)
-                    self.queue.put(each)
-                    later(now_s + SETTINGS.queue_timeout_s, "expire", each)
+                    check_admission(self.queue, job, event_target, now_s, SETTINGS)
+                    pending_job = pending(job, event_target, now_s)
+                    self.queue.put(pending_job)
+                    later(now_s + SETTINGS.queue_timeout_s, "expire", pending_job)
                 except RetryLaterError:
-                    self.refused[of] += 1
-                    later(now_s + 1.0, "ask", of)
-            elif what == "expire" and self.queue.waiting.get(of.job) is of:
-                self.queue.discard(of)
-                self.expired[of.client] += 1
-                later(now_s, "ask", of.client)
-            elif what == "done":
+                    self.refused[event_target] += 1
+                    later(now_s + 1.0, "ask", event_target)
+            elif event_kind == "expire" and self.queue.waiting.get(event_target.job) is event_target:
+                self.queue.discard(event_target)
+                self.expired[event_target.client] += 1
+                later(now_s, "ask", event_target.client)
+            elif event_kind == "done":
                 running = None
-                self.queue.discard(of)
-                self.queue.learn(of.job, self.takes(of.job))
-                self.answered[of.client] += 1
-                self.spent_s[of.client] += self.takes(of.job)
-                later(now_s, "ask", of.client)
+                self.queue.discard(event_target)
+                self.queue.learn(event_target.job, self.job_seconds(event_target.job))
+                self.answered[event_target.client] += 1
+                self.spent_s[event_target.client] += self.job_seconds(event_target.job)
+                later(now_s, "ask", event_target.client)
             if running is None and (running := self.queue.take(now_s)) is not None:
                 self.waited_s[running.client].append(now_s - running.arrived_s)
-                later(now_s + self.takes(running.job), "done", running)
+                later(now_s + self.job_seconds(running.job), "done", running)
         return self
 
 
@@ -105,8 +105,8 @@ def test_one_client_on_a_cold_level_is_never_refused():
 
 
 def test_a_screenful_at_once_is_admitted():
-    crowd = Crowd(lambda job: 0.3).run({"one": (SCREEN, blocks_of(0, SCREEN))})
-    assert crowd.answered["one"] == SCREEN and not crowd.refused
+    crowd = Crowd(lambda job: 0.3).run({"one": (SCREENFUL, blocks_of(0, SCREENFUL))})
+    assert crowd.answered["one"] == SCREENFUL and not crowd.refused
 
 
 def test_eight_clients_get_equal_shares():
@@ -118,9 +118,9 @@ def test_eight_clients_get_equal_shares():
 def test_a_greedy_client_does_not_slow_normal_ones():
     """It requests 300 pictures at a time. Each takes ten times as long as a tile."""
     jobs = {f"normal {n}": (6, blocks_of(n, 1000)) for n in range(7)}
-    odd: list[Job] = [each for n in range(10_000) for each in (snapshot(n), block(n))]
-    takes = lambda job: 0.1 if job.level != LEVEL else 1.0  # noqa: E731
-    crowd = Crowd(takes).run({**jobs, "greedy": (300, odd)}, until_s=40.0)
+    greedy_jobs: list[Job] = [greedy_job for n in range(10_000) for greedy_job in (snapshot(n), block(n))]
+    job_seconds = lambda job: 0.1 if job.level != LEVEL else 1.0  # noqa: E731
+    crowd = Crowd(job_seconds).run({**jobs, "greedy": (300, greedy_jobs)}, until_s=40.0)
     assert not [name for name in jobs if crowd.refused[name] or crowd.expired[name]]
     assert crowd.refused["greedy"] > 0, "what it asks for beyond its share is refused"
     normal_s = [crowd.spent_s[name] for name in jobs]
@@ -139,22 +139,22 @@ def test_the_queued_work_of_a_client_is_bounded_in_seconds():
         queue.put(pending(snapshot(n), "one"))
     heavy = PlanJob(level=LEVEL, view="map")
     queue.learn(heavy, 30.0)
-    with pytest.raises(RetryLaterError, match="this one would add 30.0 s") as told:
+    with pytest.raises(RetryLaterError, match="this one would add 30.0 s") as error_info:
         check_admission(queue, heavy, "one", 0.0, SETTINGS)
-    assert told.value.retry_after_s == 1
+    assert error_info.value.retry_after_s == 1
     check_admission(queue, heavy, "other", 0.0, SETTINGS)
 
 
 def test_a_screenful_is_admitted_however_long_it_takes():
     queue = JobQueue(1)
     queue.learn(block(0), 5.0)
-    for n in range(SCREEN):
+    for n in range(SCREENFUL):
         check_admission(queue, block(n), "one", 0.0, SETTINGS)
         queue.put(pending(block(n), "one"))
-    with pytest.raises(RetryLaterError) as told:
-        check_admission(queue, block(SCREEN), "one", 0.0, SETTINGS)
-    assert told.value.retry_after_s == 120
-    check_admission(queue, block(SCREEN), "other", 0.0, SETTINGS)
+    with pytest.raises(RetryLaterError) as error_info:
+        check_admission(queue, block(SCREENFUL), "one", 0.0, SETTINGS)
+    assert error_info.value.retry_after_s == 120
+    check_admission(queue, block(SCREENFUL), "other", 0.0, SETTINGS)
 
 
 @pytest.mark.parametrize(("side", "is_one"), [(256, True), (1024, True), (1025, False)])
@@ -192,4 +192,4 @@ def test_layers_have_separate_expected_times():
 
 
 def test_retry_after_is_whole_and_at_most_two_minutes():
-    assert [retry_after_s(each) for each in (0.0, 0.2, 7.1, 1e9)] == [1, 1, 8, 120]
+    assert [retry_after_s(wait_s) for wait_s in (0.0, 0.2, 7.1, 1e9)] == [1, 1, 8, 120]

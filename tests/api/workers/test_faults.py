@@ -17,12 +17,12 @@ from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
 
 X, Y = CORNER
-SOON_S = 30.0
+TIMEOUT_S = 30.0
 
 
-def until(is_true: Callable[[], bool]) -> None:
-    end = time.monotonic() + SOON_S
-    while not is_true():
+def wait_until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + TIMEOUT_S
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
 
@@ -37,13 +37,15 @@ def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
     releases it.
     """
     spawn = get_context("spawn")
-    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
-    client = serve_with(functools.partial(fake_workers.obedient, begun=begun, go=go), queue_length=1, queue_work_s=0.1)
+    job_started, may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
+    client = serve_with(
+        functools.partial(fake_workers.obedient, job_started=job_started, may_finish=may_finish), queue_length=1, queue_work_s=0.1
+    )
 
     def wait() -> None:
-        assert begun.acquire(timeout=SOON_S)
+        assert job_started.acquire(timeout=TIMEOUT_S)
 
-    return client, wait, go.release
+    return client, wait, may_finish.release
 
 
 def test_a_full_queue_is_503_with_retry_after(gated):
@@ -54,9 +56,9 @@ def test_a_full_queue_is_503_with_retry_after(gated):
         second = threads.submit(client.get, tile(X - 1))
         while client.service.pool.queued < 1:
             client.get("/healthz")
-        refused = client.get(tile(X, Y - 1))
-        check_problem(refused, 503, "busy", None)
-        assert int(refused.headers["retry-after"]) >= 1
+        refusal = client.get(tile(X, Y - 1))
+        check_problem(refusal, 503, "busy", None)
+        assert int(refusal.headers["retry-after"]) >= 1
         release()
         release()
         assert [first.result().status_code, second.result().status_code] == [200, 200]
@@ -79,8 +81,8 @@ def test_work_of_a_disconnected_client_is_dropped(gated):
     with ThreadPoolExecutor(1) as thread:
         first = thread.submit(client.get, tile())
         wait_begun()
-        with socket.create_connection((client.base_url.host, client.base_url.port)) as gone:
-            gone.sendall(f"GET {tile(X - 1)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+        with socket.create_connection((client.base_url.host, client.base_url.port)) as connection:
+            connection.sendall(f"GET {tile(X - 1)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
             while client.service.pool.queued < 1:
                 client.get("/healthz")
         while client.service.pool.queued:
@@ -130,20 +132,20 @@ def test_a_service_that_cannot_draw_is_503(serve_with):
 
 def test_a_process_killed_during_warm_up_is_restarted(serve_with):
     """The death of a process is no evidence about OpenGL."""
-    go = get_context("spawn").Semaphore(0)
-    client = serve_with(functools.partial(fake_workers.compiling, go=go))
-    until(lambda: client.service.pool.preparing.task == "compiling loops for map tiles")
+    may_finish = get_context("spawn").Semaphore(0)
+    client = serve_with(functools.partial(fake_workers.compiling, may_finish=may_finish))
+    wait_until(lambda: client.service.pool.preparing.task == "compiling loops for map tiles")
     with ThreadPoolExecutor(1) as thread:
         waiting = thread.submit(client.get, tile())
-        until(lambda: client.service.pool.queued == 1)
+        wait_until(lambda: client.service.pool.queued == 1)
         (worker,) = client.service.pool._workers
         os.kill(worker.pid, signal.SIGKILL)
         answer = waiting.result()
     problem = check_problem(answer, 503, "worker_start", None)
     assert "OpenGL" not in problem["detail"] and "restarted" in problem["detail"]
     assert int(answer.headers["retry-after"]) >= 1
-    go.release()
-    until(lambda: client.get("/readyz").status_code == 200)
+    may_finish.release()
+    wait_until(lambda: client.get("/readyz").status_code == 200)
     assert client.get(tile()).status_code == 200
 
 
@@ -154,8 +156,8 @@ def test_an_unexpected_renderer_is_503(serve_with):
 
 
 def test_a_first_start_reports_progress_and_tiles_wait(serve_with):
-    go = get_context("spawn").Semaphore(0)
-    client = serve_with(functools.partial(fake_workers.compiling, go=go))
+    may_finish = get_context("spawn").Semaphore(0)
+    client = serve_with(functools.partial(fake_workers.compiling, may_finish=may_finish))
     with ThreadPoolExecutor(1) as thread:
         waiting = thread.submit(client.get, tile())
         while (problem := check_problem(client.get("/readyz"), 503, "not_ready", None))["preparing"]["total"] == 0:
@@ -164,11 +166,11 @@ def test_a_first_start_reports_progress_and_tiles_wait(serve_with):
         assert problem["preparing"] == {"task": "compiling loops for map tiles", "done": 3, "total": 9}
         time.sleep(1.0)
         later = client.get("/readyz").json()["preparing"]["elapsed_s"]
-        assert 1.0 <= later - elapsed_s < SOON_S, "seconds since the service began, whoever asks"
+        assert 1.0 <= later - elapsed_s < TIMEOUT_S, "seconds since the service began, whoever asks"
         assert client.get("/levels").status_code == 200, "what needs no drawing is there"
         assert not waiting.done()
-        go.release()
-        assert waiting.result(SOON_S).status_code == 200
+        may_finish.release()
+        assert waiting.result(TIMEOUT_S).status_code == 200
     ready = client.get("/readyz")
     assert ready.status_code == 200 and ready.json()["preparing"] is None
 
@@ -188,8 +190,8 @@ def test_not_ready_before_the_first_process(serve_with):
 def test_not_modified_is_answered_without_rendering(serve_with):
     client = serve_with(fake_workers.obedient, block_cache_bytes=0, tile_cache_bytes=0)
     tag = client.get(tile()).headers["etag"]
-    for given in (tag, f'"other", {tag}', f"W/{tag}", "*"):
-        answer = client.get(tile(), headers={"If-None-Match": given})
+    for if_none_match in (tag, f'"other", {tag}', f"W/{tag}", "*"):
+        answer = client.get(tile(), headers={"If-None-Match": if_none_match})
         assert (answer.status_code, answer.content) == (304, b"")
         assert answer.headers["etag"] == tag
         assert "max-age" in answer.headers["cache-control"]
@@ -211,8 +213,8 @@ def test_empty_tiles_follow_the_configured_policy(serve_with, policy: str):
 
 
 def test_the_entity_tag_depends_on_the_renderer(serve_with, client: Client):
-    fake, real = serve_with(fake_workers.obedient).get(tile()), client.get(tile())
-    assert fake.headers["etag"] != real.headers["etag"]
+    fake_response, real_response = serve_with(fake_workers.obedient).get(tile()), client.get(tile())
+    assert fake_response.headers["etag"] != real_response.headers["etag"]
 
 
 def test_an_unexpected_error_is_a_problem_document(serve_with, monkeypatch: pytest.MonkeyPatch):
@@ -230,7 +232,7 @@ def test_links_use_the_public_url(serve_with):
 
 def test_only_configured_origins_get_cors_headers(serve_with):
     client = serve_with(fake_workers.obedient, cors_origins=("https://a.example",))
-    theirs, others = (client.get("/levels", headers={"Origin": f"https://{name}.example"}) for name in "ab")
-    assert theirs.headers["access-control-allow-origin"] == "https://a.example"
-    assert "origin" in theirs.headers["vary"].lower()
-    assert "access-control-allow-origin" not in others.headers
+    allowed_response, refused_response = (client.get("/levels", headers={"Origin": f"https://{name}.example"}) for name in "ab")
+    assert allowed_response.headers["access-control-allow-origin"] == "https://a.example"
+    assert "origin" in allowed_response.headers["vary"].lower()
+    assert "access-control-allow-origin" not in refused_response.headers

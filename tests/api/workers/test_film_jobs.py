@@ -34,13 +34,13 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 from tests.api.conftest import write_level
 from tests.api.workers import fake_workers
-from tests.api.workers.test_pool import LEVEL, SOON_S, block, order, until, with_pool
+from tests.api.workers.test_pool import LEVEL, TIMEOUT_S, block, order, run_with_pool, wait_until
 
 SPAN = FilmSpan(10, 60.0)
 
 
 def frame(number: int = 0, before: PlanHandover | None = None) -> FrameJob:
-    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, before=before)
+    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, previous_plans=before)
 
 
 def pending(job: Any, arrived_s: float) -> PendingJob:
@@ -50,13 +50,13 @@ def pending(job: Any, arrived_s: float) -> PendingJob:
 def test_pictures_go_before_earlier_frames():
     queue = JobQueue(1, ExpectedTimes())
     first, tile, plan = pending(frame(), 0.0), pending(block(1), 1.0), pending(order("map"), BACKGROUND_PENALTY_S - 1.0)
-    for each in (first, tile, plan):
-        queue.put(each)
-    taken = []
+    for job in (first, tile, plan):
+        queue.put(job)
+    taken_jobs = []
     for _ in range(3):
-        taken.append(queue.take(20.0))
-        queue.discard(taken[-1])  # type: ignore[arg-type]
-    assert taken == [tile, plan, first]
+        taken_jobs.append(queue.take(20.0))
+        queue.discard(taken_jobs[-1])  # type: ignore[arg-type]
+    assert taken_jobs == [tile, plan, first]
 
 
 def test_a_frame_is_not_starved_by_a_steady_load():
@@ -82,7 +82,7 @@ def test_frames_leave_one_process_for_pictures():
 def test_waiting_frames_do_not_count_as_queued_pictures():
     queue = JobQueue(1, ExpectedTimes())
     queue.put(pending(frame(), 0.0))
-    assert (len(queue), len(queue.pictures)) == (1, 0)
+    assert (len(queue), len(queue.foreground_jobs)) == (1, 0)
     assert queue.wait_s(block(1), "", 5.0) == 0.0
 
 
@@ -91,42 +91,44 @@ class FilmGate:
 
     def __init__(self, *orders: tuple[int, str]) -> None:
         spawn = get_context("spawn")
-        self._begun, self._go = spawn.Semaphore(0), spawn.Semaphore(0)
-        self.target = functools.partial(fake_workers.filming, begun=self._begun, go=self._go, orders=orders)
+        self._job_started, self._may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
+        self.target = functools.partial(
+            fake_workers.filming, job_started=self._job_started, may_finish=self._may_finish, orders=orders
+        )
 
-    async def begun(self) -> None:
-        assert await asyncio.to_thread(self._begun.acquire, True, SOON_S)
+    async def job_started(self) -> None:
+        assert await asyncio.to_thread(self._job_started.acquire, True, TIMEOUT_S)
 
     def open(self, times: int = 1) -> None:
         for _ in range(times):
-            self._go.release()
+            self._may_finish.release()
 
 
 def test_pictures_pass_frames_and_a_full_queue_accepts_them():
     gate = FilmGate()
 
     async def scenario(pool: Pool) -> None:
-        ended: list[str] = []
+        finished: list[str] = []
 
         async def run(name: str, job: Any) -> None:
             await pool.run(job)
-            ended.append(name)
+            finished.append(name)
 
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(run("running", block(0)))
-            await gate.begun()
+            await gate.job_started()
             tasks.create_task(run("frame", frame(0)))
             tasks.create_task(run("frame", frame(1)))
-            await until(lambda: pool.queued == 2)
+            await wait_until(lambda: pool.queued == 2)
             tasks.create_task(run("tile", block(1)))
-            await until(lambda: pool.queued == 3)
+            await wait_until(lambda: pool.queued == 3)
             with pytest.raises(RetryLaterError, match="1 pictures of this client are queued"):
                 await pool.run(block(2))
             gate.open(4)
-        assert ended == ["running", "tile", "frame", "frame"]
+        assert finished == ["running", "tile", "frame", "frame"]
         assert pool.counters.refused == 1
 
-    with_pool(scenario, gate.target, queue_length=1, queue_work_s=0.1)
+    run_with_pool(scenario, gate.target, queue_length=1, queue_work_s=0.1)
 
 
 def test_waiting_frames_do_not_time_out():
@@ -134,9 +136,9 @@ def test_waiting_frames_do_not_time_out():
 
     async def scenario(pool: Pool) -> None:
         running = asyncio.create_task(pool.run(block(0)))
-        await gate.begun()
+        await gate.job_started()
         waiting = asyncio.create_task(pool.run(frame()))
-        await until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued == 1)
         with pytest.raises(RetryLaterError, match="waited longer than the limit of"):
             await pool.run(block(1))  # came later, and times out
         assert not waiting.done()
@@ -144,7 +146,7 @@ def test_waiting_frames_do_not_time_out():
         await running
         assert isinstance(await waiting, FilmPicture)
 
-    with_pool(scenario, gate.target, queue_timeout_s=1.0)
+    run_with_pool(scenario, gate.target, queue_timeout_s=1.0)
 
 
 def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
@@ -153,17 +155,17 @@ def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
     async def scenario(pool: Pool) -> None:
         gate.open()
         first = await pool.run(frame(0))
-        await gate.begun()
-        drawing = asyncio.create_task(pool.run(frame(1, first.after)))  # type: ignore[union-attr]
-        await gate.begun()
+        await gate.job_started()
+        drawing = asyncio.create_task(pool.run(frame(1, first.next_plans)))  # type: ignore[union-attr]
+        await gate.job_started()
         os.kill(*pool.pids, signal.SIGKILL)
-        await gate.begun()
+        await gate.job_started()
         gate.open()
         second = await drawing
         assert isinstance(second, FilmPicture) and np.array_equal(second.color, np.full((4, 6, 3), 2))
         assert pool.counters.retried == 1
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_a_frame_that_crashes_two_processes_is_an_error():
@@ -172,7 +174,7 @@ def test_a_frame_that_crashes_two_processes_is_an_error():
             await pool.run(frame(3))
         assert pool.counters.retried == 1
 
-    with_pool(scenario, functools.partial(fake_workers.filming, orders=((3, "crash"),)))
+    run_with_pool(scenario, functools.partial(fake_workers.filming, orders=((3, "crash"),)))
 
 
 def test_a_cancelled_frame_is_dropped():
@@ -180,16 +182,16 @@ def test_a_cancelled_frame_is_dropped():
 
     async def scenario(pool: Pool) -> None:
         running = asyncio.create_task(pool.run(block(0)))
-        await gate.begun()
+        await gate.job_started()
         waiting = asyncio.create_task(pool.run(frame()))
-        await until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued == 1)
         waiting.cancel()
-        await until(lambda: pool.queued == 0)
+        await wait_until(lambda: pool.queued == 0)
         assert pool.counters.abandoned == 1
         gate.open()
         await running
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 ALGORITHMS = ["sweep"] * 3 + ["shadow_map"] * 9
@@ -220,27 +222,30 @@ def test_single_frames_equal_those_of_the_film(
     scene = build_scene(load_level(path))
     request = FilmRequest(FilmSpan(len(ALGORITHMS), 60.0), "eye")
     level = LEVEL.model_copy(update={"path": path})
-    replanner = Replanner(plans=lambda *asked: plans(at[0])(*asked))
-    whole, at = [], [0]
+    replanner = Replanner(plans=lambda *args: plans(frame_number[0])(*args))
+    expected_frames, frame_number = [], [0]
     for moment in frame_moments(scene, request):
-        at[0] = moment.number
-        (drawn,) = film_frames(scene, request, [moment], replanner)
-        whole.append(drawn)
-    assert any(each.transition is not None for each in whole) and whole[0].plan.headline != whole[-1].plan.headline
+        frame_number[0] = moment.number
+        (rendered,) = film_frames(scene, request, [moment], replanner)
+        expected_frames.append(rendered)
+    assert (
+        any(film_frame.transition is not None for film_frame in expected_frames)
+        and expected_frames[0].plan.headline != expected_frames[-1].plan.headline
+    )
 
     before: PlanHandover | None = None
-    for number, expected in enumerate(whole):
+    for number, expected in enumerate(expected_frames):
         monkeypatch.setattr(film_jobs, "plan_function_in_service", lambda *_, number=number: plans(number))
-        job = FrameJob(level=level, span=request.span, view="eye", number=number, before=before)
+        job = FrameJob(level=level, span=request.span, view="eye", number=number, previous_plans=before)
         picture = pickle.loads(pickle.dumps(film_jobs.film_picture(pickle.loads(pickle.dumps(job)), scene, PlanBasis())))
         assert np.array_equal(picture.color, expected.color), number
-        before = picture.after
+        before = picture.next_plans
     scene.close()
 
 
 def test_equal_frames_differ_by_their_plan_handover():
     assert frame(0) == frame(0) and hash(frame(0)) == hash(frame(0))
-    one, other = PlanHandover(1), PlanHandover(1)  # type: ignore[arg-type]
-    assert frame(1, one) == frame(1, one) != frame(1, other), "plans that were made apart are others"
-    lit = PictureRequest(sun=SunSpec(azimuth=100, altitude=30))
-    assert frame(0).model_copy(update={"request": lit}) != frame(0)
+    handover, other_handover = PlanHandover(1), PlanHandover(1)  # type: ignore[arg-type]
+    assert frame(1, handover) == frame(1, handover) != frame(1, other_handover), "plans that were made apart are others"
+    request = PictureRequest(sun=SunSpec(azimuth=100, altitude=30))
+    assert frame(0).model_copy(update={"request": request}) != frame(0)

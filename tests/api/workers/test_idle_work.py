@@ -14,9 +14,9 @@ from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.pool import Pool
 from tests.api.workers import fake_workers
 from tests.api.workers.fake_calibrations import profile
-from tests.api.workers.test_pool import LEVEL, Gate, block, until, with_pool
+from tests.api.workers.test_pool import LEVEL, Gate, block, run_with_pool, wait_until
 
-OTHER = LevelKey(path=Path("other.yaml"), version="other")
+OTHER_LEVEL = LevelKey(path=Path("other.yaml"), version="other")
 
 
 class PlanGate(Gate):
@@ -33,19 +33,21 @@ def test_plan_versions_depend_on_profile_and_probes():
     assert PlanBasis().version_of(LEVEL) == ""
     assert basis.version_of(LEVEL) == basis.version_of(None) != PlanBasis(profile(took_s=2.0)).version_of(LEVEL)
     probed = basis.with_probed({LEVEL.version: "coarse pixels"})
-    assert probed.version_of(OTHER) == basis.version_of(OTHER) == probed.version_of(None)
+    assert probed.version_of(OTHER_LEVEL) == basis.version_of(OTHER_LEVEL) == probed.version_of(None)
     versions = {
-        each.version_of(LEVEL)
-        for each in (basis, probed, basis.with_probed({LEVEL.version: "fine"}), PlanBasis(probed=probed.probed))
+        plan_basis.version_of(LEVEL)
+        for plan_basis in (basis, probed, basis.with_probed({LEVEL.version: "fine"}), PlanBasis(probed=probed.probed))
     }
     assert len(versions) == 4
-    both = probed.with_probed({OTHER.version: "fine"})
-    assert both.version_of(LEVEL) == probed.version_of(LEVEL) and both.version_of(OTHER) != basis.version_of(OTHER)
-    newer = LevelKey(path=LEVEL.path, version="newer")
-    assert both.version_of(newer) == basis.version_of(newer), "what was probed for another version does not hold"
+    both_probed = probed.with_probed({OTHER_LEVEL.version: "fine"})
+    assert both_probed.version_of(LEVEL) == probed.version_of(LEVEL) and both_probed.version_of(OTHER_LEVEL) != basis.version_of(
+        OTHER_LEVEL
+    )
+    newer_level = LevelKey(path=LEVEL.path, version="newer")
+    assert both_probed.version_of(newer_level) == basis.version_of(newer_level), "what was probed for another version does not hold"
 
 
-def drawn(answer: object) -> str:
+def plan_version_of(answer: object) -> str:
     assert isinstance(answer, BlockTiles)
     assert set(answer.tiles.values()) == {answer.plan_version.encode()}
     return answer.plan_version
@@ -55,17 +57,17 @@ def test_all_processes_adopt_a_new_basis():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
-        await until(lambda: len(pool.pids) == 3)
+        await wait_until(lambda: len(pool.pids) == 3)
         for first, basis in enumerate([None, PlanBasis(profile()), PlanBasis(profile(took_s=2.0))]):
             pool.basis = basis or pool.basis
             # one job at a time for each process
-            light = [asyncio.create_task(pool.run(block(10 * first + each))) for each in range(3)]
-            await asyncio.gather(*(gate.begun() for _ in range(2)))
+            light = [asyncio.create_task(pool.run(block(10 * first + offset))) for offset in range(3)]
+            await asyncio.gather(*(gate.job_started() for _ in range(2)))
             gate.open(3)
-            await gate.begun()
-            assert {drawn(await one) for one in light} == {pool.plan_version(LEVEL)}
+            await gate.job_started()
+            assert {plan_version_of(await task) for task in light} == {pool.plan_version(LEVEL)}
 
-    with_pool(scenario, gate.target, workers=3)
+    run_with_pool(scenario, gate.target, workers=3)
 
 
 def test_requests_after_a_change_use_the_new_basis():
@@ -73,20 +75,20 @@ def test_requests_after_a_change_use_the_new_basis():
 
     async def scenario(pool: Pool) -> None:
         before = asyncio.create_task(pool.run(block(1)))
-        await gate.begun()
+        await gate.job_started()
         pool.basis = PlanBasis(profile())
         after = asyncio.create_task(pool.run(block(1)))
         await asyncio.sleep(0)
         gate.open()
-        assert drawn(await before) == ""  # drawn by the basis at its start
-        assert pool.finished(block(1)) is None
-        await gate.begun()
+        assert plan_version_of(await before) == ""  # drawn by the basis at its start
+        assert pool.cached_picture(block(1)) is None
+        await gate.job_started()
         gate.open()
-        assert drawn(await after) == pool.plan_version(LEVEL) != ""
-        kept = pool.finished(block(1))
-        assert kept is not None and drawn(kept) == pool.plan_version(LEVEL)
+        assert plan_version_of(await after) == pool.plan_version(LEVEL) != ""
+        cached_block = pool.cached_picture(block(1))
+        assert cached_block is not None and plan_version_of(cached_block) == pool.plan_version(LEVEL)
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_queued_jobs_use_the_new_basis():
@@ -94,23 +96,23 @@ def test_queued_jobs_use_the_new_basis():
 
     async def scenario(pool: Pool) -> None:
         running, waiting = (asyncio.create_task(pool.run(block(x))) for x in (1, 2))
-        await gate.begun()
+        await gate.job_started()
         pool.basis = PlanBasis(profile())
         gate.open(2)
-        assert (drawn(await running), drawn(await waiting)) == ("", pool.plan_version(LEVEL))
+        assert (plan_version_of(await running), plan_version_of(await waiting)) == ("", pool.plan_version(LEVEL))
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_a_process_started_later_uses_the_new_basis():
     async def scenario(pool: Pool) -> None:
-        await pool.settled()
+        await pool.wait_for_first_process()
         pool.basis = PlanBasis(profile())
         for x in range(4):
-            assert drawn(await pool.run(block(x))) == pool.plan_version(LEVEL)
+            assert plan_version_of(await pool.run(block(x))) == pool.plan_version(LEVEL)
         assert pool.counters.started > 2
 
-    with_pool(scenario, fake_workers.planning, recycle_blocks=1)
+    run_with_pool(scenario, fake_workers.planning, recycle_blocks=1)
 
 
 def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatch):
@@ -118,22 +120,22 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
     failures: list[str] = []
 
     async def scenario(pool: Pool) -> None:
-        async def note(found: int) -> None:
+        async def note(version: int) -> None:
             assert pool.basis is not None
-            pool.basis = pool.basis.with_probed({LEVEL.version: str(found)})
+            pool.basis = pool.basis.with_probed({LEVEL.version: str(version)})
 
-        assert drawn(await pool.run(block(1))) == ""
+        assert plan_version_of(await pool.run(block(1))) == ""
         pool.idle.add(IdleJob(os.getenv, (), note, failures.append))  # fails: it needs an argument
         pool.idle.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
         pool.idle.add(IdleJob(abs, (-5,), note, failures.append))
-        await until(lambda: pool.plan_version(LEVEL) != "")
+        await wait_until(lambda: pool.plan_version(LEVEL) != "")
         assert pool.basis is not None and pool.basis.probed == {LEVEL.version: "5"}
-        assert pool.plan_version(OTHER) == ""
-        assert drawn(await pool.run(block(1))) == pool.plan_version(LEVEL)
-        assert drawn(await pool.run(block(1).model_copy(update={"level": OTHER}))) == ""
+        assert pool.plan_version(OTHER_LEVEL) == ""
+        assert plan_version_of(await pool.run(block(1))) == pool.plan_version(LEVEL)
+        assert plan_version_of(await pool.run(block(1).model_copy(update={"level": OTHER_LEVEL}))) == ""
         assert len(failures) == 1 and failures[0].startswith("TypeError: getenv() missing")
 
-    with_pool(scenario, fake_workers.planning)
+    run_with_pool(scenario, fake_workers.planning)
 
 
 def test_idle_work_waits_until_nothing_is_drawn(monkeypatch: pytest.MonkeyPatch):
@@ -142,18 +144,18 @@ def test_idle_work_waits_until_nothing_is_drawn(monkeypatch: pytest.MonkeyPatch)
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
-        done = asyncio.Event()
+        finished = asyncio.Event()
 
-        async def note(found: int) -> None:
-            done.set()
+        async def note(version: int) -> None:
+            finished.set()
 
         running = asyncio.create_task(pool.run(block(1)))
-        await gate.begun()
+        await gate.job_started()
         pool.idle.add(IdleJob(abs, (-5,), note, pytest.fail))
         await asyncio.sleep(0.3)
-        assert pool.idle.pid is None and not done.is_set()
+        assert pool.idle.pid is None and not finished.is_set()
         gate.open()
         await running
-        await done.wait()
+        await finished.wait()
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)

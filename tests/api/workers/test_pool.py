@@ -19,7 +19,7 @@ from skugga.terrain.errors import BusyError, GraphicsError, InputError, RenderEr
 from tests.api.workers import fake_workers
 
 LEVEL = LevelKey(path=Path("level.yaml"), version="1")
-SOON_S = 30.0
+TIMEOUT_S = 30.0
 """Much longer than any test here takes."""
 
 
@@ -31,14 +31,14 @@ def block(x: int) -> BlockJob:
     return BlockJob(level=LEVEL, matrix_set="WebMercatorQuad", zoom=12, block_x=x, block_y=0)
 
 
-def with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.obedient, **settings) -> None:
+def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.obedient, **settings) -> None:
     """Run a scenario with a pool of one process, and check that no process remains."""
 
     async def run() -> set[int]:
         pool = Pool(Settings(**{"workers": 1, **settings}), target)
         pool.open()
         try:
-            await asyncio.wait_for(scenario(pool), SOON_S)
+            await asyncio.wait_for(scenario(pool), TIMEOUT_S)
             return set(pool.pids)
         finally:
             await pool.close()
@@ -56,26 +56,26 @@ def alive(pid: int) -> bool:
     return True
 
 
-async def until(true: Callable[[], bool]) -> None:
+async def wait_until(condition: Callable[[], bool]) -> None:
     """Run the event loop until a condition holds. The time limit of the scenario ends it otherwise."""
-    while not true():
+    while not condition():
         await asyncio.sleep(0.005)
 
 
 class Gate:
-    """Gate that holds the jobs of a process: ``begun`` waits for a job to begin, ``open`` lets it go on."""
+    """Gate that holds the jobs of a process: ``job_started`` waits for a job to begin, ``open`` lets it go on."""
 
     def __init__(self) -> None:
         spawn = get_context("spawn")
-        self._begun, self._go = spawn.Semaphore(0), spawn.Semaphore(0)
-        self.target = functools.partial(fake_workers.obedient, begun=self._begun, go=self._go)
+        self._job_started, self._may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
+        self.target = functools.partial(fake_workers.obedient, job_started=self._job_started, may_finish=self._may_finish)
 
-    async def begun(self) -> None:
-        assert await asyncio.to_thread(self._begun.acquire, True, SOON_S)
+    async def job_started(self) -> None:
+        assert await asyncio.to_thread(self._job_started.acquire, True, TIMEOUT_S)
 
     def open(self, times: int = 1) -> None:
         for _ in range(times):
-            self._go.release()
+            self._may_finish.release()
 
 
 def test_a_pool_answers_a_plan_job():
@@ -86,20 +86,20 @@ def test_a_pool_answers_a_plan_job():
         assert pool.ready
         assert pool.renderer == fake_workers.RENDERER
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def test_compilation_before_readiness_is_reported(caplog: pytest.LogCaptureFixture):
-    gate = get_context("spawn").Semaphore(0)
+    may_finish = get_context("spawn").Semaphore(0)
 
     async def run() -> None:
-        pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, go=gate))
+        pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, may_finish=may_finish))
         assert pool.preparing == Preparing("starting a render process")
         pool.open()
-        await until(lambda: pool.preparing == Preparing("compiling loops for map tiles", 3, 9))
+        await wait_until(lambda: pool.preparing == Preparing("compiling loops for map tiles", 3, 9))
         assert not pool.ready
-        gate.release()
-        await asyncio.wait_for(pool.settled(), SOON_S)
+        may_finish.release()
+        await asyncio.wait_for(pool.wait_for_first_process(), TIMEOUT_S)
         assert pool.ready and pool.preparing is None
         await pool.close()
 
@@ -112,9 +112,9 @@ def test_the_render_timeout_excludes_compilation():
     async def run() -> None:
         pool = Pool(Settings(workers=1, render_timeout_s=1.0), functools.partial(fake_workers.compiling, steps=4, step_s=0.5))
         pool.open()
-        await pool.settled()
+        await pool.wait_for_first_process()
         expected_s = pool.expected_s(block(1))
-        assert isinstance(await asyncio.wait_for(pool.run(block(1)), SOON_S), BlockTiles)
+        assert isinstance(await asyncio.wait_for(pool.run(block(1)), TIMEOUT_S), BlockTiles)
         assert pool.counters.timed_out == 0
         assert pool.expected_s(block(1)) == expected_s, "what happens once says nothing of the next block"
         await pool.close()
@@ -123,24 +123,24 @@ def test_the_render_timeout_excludes_compilation():
 
 
 def test_missing_loops_are_compiled_in_the_background(monkeypatch: pytest.MonkeyPatch):
-    done = threading.Event()
+    finished = threading.Event()
 
     def compile_ahead(products, processes, progress, background, on_start) -> None:
         assert tuple(products) == PRODUCTS and background
         progress("compiling loops for points", 5, 7)
-        assert done.wait(SOON_S)
+        assert finished.wait(TIMEOUT_S)
 
     monkeypatch.setattr(background_compile, "compile_ahead", compile_ahead)
 
     async def run() -> None:
         pool = Pool(Settings(workers=2), functools.partial(fake_workers.compiling, missing=7))
         pool.open()
-        await until(lambda: pool.preparing == Preparing("compiling loops for points", 5, 7))
+        await wait_until(lambda: pool.preparing == Preparing("compiling loops for points", 5, 7))
         assert pool.ready and pool.compiling.is_running
         assert isinstance(await pool.run(block(1)), BlockTiles), "nobody waits for it"
-        assert not pool.idle._idle(), "what is measured while the machine is idle waits"
-        done.set()
-        await until(lambda: pool.preparing is None and not pool.compiling.is_running)
+        assert not pool.idle._is_idle(), "what is measured while the machine is idle waits"
+        finished.set()
+        await wait_until(lambda: pool.preparing is None and not pool.compiling.is_running)
         await pool.close()
 
     asyncio.run(run())
@@ -152,10 +152,10 @@ def test_a_stopping_service_ends_background_compilation(monkeypatch: pytest.Monk
     async def run() -> int:
         pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, missing=7))
         pool.open()
-        await until(lambda: pool.compiling._farm is not None)
+        await wait_until(lambda: pool.compiling._farm is not None)
         farm = pool.compiling._farm
         assert farm is not None
-        await asyncio.wait_for(pool.close(), SOON_S)
+        await asyncio.wait_for(pool.close(), TIMEOUT_S)
         return farm.returncode
 
     assert asyncio.run(run()) == -signal.SIGKILL
@@ -164,11 +164,11 @@ def test_a_stopping_service_ends_background_compilation(monkeypatch: pytest.Monk
 def test_other_workers_start_when_the_first_is_ready():
     async def scenario(pool: Pool) -> None:
         assert not pool.pids
-        await pool.settled()
+        await pool.wait_for_first_process()
         assert len(pool.pids) == 1
-        await until(lambda: len(pool.pids) == 3)
+        await wait_until(lambda: len(pool.pids) == 3)
 
-    with_pool(scenario, workers=3)
+    run_with_pool(scenario, workers=3)
 
 
 def test_equal_jobs_are_deduplicated():
@@ -176,79 +176,79 @@ def test_equal_jobs_are_deduplicated():
 
     async def scenario(pool: Pool) -> None:
         waiting = [asyncio.create_task(pool.run(block(1))) for _ in range(5)]
-        await gate.begun()
+        await gate.job_started()
         gate.open()
         answers = await asyncio.gather(*waiting)
         assert all(answer is answers[0] for answer in answers)
         assert pool.counters.answered == 1
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_finished_blocks_are_cached_within_a_byte_limit():
     async def scenario(pool: Pool) -> None:
         first = await pool.run(block(1))
-        assert pool.finished(block(1)) is first
+        assert pool.cached_picture(block(1)) is first
         assert await pool.run(block(1)) is first
         await pool.run(block(2))
-        assert pool.finished(block(1)) is None
-        assert pool.finished(block(2)) is not None
+        assert pool.cached_picture(block(1)) is None
+        assert pool.cached_picture(block(2)) is not None
         assert pool.counters.answered == 2
 
-    with_pool(scenario, block_cache_bytes=100)  # the tiles of a block take 64
+    run_with_pool(scenario, block_cache_bytes=100)  # the tiles of a block take 64
 
 
 def test_only_a_client_with_a_full_queue_is_refused():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        begun = asyncio.create_task(pool.run(order("first")))
-        await gate.begun()
+        running_job = asyncio.create_task(pool.run(order("first")))
+        await gate.job_started()
         queued = [asyncio.create_task(pool.run(order(f"queued {n}"), "one")) for n in range(2)]
-        await until(lambda: pool.queued == 2)
+        await wait_until(lambda: pool.queued == 2)
         with pytest.raises(BusyError, match="2 pictures of this client are queued"):
             await pool.run(order("too many"), "one")
-        again = asyncio.create_task(pool.run(order("queued 1"), "one"))  # no new job, so it is admitted
+        repeated_job = asyncio.create_task(pool.run(order("queued 1"), "one"))  # no new job, so it is admitted
         other = asyncio.create_task(pool.run(order("too many"), "other"))
         gate.open(4)
-        await asyncio.gather(begun, again, other, *queued)
+        await asyncio.gather(running_job, repeated_job, other, *queued)
 
-    with_pool(scenario, gate.target, queue_work_s=1.2)  # a plan is expected to take 0.5 s
+    run_with_pool(scenario, gate.target, queue_work_s=1.2)  # a plan is expected to take 0.5 s
 
 
 def test_a_job_counts_for_the_clients_that_wait_for_it():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        begun = asyncio.create_task(pool.run(order("first")))
-        await gate.begun()
+        running_job = asyncio.create_task(pool.run(order("first")))
+        await gate.job_started()
         leaves = asyncio.create_task(pool.run(order("second"), "one"))
-        await until(lambda: pool.queued == 1)
-        stays = asyncio.create_task(pool.run(order("second"), "other"))
-        await until(lambda: len(pool._queue.waiting[order("second")].clients) == 2)
+        await wait_until(lambda: pool.queued == 1)
+        staying_job = asyncio.create_task(pool.run(order("second"), "other"))
+        await wait_until(lambda: len(pool._queue.waiting[order("second")].clients) == 2)
         assert len(pool._queue.jobs_of_client("one")) == 1
         leaves.cancel()
-        await until(lambda: not pool._queue.jobs_of_client("one"))
+        await wait_until(lambda: not pool._queue.jobs_of_client("one"))
         assert len(pool._queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
         gate.open(2)
-        await asyncio.gather(begun, stays)
+        await asyncio.gather(running_job, staying_job)
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_a_cancelled_client_does_not_cancel_others():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        leaves, stays = (asyncio.create_task(pool.run(block(1))) for _ in range(2))
-        await gate.begun()
-        leaves.cancel()
+        leaving_job, staying_job = (asyncio.create_task(pool.run(block(1))) for _ in range(2))
+        await gate.job_started()
+        leaving_job.cancel()
         gate.open()
-        assert (await stays).tiles
+        assert (await staying_job).tiles
         with pytest.raises(asyncio.CancelledError):
-            await leaves
+            await leaving_job
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_a_job_that_nobody_waits_for_is_dropped():
@@ -256,30 +256,30 @@ def test_a_job_that_nobody_waits_for_is_dropped():
 
     async def scenario(pool: Pool) -> None:
         first = asyncio.create_task(pool.run(order("first")))
-        await gate.begun()
-        dropped = asyncio.create_task(pool.run(order("dropped")))
-        await until(lambda: pool.queued == 1)
-        dropped.cancel()
-        await until(lambda: pool.queued == 0)
+        await gate.job_started()
+        dropped_job = asyncio.create_task(pool.run(order("dropped")))
+        await wait_until(lambda: pool.queued == 1)
+        dropped_job.cancel()
+        await wait_until(lambda: pool.queued == 0)
         last = asyncio.create_task(pool.run(order("last")))
         gate.open(2)
         await asyncio.gather(first, last)
         assert (pool.counters.answered, pool.counters.abandoned) == (2, 1)
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_a_running_job_finishes_and_is_cached_after_cancelling():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        gone = asyncio.create_task(pool.run(block(1)))
-        await gate.begun()
-        gone.cancel()
+        cancelled_job = asyncio.create_task(pool.run(block(1)))
+        await gate.job_started()
+        cancelled_job.cancel()
         gate.open()
-        await until(lambda: pool.finished(block(1)) is not None)
+        await wait_until(lambda: pool.cached_picture(block(1)) is not None)
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 @pytest.mark.parametrize(
@@ -295,7 +295,7 @@ def test_an_error_affects_only_its_own_job(view: str, error: type[Exception]):
         replaced = 4 if view in ("doubt", "crash") else 0  # each job is tried twice
         assert pool.counters.started == 1 + replaced
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def test_a_job_over_its_time_limit_ends_its_process():
@@ -308,34 +308,34 @@ def test_a_job_over_its_time_limit_ends_its_process():
         assert pid not in pool.pids
         assert not alive(pid)
 
-    with_pool(scenario, render_timeout_s=0.5)
+    run_with_pool(scenario, render_timeout_s=0.5)
 
 
 def test_a_job_of_a_killed_process_is_retried():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        begun = asyncio.create_task(pool.run(order("first")))
-        await gate.begun()
+        running_job = asyncio.create_task(pool.run(order("first")))
+        await gate.job_started()
         queued = asyncio.create_task(pool.run(order("second")))
         os.kill(*pool.pids, signal.SIGKILL)
         gate.open(2)
-        assert isinstance(await begun, PlanAnswer), "it is begun again by another process"
+        assert isinstance(await running_job, PlanAnswer), "it is begun again by another process"
         assert isinstance(await queued, PlanAnswer)
         assert pool.counters.retried == 1
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_a_process_killed_while_idle_is_replaced():
     async def scenario(pool: Pool) -> None:
-        await until(lambda: pool.ready)
+        await wait_until(lambda: pool.ready)
         (pid,) = pool.pids
         os.kill(pid, signal.SIGKILL)
-        await until(lambda: pool.ready and pid not in pool.pids)
+        await wait_until(lambda: pool.ready and pid not in pool.pids)
         assert isinstance(await pool.run(order("map")), PlanAnswer)
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def test_processes_are_recycled():
@@ -344,7 +344,7 @@ def test_processes_are_recycled():
             await pool.run(order(f"map {number}"))
         assert pool.counters.started == 3
 
-    with_pool(scenario, recycle_blocks=2)
+    run_with_pool(scenario, recycle_blocks=2)
 
 
 @pytest.mark.parametrize(("target", "error"), [(fake_workers.unable, GraphicsError), (fake_workers.stillborn, WorkerStartError)])
@@ -356,7 +356,7 @@ def test_a_pool_that_cannot_start_raises_for_all_jobs(target, error):
             await pool.run(order("comes later"))
         assert not pool.ready
 
-    with_pool(scenario, target)
+    run_with_pool(scenario, target)
 
 
 def test_a_start_that_never_ends_times_out():
@@ -364,27 +364,27 @@ def test_a_start_that_never_ends_times_out():
         with pytest.raises(WorkerStartError, match="warm up"):
             await pool.run(order("map"))
 
-    with_pool(scenario, fake_workers.never_ready, start_timeout_s=0.5)
+    run_with_pool(scenario, fake_workers.never_ready, start_timeout_s=0.5)
 
 
 def test_closing_fails_running_and_queued_jobs():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        begun = asyncio.create_task(pool.run(order("first")))
-        await gate.begun()
+        running_job = asyncio.create_task(pool.run(order("first")))
+        await gate.job_started()
         queued = asyncio.create_task(pool.run(order("second")))
-        await until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued == 1)
         (pid,) = pool.pids
         await pool.close()
-        for task in (begun, queued):
+        for task in (running_job, queued):
             with pytest.raises(BusyError):
                 await task
         with pytest.raises(BusyError):
             await pool.run(order("third"))
         assert not alive(pid)
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_closing_at_once_leaves_no_process():
@@ -392,7 +392,7 @@ def test_closing_at_once_leaves_no_process():
         await asyncio.sleep(0)  # the processes are starting
 
     before = set(get_context("spawn").active_children())
-    with_pool(scenario, workers=2)
+    run_with_pool(scenario, workers=2)
     assert set(get_context("spawn").active_children()) <= before
 
 
@@ -402,11 +402,11 @@ def test_several_processes_work_at_once():
     async def scenario(pool: Pool) -> None:
         gate.open()
         await pool.run(block(0))  # lets the pool learn how fast such blocks are
-        await gate.begun()
-        both = [asyncio.create_task(pool.run(block(n))) for n in (1, 2)]
-        await gate.begun()
-        await gate.begun()
+        await gate.job_started()
+        jobs = [asyncio.create_task(pool.run(block(n))) for n in (1, 2)]
+        await gate.job_started()
+        await gate.job_started()
         gate.open(2)
-        await asyncio.gather(*both)
+        await asyncio.gather(*jobs)
 
-    with_pool(scenario, gate.target, workers=2)
+    run_with_pool(scenario, gate.target, workers=2)

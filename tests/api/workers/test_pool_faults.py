@@ -22,56 +22,56 @@ from skugga.api.workers.pool import Pool
 from skugga.api.workers.process_life import is_stopped
 from skugga.terrain.errors import RenderTimeoutError
 from tests.api.workers import fake_workers
-from tests.api.workers.test_pool import LEVEL, Gate, block, order, until, with_pool
+from tests.api.workers.test_pool import LEVEL, Gate, block, order, run_with_pool, wait_until
 
 OTHER_LEVEL = LevelKey(path=LEVEL.path.with_name("other.yaml"), version="1")
 
 
-def view(size: tuple[int, int] = (640, 480), **asked) -> SnapshotJob:
-    request = ProductRequest(overrides=RequestedSettings.of(asked))
+def view(size: tuple[int, int] = (640, 480), **settings) -> SnapshotJob:
+    request = ProductRequest(overrides=RequestedSettings.of(settings))
     return SnapshotJob(level=LEVEL, view="map", format="png", size=size, request=request)
 
 
 def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch):
     """Creating the pipe of the next process fails twice, then descriptors are free again."""
-    real, left = piped_process.get_context, [2]
+    original_context, failures_left = piped_process.get_context, [2]
 
     class NoPipes:
         def __getattr__(self, name):
-            return getattr(real("forkserver"), name)
+            return getattr(original_context("forkserver"), name)
 
         def Pipe(self):
             raise OSError(errno.EMFILE, "Too many open files")
 
     def context(method: str):
-        if left[0] and started:
-            left[0] -= 1
+        if failures_left[0] and started_counts:
+            failures_left[0] -= 1
             return NoPipes()
-        return real(method)
+        return original_context(method)
 
-    started: list[int] = []
+    started_counts: list[int] = []
     monkeypatch.setattr(pool_module, "INITIAL_BACKOFF_S", 0.01)
     monkeypatch.setattr(piped_process, "get_context", context)
 
     async def scenario(pool: Pool) -> None:
-        await until(lambda: pool.ready)
-        started.extend(pool.pids)
+        await wait_until(lambda: pool.ready)
+        started_counts.extend(pool.pids)
         os.kill(*pool.pids, signal.SIGKILL)
-        await until(lambda: not left[0] and pool.ready and set(started) != pool.pids)
-        assert pool.whole
+        await wait_until(lambda: not failures_left[0] and pool.ready and set(started_counts) != pool.pids)
+        assert pool.is_healthy
         assert isinstance(await pool.run(order("map")), PlanAnswer)
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def test_an_ended_worker_slot_is_reported():
     async def scenario(pool: Pool) -> None:
-        await until(lambda: pool.ready)
-        assert pool.whole
+        await wait_until(lambda: pool.ready)
+        assert pool.is_healthy
         pool._slots[0].cancel()
-        await until(lambda: not pool.whole)
+        await wait_until(lambda: not pool.is_healthy)
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
@@ -79,15 +79,15 @@ def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(pool_module, "HEARTBEAT_TIMEOUT_S", 0.2)
 
     async def scenario(pool: Pool) -> None:
-        await until(lambda: pool.ready)
+        await wait_until(lambda: pool.ready)
         (pid,) = pool.pids
         os.kill(pid, signal.SIGSTOP)
-        await until(lambda: is_stopped(pid) or pid not in pool.pids)
+        await wait_until(lambda: is_stopped(pid) or pid not in pool.pids)
         assert not pool.ready or pid not in pool.pids
-        await until(lambda: pool.ready and pid not in pool.pids)
+        await wait_until(lambda: pool.ready and pid not in pool.pids)
         assert isinstance(await pool.run(order("map")), PlanAnswer)
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
@@ -95,15 +95,15 @@ def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        begun = asyncio.create_task(pool.run(order("map")))
-        await gate.begun()
+        running_job = asyncio.create_task(pool.run(order("map")))
+        await gate.job_started()
         os.kill(*pool.pids, signal.SIGSTOP)
-        await gate.begun()
+        await gate.job_started()
         gate.open(2)
-        assert isinstance(await begun, PlanAnswer)
+        assert isinstance(await running_job, PlanAnswer)
         assert pool.counters.retried == 1
 
-    with_pool(scenario, gate.target)
+    run_with_pool(scenario, gate.target)
 
 
 def test_a_queued_job_times_out():
@@ -111,16 +111,16 @@ def test_a_queued_job_times_out():
 
     async def scenario(pool: Pool) -> None:
         pool._queue.expected.learn(order("first"), 0.01)
-        begun = asyncio.create_task(pool.run(order("first")))
-        await gate.begun()
+        running_job = asyncio.create_task(pool.run(order("first")))
+        await gate.job_started()
         with pytest.raises(RetryLaterError, match=r"limit of 0.3 s") as caught:
             await pool.run(order("waits"))
         assert caught.value.retry_after_s >= 1
         assert pool.queued == 0 and pool.counters.expired == 1
         gate.open()
-        await begun
+        await running_job
 
-    with_pool(scenario, gate.target, queue_timeout_s=0.3)
+    run_with_pool(scenario, gate.target, queue_timeout_s=0.3)
 
 
 def test_a_job_with_too_long_an_expected_wait_is_refused():
@@ -128,36 +128,36 @@ def test_a_job_with_too_long_an_expected_wait_is_refused():
 
     async def scenario(pool: Pool) -> None:
         pool._queue.expected.learn(block(0), 30.0)
-        await until(lambda: pool.ready)
-        begun = asyncio.create_task(pool.run(block(0)))
-        await gate.begun()
+        await wait_until(lambda: pool.ready)
+        running_job = asyncio.create_task(pool.run(block(0)))
+        await gate.job_started()
         waiting = asyncio.create_task(pool.run(order("waits"), "other"))
-        await until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued == 1)
         with pytest.raises(RetryLaterError, match="the expected wait is") as caught:
             await pool.run(order("map"), "other")
         assert 20 <= caught.value.retry_after_s <= 31
         waiting.cancel()
         gate.open()
-        await begun
+        await running_job
 
-    with_pool(scenario, gate.target, queue_timeout_s=20.0)
+    run_with_pool(scenario, gate.target, queue_timeout_s=20.0)
 
 
 def test_repeated_timeouts_open_the_breaker_of_one_level():
     async def scenario(pool: Pool) -> None:
-        hang = order("hang")
+        hanging_job = order("hang")
         for _ in range(2):
             with pytest.raises(RenderTimeoutError):
-                await pool.run(hang)
+                await pool.run(hanging_job)
         with pytest.raises(CircuitOpenError, match="level level") as caught:
-            await pool.run(hang)
+            await pool.run(hanging_job)
         assert 1 <= caught.value.retry_after_s <= 30
         started = pool.counters.started
         other = order("map").model_copy(update={"level": OTHER_LEVEL})
         assert isinstance(await pool.run(other), PlanAnswer)
         assert pool.counters.started <= started + 1
 
-    with_pool(scenario, render_timeout_s=0.3)
+    run_with_pool(scenario, render_timeout_s=0.3)
 
 
 def test_a_timeout_does_not_count_as_a_failed_start(monkeypatch: pytest.MonkeyPatch):
@@ -166,12 +166,12 @@ def test_a_timeout_does_not_count_as_a_failed_start(monkeypatch: pytest.MonkeyPa
 
     async def scenario(pool: Pool) -> None:
         for number in range(3):
-            hang = order("hang").model_copy(update={"level": LevelKey(path=LEVEL.path, version=str(number))})
+            hanging_job = order("hang").model_copy(update={"level": LevelKey(path=LEVEL.path, version=str(number))})
             with pytest.raises(RenderTimeoutError):
-                await pool.run(hang)
+                await pool.run(hanging_job)
         assert isinstance(await pool.run(order("map")), PlanAnswer)
 
-    with_pool(scenario, render_timeout_s=0.2)
+    run_with_pool(scenario, render_timeout_s=0.2)
 
 
 def test_a_job_that_crashes_its_process_is_tried_twice():
@@ -180,7 +180,7 @@ def test_a_job_that_crashes_its_process_is_tried_twice():
             await pool.run(order("crash"))
         assert pool.counters.retried == 1
 
-    with_pool(scenario)
+    run_with_pool(scenario)
 
 
 def pending(job, arrived_s: float) -> PendingJob:
@@ -191,9 +191,9 @@ def test_light_jobs_pass_heavy_ones_for_a_limited_time():
     queue = JobQueue(1, ExpectedTimes())
     queue.expected.learn(view(), 30.0)
     queue.expected.learn(block(0), 0.1)
-    heavy, light, later = pending(view(), 0.0), pending(block(1), 10.0), pending(block(2), 31.0)
-    for each in (heavy, light, later):
-        queue.put(each)
+    heavy, light, later_job = pending(view(), 0.0), pending(block(1), 10.0), pending(block(2), 31.0)
+    for job in (heavy, light, later_job):
+        queue.put(job)
     assert [queue.take(40.0) for _ in range(1)] == [light]
     queue.discard(light)
     assert queue.take(40.0) is heavy
@@ -202,16 +202,16 @@ def test_light_jobs_pass_heavy_ones_for_a_limited_time():
 def test_one_process_is_reserved_for_light_jobs():
     queue = JobQueue(3, ExpectedTimes())
     queue.expected.learn(block(0), 0.1)
-    slow = [view((640 + n, 480)) for n in range(4)]
-    for job in slow:
+    slow_jobs = [view((640 + n, 480)) for n in range(4)]
+    for job in slow_jobs:
         queue.put(pending(job, 0.0))
-    taken = [queue.take(0.0) for _ in range(3)]
-    assert [each is not None for each in taken] == [True, True, False]
+    taken_jobs = [queue.take(0.0) for _ in range(3)]
+    assert [taken_job is not None for taken_job in taken_jobs] == [True, True, False]
     queue.put(pending(block(1), 5.0))
     light = queue.take(5.0)
     assert light is not None and isinstance(light.job, BlockJob)
     assert queue.take(5.0) is None
-    queue.discard(taken[0])  # type: ignore[arg-type]
+    queue.discard(taken_jobs[0])  # type: ignore[arg-type]
     assert queue.take(5.0) is not None
 
 
@@ -234,30 +234,30 @@ def test_expected_times_follow_measurements():
 
 
 def test_the_breaker_closes_after_pauses_that_double():
-    now = [0.0]
-    aside = CircuitBreaker(lambda: now[0])
-    aside.failed(block(0))
-    assert aside.seconds_left(block(0)) == 0.0
-    aside.failed(block(1))
-    assert aside.seconds_left(block(2)) == 30.0
-    assert aside.seconds_left(order("map")) == 30.0, "plain tiles fail, so the level does"
-    now[0] = 31.0
-    assert aside.seconds_left(block(0)) == 0.0
-    aside.failed(block(0))
-    assert aside.seconds_left(block(0)) == 60.0
-    now[0] = 100.0
-    aside.succeeded(block(0))
-    aside.failed(block(0))
-    assert aside.seconds_left(block(0)) == 0.0
+    now_s = [0.0]
+    breaker = CircuitBreaker(lambda: now_s[0])
+    breaker.record_failure(block(0))
+    assert breaker.seconds_left(block(0)) == 0.0
+    breaker.record_failure(block(1))
+    assert breaker.seconds_left(block(2)) == 30.0
+    assert breaker.seconds_left(order("map")) == 30.0, "plain tiles fail, so the level does"
+    now_s[0] = 31.0
+    assert breaker.seconds_left(block(0)) == 0.0
+    breaker.record_failure(block(0))
+    assert breaker.seconds_left(block(0)) == 60.0
+    now_s[0] = 100.0
+    breaker.record_success(block(0))
+    breaker.record_failure(block(0))
+    assert breaker.seconds_left(block(0)) == 0.0
 
 
 def test_the_breaker_opens_only_for_jobs_with_equal_options():
-    aside = CircuitBreaker(lambda: 0.0)
+    breaker = CircuitBreaker(lambda: 0.0)
     for _ in range(2):
-        aside.failed(view(algorithm="shadow_volume"))
-    assert aside.seconds_left(view((100, 100), algorithm="shadow_volume")) > 0.0
-    assert aside.seconds_left(view()) == 0.0
-    assert aside.seconds_left(block(0)) == 0.0
+        breaker.record_failure(view(algorithm="shadow_volume"))
+    assert breaker.seconds_left(view((100, 100), algorithm="shadow_volume")) > 0.0
+    assert breaker.seconds_left(view()) == 0.0
+    assert breaker.seconds_left(block(0)) == 0.0
 
 
 PARENT = """
@@ -285,12 +285,12 @@ def test_a_process_ends_with_its_killed_parent(stopped: bool):
     parent.kill()
     parent.communicate()
     until_s = time.monotonic() + 10.0
-    while _lives(pid):
+    while _is_alive(pid):
         assert time.monotonic() < until_s, "it outlived its parent"
         time.sleep(0.01)
 
 
-def _lives(pid: int) -> bool:
+def _is_alive(pid: int) -> bool:
     try:
         with open(f"/proc/{pid}/stat", encoding="ascii") as file:
             return file.read().rpartition(")")[2].split()[0] != "Z"
@@ -300,11 +300,11 @@ def _lives(pid: int) -> bool:
 
 def test_a_fake_process_answers_pings():
     async def scenario(pool: Pool) -> None:
-        await until(lambda: pool.ready)
+        await wait_until(lambda: pool.ready)
         (pid,) = pool.pids
         await asyncio.sleep(0.3)
         assert pool.pids == {pid}
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool_module, "HEARTBEAT_INTERVAL_S", 0.05)
-        with_pool(scenario, fake_workers.obedient)
+        run_with_pool(scenario, fake_workers.obedient)

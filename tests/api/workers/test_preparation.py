@@ -28,19 +28,19 @@ def test_first_block_lies_in_the_middle_of_the_level(hills_level: Path) -> None:
 
 def test_preparation_opens_the_level_and_its_sky_view(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = first_blocks(ServedLevels([hills_level]))
-    state, found = WorkerState(gl.renderer), []
-    monkeypatch.setattr(preparation, "sky_view", lambda elevation, world: found.append(elevation))
+    state, elevations = WorkerState(gl.renderer), []
+    monkeypatch.setattr(preparation, "sky_view", lambda elevation, world: elevations.append(elevation))
     prepare_level(block, state)
     assert len(state.scenes) == 1
     scene = state.scenes.get(block.level)
-    assert found == [scene.elevation]
+    assert elevations == [scene.elevation]
     scene.close()
 
 
 def test_a_level_that_cannot_be_opened_is_only_logged(gl, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (gone,) = first_blocks(ServedLevels([write_level(tmp_path, "gone")]))
+    (broken_block,) = first_blocks(ServedLevels([write_level(tmp_path, "gone")]))
     (tmp_path / "gone.tif").unlink()
-    prepare_level(gone, WorkerState(gl.renderer))
+    prepare_level(broken_block, WorkerState(gl.renderer))
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
     assert record.message.startswith("level gone cannot be drawn yet: ") and "gone.tif" in record.message

@@ -10,6 +10,6 @@ from benchmarks.selection.table import read_table
 
 
 @pytest.fixture(scope="session")
-def kept() -> tuple[list[dict[str, Any]], Any]:
+def stored_table() -> tuple[list[dict[str, Any]], Any]:
     """Return the views of the table in the repository, and the device that they were measured on."""
     return read_table()

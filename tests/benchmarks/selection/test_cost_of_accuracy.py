@@ -5,15 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.selection.cost_of_accuracy import MARK, cheapest_ms, figure_svg, prices, sentence, table, with_part
+from benchmarks.selection.cost_of_accuracy import MARK, cheapest_ms, figure_svg, prices, replace_part, sentence, table
 
 ROOT = Path(__file__).parents[3]
 
 
 def view(family: str, *rows: tuple[float, float], interior: float = 0.0) -> dict:
     """Return a view whose rows are (milliseconds, share of the cast shadow that is wrong)."""
-    made = {f"row {n}": {"ms": ms, "wrong_cast": wrong, "interior": interior} for n, (ms, wrong) in enumerate(rows)}
-    return {"name": family, "family": family, "error": "wrong_cast", "noise_floor": 0.0, "rows": made}
+    row_by_name = {
+        f"row {n}": {"ms": ms, "wrong_cast": wrong_cast, "interior": interior} for n, (ms, wrong_cast) in enumerate(rows)
+    }
+    return {"name": family, "family": family, "error": "wrong_cast", "noise_floor": 0.0, "rows": row_by_name}
 
 
 def test_the_cheapest_plan_is_the_fastest_that_meets_the_goal():
@@ -46,23 +48,23 @@ def test_sentence_and_table_have_median_and_90th_percentile():
 
 def test_only_the_part_between_the_marks_is_replaced():
     text = f"a\n<!-- {MARK} -->\nold\n<!-- end of {MARK} -->\nb\n"
-    assert with_part(text, "new\n") == text.replace("old", "new")
+    assert replace_part(text, "new\n") == text.replace("old", "new")
     with pytest.raises(ValueError, match="the page has no"):
-        with_part("a", "new\n")
+        replace_part("a", "new\n")
 
 
 def test_the_figure_is_reproducible_with_a_point_per_view():
     views = [view(family, (10.0, 0.09), (10.0 * ratio, 0.001)) for ratio in (1, 2, 3) for family in ("a", "b")]
-    drawn = figure_svg(views)
-    assert drawn == figure_svg(views)
-    assert drawn.count("<use") - figure_svg(views[:-1]).count("<use") == 2 * 3, "in its family and in all, for three goals"
+    svg = figure_svg(views)
+    assert svg == figure_svg(views)
+    assert svg.count("<use") - figure_svg(views[:-1]).count("<use") == 2 * 3, "in its family and in all, for three goals"
 
 
-def test_pages_agree_with_the_table(kept):
+def test_pages_agree_with_the_table(stored_table):
     """``python -m benchmarks.selection judge --write`` updates them."""
-    views, _ = kept
-    said = " ".join(sentence(views).split())
+    views, _ = stored_table
+    text = " ".join(sentence(views).split())
     for name in ("README.md", "docs/accuracy.md"):
-        assert said in " ".join((ROOT / name).read_text(encoding="utf-8").split()), name
+        assert text in " ".join((ROOT / name).read_text(encoding="utf-8").split()), name
     assert table(views) in (ROOT / "docs/accuracy.md").read_text(encoding="utf-8")
     assert np.isfinite(prices(views)[-1].median)

@@ -7,19 +7,21 @@ from skugga.selector.choices import StandaloneRequest
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.plan import Plan
 from skugga.terrain.level.level import SUN, Shadows
-from tests.selector.cost.test_cost_model import described
+from tests.selector.cost.test_cost_model import make_descriptor
 
 
 def split_at(far_m: float) -> Plan:
     """Return a plan of two maps, of which the nearer one ends at a distance."""
-    plan = make_plan(described(), StandaloneRequest(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), choices={})
+    plan = make_plan(
+        make_descriptor(), StandaloneRequest(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), choices={}
+    )
     (kinds,) = (plan.settings[light] for light in plan.settings)
     near, far = next(iter(kinds.values())).cascades
-    its = {
+    map_settings = {
         kind: settings.model_copy(update={"cascades": (near.model_copy(update={"far_m": far_m}), far)})
         for kind, settings in kinds.items()
     }
-    return plan.model_copy(update={"settings": {SUN: its}})
+    return plan.model_copy(update={"settings": {SUN: map_settings}})
 
 
 def test_only_equal_plans_share_a_row():

@@ -30,8 +30,8 @@ def test_the_page_agrees_with_the_measured_table():
 def test_the_constants_are_fitted_to_the_measured_table():
     """``python -m benchmarks.selection fit`` updates the constants."""
     views, device = read_table()
-    again, kept = (json.loads(model.model_dump_json()) for model in (_fitted(views, device), of_the_package()))
-    assert _numbers(again) == pytest.approx(_numbers(kept), rel=1e-2, abs=1e-6)
+    fitted, stored = (json.loads(model.model_dump_json()) for model in (_fitted(views, device), of_the_package()))
+    assert _numbers(fitted) == pytest.approx(_numbers(stored), rel=1e-2, abs=1e-6)
 
 
 def _fitted(views, device) -> ErrorModel:
@@ -39,4 +39,4 @@ def _fitted(views, device) -> ErrorModel:
 
 
 def _numbers(value) -> list[float]:
-    return [number for each in value.values() for number in _numbers(each)] if isinstance(value, dict) else [value]
+    return [number for entry in value.values() for number in _numbers(entry)] if isinstance(value, dict) else [value]

@@ -25,7 +25,7 @@ DEVICE = DeviceProfile(
 THIRDS = tuple(k / 31.0 for k in range(8))
 
 
-def described() -> Descriptor:
+def descriptor_with_digits() -> Descriptor:
     """Return a map view under the sun with numbers of more digits than the table stores."""
     band = CastBand(near_m=0.0, share=1.0, cast=1.0 / 3.0, pixel_m=4.0 / 7.0, differs=THIRDS)
     lights = {SUN: LightFacts(cast_share=1.0 / 3.0, casts={"relief": Casting(share=1.0 / 3.0, bands=(band,))})}
@@ -36,7 +36,7 @@ def described() -> Descriptor:
     )  # fmt: skip
 
 
-def viewed(name: str = "a map", count: int = 3) -> dict[str, Any]:
+def view_record(name: str = "a map", count: int = 3) -> dict[str, Any]:
     rows = {
         f"shadow_map-{number}": dict(zip(ROW_COLUMNS, (["shadow_map"], 1.5 + number, 0.01, 0.1, 0.0, 0.2, 2**number), strict=True))
         for number in range(count)
@@ -44,34 +44,34 @@ def viewed(name: str = "a map", count: int = 3) -> dict[str, Any]:
     choices = {f"shadow_map {number}": row for number, row in enumerate(rows)} | {"rules 0.03": "shadow_map-0"}
     return {
         "name": name, "terrain": "made", "light": SUN, "error": "wrong_cast", "noise_floor": 1e-4, "plan_ms": 20.25, "rows": rows,
-        "picks": choices, "measured": {"3 %": "shadow_map-1"}, "descriptor": described().model_dump(mode="json"),
+        "picks": choices, "measured": {"3 %": "shadow_map-1"}, "descriptor": descriptor_with_digits().model_dump(mode="json"),
         "probe": {"start_s": 0.5, "points_s": [0.25], "rows": {"shadow_map-1": {"ms": 2.5, "draw_s": 0.0, "proofs": [[0.125, 3]]}}},
     }  # fmt: skip
 
 
 def test_the_table_survives_a_round_trip(tmp_path):
-    path, view = tmp_path / "table.jsonl", viewed()
+    path, view = tmp_path / "table.jsonl", view_record()
     write_table([view], DEVICE, path)
     (read,), device = read_table(path)
     assert device == DEVICE
     assert {key: read[key] for key in read if key != "descriptor"} == {key: view[key] for key in view if key != "descriptor"}
-    given, back = view["descriptor"], Descriptor.model_validate(read["descriptor"]).model_dump(mode="json")
-    assert list(leaves(back)) == pytest.approx(list(leaves(given)), rel=0.5 * 10.0 ** (1 - DIGITS), abs=0.0)
-    assert list(leaves(back)) != list(leaves(given))  # thirds are rounded
-    assert dict(words(back)) == dict(words(given))
+    original, restored = view["descriptor"], Descriptor.model_validate(read["descriptor"]).model_dump(mode="json")
+    assert list(leaves(restored)) == pytest.approx(list(leaves(original)), rel=0.5 * 10.0 ** (1 - DIGITS), abs=0.0)
+    assert list(leaves(restored)) != list(leaves(original))  # thirds are rounded
+    assert dict(words(restored)) == dict(words(original))
 
 
 def test_unmeasured_picks_and_single_rows_are_left_out(tmp_path):
-    path, view = tmp_path / "table.jsonl", viewed()
+    path, view = tmp_path / "table.jsonl", view_record()
     unmeasured = view | {"picks": view["picks"] | {"planar": "planar"}}
-    write_table([unmeasured, viewed("another", 1), viewed("third", 2)], DEVICE, path)
+    write_table([unmeasured, view_record("another", 1), view_record("third", 2)], DEVICE, path)
     first, third = read_table(path)[0]
     assert first["picks"] == view["picks"] and third["name"] == "third"
     assert len(path.read_text(encoding="utf-8").splitlines()) == 4  # lines that are not read stay in the file
 
 
-def test_rewriting_the_stored_table_changes_no_line(tmp_path, kept):
-    views, device = kept
+def test_rewriting_the_stored_table_changes_no_line(tmp_path, stored_table):
+    views, device = stored_table
     write_table(views, device, tmp_path / "table.jsonl")
     assert read_table(tmp_path / "table.jsonl") == (views, device)
     assert set((tmp_path / "table.jsonl").read_text(encoding="utf-8").splitlines()) <= set(
@@ -79,24 +79,24 @@ def test_rewriting_the_stored_table_changes_no_line(tmp_path, kept):
     )
 
 
-def test_every_stored_line_has_a_valid_descriptor_and_rows(kept):
+def test_every_stored_line_has_a_valid_descriptor_and_rows(stored_table):
     device, *lines = map(json.loads, TABLE.read_text(encoding="utf-8").splitlines())
-    assert DeviceProfile.model_validate(device) == kept[1]
+    assert DeviceProfile.model_validate(device) == stored_table[1]
     assert len({line["name"] for line in lines}) == len(lines)
     for line in lines:
         descriptor = Descriptor.model_validate(line["descriptor"])
         assert line["light"] in descriptor.lights and line["renderer"] == device["renderer"], line["name"]
         assert line["error"] in ("wrong_cast", "wrong", "coverage") and line["noise_floor"] >= 0.0 and line["plan_ms"] > 0.0
         for row in line["rows"].values():
-            its = dict(zip(ROW_COLUMNS, row, strict=True))
-            assert its["bytes"] >= 0 and (its["ms"] > 0.0) == bool(its["algorithms"]), line["name"]
-            assert 0.0 <= its["interior"] <= its["wrong"] <= its["wrong_cast"] <= 1.0, line["name"]
-            assert 0.0 <= its["coverage"] <= 1.0, line["name"]
+            figures = dict(zip(ROW_COLUMNS, row, strict=True))
+            assert figures["bytes"] >= 0 and (figures["ms"] > 0.0) == bool(figures["algorithms"]), line["name"]
+            assert 0.0 <= figures["interior"] <= figures["wrong"] <= figures["wrong_cast"] <= 1.0, line["name"]
+            assert 0.0 <= figures["coverage"] <= 1.0, line["name"]
         assert all(0 <= number < len(line["rows"]) for number in line["picks"].values()), line["name"]
 
 
-def test_the_stored_table_has_enough_views_and_picks(kept):
-    views, _ = kept
+def test_the_stored_table_has_enough_views_and_picks(stored_table):
+    views, _ = stored_table
     assert len(views) >= 60 and all(len(view["rows"]) > 1 for view in views)
     choices = {view["name"]: {choice for choice in view["picks"] if not choice.startswith("rules ")} for view in views}
     assert max(map(len, choices.values())) <= MAX_CHOICES == 40
@@ -110,16 +110,16 @@ def test_the_stored_table_has_enough_views_and_picks(kept):
 def leaves(value: Any):
     """Yield the numbers of nested lists and dictionaries, in order."""
     if isinstance(value, dict | list | tuple):
-        for each in value.values() if isinstance(value, dict) else value:
-            yield from leaves(each)
+        for entry in value.values() if isinstance(value, dict) else value:
+            yield from leaves(entry)
     elif isinstance(value, float):
         yield value
 
 
-def words(value: Any, where: str = ""):
+def words(value: Any, path: str = ""):
     """Yield all values that are no numbers, with their paths."""
     if isinstance(value, dict | list | tuple):
-        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from words(each, f"{where}.{key}")
+        for key, entry in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from words(entry, f"{path}.{key}")
     elif not isinstance(value, float):
-        yield where, value
+        yield path, value

@@ -40,7 +40,8 @@ def test_fitted_rates_recover_the_rates_that_made_the_times(rates, seed):
     counts = np.random.default_rng(seed).uniform(1.0, 1e5, (12, 3))
     truth = dict(zip(names, rates, strict=True))
     rows = [
-        (dict(zip(names, its, strict=True)), "planar", counts_to_ms(truth, dict(zip(names, its, strict=True)))) for its in counts
+        (dict(zip(names, work_counts, strict=True)), "planar", counts_to_ms(truth, dict(zip(names, work_counts, strict=True))))
+        for work_counts in counts
     ]
     assert fitted_rates(rows)["planar"] == pytest.approx(truth, rel=1e-6)
 
@@ -60,7 +61,7 @@ def test_load_profile_requires_same_device_and_driver(profile):
     assert path == profile_path(RENDERER, VERSION) and path.name.startswith("llvmpipe-llvm-15-0-6-256-bits-")
     assert load_profile(RENDERER, VERSION) == profile and missing_profile_reason(RENDERER, VERSION) is None
     assert load_profile(RENDERER, "4.5 Mesa 23") is None and load_profile("another", VERSION) is None
-    assert [each.name for each in path.parent.iterdir()] == [path.name]  # no partial file is left
+    assert [file.name for file in path.parent.iterdir()] == [path.name]  # no partial file is left
 
 
 def test_save_profile_is_atomic(profile, monkeypatch):
@@ -68,7 +69,7 @@ def test_save_profile_is_atomic(profile, monkeypatch):
     monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         save_profile(profile.model_copy(update={"took_s": 1.0}))
-    assert [each.name for each in path.parent.iterdir()] == [path.name] and load_profile(RENDERER, VERSION) == profile
+    assert [file.name for file in path.parent.iterdir()] == [path.name] and load_profile(RENDERER, VERSION) == profile
 
 
 @pytest.mark.parametrize(
@@ -110,21 +111,21 @@ def test_load_profile_ignores_a_folder_at_its_path():
 def test_calibrate_profiles_the_device_that_draws(gl, monkeypatch):
     """Calibrate on one small stage. The profile names the device, and its rates explain the times of every algorithm that ran."""
 
-    def smallest(folder):
-        yield replace(next(each for each in calibration_views(folder) if each.name == "few_balls_small"), grid="few")
+    def yield_smallest_view(folder):
+        yield replace(next(view for view in calibration_views(folder) if view.name == "few_balls_small"), grid="few")
 
-    monkeypatch.setattr(calibration, "calibration_views", smallest)
+    monkeypatch.setattr(calibration, "calibration_views", yield_smallest_view)
     monkeypatch.setattr(calibration, "TIMING_ROUNDS", 2)
-    steps = []
-    found = calibrate(lambda done, total: steps.append((done, total)))
-    assert [done for done, _ in steps] == list(range(1, steps[-1][1] + 1)) and len({total for _, total in steps}) == 1
-    assert (found.renderer, found.version) == (gl.renderer, gl.version)
-    assert {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar"} <= found.residuals.keys()
-    assert found.residuals["shadow_map"].rows >= 2
-    assert found.rates_ns["shadow_map, perspective"]["look-ups, filter 3"] >= 0.0
-    assert load_profile(found.renderer, found.version) is None  # the caller saves the profile
-    save_profile(found)
-    assert load_profile(found.renderer, found.version) == found
+    progress = []
+    device_profile = calibrate(lambda done, total: progress.append((done, total)))
+    assert [done for done, _ in progress] == list(range(1, progress[-1][1] + 1)) and len({total for _, total in progress}) == 1
+    assert (device_profile.renderer, device_profile.version) == (gl.renderer, gl.version)
+    assert {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar"} <= device_profile.residuals.keys()
+    assert device_profile.residuals["shadow_map"].rows >= 2
+    assert device_profile.rates_ns["shadow_map, perspective"]["look-ups, filter 3"] >= 0.0
+    assert load_profile(device_profile.renderer, device_profile.version) is None  # the caller saves the profile
+    save_profile(device_profile)
+    assert load_profile(device_profile.renderer, device_profile.version) == device_profile
 
 
 def test_calibration_levels_cover_views_lights_and_casters(tmp_path):
@@ -133,4 +134,4 @@ def test_calibration_levels_cover_views_lights_and_casters(tmp_path):
     )
     assert len(set(names)) == len(names)
     assert set(views) == {"main", "map"} and set(lights) == {"sun", "lamp"}
-    assert {kind for each in kinds for kind in each} == {"relief", "meshes", "forest"}
+    assert {kind for caster_kinds in kinds for kind in caster_kinds} == {"relief", "meshes", "forest"}

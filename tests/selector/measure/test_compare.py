@@ -46,20 +46,20 @@ def scene(tmp_path_factory) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def compared(scene) -> Comparison:
+def comparison(scene) -> Comparison:
     return compare(scene, scene.view("eye"), "eye", time_limit_s=600.0)  # compilation must not use up the time limit
 
 
-def test_compare_gives_rows_unique_names(gl, compared):
-    names = [row.figures["name"] for row in compared.rows]
+def test_compare_gives_rows_unique_names(gl, comparison):
+    names = [row.figures["name"] for row in comparison.rows]
     assert len(set(names)) == len(names)
     assert {"shadow_map-2048-1-16", "perspective_shadow_map-1024-3-24", "shadow_volume", "shadow_volume-two_pass", "planar", "none",
             "hybrid-768-conservative", "hybrid-768-original", "shadow_map-1024-1-16-2cascades", "shadow_map-1024-1-32",
             "shadow_map-1024-1-16-polygon_offset", "relief=sweep,meshes=shadow_volume"} <= set(names)  # fmt: skip
 
 
-def test_compare_counters_are_those_of_the_passes(gl, compared):
-    rows = {row.figures["name"]: row.figures for row in compared.rows}
+def test_compare_counters_are_those_of_the_passes(gl, comparison):
+    rows = {row.figures["name"]: row.figures for row in comparison.rows}
     assert all(tuple(figures["counters"]) == COUNTERS for figures in rows.values())
     volumes, hybrid = rows["shadow_volume"]["counters"], rows["hybrid-768-conservative"]["counters"]
     assert volumes["edges"] == hybrid["edges"] > 0 == volumes["marked"] == volumes["map_texels"]
@@ -93,9 +93,9 @@ def test_run_light_draws_what_a_frame_draws(gl, scene):
     assert len(picture.buffer.valid) > picture.rows == view.rows
     triangles = {name: record.triangles for name, record in run.log.records.items()}
     assert triangles == {record.name: record.triangles for record in frame.passes if record.name in triangles} != {}
-    seen = run.parts[0].copy()
-    seen[attached(picture.own, scene, "sun")] = 0.0
-    np.testing.assert_array_equal(np.where(picture.own.valid, seen, np.nan), frame.visibility)
+    visibility = run.parts[0].copy()
+    visibility[attached(picture.pixel_buffer, scene, "sun")] = 0.0
+    np.testing.assert_array_equal(np.where(picture.pixel_buffer.valid, visibility, np.nan), frame.visibility)
 
 
 @pytest.fixture(scope="module")
@@ -113,36 +113,36 @@ def hazy(tmp_path_factory) -> Scene:
 def test_compare_ignores_points_hidden_by_haze(gl, hazy):
     """Points that haze hides are not sampled, neither in rows nor in pictures, and no error counts them."""
     view = hazy.view("eye", size=(240, 192))
-    asked = [{"algorithm": "shadow_map", "map_size": 256, "filter": 1}, {"algorithm": "shadow_volume"}]
-    plans = [plan_of(hazy, view, **each) for each in asked]
-    compared = compare(hazy, view, "eye", plans=plans, time_limit_s=0.0)
+    requests = [{"algorithm": "shadow_map", "map_size": 256, "filter": 1}, {"algorithm": "shadow_volume"}]
+    plans = [plan_of(hazy, view, **request) for request in requests]
+    comparison = compare(hazy, view, "eye", plans=plans, time_limit_s=0.0)
     buffer = geometry_buffer(hazy, view)
-    hidden = buffer.valid & ~without_hidden_points(buffer, hazy, "sun", {"haze"}).valid
-    for row, plan in zip(compared.rows, plans, strict=True):
+    haze_mask = buffer.valid & ~without_hidden_points(buffer, hazy, "sun", {"haze"}).valid
+    for row, plan in zip(comparison.rows, plans, strict=True):
         frame = render_frame(hazy, view, plan)
-        shown = np.rint(255.0 * np.nan_to_num(frame.visibility, nan=1.0)).astype(np.uint8)
-        np.testing.assert_array_equal(row.visibility, np.where(hidden, 255, shown))
-        clear = fill_steps(plan.steps_under("sun"), buffer, hazy, find_casters(hazy, buffer), (), PassLog())
-        assert min(np.count_nonzero((clear < 0.5) & valid) for valid in (hidden, buffer.valid & ~hidden)) > 50
-        assert not (row.false_shadow | row.missed_shadow)[hidden].any()
-        assert not compared.valid[hidden].any()
+        visibility_u8 = np.rint(255.0 * np.nan_to_num(frame.visibility, nan=1.0)).astype(np.uint8)
+        np.testing.assert_array_equal(row.visibility, np.where(haze_mask, 255, visibility_u8))
+        unhazed_visibility = fill_steps(plan.steps_under("sun"), buffer, hazy, find_casters(hazy, buffer), (), PassLog())
+        assert min(np.count_nonzero((unhazed_visibility < 0.5) & valid) for valid in (haze_mask, buffer.valid & ~haze_mask)) > 50
+        assert not (row.false_shadow | row.missed_shadow)[haze_mask].any()
+        assert not comparison.valid[haze_mask].any()
         assert row.figures["wrong_cast"] == measure_plan(hazy, view, plan).figures["wrong_cast"]
 
 
 def test_compare_without_time_keeps_every_algorithm(gl, scene):
-    short = compare(scene, scene.view("eye"), "eye", time_limit_s=0.0)
-    drawn = {name for row in short.rows for name in row.figures["algorithm"]["sun"].values()}
-    assert drawn == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "none"}
-    assert all(row.figures["cold"] and row.figures["runs"] == 1 for row in short.rows)
-    everything = {name_of(plan) for plan in candidates(scene, scene.view("eye"), "eye")}
-    missing = everything - {row.figures["name"] for row in short.rows}
-    assert "shadow_map-1024-1-16" in missing and missing == set(short.left_out)
+    limited = compare(scene, scene.view("eye"), "eye", time_limit_s=0.0)
+    algorithms = {name for row in limited.rows for name in row.figures["algorithm"]["sun"].values()}
+    assert algorithms == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "none"}
+    assert all(row.figures["cold"] and row.figures["runs"] == 1 for row in limited.rows)
+    all_names = {name_of(plan) for plan in candidates(scene, scene.view("eye"), "eye")}
+    missing = all_names - {row.figures["name"] for row in limited.rows}
+    assert "shadow_map-1024-1-16" in missing and missing == set(limited.left_out)
 
 
 def test_compare_measures_named_rows_beyond_the_time_limit(gl, scene):
     names = ["shadow_map-1024-1-32", "shadow_map-1024-1-16"]
-    compared = compare(scene, scene.view("eye"), "eye", time_limit_s=0.0, only=names)
-    assert sorted(row.figures["name"] for row in compared.rows) == sorted(names) and not compared.left_out
+    comparison = compare(scene, scene.view("eye"), "eye", time_limit_s=0.0, only=names)
+    assert sorted(row.figures["name"] for row in comparison.rows) == sorted(names) and not comparison.left_out
     with pytest.raises(InputError, match="only: 'sundial' is not allowed. Allowed: .*shadow_map-1024-1-32"):
         compare(scene, scene.view("eye"), "eye", only=["sundial"])
 
@@ -162,28 +162,28 @@ def test_soft_error_is_least_for_the_map_that_samples_the_disc(gl, scene):
     assert hard == pytest.approx(soft_error(frame.visibility, real), rel=0.1)
 
 
-def test_compare_rows_are_consistent(gl, compared):
+def test_compare_rows_are_consistent(gl, comparison):
     """Visibility classes, wrong pixels and figures agree with one another."""
-    for row in compared.rows:
-        assert row.visibility.dtype == np.uint8 and row.visibility.shape == compared.valid.shape
-        assert (row.visibility[~compared.valid] == 255).all()
+    for row in comparison.rows:
+        assert row.visibility.dtype == np.uint8 and row.visibility.shape == comparison.valid.shape
+        assert (row.visibility[~comparison.valid] == 255).all()
         assert (row.visibility[row.false_shadow] < 128).all() and (row.visibility[row.missed_shadow] > 127).all()
         assert not (row.false_shadow & row.missed_shadow).any()
-    rows = {row.figures["name"]: row for row in compared.rows}
+    rows = {row.figures["name"]: row for row in comparison.rows}
     assert rows["none"].missed_shadow.any() and not rows["none"].false_shadow.any()
 
 
 @pytest.mark.parametrize(("front", "error"), [("pareto", "wrong_cast"), ("pareto_soft", "soft_error")])
-def test_compare_marks_the_pareto_front(gl, compared, front, error):
-    rows = [row.figures for row in compared.rows]
-    assert compared.error == "wrong_cast"
+def test_compare_marks_the_pareto_front(gl, comparison, front, error):
+    rows = [row.figures for row in comparison.rows]
+    assert comparison.error == "wrong_cast"
     for row in rows:
-        beaten = any(
+        is_dominated = any(
             other["ms_median"] <= row["ms_median"] and other[error] <= row[error]
             and (other["ms_median"], other[error]) != (row["ms_median"], row[error])
             for other in rows
         )  # fmt: skip
-        assert row[front] is not beaten
+        assert row[front] is not is_dominated
 
 
 @pytest.mark.parametrize(
@@ -219,15 +219,15 @@ def test_texel_on_level_ground_matches_finite_differences(entries, point):
     matrix, point = np.reshape(entries, (4, 4)), np.array(point)
     assume(abs((matrix @ np.append(point, 1.0))[3]) > 0.3)
 
-    def texels(at: np.ndarray) -> np.ndarray:
-        mapped = matrix @ np.append(at, 1.0)
+    def texels(position: np.ndarray) -> np.ndarray:
+        mapped = matrix @ np.append(position, 1.0)
         return mapped[:2] / mapped[3]
 
     step = 1e-5
     slopes = np.stack([(texels(point + step * axis) - texels(point - step * axis)) / (2 * step) for axis in np.eye(3)[:2]])
-    least = np.linalg.svd(slopes, compute_uv=False)[1]
-    assume(least > 1e-3)
-    assert texel_on_level_ground_m(matrix, point) == pytest.approx(1.0 / least, rel=1e-3)
+    smallest_scale = np.linalg.svd(slopes, compute_uv=False)[1]
+    assume(smallest_scale > 1e-3)
+    assert texel_on_level_ground_m(matrix, point) == pytest.approx(1.0 / smallest_scale, rel=1e-3)
 
 
 def test_texel_footprint_of_a_perspective_map_follows_the_eye(gl, scene):
@@ -243,13 +243,13 @@ def test_texel_footprint_of_a_perspective_map_follows_the_eye(gl, scene):
         spread[name], largest[name] = size_px.max() / size_px.min(), size_px.max()
         halved = step.settings.model_copy(update={"map_size": 1024})
         if name == "perspective_shadow_map":
-            finer = texel_footprint_px(scene, type(step)(step.light, step.kinds, step.algorithm, halved), buffer, 1.0)[floor]
-            np.testing.assert_allclose(size_px / finer, 2.0, rtol=0.05)
+            finer_px = texel_footprint_px(scene, type(step)(step.light, step.kinds, step.algorithm, halved), buffer, 1.0)[floor]
+            np.testing.assert_allclose(size_px / finer_px, 2.0, rtol=0.05)
     assert spread["perspective_shadow_map"] < spread["shadow_map"]
     assert largest["perspective_shadow_map"] < largest["shadow_map"]
 
 
-def test_compare_measures_every_candidate(gl, scene, compared):
+def test_compare_measures_every_candidate(gl, scene, comparison):
     plans = candidates(scene, scene.view("eye"), "eye")
-    assert [row.figures["name"] for row in compared.rows] == [name_of(plan) for plan in plans]
+    assert [row.figures["name"] for row in comparison.rows] == [name_of(plan) for plan in plans]
     assert 30 <= len(plans) <= MAX_CANDIDATES

@@ -22,7 +22,7 @@ from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of
 
 EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [240, 192]}
-PLAIN = {
+PLAIN_LEVEL = {
     "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "meshes": [{"generate": "tetrahedra"}],
     "sun": {"azimuth": 200, "altitude": 35}, "views": {"eye": EYE, "map": {"kind": "map", "size": [240, 240]}},
 }  # fmt: skip
@@ -32,7 +32,7 @@ PLAIN = {
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory) -> Scene:
     path = tmp_path_factory.mktemp("points") / "level.yaml"
-    path.write_text(json.dumps(PLAIN), encoding="utf-8")
+    path.write_text(json.dumps(PLAIN_LEVEL), encoding="utf-8")
     return build_scene(load_level(path))
 
 
@@ -48,10 +48,10 @@ def picture_truth(scene: Scene, view) -> PictureTruth:
 
 @pytest.mark.parametrize("every", [1, 2, 4, 8])
 def test_lattice_offsets_cover_every_pixel_once(every):
-    seen = np.zeros((16, 24), int)
+    visit_counts = np.zeros((16, 24), int)
     for row, col in lattice_offsets(every):
-        seen[row::every, col::every] += 1
-    assert (seen == 1).all() and len(lattice_offsets(every)) == every**2
+        visit_counts[row::every, col::every] += 1
+    assert (visit_counts == 1).all() and len(lattice_offsets(every)) == every**2
 
 
 @pytest.mark.parametrize(("level", "name"), [("scene", "eye"), ("scene", "map"), ("wooded", "main")])
@@ -63,13 +63,13 @@ def test_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
     scene = request.getfixturevalue(level)
     view = scene.view(name) if level == "scene" else scene.view(name, size=(240, 192))
     truth = picture_truth(scene, view)
-    whole = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    full_truth = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
     assert truth.every == 2
     for number in (0, 3):
         lattice = truth.lattice(number)
         for field in ("lit", "attached", "valid"):
-            assert np.array_equal(getattr(lattice.truth, field), lattice.at_points(getattr(whole, field)))
-        differ = lattice.truth.decidable != lattice.at_points(whole.decidable)
+            assert np.array_equal(getattr(lattice.truth, field), lattice.at_points(getattr(full_truth, field)))
+        differ = lattice.truth.decidable != lattice.at_points(full_truth.decidable)
         assert differ.mean() < 1e-3
 
 
@@ -97,13 +97,13 @@ def test_lattice_of_a_map_walks_rays_to_the_same_truth(gl, request, tmp_path, le
     embree = ray_scene(truth.picture, scene, truth.casters, ALL_KINDS)
     assert truth.casters.patches and embree.offset_m == truth.rays.offset_m
     for number in (0, 3):
-        found = truth.lattice(number).truth
+        lattice_truth = truth.lattice(number).truth
         points = subsampled_points(truth.picture, truth.every, lattice_offsets(truth.every)[number])
         expected = trace_truth(points, scene, truth.casters, TRUTH_SAMPLES, rays=embree)
-        both = found.decidable & expected.decidable
-        assert np.array_equal(found.lit[both], expected.lit[both])
-        assert (found.decidable != expected.decidable).mean() < 1e-3
-        assert both.mean() > 0.5 and 0.02 < expected.lit[both].mean() < 0.98
+        decidable = lattice_truth.decidable & expected.decidable
+        assert np.array_equal(lattice_truth.lit[decidable], expected.lit[decidable])
+        assert (lattice_truth.decidable != expected.decidable).mean() < 1e-3
+        assert decidable.mean() > 0.5 and 0.02 < expected.lit[decidable].mean() < 0.98
 
 
 @pytest.mark.parametrize("name", ["eye", "map"])
@@ -111,26 +111,28 @@ def test_sum_of_all_lattices_equals_the_error_metrics(gl, scene, name):
     view = scene.view(name)
     truth = picture_truth(scene, view)
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=128, filter=1)
-    whole = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    full_truth = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
     visibility = render_frame(scene, view, plan).visibility
-    expected = error_metrics(visibility, whole, 1.0)
+    expected = error_metrics(visibility, full_truth, 1.0)
     dark = np.nan_to_num(visibility, nan=1.0) < 0.5
     total = PointCounts()
     for number in range(truth.lattice_count):
         total += truth.counts(truth.lattice(number), dark, (), 1.0)
     assert total.wrong_cast / total.cast == pytest.approx(expected.wrong_cast, rel=0.01) and expected.wrong_cast > 0.005
     assert total.inside / total.decided == pytest.approx(expected.interior, rel=0.02, abs=2e-5)
-    lost = truth.counts(truth.lattice(0), np.zeros_like(dark), (), 1.0)  # without any shadow, most of the lost shadow is interior
-    assert lost.wrong_cast == lost.cast and lost.inside > 10
+    unshadowed_counts = truth.counts(
+        truth.lattice(0), np.zeros_like(dark), (), 1.0
+    )  # without any shadow, most of the lost shadow is interior
+    assert unshadowed_counts.wrong_cast == unshadowed_counts.cast and unshadowed_counts.inside > 10
 
 
 def test_subsampled_view_keeps_the_pixel_width(scene):
     for name in ("eye", "map"):
         view = scene.view(name)
-        few = subsampled_view(view, 4)
-        assert few.pixel_share == 0.25
-        assert few.shifted(0.5, -0.5).row0 == pytest.approx(view.shifted(0.5, -0.5).row0)
-        assert few.part(1, 2, 3, 3).col0 == pytest.approx(view.part(4, 8, 3, 3).col0)
+        subsampled = subsampled_view(view, 4)
+        assert subsampled.pixel_share == 0.25
+        assert subsampled.shifted(0.5, -0.5).row0 == pytest.approx(view.shifted(0.5, -0.5).row0)
+        assert subsampled.part(1, 2, 3, 3).col0 == pytest.approx(view.part(4, 8, 3, 3).col0)
     assert subsampled_view(scene.view("eye"), 4).pixel == scene.view("eye").pixel
 
 

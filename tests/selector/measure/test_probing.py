@@ -26,7 +26,7 @@ ALGORITHMS = ("shadow_map", "shadow_volume", "hybrid", "sweep")
 
 
 @dataclass(frozen=True)
-class Real:
+class Candidate:
     """A candidate: expected and true figures."""
 
     expected_ms: float
@@ -38,10 +38,10 @@ class Real:
 
 
 @dataclass
-class Told:
+class FakeProber:
     """A prober that knows all true figures and counts its calls."""
 
-    candidates: list[Real]
+    candidates: list[Candidate]
     points: int = 1000
     steps: int = 4
     seconds: float = 0.0
@@ -54,18 +54,20 @@ class Told:
     def draw_s(self, ms: float) -> float:
         return ms / 1000.0
 
-    def draw(self, which: int) -> float | None:
-        self.drawn.append(which)
-        self.seconds += self.draw_s(self.candidates[which].ms)
-        return None if self.candidates[which].refused else self.candidates[which].ms
+    def draw(self, index: int) -> float | None:
+        self.drawn.append(index)
+        self.seconds += self.draw_s(self.candidates[index].ms)
+        return None if self.candidates[index].refused else self.candidates[index].ms
 
-    def measurement(self, which: int) -> ErrorMeasurement:
-        real, count = self.candidates[which], self.points * 2**self.step
+    def measurement(self, index: int) -> ErrorMeasurement:
+        candidate, count = self.candidates[index], self.points * 2**self.step
         if self.step == self.steps:
-            return ErrorMeasurement(real.error, real.error, real.error, real.interior, real.interior, real.interior, count)
-        limits = share_interval(round(real.error * count), count)
+            return ErrorMeasurement(
+                candidate.error, candidate.error, candidate.error, candidate.interior, candidate.interior, candidate.interior, count
+            )
+        limits = share_interval(round(candidate.error * count), count)
         return ErrorMeasurement(
-            real.error, *limits, real.interior, *share_interval(round(10 * real.interior * count), 10 * count), count
+            candidate.error, *limits, candidate.interior, *share_interval(round(10 * candidate.interior * count), 10 * count), count
         )
 
     def add_points_s(self) -> float | None:
@@ -76,34 +78,38 @@ class Told:
         self.step += 1
 
 
-def options_of(candidates: list[Real]) -> LightOptions:
+def options_of(candidates: list[Candidate]) -> LightOptions:
     """Return options, each a family by itself, whose errors are uncertain."""
     options = [
         PredictedChoice(
             Choice(f"c{number}", {"relief": ALGORITHMS[number % 4]}),
             (Step(SUN, ("relief",), ALGORITHMS[number % 4], None),),
-            real.expected_ms,
-            ExpectedErrors(real.expected_error / 5.0, real.expected_error, 0.0, 0.4, 0.4),
+            candidate.expected_ms,
+            ExpectedErrors(candidate.expected_error / 5.0, candidate.expected_error, 0.0, 0.4, 0.4),
         )
-        for number, real in enumerate(candidates)
+        for number, candidate in enumerate(candidates)
     ]
     return LightOptions.expected(options, MODEL)
 
 
-def probe(candidates: list[Real], max_error: float, max_ms: float | None = None, budget_s: float | None = None, **told):
-    prober = Told(candidates, **told)
-    found = probe_options(options_of(candidates), prober, max_error, max_ms, budget_s)
-    return leader_of(found.options, max_error, max_ms), found, prober
+def probe(
+    candidates: list[Candidate], max_error: float, max_ms: float | None = None, budget_s: float | None = None, **prober_fields
+):
+    prober = FakeProber(candidates, **prober_fields)
+    outcome = probe_options(options_of(candidates), prober, max_error, max_ms, budget_s)
+    return leader_of(outcome.options, max_error, max_ms), outcome, prober
 
 
 def test_probe_confirms_a_leader_that_meets_its_forecast():
-    taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.005), Real(100.0, 0.001, 100.0, 0.001)], 0.03, budget_s=3.0)
-    assert (taken, prober.drawn, found.confirmed, prober.step) == (0, [0], True, 0)
+    winner, outcome, prober = probe(
+        [Candidate(10.0, 0.005, 10.0, 0.005), Candidate(100.0, 0.001, 100.0, 0.001)], 0.03, budget_s=3.0
+    )
+    assert (winner, prober.drawn, outcome.confirmed, prober.step) == (0, [0], True, 0)
 
 
 def test_probe_replaces_a_leader_that_misses():
-    taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.08), Real(30.0, 0.001, 30.0, 0.001)], 0.03, budget_s=3.0)
-    assert (taken, prober.drawn, found.confirmed, found.initial_leader) == (1, [0, 1], True, 0)
+    winner, outcome, prober = probe([Candidate(10.0, 0.005, 10.0, 0.08), Candidate(30.0, 0.001, 30.0, 0.001)], 0.03, budget_s=3.0)
+    assert (winner, prober.drawn, outcome.confirmed, outcome.initial_leader) == (1, [0, 1], True, 0)
 
 
 def test_probe_raises_expected_errors_of_related_candidates():
@@ -111,80 +117,95 @@ def test_probe_raises_expected_errors_of_related_candidates():
 
     The first has ten times as much; by the shared variance the others are expected to have more, too.
     """
-    candidates = [Real(10.0, 0.01, 10.0, 0.1), Real(12.0, 0.015, 12.0, 0.15), Real(60.0, 0.0005, 60.0, 0.0005)]
+    candidates = [Candidate(10.0, 0.01, 10.0, 0.1), Candidate(12.0, 0.015, 12.0, 0.15), Candidate(60.0, 0.0005, 60.0, 0.0005)]
     before = options_of(candidates)
-    _, found, _ = probe(candidates, 0.03, budget_s=0.0)
-    assert [found.options.figures(which).error > 1.5 * before.figures(which).error for which in (0, 1)] == [True, True]
+    _, outcome, _ = probe(candidates, 0.03, budget_s=0.0)
+    assert [outcome.options.figures(index).error > 1.5 * before.figures(index).error for index in (0, 1)] == [True, True]
 
 
 def test_probe_adds_points_until_the_interval_decides():
     """For 2.8 % of a thousand points the interval is 1.9 to 4.0 %: no verdict on 3 %. All points give a verdict."""
-    taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=30.0)
-    assert taken == 0 and prober.step == 4 and found.confirmed
-    _, hasty, prober = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=0.15)
-    assert prober.step == 1 and not hasty.confirmed
+    winner, outcome, prober = probe(
+        [Candidate(10.0, 0.005, 10.0, 0.028), Candidate(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=30.0
+    )
+    assert winner == 0 and prober.step == 4 and outcome.confirmed
+    _, short_outcome, prober = probe(
+        [Candidate(10.0, 0.005, 10.0, 0.028), Candidate(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=0.15
+    )
+    assert prober.step == 1 and not short_outcome.confirmed
 
 
 def test_probe_draws_one_candidate_then_respects_the_budget():
-    candidates = [Real(500.0, 0.005, 500.0, 0.08), Real(900.0, 0.001, 900.0, 0.001)]
-    taken, found, prober = probe(candidates, 0.03, budget_s=0.1)
-    assert prober.drawn == [0] and not found.confirmed
-    assert taken == 1  # a candidate that was measured to miss loses to one that is expected to meet the target
+    candidates = [Candidate(500.0, 0.005, 500.0, 0.08), Candidate(900.0, 0.001, 900.0, 0.001)]
+    winner, outcome, prober = probe(candidates, 0.03, budget_s=0.1)
+    assert prober.drawn == [0] and not outcome.confirmed
+    assert winner == 1  # a candidate that was measured to miss loses to one that is expected to meet the target
 
 
 def test_probe_drops_a_candidate_that_refuses_the_view():
-    candidates = [Real(10.0, 0.005, 10.0, 0.005, refused=True), Real(30.0, 0.001, 30.0, 0.001)]
-    taken, found, prober = probe(candidates, 0.03, budget_s=3.0)
-    assert (taken, prober.drawn, sorted(found.drawn)) == (1, [0, 1], [1])
-    nothing = [Real(10.0, 0.005, 10.0, 0.005, refused=True)]
-    assert probe_options(options_of(nothing), Told(nothing), 0.03).options.numbers == []
+    candidates = [Candidate(10.0, 0.005, 10.0, 0.005, refused=True), Candidate(30.0, 0.001, 30.0, 0.001)]
+    winner, outcome, prober = probe(candidates, 0.03, budget_s=3.0)
+    assert (winner, prober.drawn, sorted(outcome.drawn)) == (1, [0, 1], [1])
+    refused_only = [Candidate(10.0, 0.005, 10.0, 0.005, refused=True)]
+    assert probe_options(options_of(refused_only), FakeProber(refused_only), 0.03).options.numbers == []
 
 
 def test_probe_tries_a_much_faster_candidate():
     """The second candidate is expected to miss 1 % but meets it. Without a budget, probing finds it."""
-    candidates = [Real(100.0, 0.002, 100.0, 0.002), Real(10.0, 0.02, 10.0, 0.008)]
+    candidates = [Candidate(100.0, 0.002, 100.0, 0.002), Candidate(10.0, 0.02, 10.0, 0.008)]
     assert probe(candidates, 0.01)[0] == 1
 
 
 def test_probe_seeks_the_most_accurate_within_the_time():
-    candidates = [Real(10.0, 0.02, 10.0, 0.02), Real(20.0, 0.018, 20.0, 0.002), Real(90.0, 0.0, 90.0, 0.0)]
+    candidates = [Candidate(10.0, 0.02, 10.0, 0.02), Candidate(20.0, 0.018, 20.0, 0.002), Candidate(90.0, 0.0, 90.0, 0.0)]
     assert probe(candidates, 1e-4, 50.0)[0] == 1
 
 
 def test_expected_gain_of_known_candidates_is_the_time_saved():
-    candidates = [Real(100.0, 0.001, 100.0, 0.001), Real(60.0, 0.001, 60.0, 0.001)]
+    candidates = [Candidate(100.0, 0.001, 100.0, 0.001), Candidate(60.0, 0.001, 60.0, 0.001)]
     options = options_of(candidates)
-    for which, real in enumerate(candidates):
+    for index, candidate in enumerate(candidates):
         options = options.after(
-            [ErrorMeasurement(real.error, real.error, real.error, 0.0, 0.0, 0.0, 1000).seen(f"c{which}", real.ms)]
+            [
+                ErrorMeasurement(candidate.error, candidate.error, candidate.error, 0.0, 0.0, 0.0, 1000).to_observation(
+                    f"c{index}", candidate.ms
+                )
+            ]
         )
     assert expected_gain(options, 1, 0, 0.01, None) == pytest.approx(0.4, abs=0.01)
     assert expected_gain(options, 0, 1, 0.01, None) == pytest.approx(0.0, abs=1e-3)
 
 
-reals = st.lists(
-    st.builds(Real, st.floats(1, 500), st.floats(0, 0.3), st.floats(1, 500), st.floats(0, 0.3), st.sampled_from([0.0, 0.0, 0.01])),
+candidate_lists = st.lists(
+    st.builds(Candidate, st.floats(1, 500), st.floats(0, 0.3), st.floats(1, 500), st.floats(0, 0.3), st.sampled_from([0.0, 0.0, 0.01])),
     min_size=1, max_size=8,
 )  # fmt: skip
 
 
 @settings(deadline=None)
-@given(reals, st.sampled_from([0.1, 0.03, 0.01, 0.003]), st.none() | st.floats(5, 300), st.sampled_from([0.0, 0.3, 3.0, None]))
+@given(
+    candidate_lists,
+    st.sampled_from([0.1, 0.03, 0.01, 0.003]),
+    st.none() | st.floats(5, 300),
+    st.sampled_from([0.0, 0.3, 3.0, None]),
+)
 def test_probe_prefers_a_likely_candidate_to_a_measured_miss(candidates, max_error, max_ms, budget_s):
-    taken, found, prober = probe(candidates, max_error, max_ms, budget_s)
+    winner, outcome, prober = probe(candidates, max_error, max_ms, budget_s)
     assert len(set(prober.drawn)) == len(prober.drawn) >= 1
-    forecasts = found.options.forecasts(max_error)
-    if forecasts[taken].miss_chance(max_ms) > 0.5:
-        assert all(one.miss_chance(max_ms) > 0.5 for one in forecasts)
+    forecasts = outcome.options.forecasts(max_error)
+    if forecasts[winner].miss_chance(max_ms) > 0.5:
+        assert all(forecast.miss_chance(max_ms) > 0.5 for forecast in forecasts)
     if budget_s is not None and len(prober.drawn) > 1:
-        assert prober.seconds <= budget_s + max(real.ms for real in candidates) / 1000.0  # a draw may take longer than forecast
+        assert (
+            prober.seconds <= budget_s + max(candidate.ms for candidate in candidates) / 1000.0
+        )  # a draw may take longer than forecast
 
 
 @settings(deadline=None)
-@given(reals, st.sampled_from([0.1, 0.03, 0.01]))
+@given(candidate_lists, st.sampled_from([0.1, 0.03, 0.01]))
 def test_probe_without_a_budget_chooses_a_measured_candidate(candidates, max_error):
-    taken, found, _ = probe(candidates, max_error)
-    assert taken in found.drawn
-    real = candidates[taken]
-    if real.error > max_error or real.interior > 0.001:  # then no drawn candidate meets the target
-        assert all(candidates[which].error > max_error or candidates[which].interior > 0.001 for which in found.drawn)
+    winner, outcome, _ = probe(candidates, max_error)
+    assert winner in outcome.drawn
+    candidate = candidates[winner]
+    if candidate.error > max_error or candidate.interior > 0.001:  # then no drawn candidate meets the target
+        assert all(candidates[index].error > max_error or candidates[index].interior > 0.001 for index in outcome.drawn)

@@ -41,7 +41,7 @@ from skugga.terrain.scene import build_scene
 TEXEL_M = 0.5
 """Texel of the usual map over the hand-written view, metres."""
 
-PIXEL = 0.001
+PIXEL_TANGENT = 0.001
 """Tangent of a pixel in that view: at 500 m a texel covers one pixel."""
 
 LAMP = {"name": "lamp", "kind": "spot", "cutoff_deg": 30.0, "reference_m": 40.0}
@@ -51,93 +51,95 @@ def band(near_m: float, far_m: float, share: float = 0.5) -> dict[str, Any]:
     return {"near_m": near_m, "far_m": far_m, "share": share, "low_light_m": (-1.0, -1.0, -1.0), "high_light_m": (1.0, 1.0, 1.0)}
 
 
-def sun_over(*casters: str, **keys: Any) -> Descriptor:
+def sun_descriptor(*casters: str, **keys: Any) -> Descriptor:
     """Return a hand-written perspective view of a flat world under the sun, from 16 m to 1 km, without further facts."""
-    given = {
-        "view": "by hand", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": PIXEL, "node_m": 1.0,
+    fields = {
+        "view": "by hand", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": PIXEL_TANGENT, "node_m": 1.0,
         "casters": casters, "relief_m": 50.0 if "relief" in casters else 0.0, "block_relief_m": 50.0,
         "sun_azimuth_deg": 200.0, "sun_altitude_deg": 30.0, "highest_sun_deg": 30.0,
         "receivers_light_m": (TEXEL_M * REFERENCE_MAP_TEXELS, 300.0, 500.0), "bands": [band(16.0, 32.0), band(512.0, 1024.0)],
     }  # fmt: skip
-    return Descriptor.model_validate(given | keys)
+    return Descriptor.model_validate(fields | keys)
 
 
-def map_over(*casters: str, **keys: Any) -> Descriptor:
-    return sun_over(*casters, view_kind="map", pixel=None, bands=[], **keys)
+def map_descriptor(*casters: str, **keys: Any) -> Descriptor:
+    return sun_descriptor(*casters, view_kind="map", pixel=None, bands=[], **keys)
 
 
-def light(**facts: Any) -> dict[str, LightFacts]:
+def sun_facts(**facts: Any) -> dict[str, LightFacts]:
     return {"sun": LightFacts(**facts)}
 
 
-def stand(kind: str = "meshes", triangles: int = 50_000, **facts: Any) -> CasterFacts:
+def make_caster_facts(kind: str = "meshes", triangles: int = 50_000, **facts: Any) -> CasterFacts:
     return CasterFacts(kind=kind, triangles=triangles, **facts)
 
 
-def near_by(texel_px: float, **facts: Any) -> dict[str, LightFacts]:
+def near_edge_facts(texel_px: float, **facts: Any) -> dict[str, LightFacts]:
     """Return a light whose nearest edge is where a texel covers that many pixels."""
-    return light(nearest_edge_m=TEXEL_M / PIXEL / texel_px, **facts)
+    return sun_facts(nearest_edge_m=TEXEL_M / PIXEL_TANGENT / texel_px, **facts)
 
 
-def choices_from_plan(descriptor: Descriptor, **asked: Any) -> dict[str, Choice]:
+def rule_choices(descriptor: Descriptor, **settings: Any) -> dict[str, Choice]:
     """Return the choices of the rules for all lights."""
-    return choices_by_rules(descriptor, Shadows(**asked), descriptor.light_kinds)
+    return choices_by_rules(descriptor, Shadows(**settings), descriptor.light_kinds)
 
 
-def taken(descriptor: Descriptor, kind: str = "meshes", of: str = "sun", **asked: Any) -> str:
-    return choices_from_plan(descriptor, **asked)[of].algorithm[kind]
+def chosen_algorithm(descriptor: Descriptor, kind: str = "meshes", light_name: str = "sun", **settings: Any) -> str:
+    return rule_choices(descriptor, **settings)[light_name].algorithm[kind]
 
 
-def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> str | None:
+def rule_of(descriptor: Descriptor, kind: str = "meshes", light_name: str = "sun") -> str | None:
     """Return the name of the first rule that applies and can be served."""
-    case = RuleInput(descriptor, of, kind, Shadows())
-    names = (rule.name for rule in RULES if can_serve(rule.algorithm, descriptor, of, kind) and rule.reason_for(case))
+    case = RuleInput(descriptor, light_name, kind, Shadows())
+    names = (rule.name for rule in RULES if can_serve(rule.algorithm, descriptor, light_name, kind) and rule.reason_for(case))
     return next(names, None)
 
 
 def test_rules_fall_back_to_a_map_without_facts():
     """A rule does not apply while its facts are unknown. The fallback is a shadow map."""
-    for descriptor in (sun_over("meshes"), sun_over("meshes", bands=[], pixel=None, receivers_light_m=None)):
-        choice = choices_from_plan(descriptor)["sun"]
-        assert choice.algorithm == {"meshes": "shadow_map"} and choice.why == {"meshes": NO_RULE}
-    round_earth = sun_over("relief", flat_world=False)  # the extent of the ground to sweep is unknown
+    for descriptor in (sun_descriptor("meshes"), sun_descriptor("meshes", bands=[], pixel=None, receivers_light_m=None)):
+        choice = rule_choices(descriptor)["sun"]
+        assert choice.algorithm == {"meshes": "shadow_map"} and choice.reason == {"meshes": NO_RULE}
+    round_earth = sun_descriptor("relief", flat_world=False)  # the extent of the ground to sweep is unknown
     assert rule_of(round_earth, "relief") is None
-    assert choices_from_plan(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None))
+    assert rule_choices(map_descriptor("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None))
 
 
-@pytest.mark.parametrize("descriptor", [sun_over("relief", "meshes"), map_over("relief", "meshes")])
+@pytest.mark.parametrize("descriptor", [sun_descriptor("relief", "meshes"), map_descriptor("relief", "meshes")])
 def test_rules_sweep_relief_but_not_meshes(descriptor):
-    assert rule_of(descriptor, "relief") == "a heightfield is swept" and taken(descriptor, "relief") == "sweep"
-    assert taken(descriptor, "meshes") == "shadow_map"
+    assert rule_of(descriptor, "relief") == "a heightfield is swept" and chosen_algorithm(descriptor, "relief") == "sweep"
+    assert chosen_algorithm(descriptor, "meshes") == "shadow_map"
 
 
 def test_rules_do_not_sweep_under_lamps():
-    assert taken(sun_over("relief", lamps=[LAMP]), "relief", "lamp") == "shadow_map"
+    assert chosen_algorithm(sun_descriptor("relief", lamps=[LAMP]), "relief", "lamp") == "shadow_map"
 
 
 def test_rules_sweep_ground_only_while_rays_are_straight():
     """The block has 1024 pixels and reaches as far as its longest shadow: 50 m / tan 30 degrees, slightly less on a round earth."""
-    fits = (MAX_STRAIGHT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
-    for pixel_m, algorithm in ((0.999 * fits, "sweep"), (1.001 * fits, "shadow_map")):
-        wide = map_over(
-            "relief", flat_world=False, pixel_m=pixel_m, receivers_light_m=(2e5, 1e5, 2e5), lights=light(area_share=0.9)
+    max_pixel_m = (MAX_STRAIGHT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
+    for pixel_m, algorithm in ((0.999 * max_pixel_m, "sweep"), (1.001 * max_pixel_m, "shadow_map")):
+        wide = map_descriptor(
+            "relief", flat_world=False, pixel_m=pixel_m, receivers_light_m=(2e5, 1e5, 2e5), lights=sun_facts(area_share=0.9)
         )
-        assert taken(wide, "relief") == algorithm
-    small = map_over("relief", flat_world=False, pixel_m=1e4, lights=light(area_share=1.0))
-    assert taken(small, "relief") == "sweep"  # the whole level, in large pixels
-    assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # rays are straight in a flat world
+        assert chosen_algorithm(wide, "relief") == algorithm
+    small = map_descriptor("relief", flat_world=False, pixel_m=1e4, lights=sun_facts(area_share=1.0))
+    assert chosen_algorithm(small, "relief") == "sweep"  # the whole level, in large pixels
+    assert chosen_algorithm(map_descriptor("relief", pixel_m=1e4), "relief") == "sweep"  # rays are straight in a flat world
     # In perspective the whole level counts: square, with 512 m x 300 m / sin 30 degrees visible.
-    light_facts = TEXEL_M * REFERENCE_MAP_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
-    for share, algorithm in ((1.001 * light_facts, "sweep"), (0.999 * light_facts, "perspective_shadow_map")):
-        assert taken(sun_over("relief", flat_world=False, lights=light(area_share=share)), "relief") == algorithm
+    limit_share = TEXEL_M * REFERENCE_MAP_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
+    for share, algorithm in ((1.001 * limit_share, "sweep"), (0.999 * limit_share, "perspective_shadow_map")):
+        assert (
+            chosen_algorithm(sun_descriptor("relief", flat_world=False, lights=sun_facts(area_share=share)), "relief") == algorithm
+        )
 
 
 def test_rules_take_volumes_for_strict_errors_except_foliage():
     """Ground is swept all the same: a sweep has no texels either."""
-    descriptor = sun_over("relief", "meshes", "forest")
-    strict = choices_from_plan(descriptor, max_error=0.9 * TYPICAL_MAP_ERROR)["sun"]
-    assert strict.algorithm == {"relief": "sweep", "meshes": "shadow_volume", "forest": "shadow_map"}
-    assert taken(descriptor, max_error=TYPICAL_MAP_ERROR) == "shadow_map"
+    descriptor = sun_descriptor("relief", "meshes", "forest")
+    choice = rule_choices(descriptor, max_error=0.9 * TYPICAL_MAP_ERROR)["sun"]
+    assert choice.algorithm == {"relief": "sweep", "meshes": "shadow_volume", "forest": "shadow_map"}
+    assert chosen_algorithm(descriptor, max_error=TYPICAL_MAP_ERROR) == "shadow_map"
 
 
 @pytest.mark.parametrize(
@@ -149,14 +151,18 @@ def test_rules_take_volumes_for_strict_errors_except_foliage():
     ],
 )  # fmt: skip
 def test_rules_take_a_map_if_its_settings_are_requested(asked, relief, meshes):
-    descriptor = sun_over("relief", "meshes", stands=[stand(triangles=12, closed_share=1.0)])
-    assert taken(descriptor, "relief", **asked) == relief and taken(descriptor, "meshes", **asked) == meshes
+    descriptor = sun_descriptor("relief", "meshes", stands=[make_caster_facts(triangles=12, closed_share=1.0)])
+    assert chosen_algorithm(descriptor, "relief", **asked) == relief and chosen_algorithm(descriptor, "meshes", **asked) == meshes
 
 
 def test_rules_take_a_map_for_foliage_and_its_neighbours():
-    few = {"stands": [stand(triangles=12, closed_share=1.0)]}
-    assert rule_of(sun_over("meshes", **few)) == "few polygons"
-    assert rule_of(sun_over("meshes", "forest", **few)) == rule_of(sun_over("meshes", "forest"), "forest") == "foliage needs a map"
+    few = {"stands": [make_caster_facts(triangles=12, closed_share=1.0)]}
+    assert rule_of(sun_descriptor("meshes", **few)) == "few polygons"
+    assert (
+        rule_of(sun_descriptor("meshes", "forest", **few))
+        == rule_of(sun_descriptor("meshes", "forest"), "forest")
+        == "foliage needs a map"
+    )
 
 
 def test_rules_take_volumes_for_few_closed_polygons():
@@ -164,11 +170,13 @@ def test_rules_take_volumes_for_few_closed_polygons():
         (MAX_FEW_TRIANGLES, CLOSED_SHARE, "shadow_volume"), (MAX_FEW_TRIANGLES + 1, 1.0, "shadow_map"),
         (MAX_FEW_TRIANGLES, 0.9 * CLOSED_SHARE, "shadow_map"), (0, 1.0, "shadow_map"),
     ):  # fmt: skip
-        descriptor = sun_over("meshes", stands=[stand(triangles=triangles, closed_share=closed)])
-        assert taken(descriptor) == algorithm
-    few = [stand(triangles=400, closed_share=1.0)]
-    assert taken(map_over("meshes", stands=few)) == "shadow_volume"
-    assert taken(map_over("meshes", stands=few, bend_px=5.0)) == "shadow_map"  # a bent map, which no affine camera fits
+        descriptor = sun_descriptor("meshes", stands=[make_caster_facts(triangles=triangles, closed_share=closed)])
+        assert chosen_algorithm(descriptor) == algorithm
+    few = [make_caster_facts(triangles=400, closed_share=1.0)]
+    assert chosen_algorithm(map_descriptor("meshes", stands=few)) == "shadow_volume"
+    assert (
+        chosen_algorithm(map_descriptor("meshes", stands=few, bend_px=5.0)) == "shadow_map"
+    )  # a bent map, which no affine camera fits
 
 
 def test_rules_take_a_map_for_a_narrow_lamp():
@@ -176,9 +184,9 @@ def test_rules_take_a_map_for_a_narrow_lamp():
     light_facts = {"lights": {"lamp": LightFacts(nearest_edge_m=0.1, volume_layers=100.0)}}
     sharp_deg = float(np.degrees(np.arctan(SHARP_TEXEL_PX * 0.05 * REFERENCE_MAP_TEXELS / 80.0)))
     for cutoff_deg, name in ((0.99 * sharp_deg, "narrow light"), (1.01 * sharp_deg, "complex shadows from near")):
-        descriptor = sun_over("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **light_facts)
-        assert rule_of(descriptor, of="lamp") == name
-    assert rule_of(sun_over("meshes", pixel_m=0.05)) is None  # the rule does not apply to the sun
+        descriptor = sun_descriptor("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **light_facts)
+        assert rule_of(descriptor, light_name="lamp") == name
+    assert rule_of(sun_descriptor("meshes", pixel_m=0.05)) is None  # the rule does not apply to the sun
 
 
 def test_rules_take_a_map_for_a_small_shadowed_area():
@@ -186,8 +194,8 @@ def test_rules_take_a_map_for_a_small_shadowed_area():
         (MAX_SMALL_SHADOW_SHARE, "small shadowed area"),
         (1.01 * MAX_SMALL_SHADOW_SHARE, "complex shadows from near"),
     ):
-        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, casts={"meshes": {"share": share}})
-        assert rule_of(sun_over("meshes", lights=lights)) == name
+        lights = near_edge_facts(2 * COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, casts={"meshes": {"share": share}})
+        assert rule_of(sun_descriptor("meshes", lights=lights)) == name
 
 
 def test_rules_take_a_map_for_a_light_behind_the_camera():
@@ -195,8 +203,8 @@ def test_rules_take_a_map_for_a_light_behind_the_camera():
         (MIN_BEHIND_ANGLE_DEG, "light near the camera"),
         (MIN_BEHIND_ANGLE_DEG - 1.0, "complex shadows from near"),
     ):
-        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, to_view_deg=to_view_deg)
-        assert rule_of(sun_over("meshes", lights=lights)) == name
+        lights = near_edge_facts(2 * COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, to_view_deg=to_view_deg)
+        assert rule_of(sun_descriptor("meshes", lights=lights)) == name
 
 
 def test_rules_take_the_hybrid_for_near_complex_shadows():
@@ -205,7 +213,7 @@ def test_rules_take_the_hybrid_for_near_complex_shadows():
         (1.01 * COARSE_TEXEL_PX, 0.9 * MIN_COMPLEX_LAYERS, None),
         (0.99 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "far from every edge"), (0.99 * COARSE_TEXEL_PX, 0.0, "far from every edge"),
     ):  # fmt: skip
-        assert rule_of(sun_over("meshes", lights=near_by(texel_px, volume_layers=layers))) == name
+        assert rule_of(sun_descriptor("meshes", lights=near_edge_facts(texel_px, volume_layers=layers))) == name
 
 
 def test_rules_take_a_perspective_map_for_a_small_visible_part():
@@ -214,7 +222,7 @@ def test_rules_take_a_perspective_map_for_a_small_visible_part():
         (MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_GAIN, "small part of the lit area seen"), (MAX_VISIBLE_LIT_SHARE, 15.0 * MIN_GAIN, None),
     ):  # fmt: skip
         bands = [band(16.0, 32.0), band(32.0, far_m)]
-        assert rule_of(sun_over("meshes", bands=bands, lights=near_by(2 * COARSE_TEXEL_PX, area_share=share))) == name
+        assert rule_of(sun_descriptor("meshes", bands=bands, lights=near_edge_facts(2 * COARSE_TEXEL_PX, area_share=share))) == name
 
 
 FACTS = st.builds(
@@ -234,16 +242,16 @@ def test_rules_choose_served_algorithms_with_reasons(
 ):
     casters = ("relief", "meshes", *(("forest",) if forest else ()))
     lamp = LAMP | ({"kind": "omni", "cutoff_deg": 180.0} if omni else {})
-    descriptor = (map_over if is_map else sun_over)(
+    descriptor = (map_descriptor if is_map else sun_descriptor)(
         *casters, flat_world=flat, bend_px=bend_px, lamps=[lamp], lights={"sun": facts, "lamp": of_lamp},
-        stands=[stand(triangles=triangles, closed_share=closed)],
+        stands=[make_caster_facts(triangles=triangles, closed_share=closed)],
     )  # fmt: skip
-    choices = choices_from_plan(descriptor, max_error=max_error)
+    choices = rule_choices(descriptor, max_error=max_error)
     assert list(choices) == ["sun", "lamp"]
-    for of, choice in choices.items():
-        assert set(choice.algorithm) == set(choice.why) == set(casters)
+    for light_name, choice in choices.items():
+        assert set(choice.algorithm) == set(choice.reason) == set(casters)
         for kind, name in choice.algorithm.items():
-            assert can_serve(name, descriptor, of, kind) and choice.why[kind]
+            assert can_serve(name, descriptor, light_name, kind) and choice.reason[kind]
             assert not (is_map and name == "perspective_shadow_map")
             assert not (kind == "forest" and name in ("shadow_volume", "hybrid", "sweep"))
     plan = make_plan(descriptor, StandaloneRequest(Shadows(max_error=max_error), ("sun", "lamp")))
@@ -261,7 +269,7 @@ def test_docs_list_the_rules_in_their_order():
     assert re.findall(r"^\| ([^|]+) \| `(\w+)` \|", table, re.MULTILINE) == [(rule.name, rule.algorithm) for rule in RULES]
 
 
-SCENES = {
+THESIS_SCENES = {
     ("thesis_street", "main"): "shadow_volume", ("thesis_street_sun", "close"): "shadow_volume",
     ("thesis_boxgrid_sun", "main"): "hybrid", ("thesis_boxgrid_sun", "overview"): "shadow_map",
     ("thesis_boxgrid_sun", "map"): "shadow_map", ("thesis_rocks_sun", "main"): "perspective_shadow_map",
@@ -269,19 +277,21 @@ SCENES = {
 """Algorithm of the rules for the meshes of the thesis's scenes: volumes for Street, the hybrid for the box grid (section 8.2)."""
 
 
-@pytest.mark.parametrize(("level", "view"), SCENES)
+@pytest.mark.parametrize(("level", "view"), THESIS_SCENES)
 def test_rules_follow_the_thesis_on_its_scenes(gl, level, view):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
-    of = "sun" if level.endswith("_sun") else "lamp"
+    light_name = "sun" if level.endswith("_sun") else "lamp"
     plan = make_plan(describe(scene, scene.view(view), view), scene.loaded.level)
-    assert plan.algorithm[of] == {"relief": "none", "meshes": SCENES[level, view]}
+    assert plan.algorithm[light_name] == {"relief": "none", "meshes": THESIS_SCENES[level, view]}
 
 
-@pytest.mark.parametrize(("view", "planned"), [(sun_over, ["sun", "lamp"]), (map_over, ["sun", "lamp", "far0", "far1"])])
+@pytest.mark.parametrize(
+    ("view", "planned"), [(sun_descriptor, ["sun", "lamp"]), (map_descriptor, ["sun", "lamp", "far0", "far1"])]
+)
 def test_rules_see_only_planned_lights(view, planned, monkeypatch):
     """A perspective view plans the lights that reach it. A map's plan may stand for other blocks of its scale, so it plans all."""
-    asked_about, first = [], advice._first
-    monkeypatch.setattr(advice, "_first", lambda case: asked_about.append(case.light) or first(case))
-    dark = [LAMP | {"name": f"far{number}", "reaches": False} for number in range(2)]
-    plan = make_plan(view("meshes", lamps=[LAMP, *dark]), StandaloneRequest(Shadows(), ("sun", "lamp", "far0", "far1")))
-    assert list(plan.lights) == asked_about == planned
+    evaluated_lights, original_first = [], advice._first_applicable_rule
+    monkeypatch.setattr(advice, "_first_applicable_rule", lambda case: evaluated_lights.append(case.light) or original_first(case))
+    unreaching_lamps = [LAMP | {"name": f"far{number}", "reaches": False} for number in range(2)]
+    plan = make_plan(view("meshes", lamps=[LAMP, *unreaching_lamps]), StandaloneRequest(Shadows(), ("sun", "lamp", "far0", "far1")))
+    assert list(plan.lights) == evaluated_lights == planned

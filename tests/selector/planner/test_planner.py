@@ -24,7 +24,7 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def wooded() -> Scene:
+def wooded_scene() -> Scene:
     return build_scene(load_level("configs/spatialace.yaml"))
 
 
@@ -53,23 +53,27 @@ def test_plan_gives_reasons_for_map_settings(scene):
 
 def test_plan_gives_reasons_for_rejected_algorithms(scene):
     """Under the rules the reason is a refusal or the algorithm that was preferred. Another policy supplies its own reasons."""
-    said = reasons_of(plan_of(scene, scene.view()))
-    assert said["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refuses["map"]
-    assert said["shadow_volume"] == f"sweep was preferred: {said['sun/relief: sweep']}"
-    assert said["truth"] == ALGORITHMS["truth"].about and said["none"] == "the view has casters and light, so shadows are drawn"
-    choices = {"sun": Choice("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
-    given = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
-    plan = make_plan(describe(scene, scene.view()), scene.loaded.level, choices=choices, rejected=given)
-    said = reasons_of(plan)
-    assert plan.headline == "hybrid" and said["sun/relief: hybrid"] == "it is mine" and said["sweep"] == "12 ms more"
-    assert said["shadow_volume"] == "hybrid was preferred: it is mine"
+    reasons = reasons_of(plan_of(scene, scene.view()))
+    assert reasons["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refusals["map"]
+    assert reasons["shadow_volume"] == f"sweep was preferred: {reasons['sun/relief: sweep']}"
+    assert (
+        reasons["truth"] == ALGORITHMS["truth"].about and reasons["none"] == "the view has casters and light, so shadows are drawn"
+    )
+    choices = {"sun": Choice("mine", {"relief": "hybrid"}, reason={"relief": "it is mine"})}
+    rejected_reasons = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
+    plan = make_plan(describe(scene, scene.view()), scene.loaded.level, choices=choices, rejected=rejected_reasons)
+    reasons = reasons_of(plan)
+    assert plan.headline == "hybrid" and reasons["sun/relief: hybrid"] == "it is mine" and reasons["sweep"] == "12 ms more"
+    assert reasons["shadow_volume"] == "hybrid was preferred: it is mine"
 
 
-def test_plan_gives_rejection_reasons_per_caster_kind(wooded):
-    said = reasons_of(plan_of(wooded, wooded.view()))
-    volume = ALGORITHMS["shadow_volume"].refuses["forest"]
-    assert said["shadow_volume"] == (f"for relief: sweep was preferred; for meshes: shadow_map was preferred; for forest: {volume}")
-    plan = plan_of(wooded, wooded.view(), algorithm={"relief": "sweep", "meshes": "hybrid"})
+def test_plan_gives_rejection_reasons_per_caster_kind(wooded_scene):
+    reasons = reasons_of(plan_of(wooded_scene, wooded_scene.view()))
+    volume = ALGORITHMS["shadow_volume"].refusals["forest"]
+    assert reasons["shadow_volume"] == (
+        f"for relief: sweep was preferred; for meshes: shadow_map was preferred; for forest: {volume}"
+    )
+    plan = plan_of(wooded_scene, wooded_scene.view(), algorithm={"relief": "sweep", "meshes": "hybrid"})
     assert reasons_of(plan)["sun/meshes: hybrid"] == "set by the request"
     assert reasons_of(plan)["shadow_volume"] == volume  # only among the kinds left to choose
 
@@ -109,18 +113,18 @@ def test_plan_names_the_source_of_requested_settings(scene):
     for name in ("map_size 777", "depth_bits 32", "filter 5", "cascades 1"):
         assert reasons_of(plan)[name] == "set by the request"
     level = scene.loaded.level.model_copy(update={"shadows": Shadows(algorithm="hybrid", map_size=512, mask="original")})
-    said = reasons_of(make_plan(describe(scene, view), level, {"map_size": 256, "mask": None}))
-    assert said["map_size 256"] == "set by the request" and said["mask original"] == "set by the level"
+    reasons = reasons_of(make_plan(describe(scene, view), level, {"map_size": 256, "mask": None}))
+    assert reasons["map_size 256"] == "set by the request" and reasons["mask original"] == "set by the level"
     assert "map_size 777" in reasons_of(plan_of(scene, view, map_size=777))["sun/relief: shadow_map"]  # only a map has this setting
-    said = reasons_of(plan_of(scene, view, algorithm="sweep", map_size=777, stencil="two_pass"))
+    reasons = reasons_of(plan_of(scene, view, algorithm="sweep", map_size=777, stencil="two_pass"))
     for name in ("map_size 777", "stencil two_pass"):
-        assert said[name] == "set by the request, without effect: no chosen algorithm has this setting"
+        assert reasons[name] == "set by the request, without effect: no chosen algorithm has this setting"
 
 
 @pytest.mark.parametrize("name", ["shadow_volume", "hybrid", "sweep"])
-def test_plan_refuses_an_unsupported_override_with_a_reason(wooded, name):
-    with pytest.raises(UnsupportedError, match=f"{ALGORITHMS[name].refuses['forest']}.*algorithms that can: shadow_map"):
-        plan_of(wooded, wooded.view(), algorithm={"forest": name})
+def test_plan_refuses_an_unsupported_override_with_a_reason(wooded_scene, name):
+    with pytest.raises(UnsupportedError, match=f"{ALGORITHMS[name].refusals['forest']}.*algorithms that can: shadow_map"):
+        plan_of(wooded_scene, wooded_scene.view(), algorithm={"forest": name})
 
 
 def test_plan_uses_24_depth_bits_where_16_shift_a_shadow(write_raster, make_scene):
@@ -148,25 +152,25 @@ def test_plan_is_the_same_for_all_tiles_of_a_zoom(scene):
 @pytest.mark.parametrize("algorithm", [None, "shadow_map"])
 @pytest.mark.parametrize("sun", [(246, 12), (246, -30)])
 def test_frame_runs_the_passes_of_its_plan(gl, scene, sun, algorithm):
-    lit = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
-    for view in (lit.view(size=(64, 64)), block_at(10.0, 50.0, 12)):  # the second view is far from the data
-        frame = render(lit, view, algorithm=algorithm)
+    lit_scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
+    for view in (lit_scene.view(size=(64, 64)), block_at(10.0, 50.0, 12)):  # the second view is far from the data
+        frame = render(lit_scene, view, algorithm=algorithm)
         assert [record.name for record in frame.passes] == frame.plan.passes
         assert all(record.ms >= 0 for record in frame.passes)
-        drew = sum(record.draws for record in frame.passes)
-        assert drew == 0 or (sun[1] > 0 and frame.valid.any())
-        assert drew > 0 or algorithm is None or sun[1] < 0 or not frame.valid.any()
+        draw_count = sum(record.draws for record in frame.passes)
+        assert draw_count == 0 or (sun[1] > 0 and frame.valid.any())
+        assert draw_count > 0 or algorithm is None or sun[1] < 0 or not frame.valid.any()
 
 
 def test_render_rejects_a_skipped_pass(gl, scene, monkeypatch):
     """The mutant fills visibility without the depth map's pass."""
     import numpy as np
 
-    def lazy(buffer, scene, light, kinds, casters, settings, log):
+    def skip_depth_pass(buffer, scene, light, kinds, casters, settings, log):
         with log.run(log.named(light, kinds, shadow_map.PASSES)[1]):
             return np.ones(buffer.valid.shape, np.float32)
 
-    monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill=lazy))
+    monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill=skip_depth_pass))
     with pytest.raises(RenderError, match="are not the plan's"):
         render(scene, scene.view(size=(64, 64)), algorithm="shadow_map")
 

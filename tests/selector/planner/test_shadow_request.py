@@ -32,40 +32,40 @@ def scene(tmp_path_factory):
     return build_scene(load_level(path))
 
 
-def planned(scene, view, altitude=12.0, **overrides):
-    seen = scene.with_sun(SunSpec(azimuth=200, altitude=altitude))
-    plan = make_plan(describe(seen, seen.view(view), view), seen.loaded.level, overrides)
+def plan_and_reasons(scene, view, altitude=12.0, **overrides):
+    sunlit_scene = scene.with_sun(SunSpec(azimuth=200, altitude=altitude))
+    plan = make_plan(describe(sunlit_scene, sunlit_scene.view(view), view), sunlit_scene.loaded.level, overrides)
     return plan, {reasoned.name: reasoned.reason for reasoned in plan.reasons}
 
 
 def test_pin_overrides_the_level_and_says_so(scene):
-    plan, why = planned(scene, "eye")
+    plan, reasons = plan_and_reasons(scene, "eye")
     assert plan.algorithm["sun"]["meshes"] == "shadow_volume"
-    assert why["sun/meshes: shadow_volume"] == "pinned by the level for view eye, sun 5 to 20 degrees high"
-    assert why["map_size 300"].startswith("set by the level, without effect"), "what a pin does not name is the level's"
+    assert reasons["sun/meshes: shadow_volume"] == "pinned by the level for view eye, sun 5 to 20 degrees high"
+    assert reasons["map_size 300"].startswith("set by the level, without effect"), "what a pin does not name is the level's"
     rejected = {reasoned.name: reasoned.reason for reasoned in plan.rejected}
     assert rejected["hybrid"] == "the level's pin for view eye, sun 5 to 20 degrees high sets none, shadow_volume"
 
 
 def test_pin_of_another_sun_altitude_is_skipped(scene):
-    plan, why = planned(scene, "eye", 25.0)
+    plan, reasons = plan_and_reasons(scene, "eye", 25.0)
     settings = plan.settings["sun"]["meshes"]
     assert plan.algorithm["sun"]["meshes"] == "shadow_map" and settings.map_size == 256
-    assert (why["sun/meshes: shadow_map"], why["map_size 256"]) == ("set by the level", "pinned by the level for view eye")
+    assert (reasons["sun/meshes: shadow_map"], reasons["map_size 256"]) == ("set by the level", "pinned by the level for view eye")
 
 
 def test_pin_auto_leaves_the_setting_to_the_policy(scene):
-    plan, why = planned(scene, "map")
-    assert plan.algorithm["sun"]["meshes"] == "hybrid" and not any(name.startswith("map_size 300") for name in why)
-    free = make_plan(describe(scene, scene.view("map"), "map"), scene.loaded.level, {"map_size": "auto"})
-    assert plan.settings == free.settings
+    plan, reasons = plan_and_reasons(scene, "map")
+    assert plan.algorithm["sun"]["meshes"] == "hybrid" and not any(name.startswith("map_size 300") for name in reasons)
+    requested_plan = make_plan(describe(scene, scene.view("map"), "map"), scene.loaded.level, {"map_size": "auto"})
+    assert plan.settings == requested_plan.settings
 
 
 def test_request_overrides_a_pin_key_by_key(scene):
-    plan, why = planned(scene, "eye", algorithm={"meshes": "planar"})
-    assert plan.algorithm["sun"]["meshes"] == "planar" and why["sun/meshes: planar"] == "set by the request"
-    plan, why = planned(scene, "eye", map_size=700)
-    assert plan.algorithm["sun"]["meshes"] == "shadow_volume" and why["map_size 700"].startswith("set by the request")
+    plan, reasons = plan_and_reasons(scene, "eye", algorithm={"meshes": "planar"})
+    assert plan.algorithm["sun"]["meshes"] == "planar" and reasons["sun/meshes: planar"] == "set by the request"
+    plan, reasons = plan_and_reasons(scene, "eye", map_size=700)
+    assert plan.algorithm["sun"]["meshes"] == "shadow_volume" and reasons["map_size 700"].startswith("set by the request")
 
 
 def test_pin_with_an_unsupported_algorithm_names_its_key(scene):

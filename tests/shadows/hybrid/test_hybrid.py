@@ -15,21 +15,21 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 from tests.params import quick
 from tests.render import block_at
-from tests.shadows.boxes import box, level_of
+from tests.shadows.boxes import box, build_mesh_scene
 from tests.shadows.volumes.test_shadow_volume import (
-    BEHIND,
     BODIES,
-    BUNDLED,
+    BUNDLED_VIEWS,
     EYES,
-    IN_SECONDS,
     LAMPS,
     LIGHTS,
-    OPEN,
+    OPEN_MESHES,
+    QUICK_VIEWS,
     RIDGES,
-    Look,
-    eye,
-    look,
-    thesis,
+    SHADOW_SIDE_VIEWS,
+    ShadowCase,
+    eye_views,
+    shadow_case,
+    thesis_case,
     under_an_omni_light,
 )  # fmt: skip
 
@@ -41,66 +41,68 @@ def stencil_record(log: PassLog) -> PassRecord:
     return next(record for name, record in log.records.items() if name.endswith(": stencil"))
 
 
-def same(at: Look, real: Truth | None = None, **settings: Any) -> float:
+def check_equals_volumes(view_points: ShadowCase, truth: Truth | None = None, **settings: Any) -> float:
     """Check the conservative hybrid against the volumes and return the share of marked pixels.
 
     All decidable pixels are equal, and all others but a few.
     """
-    log, volumes = PassLog(), at.seen()
-    found = at.seen("conservative", log, **settings)
-    real = real or at.truth()
-    differ = (found != volumes) & at.buffer.valid
-    assert not (differ & real.decidable).any(), (
-        f"{(differ & real.decidable).sum()} of {real.decidable.sum()} decidable pixels differ"
+    log, volumes = PassLog(), view_points.volume_visibility()
+    hybrid_visibility = view_points.volume_visibility("conservative", log, **settings)
+    truth = truth or view_points.truth()
+    differ = (hybrid_visibility != volumes) & view_points.buffer.valid
+    assert not (differ & truth.decidable).any(), (
+        f"{(differ & truth.decidable).sum()} of {truth.decidable.sum()} decidable pixels differ"
     )
-    assert differ.sum() <= 1e-4 * at.buffer.valid.sum() + 1
-    return stencil_record(log).marked / at.buffer.valid[: at.buffer.view.rows].size
+    assert differ.sum() <= 1e-4 * view_points.buffer.valid.sum() + 1
+    return stencil_record(log).marked / view_points.buffer.valid[: view_points.buffer.view.rows].size
 
 
 # -- conservative
 
 
-@pytest.mark.parametrize(("name", "view"), quick(BUNDLED, *IN_SECONDS))
+@pytest.mark.parametrize(("name", "view"), quick(BUNDLED_VIEWS, *QUICK_VIEWS))
 def test_hybrid_equals_volumes_in_bundled_scenes(gl, name, view):
-    at, real = thesis(name, view)
-    marked = same(at, real)
-    assert 0.005 < marked < MAX_MARKED, f"{marked:.1%} of the pixels are marked"
+    view_points, truth = thesis_case(name, view)
+    marked_share = check_equals_volumes(view_points, truth)
+    assert 0.005 < marked_share < MAX_MARKED, f"{marked_share:.1%} of the pixels are marked"
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-@pytest.mark.parametrize("name", [*OPEN, *BODIES])
+@pytest.mark.parametrize("name", [*OPEN_MESHES, *BODIES])
 def test_hybrid_equals_volumes_for_any_caster(gl, tmp_path, name, light):
-    scene = level_of(tmp_path, [(OPEN | BODIES)[name]], 200, 35, **BEHIND, **LIGHTS[light])
-    marked = same(look(scene))
-    assert 0.0 < marked < 0.1, f"{marked:.1%} of the pixels are marked"
+    scene = build_mesh_scene(tmp_path, [(OPEN_MESHES | BODIES)[name]], 200, 35, **SHADOW_SIDE_VIEWS, **LIGHTS[light])
+    marked_share = check_equals_volumes(shadow_case(scene))
+    assert 0.0 < marked_share < 0.1, f"{marked_share:.1%} of the pixels are marked"
 
 
 # tests/hard_cases compares the sun and a spot with truth.
 @pytest.mark.parametrize("where", EYES)
 def test_hybrid_equals_volumes_for_any_eye_under_an_omni_light(gl, tmp_path, where):
     """Inside a body only back faces of a closed body are visible, and none of them casts."""
-    same(under_an_omni_light(tmp_path, where))
+    check_equals_volumes(under_an_omni_light(tmp_path, where))
 
 
 @pytest.mark.parametrize("where", LAMPS)
 def test_hybrid_equals_volumes_for_any_lamp_position(gl, tmp_path, where):
     body, place, view = LAMPS[where]
     lamp = {"kind": "omni", "position": place}
-    same(look(level_of(tmp_path, [body], 0, 0, **view, sun="none", lights={"lamp": lamp})))
+    check_equals_volumes(shadow_case(build_mesh_scene(tmp_path, [body], 0, 0, **view, sun="none", lights={"lamp": lamp})))
 
 
 @pytest.mark.parametrize("map_size", [64, 200, 2048])
 def test_hybrid_equals_volumes_for_any_map_size(gl, tmp_path, map_size):
     """A smaller map marks more pixels. The picture does not change."""
-    at = look(level_of(tmp_path, [BODIES["one through another"]], 200, 35, **BEHIND))
-    marked = same(at, map_size=map_size)
-    assert marked < {64: 0.2, 200: 0.08, 2048: 0.03}[map_size], f"{marked:.1%} of the pixels are marked"
+    view_points = shadow_case(build_mesh_scene(tmp_path, [BODIES["one through another"]], 200, 35, **SHADOW_SIDE_VIEWS))
+    marked_share = check_equals_volumes(view_points, map_size=map_size)
+    assert marked_share < {64: 0.2, 200: 0.08, 2048: 0.03}[map_size], f"{marked_share:.1%} of the pixels are marked"
 
 
 @pytest.mark.parametrize("settings", [{"counting": "z_fail"}, {"stencil": "two_pass"}])
 def test_hybrid_is_independent_of_counting_settings(gl, settings):
-    at, _ = thesis("thesis_room")
-    np.testing.assert_array_equal(at.seen("conservative", **settings), at.seen("conservative"))
+    view_points, _ = thesis_case("thesis_room")
+    np.testing.assert_array_equal(
+        view_points.volume_visibility("conservative", **settings), view_points.volume_visibility("conservative")
+    )
 
 
 @pytest.mark.parametrize("altitude", [30.0, 3.0])
@@ -108,10 +110,10 @@ def test_hybrid_equals_volumes_over_ground(gl, tmp_path, altitude):
     """The grounds are ridges of a flat world in perspective, and a tile of a curved earth."""
     path = tmp_path / "ridges.yaml"
     keys = {"version": 1, "terrain": RIDGES, "sun": {"azimuth": 113, "altitude": altitude}}
-    path.write_text(json.dumps(keys | eye((-600, -650, 150), (0, 0, 50))), encoding="utf-8")
-    same(look(build_scene(load_level(path))))
+    path.write_text(json.dumps(keys | eye_views((-600, -650, 150), (0, 0, 50))), encoding="utf-8")
+    check_equals_volumes(shadow_case(build_scene(load_level(path))))
     scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=67, altitude=altitude))
-    same(look(scene, block_at(-84.25, 36.2933, 12).part(273, 300, 80, 80)))
+    check_equals_volumes(shadow_case(scene, block_at(-84.25, 36.2933, 12).part(273, 300, 80, 80)))
 
 
 # -- the original mask
@@ -120,10 +122,10 @@ def test_hybrid_equals_volumes_over_ground(gl, tmp_path, altitude):
 @pytest.mark.parametrize("light", LIGHTS)
 def test_original_mask_is_near_truth_without_thin_casters(gl, tmp_path, light):
     """Errors occur only where a texel crosses a silhouette that comparisons with its neighbours do not show."""
-    at = look(level_of(tmp_path, [box((8, 6, 5))], 200, 35, **BEHIND, **LIGHTS[light]))
-    real = at.truth()
-    wrong = real.decidable & ((at.seen("original") < 0.5) == real.lit)
-    assert wrong.sum() <= 2e-3 * real.decidable.sum()
+    view_points = shadow_case(build_mesh_scene(tmp_path, [box((8, 6, 5))], 200, 35, **SHADOW_SIDE_VIEWS, **LIGHTS[light]))
+    truth = view_points.truth()
+    wrong_pixels = truth.decidable & ((view_points.volume_visibility("original") < 0.5) == truth.lit)
+    assert wrong_pixels.sum() <= 2e-3 * truth.decidable.sum()
 
 
 # -- records
@@ -131,9 +133,9 @@ def test_original_mask_is_near_truth_without_thin_casters(gl, tmp_path, light):
 
 def test_hybrid_records_marked_pixels_and_tiles(gl, tmp_path):
     """The record counts pixels and tiles of the picture. The map is cached as the volumes are."""
-    at = look(level_of(tmp_path, [BODIES["one through another"]], 200, 35, **BEHIND))
+    view_points = shadow_case(build_mesh_scene(tmp_path, [BODIES["one through another"]], 200, 35, **SHADOW_SIDE_VIEWS))
     log = PassLog(requested_layers=frozenset({"silhouettes", "stencil"}))
-    at.seen("conservative", log)
+    view_points.volume_visibility("conservative", log)
     layers = log.take()
     marks, counts = layers["silhouettes", "sun"][0], layers["stencil", "sun"][0]
     record = stencil_record(log)
@@ -141,7 +143,7 @@ def test_hybrid_records_marked_pixels_and_tiles(gl, tmp_path):
     rows, cols = np.nonzero(marks)
     assert record.tiles == len(np.unique(rows // 8 * 1000 + cols // 8))
     assert (counts[marks == 0] == 0).all() and (counts > 0).any()
-    again = PassLog()
-    at.seen("conservative", again)
-    kept = {name.split(": ")[1]: each.kept for name, each in again.records.items()}
-    assert kept["silhouettes"] > 0 and kept["map"] > 0
+    second_log = PassLog()
+    view_points.volume_visibility("conservative", second_log)
+    cache_hits = {name.split(": ")[1]: pass_record.kept for name, pass_record in second_log.records.items()}
+    assert cache_hits["silhouettes"] > 0 and cache_hits["map"] > 0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
 from skugga.shadows.maps import shadow_map
-from skugga.shadows.maps.resolve import CASCADE_PX, LARGEST_MAP
+from skugga.shadows.maps.resolve import LARGEST_MAP, MAX_CASCADE_TEXEL_PX
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.truth.metrics import error_metrics
@@ -28,9 +28,9 @@ from skugga.terrain.level.level import Level, load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
-SIZE = [320, 240]
+VIEW_SIZE = [320, 240]
 EYE_M = np.array([-9692.0, -11_000.0])
-AWAY_M = (70, 110, 170, 260, 400, 600)
+HOUSE_DISTANCES_M = (70, 110, 170, 260, 400, 600)
 
 
 @pytest.fixture(scope="module")
@@ -38,24 +38,28 @@ def mountains(tmp_path_factory) -> Scene:
     """Return 24 x 24 km of ridges, seen from a summit over a few houses."""
     folder = tmp_path_factory.mktemp("mountains")
     trimesh.creation.box(extents=(12.0, 9.0, 8.0)).export(folder / "house.obj")
-    ahead = -EYE_M / np.linalg.norm(EYE_M)
-    aside = np.array([-ahead[1], ahead[0]])
-    houses = [(EYE_M + away * (ahead + share * aside)).round(1).tolist() for away in AWAY_M for share in (-0.3, -0.05, 0.25)]
+    forward = -EYE_M / np.linalg.norm(EYE_M)
+    rightward = np.array([-forward[1], forward[0]])
+    houses = [
+        (EYE_M + distance_m * (forward + share * rightward)).round(1).tolist()
+        for distance_m in HOUSE_DISTANCES_M
+        for share in (-0.3, -0.05, 0.25)
+    ]
     level = {
         "version": 1,
         "terrain": {"generate": {"kind": "ridges", "size": [24_000, 24_000], "cell": 40, "relief": 1500, "seed": 3}},
         "meshes": [{"source": "house.obj", "at": houses, "turn": 20}],
         "sun": {"azimuth": 300, "altitude": 15},
-        "views": {"main": {"kind": "perspective", "eye": [*EYE_M, 25], "target": [0, 0, -100], "fov": 50, "size": SIZE}},
+        "views": {"main": {"kind": "perspective", "eye": [*EYE_M, 25], "target": [0, 0, -100], "fov": 50, "size": VIEW_SIZE}},
     }
     path = folder / "level.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
     return build_scene(load_level(path))
 
 
-def plan_for(scene: Scene, **asked) -> Plan:
+def plan_for(scene: Scene, **overrides) -> Plan:
     view = scene.view("main")
-    return make_plan(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map", **asked})
+    return make_plan(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map", **overrides})
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), [(300, 15), (100, 10)])
@@ -65,16 +69,18 @@ def test_four_cascades_halve_the_edge_displacement(gl, mountains, azimuth, altit
     assert distance_m[0] <= 128 and distance_m[-1] >= 16_384
     buffer = geometry_buffer(scene, scene.view("main"))
     casters = find_casters(scene, buffer)
-    truth, found = trace_truth(buffer, scene, casters), {}
+    truth, metrics = trace_truth(buffer, scene, casters), {}
     for count, size in ((1, 1024), (4, 512)):
         (step,) = plan_for(scene, cascades=count, map_size=size, depth_bits=24).steps
         assert len(step.settings.cascades) == count
-        seen = shadow_map.fill(receivers_of(buffer, scene, "sun"), scene, step.light, step.kinds, casters, step.settings, PassLog())
-        seen[attached(buffer, scene)] = 0.0
-        found[count] = error_metrics(seen, truth, 1.0)
-    assert found[1].edge_p95 > 1.0
-    assert found[4].edge_p95 <= 0.5 * found[1].edge_p95
-    assert found[4].wrong_cast <= 0.5 * found[1].wrong_cast
+        rendered = shadow_map.fill(
+            receivers_of(buffer, scene, "sun"), scene, step.light, step.kinds, casters, step.settings, PassLog()
+        )
+        rendered[attached(buffer, scene)] = 0.0
+        metrics[count] = error_metrics(rendered, truth, 1.0)
+    assert metrics[1].edge_p95 > 1.0
+    assert metrics[4].edge_p95 <= 0.5 * metrics[1].edge_p95
+    assert metrics[4].wrong_cast <= 0.5 * metrics[1].wrong_cast
 
 
 # -- split distances, from descriptors alone
@@ -98,18 +104,18 @@ def descriptor(shares: list[float]) -> Descriptor:
 LEVEL = Level.model_validate({"version": 1, "terrain": {"flat": {"size": [10, 10], "cells": [2, 2]}}})
 
 
-def ends_of(shares: list[float], **asked) -> list[float | None]:
-    plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", **asked})
+def cascade_ends(shares: list[float], **overrides) -> list[float | None]:
+    plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", **overrides})
     return [cascade.far_m for cascade in plan.settings["sun"]["relief"].cascades]
 
 
 def test_cascade_splits_follow_the_visible_pixels():
     """The map size is fixed. Many far pixels move the splits away; many near pixels move them closer."""
     near = [0.4, 0.3, 0.2, 0.04, 0.02, 0.02, 0.01, 0.01]
-    asked = {"map_size": 512, "cascades": 3}
-    close, remote = ends_of(near, **asked), ends_of(near[::-1], **asked)
-    assert close[-1] is None and remote[-1] is None
-    assert close[0] < remote[0] and close[1] < remote[1]
+    overrides = {"map_size": 512, "cascades": 3}
+    near_ends, far_ends = cascade_ends(near, **overrides), cascade_ends(near[::-1], **overrides)
+    assert near_ends[-1] is None and far_ends[-1] is None
+    assert near_ends[0] < far_ends[0] and near_ends[1] < far_ends[1]
 
 
 @settings(max_examples=40)
@@ -117,13 +123,13 @@ def test_cascade_splits_follow_the_visible_pixels():
 def test_automatic_map_size_bounds_texels_for_any_splits(shares, cascades):
     shares = [share / sum(shares) for share in shares]
     plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", "cascades": cascades})
-    chosen = plan.settings["sun"]["relief"]
-    if chosen.map_size == LARGEST_MAP:
+    map_settings = plan.settings["sun"]["relief"]
+    if map_settings.map_size == LARGEST_MAP:
         return
     near_m, bands = 0.0, descriptor(shares).bands
-    for cascade in chosen.cascades:
-        nearest = next(each.near_m for each in bands if each.near_m >= near_m)
+    for cascade in map_settings.cascades:
+        nearest = next(visible_band.near_m for visible_band in bands if visible_band.near_m >= near_m)
         sides_m = np.array(cascade.texel_m) / np.array([1.0, np.sin(np.radians(45.0))])
-        assert sides_m.max() <= CASCADE_PX * nearest * 0.0015 * (1.0 + 1e-9)
+        assert sides_m.max() <= MAX_CASCADE_TEXEL_PX * nearest * 0.0015 * (1.0 + 1e-9)
         near_m = cascade.far_m
     assert near_m is None

@@ -27,14 +27,14 @@ from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 
-Build = Callable[..., Scene]
+SceneBuilder = Callable[..., Scene]
 
 EYE = {"kind": "perspective", "eye": [-35, -55, 14], "target": [4, 0, 3], "fov": 45, "size": [96, 72]}
 LAMP = {"kind": "spot", "position": [-30, 10, 18], "target": [0, 0, 0], "cutoff": 40}
 
 
 @pytest.fixture(scope="module")
-def build(tmp_path_factory) -> Build:
+def build(tmp_path_factory) -> SceneBuilder:
     """Return ``build(trees=3, **keys)``, a level of a floor, a box, two tetrahedra that turn, and some trees."""
     folder: Path = tmp_path_factory.mktemp("kept")
     trimesh.creation.box(extents=(8.0, 6.0, 5.0)).export(folder / "house.obj")
@@ -45,28 +45,28 @@ def build(tmp_path_factory) -> Build:
 
     def level(trees: int = 3, **keys: Any) -> Scene:
         path = folder / "level.yaml"
-        whole = {
+        level_data = {
             "version": 1, "terrain": {"flat": {"size": [200, 200], "cells": [40, 40]}},
             "forest": [{"source": f"trees{trees}.gpkg", "height": "height"}],
             "meshes": [{"source": "house.obj", "at": [2, -6]}, {"generate": "tetrahedra", "at": [-14, 6], "motion": {"spin": 30}}],
             "sun": {"azimuth": 215, "altitude": 32}, "views": {"eye": EYE}, **keys,
         }  # fmt: skip
-        path.write_text(json.dumps(whole), encoding="utf-8")
+        path.write_text(json.dumps(level_data), encoding="utf-8")
         return build_scene(load_level(path))
 
     return level
 
 
-def planned(scene: Scene, **asked: Any) -> Plan:
-    chosen = {"algorithm": "shadow_map", "map_size": 256, "cascades": 1, **asked}
-    return make_plan(describe(scene, scene.view("eye"), "eye"), scene.loaded.level, chosen)
+def plan_eye(scene: Scene, **overrides: Any) -> Plan:
+    plan_overrides = {"algorithm": "shadow_map", "map_size": 256, "cascades": 1, **overrides}
+    return make_plan(describe(scene, scene.view("eye"), "eye"), scene.loaded.level, plan_overrides)
 
 
-def drawn(scene: Scene, plan: Plan | None = None, **asked: Any) -> Frame:
-    return render_frame(scene, scene.view("eye"), plan or planned(scene, **asked))
+def render_eye(scene: Scene, plan: Plan | None = None, **overrides: Any) -> Frame:
+    return render_frame(scene, scene.view("eye"), plan or plan_eye(scene, **overrides))
 
 
-def draws(frame: Frame) -> tuple[int, int]:
+def count_draws_and_hits(frame: Frame) -> tuple[int, int]:
     """Return the draw calls of a frame's depth maps, and the number of cache hits."""
     records = [record for record in frame.passes if record.name.endswith("depth map")]
     assert records and [record.name for record in frame.passes] == frame.plan.passes
@@ -76,33 +76,33 @@ def draws(frame: Frame) -> tuple[int, int]:
 def test_cached_map_serves_a_repeated_frame(gl, build):
     gl.depth_targets.clear()
     scene = build()
-    first, again = drawn(scene), drawn(scene)
-    assert draws(first) == (3, 0) and draws(again) == (0, 1)
+    first, second = render_eye(scene), render_eye(scene)
+    assert count_draws_and_hits(first) == (3, 0) and count_draws_and_hits(second) == (0, 1)
     assert 0.005 < (first.visibility < 0.5).mean() < 0.6
-    np.testing.assert_array_equal(first.visibility, again.visibility)
-    np.testing.assert_array_equal(first.color, again.color)
+    np.testing.assert_array_equal(first.visibility, second.visibility)
+    np.testing.assert_array_equal(first.color, second.color)
 
 
 def test_evicted_map_is_drawn_anew(gl, build):
     scene = build()
-    first = drawn(scene)
+    first = render_eye(scene)
     gl.depth_targets.clear()
-    again = drawn(scene)
-    assert draws(again) == (3, 0)
-    np.testing.assert_array_equal(first.visibility, again.visibility)
+    second = render_eye(scene)
+    assert count_draws_and_hits(second) == (3, 0)
+    np.testing.assert_array_equal(first.visibility, second.visibility)
 
 
 def test_cascades_and_lamps_have_separate_cache_entries(gl, build):
     gl.depth_targets.clear()
     scene = build(lights={"lamp": LAMP})
-    plan = planned(scene, cascades=3)
-    count, _ = draws(drawn(scene, plan))
+    plan = plan_eye(scene, cascades=3)
+    count, _ = count_draws_and_hits(render_eye(scene, plan))
     maps = len(plan.settings["sun"]["relief"].cascades) + 1
     assert maps > 2 and 2 * maps < count <= 3 * maps  # ground and figures, and trees where some may cast into the map
-    assert draws(drawn(scene, plan)) == (0, maps)
+    assert count_draws_and_hits(render_eye(scene, plan)) == (0, maps)
 
 
-CHANGES: dict[str, dict[str, Any]] = {
+SETTING_CHANGES: dict[str, dict[str, Any]] = {
     "map size": {"map_size": 320},
     "depth bits": {"depth_bits": 32},
     "bias": {"bias": "normal_offset"},
@@ -112,37 +112,37 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("name", SETTING_CHANGES)
 def test_changed_setting_misses_the_cache(gl, build, name):
     gl.depth_targets.clear()
     scene = build()
-    before = drawn(scene)
-    changed = drawn(scene, **CHANGES[name])
-    assert changed.plan.settings != before.plan.settings
-    assert draws(changed)[0] > 0 and draws(changed)[1] == 0
-    assert draws(drawn(scene)) == (0, 1)  # the first map is still cached
+    before = render_eye(scene)
+    changed_frame = render_eye(scene, **SETTING_CHANGES[name])
+    assert changed_frame.plan.settings != before.plan.settings
+    assert count_draws_and_hits(changed_frame)[0] > 0 and count_draws_and_hits(changed_frame)[1] == 0
+    assert count_draws_and_hits(render_eye(scene)) == (0, 1)  # the first map is still cached
 
 
 def test_changed_scene_misses_the_cache(gl, build):
     """Sun, clock of motions, camera position and trees change under one plan, so that the scene alone causes the miss."""
     gl.depth_targets.clear()
     scene = build()
-    plan = planned(scene)
-    drawn(scene, plan)
-    moved = build(views={"eye": {**EYE, "eye": [-35.5, -55, 14]}})
-    for other in (scene.with_sun(SunSpec(azimuth=215.5, altitude=32)), scene.at_second(1.0), moved, build(trees=4)):
-        assert draws(drawn(other, plan)) == (3, 0)
+    plan = plan_eye(scene)
+    render_eye(scene, plan)
+    moved_scene = build(views={"eye": {**EYE, "eye": [-35.5, -55, 14]}})
+    for changed_scene in (scene.with_sun(SunSpec(azimuth=215.5, altitude=32)), scene.at_second(1.0), moved_scene, build(trees=4)):
+        assert count_draws_and_hits(render_eye(changed_scene, plan)) == (3, 0)
 
 
 def test_changed_scene_shows_its_new_shadow(gl, build):
     """The picture after a motion equals the picture with an empty cache."""
     scene = build()
-    plan = planned(scene)
-    drawn(scene, plan)
-    turned = drawn(scene.at_second(1.0), plan)
+    plan = plan_eye(scene)
+    render_eye(scene, plan)
+    turned_frame = render_eye(scene.at_second(1.0), plan)
     gl.depth_targets.clear()
-    np.testing.assert_array_equal(turned.visibility, drawn(scene.at_second(1.0), plan).visibility)
-    assert (turned.visibility != drawn(scene, plan).visibility).any()
+    np.testing.assert_array_equal(turned_frame.visibility, render_eye(scene.at_second(1.0), plan).visibility)
+    assert (turned_frame.visibility != render_eye(scene, plan).visibility).any()
 
 
 def test_maps_of_map_views_are_not_cached(gl, build):
@@ -151,8 +151,8 @@ def test_maps_of_map_views_are_not_cached(gl, build):
     view = scene.view(bounds=(-40, -40, 40, 40), size=(120, 120))
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
     for _ in range(2):
-        count, kept = draws(render_frame(scene, view, plan))
-        assert count > 0 and kept == 0
+        count, hit_count = count_draws_and_hits(render_frame(scene, view, plan))
+        assert count > 0 and hit_count == 0
 
 
 def test_cache_key_survives_reused_addresses(gl, build):
@@ -160,79 +160,79 @@ def test_cache_key_survives_reused_addresses(gl, build):
     plan = None
     for number in range(12):
         scene = build(trees=3 + number % 2)
-        plan = plan or planned(scene)
-        assert draws(drawn(scene, plan)) == (3, 0)
+        plan = plan or plan_eye(scene)
+        assert count_draws_and_hits(render_eye(scene, plan)) == (3, 0)
         del scene
 
 
-SHAPES = st.tuples(st.sampled_from([64, 512, 2048, 4096, 8192, 16384]), st.just(4096), st.sampled_from([16, 24, 32]))
+TARGET_SHAPES = st.tuples(st.sampled_from([64, 512, 2048, 4096, 8192, 16384]), st.just(4096), st.sampled_from([16, 24, 32]))
 
 
-@given(st.lists(st.tuples(SHAPES, st.one_of(st.none(), st.integers(0, 5))), max_size=60))
-def test_depth_targets_are_bounded_and_hold_their_last_content(asked):
+@given(st.lists(st.tuples(TARGET_SHAPES, st.one_of(st.none(), st.integers(0, 5))), max_size=60))
+def test_depth_targets_are_bounded_and_hold_their_last_content(requests):
     """Number and bytes are bounded, nothing leaks, and a content is found exactly while its target holds it."""
     alive: dict[int, tuple[int, int, int]] = {}
-    made = itertools.count()
+    numbers = itertools.count()
 
     def make(*shape: int) -> int:
-        alive[number := next(made)] = shape
+        alive[number := next(numbers)] = shape
         return number
 
     targets = DepthTargets(make, alive.pop)
-    drawn_in: dict[int, int | None] = {}
-    for shape, content in asked:
-        found = None if content is None else targets.kept((shape, content))
-        if found is not None:
-            assert drawn_in[found] == content and alive[found] == shape
+    target_contents: dict[int, int | None] = {}
+    for shape, content in requests:
+        cached_target = None if content is None else targets.get((shape, content))
+        if cached_target is not None:
+            assert target_contents[cached_target] == content and alive[cached_target] == shape
             continue
-        taken = targets.acquire(*shape)
-        assert alive[taken] == shape
-        drawn_in[taken] = content
+        target = targets.acquire(*shape)
+        assert alive[target] == shape
+        target_contents[target] = content
         if content is not None:
-            targets.keep(taken, (shape, content))
+            targets.keep(target, (shape, content))
         assert targets.count == len(alive) <= MAX_TARGETS
-        assert targets.nbytes == sum(depth_bytes(*each) for each in alive.values())
+        assert targets.nbytes == sum(depth_bytes(*alive_shape) for alive_shape in alive.values())
         assert targets.nbytes <= MAX_TARGET_BYTES or targets.count <= 2
     targets.clear()
-    assert all(targets.kept((shape, content)) is None for shape, content in asked if content is not None)
+    assert all(targets.get((shape, content)) is None for shape, content in requests if content is not None)
 
 
 def test_depth_targets_are_reused_by_a_moving_camera():
     """A frame has three maps of three shapes, and every frame draws them anew. Soon no further target is created."""
-    made: list[tuple[int, int, int]] = []
+    created_shapes: list[tuple[int, int, int]] = []
 
     def make(*shape: int) -> int:
-        made.append(shape)
-        return len(made)
+        created_shapes.append(shape)
+        return len(created_shapes)
 
     targets = DepthTargets(make, lambda _: None)
     shapes = (4096, 2560, 16), (4096, 4096, 16), (5120, 4096, 16)
     for frame in range(30):
         if frame == 10:
-            made.clear()
+            created_shapes.clear()
         for shape in shapes:
             targets.keep(targets.acquire(*shape), (frame, shape))
-    assert not made
+    assert not created_shapes
 
 
 def test_depth_targets_keep_the_previous_map():
     """The previous map stays, however large the targets are and whatever their shapes."""
-    made = itertools.count()
+    numbers = itertools.count()
     released: list[int] = []
-    targets = DepthTargets(lambda *shape: next(made), released.append)
-    before = None
+    targets = DepthTargets(lambda *shape: next(numbers), released.append)
+    previous_target = None
     for number, side in enumerate((16384, 16384, 8192, 16384, 64, 16384, 64)):
-        taken = targets.acquire(side, side, 32)
-        targets.keep(taken, number)
-        assert before is None or (before not in released and targets.kept(number - 1) == before != taken)
-        targets.kept(number)
-        before = taken
+        target = targets.acquire(side, side, 32)
+        targets.keep(target, number)
+        assert previous_target is None or (previous_target not in released and targets.get(number - 1) == previous_target != target)
+        targets.get(number)
+        previous_target = target
 
 
 def test_depth_targets_evict_the_least_recently_used():
-    made = itertools.count()
-    targets = DepthTargets(lambda *shape: next(made), lambda _: None)
+    numbers = itertools.count()
+    targets = DepthTargets(lambda *shape: next(numbers), lambda _: None)
     for number in range(3 * MAX_TARGETS):
         targets.keep(targets.acquire(64, 64, 24), number)
-        assert targets.kept(0) == 0
-    assert targets.kept(1) is None and targets.kept(3 * MAX_TARGETS - 1) is not None
+        assert targets.get(0) == 0
+    assert targets.get(1) is None and targets.get(3 * MAX_TARGETS - 1) is not None

@@ -28,12 +28,12 @@ def landscape() -> Scene:
     return build_scene(load_level(find_level("spatialace"))).with_sun(SUN)
 
 
-def drawn(scene: Scene, **asked: Any) -> Frame:
+def render_close_view(scene: Scene, **overrides: Any) -> Frame:
     """Return a view of ground, meshes and trees, all by shadow maps, with empty caches."""
     clear_caches("light")
     view = scene.view("close")
     assert isinstance(view, PerspectiveView)
-    return render(scene, view.part(100, 100, 300, 400), **{"algorithm": "shadow_map", "map_size": 512, **asked})
+    return render(scene, view.part(100, 100, 300, 400), **{"algorithm": "shadow_map", "map_size": 512, **overrides})
 
 
 @pytest.mark.parametrize(
@@ -46,30 +46,30 @@ def drawn(scene: Scene, **asked: Any) -> Frame:
 )  # fmt: skip
 def test_point_lookup_equals_the_shader(gl, landscape, monkeypatch, asked):
     """Results are equal to the bit on the rasteriser with the loop's arithmetic. Elsewhere only points on texel borders differ."""
-    by_loop = drawn(landscape, **asked)
+    loop_frame = render_close_view(landscape, **asked)
     with monkeypatch.context() as patch:
         # a map that reports not to be uniform is looked up by the shader
-        patch.setattr(DepthMap, "is_uniform", property(lambda drawn: False))
-        by_shader = drawn(landscape, **asked)
-    assert any("point_lookup" in label for record in by_loop.passes for label in record.loops)
-    assert not any("point_lookup" in label for record in by_shader.passes for label in record.loops)
-    assert 0.05 < np.nanmean(by_shader.visibility < 1.0) < 0.95
+        patch.setattr(DepthMap, "is_uniform", property(lambda depth_map: False))
+        shader_frame = render_close_view(landscape, **asked)
+    assert any("point_lookup" in label for record in loop_frame.passes for label in record.loops)
+    assert not any("point_lookup" in label for record in shader_frame.passes for label in record.loops)
+    assert 0.05 < np.nanmean(shader_frame.visibility < 1.0) < 0.95
     if "llvmpipe" in gl.renderer:
-        np.testing.assert_array_equal(by_loop.visibility, by_shader.visibility)
-    assert (np.nan_to_num(by_loop.visibility) != np.nan_to_num(by_shader.visibility)).mean() < 1e-3
+        np.testing.assert_array_equal(loop_frame.visibility, shader_frame.visibility)
+    assert (np.nan_to_num(loop_frame.visibility) != np.nan_to_num(shader_frame.visibility)).mean() < 1e-3
 
 
 def test_point_lookup_compares_on_the_points_own_triangle(gl, landscape, monkeypatch):
     """Otherwise slopes in a coarse map shade themselves. The test above would not detect a loop that never compares."""
-    right = drawn(landscape, map_size=256)
+    compared_frame = render_close_view(landscape, map_size=256)
     with monkeypatch.context() as patch:
         patch.setattr(
             lookup_module,
             "_comparison",
             lambda settings, taps: point_lookup.DepthComparison(False, False, np.float32(0), taps, taps),
         )
-        plain = drawn(landscape, map_size=256)
-    assert np.nanmean(plain.visibility) < np.nanmean(right.visibility) - 0.01
+        uncompared_frame = render_close_view(landscape, map_size=256)
+    assert np.nanmean(uncompared_frame.visibility) < np.nanmean(compared_frame.visibility) - 0.01
 
 
 @pytest.mark.parametrize("taps", [3, "sun"])
@@ -79,30 +79,30 @@ def test_relevant_trees_leave_out_only_trees_without_shadow(gl, landscape, monke
     scene = landscape.with_sun(SunSpec(azimuth=150, altitude=altitude_deg))
     counts: list[tuple[int, int]] = []
 
-    def some(drawn: DepthMap, *args: Any) -> np.ndarray:
-        chosen = relevant_trees(drawn, *args)
-        assert drawn.trees is not None
-        counts.append((len(chosen), len(drawn.trees)))
-        return chosen
+    def record_relevant_trees(depth_map: DepthMap, *args: Any) -> np.ndarray:
+        relevant = relevant_trees(depth_map, *args)
+        assert depth_map.trees is not None
+        counts.append((len(relevant), len(depth_map.trees)))
+        return relevant
 
-    def every(drawn: DepthMap, *args: Any) -> np.ndarray:
-        assert drawn.trees is not None
-        return np.arange(len(drawn.trees))
+    def select_all_trees(depth_map: DepthMap, *args: Any) -> np.ndarray:
+        assert depth_map.trees is not None
+        return np.arange(len(depth_map.trees))
 
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "relevant_trees", some)
-        few = drawn(scene, filter=taps)
+        patch.setattr(drawing, "relevant_trees", record_relevant_trees)
+        with_relevant_trees = render_close_view(scene, filter=taps)
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "relevant_trees", every)
-        all_of_them = drawn(scene, filter=taps)
+        patch.setattr(drawing, "relevant_trees", select_all_trees)
+        with_all_trees = render_close_view(scene, filter=taps)
     assert counts and all(chosen < total for chosen, total in counts) and any(chosen > 0 for chosen, _ in counts)
-    np.testing.assert_array_equal(few.visibility, all_of_them.visibility)
+    np.testing.assert_array_equal(with_relevant_trees.visibility, with_all_trees.visibility)
 
 
 def test_relevant_trees_are_needed(gl, landscape, monkeypatch):
     """Maps without trees lose shadows, which the test above would detect."""
-    with_trees = drawn(landscape)
+    with_trees = render_close_view(landscape)
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "relevant_trees", lambda drawn, *args: np.zeros(0, np.int64))
-        without = drawn(landscape)
-    assert np.nanmean(without.visibility > with_trees.visibility) > 0.005
+        patch.setattr(drawing, "relevant_trees", lambda depth_map, *args: np.zeros(0, np.int64))
+        without_trees = render_close_view(landscape)
+    assert np.nanmean(without_trees.visibility > with_trees.visibility) > 0.005

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.shadows.maps.post_perspective import (
-    CONE_DEG,
+    UNIFORM_MAP_CONE_DEG,
     Camera,
     Light,
     PostPerspective,
@@ -20,31 +20,33 @@ from skugga.shadows.maps.post_perspective import (
     kind_of,
     light_matrix,
     post_perspectives,
-    projected,
+    project_points,
 )
 
-INNER = 0.97
+INNER_EXTENT = 0.97
 
-SET_UPS = 500
+SETUP_COUNT = 500
 """Number of set-ups with suns, and again with lamps."""
 
-finite = st.floats(-3.0, 3.0)
-vectors = st.tuples(finite, finite, finite).map(np.array)
+finite_floats = st.floats(-3.0, 3.0)
+vectors = st.tuples(finite_floats, finite_floats, finite_floats).map(np.array)
 
 
-def looking(eye: np.ndarray, turn_deg: float, tilt_deg: float) -> Camera:
+def make_camera(eye: np.ndarray, turn_deg: float, tilt_deg: float) -> Camera:
     """Return a camera that looks along an azimuth from north and an altitude."""
-    turn, tilt = np.radians([turn_deg, tilt_deg])
-    forward = np.array([np.sin(turn) * np.cos(tilt), np.cos(turn) * np.cos(tilt), np.sin(tilt)])
-    right = np.array([np.cos(turn), -np.sin(turn), 0.0])
+    azimuth_rad, altitude_rad = np.radians([turn_deg, tilt_deg])
+    forward = np.array(
+        [np.sin(azimuth_rad) * np.cos(altitude_rad), np.cos(azimuth_rad) * np.cos(altitude_rad), np.sin(altitude_rad)]
+    )
+    right = np.array([np.cos(azimuth_rad), -np.sin(azimuth_rad), 0.0])
     return Camera(np.asarray(eye, float), np.array([right, np.cross(forward, right), forward]))
 
 
-def sun(direction: np.ndarray) -> Light:
+def make_sun_light(direction: np.ndarray) -> Light:
     return Light(np.array([*(direction / np.linalg.norm(direction)), 0.0]), np.zeros(3))
 
 
-def through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+def to_clip_space(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return points (n, 3) in clip space (n, 4)."""
     return points @ matrix[:, :3].T + matrix[:, 3]
 
@@ -52,30 +54,30 @@ def through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 # -- matrices
 
 
-@given(vectors, st.one_of(finite, st.just(0.0)), vectors)
-def test_light_matrix_maps_any_light_to_one_point(place, fourth, middle):
+@given(vectors, st.one_of(finite_floats, st.just(0.0)), vectors)
+def test_light_matrix_maps_any_light_to_one_point(place, w, middle):
     """Point, sink and parallel lights go to (0, 0, -1, 0), and the middle goes to the origin."""
-    if np.linalg.norm(place - fourth * middle) < 1e-2:
+    if np.linalg.norm(place - w * middle) < 1e-2:
         return
-    matrix = light_matrix(np.array([*place, fourth]), middle)
-    np.testing.assert_allclose(matrix @ [*place, fourth], [0, 0, -1, 0], atol=1e-6)
+    matrix = light_matrix(np.array([*place, w]), middle)
+    np.testing.assert_allclose(matrix @ [*place, w], [0, 0, -1, 0], atol=1e-6)
     np.testing.assert_allclose(matrix @ [*middle, 1.0], [0, 0, 0, 1], atol=1e-6)
 
 
 def test_camera_matrix_maps_its_planes_to_the_cube():
-    camera = looking([3, -2, 5], 30, -10)
-    points = np.array([camera.eye_m + camera.axis * away for away in (2.0, 50.0)])
+    camera = make_camera([3, -2, 5], 30, -10)
+    points = np.array([camera.eye_m + camera.axis * distance for distance in (2.0, 50.0)])
     for slide in (0.0, 7.0):
         matrix = camera_matrix(camera, 0.5, 2.0, 50.0, slide)
-        np.testing.assert_allclose(projected(matrix, points)[:, 2], [-1, 1], atol=1e-9)
+        np.testing.assert_allclose(project_points(matrix, points)[:, 2], [-1, 1], atol=1e-9)
     corner = camera.eye_m + 10.0 * (camera.axis + 0.5 * camera.camera_from_frame[0] - 0.5 * camera.camera_from_frame[1])
-    np.testing.assert_allclose(projected(camera_matrix(camera, 0.5, 2.0, 50.0, 0.0), corner[None])[0, :2], [1, -1], atol=1e-9)
+    np.testing.assert_allclose(project_points(camera_matrix(camera, 0.5, 2.0, 50.0, 0.0), corner[None])[0, :2], [1, -1], atol=1e-9)
 
 
 @pytest.mark.parametrize(("near", "far", "slide"), [(0.0, 5.0, 0.0), (5.0, 5.0, 1.0), (-3.0, 5.0, 2.0)])
 def test_camera_matrix_refuses_invalid_planes(near, far, slide):
     with pytest.raises(ValueError, match="0 < near < far must hold"):
-        camera_matrix(looking([0, 0, 0], 0, 0), 0.5, near, far, slide)
+        camera_matrix(make_camera([0, 0, 0], 0, 0), 0.5, near, far, slide)
 
 
 @pytest.mark.parametrize(
@@ -83,13 +85,13 @@ def test_camera_matrix_refuses_invalid_planes(near, far, slide):
 )
 def test_kind_of_classifies_suns(direction, kind):
     """The camera looks north: suns stand before it, behind it, and across its axis."""
-    matrix = camera_matrix(looking([0, 0, 2], 0, 0), 0.5, 1.0, 100.0, 3.0)
+    matrix = camera_matrix(make_camera([0, 0, 2], 0, 0), 0.5, 1.0, 100.0, 3.0)
     assert kind_of(matrix @ [*direction, 0.0]) == kind
 
 
 def test_kind_of_a_lamp_depends_on_the_slide_back():
     """Two metres behind the eye the lamp is a sink. From a slide of three metres on, it is a point in front."""
-    camera = looking([0, 0, 2], 0, 0)
+    camera = make_camera([0, 0, 2], 0, 0)
     kinds = [kind_of(camera_matrix(camera, 0.5, 1.0, 100.0, slide) @ [5, -2, 4, 1]) for slide in (0.0, 1.9, 2.0, 3.0)]
     assert kinds == ["sink", "sink", "parallel", "point"]
 
@@ -100,7 +102,7 @@ def test_light_matrix_depth_is_an_affine_perspective_depth(behind):
 
     Before the camera it is a usual perspective depth between two planes.
     """
-    camera = looking([0, 0, 2], 0, 0)
+    camera = make_camera([0, 0, 2], 0, 0)
     view = camera_matrix(camera, 1.0, 1.0, 60.0, 2.0)
     light = view @ np.array([0.3, -0.8 if behind else 0.8, 0.5, 0.0])
     place, middle = light[:3] / light[3], np.array([0.0, 0.1, 0.4])
@@ -108,23 +110,23 @@ def test_light_matrix_depth_is_an_affine_perspective_depth(behind):
     forward = (middle - place) / np.linalg.norm(middle - place)
     near, far = (-0.3, 0.3) if behind else (0.1, 50.0)
     rng = np.random.default_rng(0)
-    points = projected(view, camera.eye_m + rng.uniform([-5, 4, -3], [5, 50, 3], (200, 3)))
-    ahead = (points - place) @ forward
-    assert (ahead > 0).all()
-    theirs = (far + near) / (far - near) - 2.0 * far * near / (far - near) / ahead
-    ours = projected(matrix, points)
+    points = project_points(view, camera.eye_m + rng.uniform([-5, 4, -3], [5, 50, 3], (200, 3)))
+    axial_distance = (points - place) @ forward
+    assert (axial_distance > 0).all()
+    expected_depth = (far + near) / (far - near) - 2.0 * far * near / (far - near) / axial_distance
+    actual_depth = project_points(matrix, points)
     # Both depths rise together along a ray: they differ by a scale and a shift that depend only on the position in the map.
-    stretch = np.polyfit(ours[:, 2], theirs, 1)
-    np.testing.assert_allclose(np.polyval(stretch, ours[:, 2]), theirs, atol=1e-9)
-    assert stretch[0] > 0
+    linear_fit = np.polyfit(actual_depth[:, 2], expected_depth, 1)
+    np.testing.assert_allclose(np.polyval(linear_fit, actual_depth[:, 2]), expected_depth, atol=1e-9)
+    assert linear_fit[0] > 0
 
 
 def test_fit_to_bounds_maps_bounds_to_the_cube():
     rng = np.random.default_rng(1)
     matrix = light_matrix(np.array([0.2, 0.4, 0.8, 0.0]), np.array([1.0, 2.0, 3.0]))
     points = rng.uniform(-5, 9, (100, 3))
-    seen = projected(matrix, points)
-    clip = projected(fit_to_bounds(matrix, seen.min(axis=0), seen.max(axis=0), 0.9, 0.25), points)
+    projected_points = project_points(matrix, points)
+    clip = project_points(fit_to_bounds(matrix, projected_points.min(axis=0), projected_points.max(axis=0), 0.9, 0.25), points)
     np.testing.assert_allclose(clip.min(axis=0), [-0.9, -0.9, -0.5], atol=1e-9)
     np.testing.assert_allclose(clip.max(axis=0), [0.9, 0.9, 1.0], atol=1e-9)
 
@@ -132,33 +134,35 @@ def test_fit_to_bounds_maps_bounds_to_the_cube():
 # -- many set-ups
 
 
-def set_up(rng: np.random.Generator, lamp: bool) -> tuple[Camera, Light, np.ndarray]:
+def random_setup(rng: np.random.Generator, lamp: bool) -> tuple[Camera, Light, np.ndarray]:
     """Return a camera over level ground, a light anywhere, and lit receivers in view, on the ground and floating over it."""
-    camera = looking(rng.uniform([-500, -500, 1], [500, 500, 60]), rng.uniform(0, 360), rng.uniform(-70, 25))
-    reach_m, wide = 10.0 ** rng.uniform(1.5, 4.3), rng.uniform(0.2, 1.2)
-    rays = np.column_stack([rng.uniform(-wide, wide, (600, 2)), np.ones(600)]) @ camera.camera_from_frame
+    camera = make_camera(rng.uniform([-500, -500, 1], [500, 500, 60]), rng.uniform(0, 360), rng.uniform(-70, 25))
+    reach_m, half_width = 10.0 ** rng.uniform(1.5, 4.3), rng.uniform(0.2, 1.2)
+    rays = np.column_stack([rng.uniform(-half_width, half_width, (600, 2)), np.ones(600)]) @ camera.camera_from_frame
     with np.errstate(divide="ignore"):
         ground = -camera.eye_m[2] / rays[:, 2]
     floating = 10.0 ** rng.uniform(0.0, np.log10(reach_m), 600)
-    away = np.where((ground > 0.0) & (ground < reach_m) & (rng.random(600) < 0.8), ground, floating)
-    points = camera.eye_m + rays * away[:, None]
+    distance = np.where((ground > 0.0) & (ground < reach_m) & (rng.random(600) < 0.8), ground, floating)
+    points = camera.eye_m + rays * distance[:, None]
     if not lamp:
         direction = rng.normal(size=3)
         direction[2] = abs(direction[2])
-        return camera, sun(direction), points
+        return camera, make_sun_light(direction), points
     place = camera.eye_m + rng.normal(size=3) * reach_m * 10.0 ** rng.uniform(-2.0, 0.0)
     target = points[rng.integers(len(points))]
     axis = (target - place) / np.linalg.norm(target - place)
-    way = points - place
-    lit = way @ axis > np.cos(np.radians(rng.uniform(10, 85))) * np.linalg.norm(way, axis=1)
+    offsets = points - place
+    lit = offsets @ axis > np.cos(np.radians(rng.uniform(10, 85))) * np.linalg.norm(offsets, axis=1)
     return camera, Light(np.array([*place, 1.0]), target), points[lit]
 
 
-def map_of(camera: Camera, light: Light, points: np.ndarray) -> tuple[PostPerspective, np.ndarray]:
+def fitted_map(camera: Camera, light: Light, points: np.ndarray) -> tuple[PostPerspective, np.ndarray]:
     """Return the map for receivers, and its matrix for upload."""
-    found = post_perspectives(camera, light, points, INNER)[0]
-    seen = projected(found.clip_from_frame, points)
-    return found, fit_to_bounds(found.clip_from_frame, seen.min(axis=0), seen.max(axis=0), INNER, 0.01)
+    best_map = post_perspectives(camera, light, points, INNER_EXTENT)[0]
+    projected_points = project_points(best_map.clip_from_frame, points)
+    return best_map, fit_to_bounds(
+        best_map.clip_from_frame, projected_points.min(axis=0), projected_points.max(axis=0), INNER_EXTENT, 0.01
+    )
 
 
 @pytest.mark.long
@@ -170,32 +174,32 @@ def test_post_perspectives_lose_no_caster_in_a_thousand_set_ups(lamp):
     """
     rng = np.random.default_rng(20 + lamp)
     kinds: Counter = Counter()
-    behind = 0
-    for _ in range(SET_UPS):
-        camera, light, points = set_up(rng, lamp)
+    behind_count = 0
+    for _ in range(SETUP_COUNT):
+        camera, light, points = random_setup(rng, lamp)
         if len(points) < 3:
             continue
-        found, clip = map_of(camera, light, points)
-        kinds["coarser" if found.note.endswith("larger texels") else found.kind] += 1
-        assert np.isfinite(clip).all() and bool(found.note) == (found.kind is None)
-        corners = through(clip.astype(np.float32), points.astype(np.float32))
+        best_map, clip = fitted_map(camera, light, points)
+        kinds["coarser" if best_map.note.endswith("larger texels") else best_map.kind] += 1
+        assert np.isfinite(clip).all() and bool(best_map.note) == (best_map.kind is None)
+        corners = to_clip_space(clip.astype(np.float32), points.astype(np.float32))
         assert corners.dtype == np.float32 and (corners[:, 3] > 0).all()
-        seen = corners[:, :3] / corners[:, 3:]
-        assert np.abs(seen).max() <= 1.0 + 1e-4
-        some = points[:: max(len(points) // 60, 1)]
+        ndc = corners[:, :3] / corners[:, 3:]
+        assert np.abs(ndc).max() <= 1.0 + 1e-4
+        sample = points[:: max(len(points) // 60, 1)]
         if lamp:
             share = np.array([0.0, 0.1, 0.5, 0.9, 0.99])[:, None, None]
-            casters = some + share * (light.homogeneous[:3] - some)
+            casters = sample + share * (light.homogeneous[:3] - sample)
         else:
-            casters = some + np.array([0.0, 1.0, 30.0, 1e3, 1e5])[:, None, None] * light.homogeneous[:3]
-        behind += int((camera.seen(casters[1:])[..., 2] < 0).sum())
-        drawn = through(clip, casters.reshape(-1, 3)).reshape(*casters.shape[:2], 4)
-        assert np.isfinite(drawn).all() and (drawn[..., 3] > 0).all()
-        at = drawn[..., :3] / drawn[..., 3:]
-        assert np.abs(at[..., :2] - at[0, :, :2]).max() < 1e-5, "the same place in the map"
-        assert (np.diff(at[..., 2], axis=0) < 0).all(), "nearer to the light, less deep"
-        assert np.abs(at[..., :2]).max() <= INNER + 1e-5
-    assert behind > 10_000
+            casters = sample + np.array([0.0, 1.0, 30.0, 1e3, 1e5])[:, None, None] * light.homogeneous[:3]
+        behind_count += int((camera.camera_points(casters[1:])[..., 2] < 0).sum())
+        clip_points = to_clip_space(clip, casters.reshape(-1, 3)).reshape(*casters.shape[:2], 4)
+        assert np.isfinite(clip_points).all() and (clip_points[..., 3] > 0).all()
+        map_points = clip_points[..., :3] / clip_points[..., 3:]
+        assert np.abs(map_points[..., :2] - map_points[0, :, :2]).max() < 1e-5, "the same place in the map"
+        assert (np.diff(map_points[..., 2], axis=0) < 0).all(), "nearer to the light, less deep"
+        assert np.abs(map_points[..., :2]).max() <= INNER_EXTENT + 1e-5
+    assert behind_count > 10_000
     assert kinds["point"] > 100 and kinds["sink"] > 100
     assert kinds[None] < 0.05 * kinds.total()
     assert kinds["coarser"] < (0.15 if lamp else 0.01) * kinds.total()
@@ -206,12 +210,12 @@ def test_post_perspectives_are_never_coarser_than_uniform(lamp):
     rng = np.random.default_rng(30 + lamp)
     gain = []
     for _ in range(150):
-        camera, light, points = set_up(rng, lamp)
+        camera, light, points = random_setup(rng, lamp)
         if len(points) < 3:
             continue
-        found = post_perspectives(camera, light, points, INNER)
-        gain.append(found[0].texel / found[-1].texel)
-        assert [each.texel for each in found] == sorted(each.texel for each in found)
+        maps = post_perspectives(camera, light, points, INNER_EXTENT)
+        gain.append(maps[0].texel / maps[-1].texel)
+        assert [post_map.texel for post_map in maps] == sorted(post_map.texel for post_map in maps)
     assert max(gain) <= 1.0 and np.median(gain) < 0.5
 
 
@@ -221,44 +225,44 @@ def test_post_perspectives_are_never_coarser_than_uniform(lamp):
 @pytest.mark.parametrize("away", [1.0, -1.0])
 def test_post_perspectives_are_uniform_around_the_view_axis(away):
     rng = np.random.default_rng(5)
-    camera = looking([0, 0, 20], 0, -30)
+    camera = make_camera([0, 0, 20], 0, -30)
     points = camera.eye_m + (np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)]) * 30.0) @ camera.camera_from_frame
-    for off_deg in (0.0, 0.9 * CONE_DEG, 1.1 * CONE_DEG, 30.0):
-        turned = looking([0, 0, 20], 0, -30 + off_deg)
-        found = post_perspectives(camera, sun(away * turned.axis), points, INNER)
-        if off_deg < CONE_DEG:
-            assert len(found) == 1 and found[0].kind is None
-            assert f"{off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}" in found[0].note
-            w = horizon_distance(found[0].clip_from_frame, points)
+    for off_deg in (0.0, 0.9 * UNIFORM_MAP_CONE_DEG, 1.1 * UNIFORM_MAP_CONE_DEG, 30.0):
+        turned_camera = make_camera([0, 0, 20], 0, -30 + off_deg)
+        maps = post_perspectives(camera, make_sun_light(away * turned_camera.axis), points, INNER_EXTENT)
+        if off_deg < UNIFORM_MAP_CONE_DEG:
+            assert len(maps) == 1 and maps[0].kind is None
+            assert f"{off_deg:.1f} degrees off the view's axis, within {UNIFORM_MAP_CONE_DEG:g}" in maps[0].note
+            w = horizon_distance(maps[0].clip_from_frame, points)
             np.testing.assert_allclose(w, w[0])
         else:
-            assert found[0].kind == ("point" if away > 0 else "sink") and not found[0].note
+            assert maps[0].kind == ("point" if away > 0 else "sink") and not maps[0].note
 
 
 def test_post_perspectives_of_a_lamp_amid_receivers_are_uniform():
     """The spot stands just above wide ground and points straight down, with a cone of 88 degrees."""
     rng = np.random.default_rng(6)
-    camera = looking([0, -40, 30], 0, -35)
+    camera = make_camera([0, -40, 30], 0, -35)
     points = np.column_stack([rng.uniform(-20, 20, (400, 2)), np.zeros(400)])
     light = Light(np.array([0.0, 0.0, 0.6, 1.0]), np.zeros(3))
-    found = post_perspectives(camera, light, points, INNER)
-    assert (horizon_distance(found[-1].clip_from_frame, points) > 0).all() and "no slide-back keeps" in found[-1].note
-    for each in found[:-1]:
-        assert (horizon_distance(each.clip_from_frame, points) > 0).all()
+    maps = post_perspectives(camera, light, points, INNER_EXTENT)
+    assert (horizon_distance(maps[-1].clip_from_frame, points) > 0).all() and "no slide-back keeps" in maps[-1].note
+    for post_map in maps[:-1]:
+        assert (horizon_distance(post_map.clip_from_frame, points) > 0).all()
 
 
 def test_post_perspectives_are_continuous_across_the_axis():
     """The sun moves from before the camera across it to behind it. The kinds follow one another, and texels hardly change."""
     rng = np.random.default_rng(7)
-    camera = looking([0, 0, 12], 0, -15)
+    camera = make_camera([0, 0, 12], 0, -15)
     rays = np.column_stack([rng.uniform(-0.6, 0.6, (800, 2)), np.ones(800)]) @ camera.camera_from_frame
     rays = rays[rays[:, 2] < -0.03]
     points = camera.eye_m + rays * (-camera.eye_m[2] / rays[:, 2])[:, None]
     angles = np.radians(90 - 15 + np.array([-1e-2, -1e-6, 0.0, 1e-6, 1e-2]))
-    found = [post_perspectives(camera, sun(np.array([0, np.cos(a), np.sin(a)])), points, INNER)[0] for a in angles]
-    kinds = [each.kind for each in found]
+    maps = [post_perspectives(camera, make_sun_light(np.array([0, np.cos(a), np.sin(a)])), points, INNER_EXTENT)[0] for a in angles]
+    kinds = [post_map.kind for post_map in maps]
     assert kinds[:2] == ["point", "point"] and kinds[3:] == ["sink", "sink"]
-    sizes = np.array([each.texel for each in found])
+    sizes = np.array([post_map.texel for post_map in maps])
     assert sizes.max() < 1.01 * sizes.min()
 
 
@@ -267,36 +271,39 @@ def test_post_perspectives_try_slide_backs_of_all_scales():
 
     Without short ones, near receivers of a deep view would get a sliver of the map.
     """
-    camera = looking([0, 0, 2], 0, -60)
-    across = np.linspace(-0.3, 0.3, 9)
-    for deep in (1.5, 100.0, 500.0):
-        ahead = np.repeat([4.0, 4.0 * deep], 9)
-        rays = np.column_stack([np.tile(across, 2), np.zeros(18), np.ones(18)])
-        points = camera.eye_m + (rays * ahead[:, None]) @ camera.camera_from_frame
-        found = post_perspectives(camera, sun(np.array([1.0, 0.2, 0.5])), points, INNER)[:-1]
-        slides = sorted(each.slide_m for each in found)
-        assert slides[0] == 0.0 and slides[1] <= 4.0 / 2.0 and slides[-1] == pytest.approx(64 * 4.0 * deep)
+    camera = make_camera([0, 0, 2], 0, -60)
+    tangents = np.linspace(-0.3, 0.3, 9)
+    for depth_ratio in (1.5, 100.0, 500.0):
+        depths = np.repeat([4.0, 4.0 * depth_ratio], 9)
+        rays = np.column_stack([np.tile(tangents, 2), np.zeros(18), np.ones(18)])
+        points = camera.eye_m + (rays * depths[:, None]) @ camera.camera_from_frame
+        maps = post_perspectives(camera, make_sun_light(np.array([1.0, 0.2, 0.5])), points, INNER_EXTENT)[:-1]
+        slides = sorted(post_map.slide_m for post_map in maps)
+        assert slides[0] == 0.0 and slides[1] <= 4.0 / 2.0 and slides[-1] == pytest.approx(64 * 4.0 * depth_ratio)
         np.testing.assert_allclose(np.diff(np.log2(slides[1:])), 1.0)
 
 
 def test_post_perspectives_hold_outer_receivers_without_weight():
     """The outermost receivers may be missing from a sample. The map holds them, and fits the sample."""
-    camera = looking([0, 0, 20], 0, -30)
+    camera = make_camera([0, 0, 20], 0, -30)
     rng = np.random.default_rng(9)
     rays = np.column_stack([rng.uniform(-0.1, 0.1, (200, 2)), np.ones(200)]) * 30.0
     points = camera.eye_m + rays @ camera.camera_from_frame
-    aside = camera.eye_m + np.array([[15.0, 3.0, 40.0], [-20.0, 2.0, 35.0]]) @ camera.camera_from_frame
-    light = sun(np.array([1.0, 0.3, 0.6]))
-    alone = post_perspectives(camera, light, points, INNER)
-    assert any(np.abs(projected(each.clip_from_frame, aside)[:, :2]).max() > 1.0 for each in alone)
-    for each in post_perspectives(camera, light, points, INNER, aside):
-        at = projected(each.clip_from_frame, np.concatenate([points, aside]))[:, :2]
-        assert np.abs(at).max() <= 1.01 * INNER  # outlines have 64 directions
+    outer_points = camera.eye_m + np.array([[15.0, 3.0, 40.0], [-20.0, 2.0, 35.0]]) @ camera.camera_from_frame
+    light = make_sun_light(np.array([1.0, 0.3, 0.6]))
+    unconstrained_maps = post_perspectives(camera, light, points, INNER_EXTENT)
+    assert any(np.abs(project_points(post_map.clip_from_frame, outer_points)[:, :2]).max() > 1.0 for post_map in unconstrained_maps)
+    for post_map in post_perspectives(camera, light, points, INNER_EXTENT, outer_points):
+        map_points = project_points(post_map.clip_from_frame, np.concatenate([points, outer_points]))[:, :2]
+        assert np.abs(map_points).max() <= 1.01 * INNER_EXTENT  # outlines have 64 directions
 
 
 def test_post_perspectives_of_one_receiver_are_not_degenerate():
-    camera, light = looking([0, 0, 20], 0, -30), sun(np.array([1.0, 0.3, 0.6]))
+    camera, light = make_camera([0, 0, 20], 0, -30), make_sun_light(np.array([1.0, 0.3, 0.6]))
     point = (camera.eye_m + 30.0 * camera.axis)[None]
-    for each in post_perspectives(camera, light, point, INNER):
-        rows = each.clip_from_frame[:2, :3] - projected(each.clip_from_frame, point)[0, :2, None] * each.clip_from_frame[3, :3]
+    for post_map in post_perspectives(camera, light, point, INNER_EXTENT):
+        rows = (
+            post_map.clip_from_frame[:2, :3]
+            - project_points(post_map.clip_from_frame, point)[0, :2, None] * post_map.clip_from_frame[3, :3]
+        )
         assert np.linalg.cond(rows) < 100.0

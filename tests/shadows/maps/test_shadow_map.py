@@ -32,7 +32,7 @@ def test_tile_equals_the_same_pixels_of_a_larger_map(gl, jacksboro, algorithm):
 
 
 @pytest.fixture(scope="module")
-def usual(jacksboro) -> Frame:
+def default_frame(jacksboro) -> Frame:
     """Return the picture with default options, which each option must change."""
     return render(jacksboro, block_at(-84.25, 36.2933, 12).part(0, 0, 256, 256), algorithm="shadow_map")
 
@@ -42,9 +42,9 @@ def usual(jacksboro) -> Frame:
     [{"map_size": 256}, {"filter": 1}, {"filter": 5}, {"algorithm": "none"}],
     ids=lambda change: "=".join(str(part) for part in next(iter(change.items()))),
 )
-def test_shadow_map_options_change_the_picture(gl, jacksboro, usual, change):
-    changed = render(jacksboro, usual.view, **{"algorithm": "shadow_map", **change})
-    assert (usual.color != changed.color).any(axis=-1).mean() > 1e-3
+def test_shadow_map_options_change_the_picture(gl, jacksboro, default_frame, change):
+    changed_frame = render(jacksboro, default_frame.view, **{"algorithm": "shadow_map", **change})
+    assert (default_frame.color != changed_frame.color).any(axis=-1).mean() > 1e-3
 
 
 @pytest.mark.parametrize("algorithm", ["shadow_map", None])
@@ -59,6 +59,6 @@ def test_holes_and_islands_cast_no_walls(gl, write_raster, make_scene, algorithm
     assert np.nanmin(frame.visibility) == 1.0
     island = np.full((80, 80), -9999.0, np.float32)
     island[40, 40] = 10.0
-    alone = make_scene(write_raster(island, ENGINEERING, 0, 800, 10.0, name="island.tif", nodata=-9999.0), 201, 5)
-    frame = render(alone, alone.view(size=(400, 400)), algorithm=algorithm)
+    island_scene = make_scene(write_raster(island, ENGINEERING, 0, 800, 10.0, name="island.tif", nodata=-9999.0), 201, 5)
+    frame = render(island_scene, island_scene.view(size=(400, 400)), algorithm=algorithm)
     assert frame.valid.sum() == 25 and np.nanmin(frame.visibility) == 1.0

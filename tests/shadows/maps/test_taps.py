@@ -15,7 +15,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
 
-def seen(**casts: Casting) -> Descriptor:
+def make_descriptor(**casts: Casting) -> Descriptor:
     """Return the descriptor of a map under a sun with the given shadows."""
     return Descriptor(
         view="map", view_kind="map", flat_world=True, pixel_m=1.0, node_m=1.0, casters=tuple(casts), relief_m=0.0,
@@ -38,27 +38,32 @@ def cascade(texel_m: float, far_m: float | None = None) -> Cascade:
     return Cascade(far_m=far_m, texel_m=(texel_m, texel_m), depth_step_m=0.01)
 
 
-THROWN_M = 50.0
-EDGE_M = MAX_FINE_SHARE * DISC_WIDTH * THROWN_M
+THROW_DISTANCE_M = 50.0
+MAX_FINE_TEXEL_M = MAX_FINE_SHARE * DISC_WIDTH * THROW_DISTANCE_M
 
 
-@pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * EDGE_M, 3), (1.1 * EDGE_M, 1)])
+@pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * MAX_FINE_TEXEL_M, 3), (1.1 * MAX_FINE_TEXEL_M, 1)])
 def test_sun_taps_follow_texel_and_penumbra_widths(texel_m, taps):
-    found, why = sun_taps(seen(meshes=casting(THROWN_M, 0.5)), [cascade(texel_m)])
-    assert found == taps and why.startswith("by soft error: texels are finer than penumbrae in ")
+    tap_count, reason = sun_taps(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.5)), [cascade(texel_m)])
+    assert tap_count == taps and reason.startswith("by soft error: texels are finer than penumbrae in ")
 
 
 def test_fine_share_weights_cascades_by_their_shadow():
-    fine_near = [cascade(0.5 * EDGE_M, far_m=2.0), cascade(2.0 * EDGE_M)]
-    assert fine_share(seen(meshes=casting(THROWN_M, 0.6, 0.2)), fine_near) == pytest.approx(0.75)
-    assert fine_share(seen(meshes=casting(THROWN_M, 0.2, 0.6)), fine_near) == pytest.approx(0.25)
+    fine_near = [cascade(0.5 * MAX_FINE_TEXEL_M, far_m=2.0), cascade(2.0 * MAX_FINE_TEXEL_M)]
+    assert fine_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.6, 0.2)), fine_near) == pytest.approx(0.75)
+    assert fine_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2, 0.6)), fine_near) == pytest.approx(0.25)
 
 
 def test_fine_share_counts_foliage_as_coarse_and_skips_relief():
-    fine = [cascade(0.1 * EDGE_M)]
-    assert fine_share(seen(meshes=casting(THROWN_M, 0.2), forest=casting(THROWN_M, 0.6)), fine) == pytest.approx(0.25)
-    assert fine_share(seen(relief=casting(None, 0.9)), fine) is None and sun_taps(seen(relief=casting(None, 0.9)), fine)[0] == 3
-    assert fine_share(seen(meshes=casting(THROWN_M, 0.2), relief=casting(None, 0.9)), fine) == 1.0
+    cascades = [cascade(0.1 * MAX_FINE_TEXEL_M)]
+    assert fine_share(
+        make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2), forest=casting(THROW_DISTANCE_M, 0.6)), cascades
+    ) == pytest.approx(0.25)
+    assert (
+        fine_share(make_descriptor(relief=casting(None, 0.9)), cascades) is None
+        and sun_taps(make_descriptor(relief=casting(None, 0.9)), cascades)[0] == 3
+    )
+    assert fine_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2), relief=casting(None, 0.9)), cascades) == 1.0
 
 
 @pytest.mark.parametrize(("level", "view", "map_size", "taps"), [
@@ -68,8 +73,8 @@ def test_fine_share_counts_foliage_as_coarse_and_skips_relief():
 def test_sun_taps_of_bundled_levels_are_nearest_to_the_disc(level, view, map_size, taps):
     """``docs/accuracy.md`` has the measurements."""
     scene = build_scene(load_level(find_level(level)))
-    seen_from = scene.view(view, size=(480, 384))
-    asked = {"algorithm": "shadow_map", "map_size": map_size}
-    plan = make_plan(describe(scene, seen_from, view), scene.loaded.level, asked)
+    scene_view = scene.view(view, size=(480, 384))
+    overrides = {"algorithm": "shadow_map", "map_size": map_size}
+    plan = make_plan(describe(scene, scene_view, view), scene.loaded.level, overrides)
     assert {settings.filter for settings in plan.settings["sun"].values()} == {taps}
     assert any(reason.name == f"filter {taps}" and "soft error" in reason.reason for reason in plan.reasons)

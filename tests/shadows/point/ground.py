@@ -23,12 +23,12 @@ def flat_world(tmp_path: Path, make_scene: Callable[..., Scene], heights: np.nda
     return make_scene(raster, **keys)
 
 
-def round_the_middle(side: int, cell_m: float = CELL_M) -> tuple[np.ndarray, np.ndarray]:
+def offsets_from_middle(side: int, cell_m: float = CELL_M) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes' distances east and north of the middle node, metres (side, side)."""
-    away = (np.arange(side) - side // 2) * cell_m
-    return np.meshgrid(away, -away)
+    axis_m = (np.arange(side) - side // 2) * cell_m
+    return np.meshgrid(axis_m, -axis_m)
 
 
-def at_middle(scene: Scene, height_m: float = 0.0) -> Surroundings:
+def middle_surroundings(scene: Scene, height_m: float = 0.0) -> Surroundings:
     """Return the middle of a flat world and its surroundings."""
     return load_surroundings(scene, place_at(scene, (0.0, 0.0), height_m=height_m))

@@ -21,8 +21,8 @@ DAY = date(2024, 10, 21)
 
 
 @pytest.fixture
-def at(write_raster, make_scene):
-    """Return ``at(heights, north)``: the middle of ground of 50 m cells in UTM zone 33, at a northing."""
+def surroundings_at(write_raster, make_scene):
+    """Return ``surroundings_at(heights, north)``: the middle of ground of 50 m cells in UTM zone 33, at a northing."""
 
     def place(heights: np.ndarray, north: float = 5_300_000.0, height_m: float = 0.0):
         side = len(heights)
@@ -33,17 +33,17 @@ def at(write_raster, make_scene):
     return place
 
 
-def ridges(seed: int = 1) -> np.ndarray:
+def ridge_heights(seed: int = 1) -> np.ndarray:
     rng = np.random.default_rng(seed)
     rows, cols = np.mgrid[0:121, 0:121]
-    away = np.hypot(rows - 60, cols - 60)
-    return np.clip(away - 20, 0, None) * 9.0 * (1 + 0.3 * np.sin(cols / 3.0) * np.cos(rows / 4.0)) + rng.random((121, 121))
+    distance = np.hypot(rows - 60, cols - 60)
+    return np.clip(distance - 20, 0, None) * 9.0 * (1 + 0.3 * np.sin(cols / 3.0) * np.cos(rows / 4.0)) + rng.random((121, 121))
 
 
-def test_sun_day_over_level_ground_is_the_astronomical_day(at):
-    around = at(np.zeros((21, 21)))
-    day = sun_day(around, DAY, UTC)
-    place = around.place
+def test_sun_day_over_level_ground_is_the_astronomical_day(surroundings_at):
+    surroundings = surroundings_at(np.zeros((21, 21)))
+    day = sun_day(surroundings, DAY, UTC)
+    place = surroundings.place
     for moment in (day.sunrise, day.sunset):
         _, altitude, _ = apparent_position(moment, place.lon_deg, place.lat_deg)
         assert altitude == pytest.approx(0.0, abs=0.02)
@@ -55,13 +55,13 @@ def test_sun_day_over_level_ground_is_the_astronomical_day(at):
     assert day.remark is None and len(day.sunlit) == 1 and day.sunlit[0].after is None
 
 
-def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(at):
-    around = at(ridges())
-    day = sun_day(around, DAY, UTC)
+def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(surroundings_at):
+    surroundings = surroundings_at(ridge_heights())
+    day = sun_day(surroundings, DAY, UTC)
     begin = day_bounds(DAY, UTC)[0].timestamp()
-    when = begin + np.arange(0.0, 86400.0, 10.0)
-    lit = sees_sun(around, *angles_at(around.place, sun_directions(around.scene.world, when)))
-    first, last = when[np.flatnonzero(lit)[[0, -1]]]
+    timestamps = begin + np.arange(0.0, 86400.0, 10.0)
+    lit = sees_sun(surroundings, *angles_at(surroundings.place, sun_directions(surroundings.scene.world, timestamps)))
+    first, last = timestamps[np.flatnonzero(lit)[[0, -1]]]
     assert day.first_sun.timestamp() == pytest.approx(first, abs=15)
     assert day.last_sun.timestamp() == pytest.approx(last, abs=15)
     assert day.direct_h == pytest.approx(lit.sum() * 10 / 3600, abs=0.02)
@@ -69,33 +69,36 @@ def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(at):
     caster = day.sunlit[0].after
     assert caster.kind == "relief" and 1000 < caster.distance_m < 4500 and caster.height_m > 100
     assert sum(interval.hours for interval in day.sunlit) == pytest.approx(day.direct_h, abs=0.002)
-    assert sampled_sun_hours(around, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)
+    assert sampled_sun_hours(surroundings, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)
 
 
-def test_sun_year_agrees_with_its_days(at):
-    around = at(ridges())
-    year = sun_year(around, 2024, UTC)
+def test_sun_year_agrees_with_its_days(surroundings_at):
+    surroundings = surroundings_at(ridge_heights())
+    year = sun_year(surroundings, 2024, UTC)
     assert len(year.days) == 366 and (year.direct_h <= year.daylight_h).all()
     for number in (0, 171, 294):
-        day = sun_day(around, year.days[number], UTC)
+        day = sun_day(surroundings, year.days[number], UTC)
         assert year.direct_h[number] == pytest.approx(day.direct_h, abs=0.1)
         assert year.daylight_h[number] == pytest.approx(day.daylight_h, abs=0.1)
 
 
-def test_sun_day_of_polar_day_and_night(at):
-    around = at(np.zeros((21, 21)), north=8_700_000.0)
-    night = sun_day(around, date(2024, 12, 21), UTC)
-    assert night.sunrise is night.sunset is night.first_sun is None and night.daylight_h == night.direct_h == 0.0
-    assert night.remark == "polar night: the sun stays below the level horizon all day"
-    always = sun_day(around, date(2024, 6, 21), UTC)
-    assert always.sunrise is None and always.daylight_h == pytest.approx(24.0) and always.direct_h == pytest.approx(24.0)
-    assert always.remark == "polar day: the sun does not set"
+def test_sun_day_of_polar_day_and_night(surroundings_at):
+    surroundings = surroundings_at(np.zeros((21, 21)), north=8_700_000.0)
+    polar_night = sun_day(surroundings, date(2024, 12, 21), UTC)
+    assert (
+        polar_night.sunrise is polar_night.sunset is polar_night.first_sun is None
+        and polar_night.daylight_h == polar_night.direct_h == 0.0
+    )
+    assert polar_night.remark == "polar night: the sun stays below the level horizon all day"
+    polar_day = sun_day(surroundings, date(2024, 6, 21), UTC)
+    assert polar_day.sunrise is None and polar_day.daylight_h == pytest.approx(24.0) and polar_day.direct_h == pytest.approx(24.0)
+    assert polar_day.remark == "polar day: the sun does not set"
 
 
-def test_sun_day_in_a_pit_has_no_sun(at):
+def test_sun_day_in_a_pit_has_no_sun(surroundings_at):
     heights = np.full((41, 41), 5000.0)
     heights[20, 20] = 0.0
-    day = sun_day(at(heights), date(2024, 12, 21), UTC)
+    day = sun_day(surroundings_at(heights), date(2024, 12, 21), UTC)
     assert day.sunlit == () and day.first_sun is None and day.masked_h == pytest.approx(day.daylight_h)
     assert day.remark == "the sun rises, but terrain or objects hide it all day"
 
@@ -114,17 +117,17 @@ def test_clock_of_offsets_zones_and_invalid_names():
             clock_of(name, None, DAY)
 
 
-def test_sun_day_refuses_a_date_missing_from_the_calendar(at):
+def test_sun_day_refuses_a_date_missing_from_the_calendar(surroundings_at):
     """Samoa skipped 30 December 2011. The sun is up for 13 hours on the days before and after."""
-    around, apia = at(np.zeros((41, 41))), clock_of("Pacific/Apia", None, DAY)
+    surroundings, apia = surroundings_at(np.zeros((41, 41))), clock_of("Pacific/Apia", None, DAY)
     with pytest.raises(InputError, match="date: '2011-12-30' is not allowed. Allowed: a day in the calendar of Pacific/Apia"):
-        sun_day(around, date(2011, 12, 30), apia)
+        sun_day(surroundings, date(2011, 12, 30), apia)
     with pytest.raises(InputError, match="date: '2011-12-30'"):
-        sampled_sun_hours(around, date(2011, 12, 30), apia)
-    year = sun_year(around, 2011, apia)
+        sampled_sun_hours(surroundings, date(2011, 12, 30), apia)
+    year = sun_year(surroundings, 2011, apia)
     assert len(year.days) == len(year.daylight_h) == 364 and date(2011, 12, 30) not in year.days
     assert year.daylight_h.min() > 6.0
-    assert year.daylight_h[-1] == pytest.approx(sun_day(around, date(2011, 12, 31), apia).daylight_h, abs=0.1)
+    assert year.daylight_h[-1] == pytest.approx(sun_day(surroundings, date(2011, 12, 31), apia).daylight_h, abs=0.1)
 
 
 def test_solar_clock_noon_has_the_sun_in_the_south():
@@ -134,10 +137,10 @@ def test_solar_clock_noon_has_the_sun_in_the_south():
 
 
 def test_sun_day_refuses_a_flat_world(tmp_path, make_scene):
-    from tests.shadows.point.ground import at_middle, flat_world
+    from tests.shadows.point.ground import flat_world, middle_surroundings
 
-    around = at_middle(flat_world(tmp_path, make_scene, np.zeros((9, 9))))
+    surroundings = middle_surroundings(flat_world(tmp_path, make_scene, np.zeros((9, 9))))
     with pytest.raises(InputError, match="an engineering CRS is not georeferenced"):
-        sun_day(around, DAY, UTC)
+        sun_day(surroundings, DAY, UTC)
     with pytest.raises(InputError, match="an engineering CRS is not georeferenced"):
-        sun_year(around, 2024, UTC)
+        sun_year(surroundings, 2024, UTC)

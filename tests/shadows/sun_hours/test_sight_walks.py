@@ -20,14 +20,14 @@ from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
-from tests.shadows.sun_hours.test_sun_hours import SPRING, cells_of, no_plan, window_of
+from tests.shadows.sun_hours.test_sun_hours import SPRING, forbid_plan, raster_cell_view, window_of
 
 CELL_M = 10.0
-NO_LEAST = -100.0
+NO_LOWER_BOUND = -100.0
 
 
 @pytest.fixture
-def opened(tmp_path: Path):
+def open_scene(tmp_path: Path):
     scenes: list[Scene] = []
 
     def make(heights: np.ndarray, cell: float = CELL_M) -> Scene:
@@ -40,64 +40,66 @@ def opened(tmp_path: Path):
         scene.close()
 
 
-def ground_of(scene: Scene, patches: tuple[Patch, ...] = ()) -> tuple[WalkedGround, int, int]:
+def ground_and_origin(scene: Scene, patches: tuple[Patch, ...] = ()) -> tuple[WalkedGround, int, int]:
     """Return the ground, and the row and column of the raster's first cell."""
     view = raster_view(scene).view.as_nodes()
     return walked_ground(scene, bare_nodes(scene, view, 1), patches), int(view.row0), int(view.col0)
 
 
-def seen(ground: WalkedGround, row: int, col: int, azimuth_deg: float, eye_height_m: float = 0.0, least: float = NO_LEAST) -> float:
+def tangent_towards(
+    ground: WalkedGround, row: int, col: int, azimuth_deg: float, eye_height_m: float = 0.0, min_tangent: float = NO_LOWER_BOUND
+) -> float:
     down, right = -np.cos(np.radians(azimuth_deg)) / CELL_M, np.sin(np.radians(azimuth_deg)) / CELL_M
-    return float(horizon_tangent(ground, row, col, eye_height_m, down, right, least))
+    return float(horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent))
 
 
 @pytest.mark.parametrize("azimuth", [90.0, 61.0, 122.0, 270.0, 241.0])
-def test_horizon_tangent_of_a_wall(opened, azimuth):
+def test_horizon_tangent_of_a_wall(open_scene, azimuth):
     heights = np.zeros((301, 201))
     heights[:, 100] = 80.0
-    ground, row0, col0 = ground_of(opened(heights))
-    away, side = 40, 1 if azimuth < 180.0 else -1
-    found = seen(ground, row0 + 150, col0 + 100 - side * away, azimuth)
-    metres = away * CELL_M / abs(np.sin(np.radians(azimuth)))
-    assert found == pytest.approx((80.0 - metres**2 / 2.0 / 6.371e6) / metres, abs=1e-6)
-    eye_height_m = seen(ground, row0 + 150, col0 + 100 - side * away, azimuth, eye_height_m=30.0)
-    assert eye_height_m == pytest.approx(50.0 / metres, abs=1e-4)
+    ground, row0, col0 = ground_and_origin(open_scene(heights))
+    distance_cells, side = 40, 1 if azimuth < 180.0 else -1
+    tangent = tangent_towards(ground, row0 + 150, col0 + 100 - side * distance_cells, azimuth)
+    distance_m = distance_cells * CELL_M / abs(np.sin(np.radians(azimuth)))
+    assert tangent == pytest.approx((80.0 - distance_m**2 / 2.0 / 6.371e6) / distance_m, abs=1e-6)
+    raised_tangent = tangent_towards(ground, row0 + 150, col0 + 100 - side * distance_cells, azimuth, eye_height_m=30.0)
+    assert raised_tangent == pytest.approx(50.0 / distance_m, abs=1e-4)
 
 
-def test_horizon_tangent_is_at_least_the_lower_bound(opened):
-    ground, row0, col0 = ground_of(opened(np.zeros((60, 60))))
-    assert seen(ground, row0 + 30, col0 + 30, 33.0, least=0.25) == 0.25
-    assert seen(ground, row0 + 30, col0 + 30, 33.0) == pytest.approx(0.0, abs=1e-5)
+def test_horizon_tangent_is_at_least_the_lower_bound(open_scene):
+    ground, row0, col0 = ground_and_origin(open_scene(np.zeros((60, 60))))
+    assert tangent_towards(ground, row0 + 30, col0 + 30, 33.0, min_tangent=0.25) == 0.25
+    assert tangent_towards(ground, row0 + 30, col0 + 30, 33.0) == pytest.approx(0.0, abs=1e-5)
 
 
 @pytest.mark.parametrize("azimuth", [17.0, 71.0, 134.0, 199.0, 255.0, 311.0])
-def test_horizon_tangent_matches_the_sweep_horizon(opened, azimuth):
+def test_horizon_tangent_matches_the_sweep_horizon(open_scene, azimuth):
     heights = mountains(200).astype(np.float32)
-    ground, row0, col0 = ground_of(opened(heights))
+    ground, row0, col0 = ground_and_origin(open_scene(heights))
     # What casts goes on for one node beyond the raster, at its border's height: the horizon of an array ends at its centres.
-    by_sweep = horizon_deg(np.pad(heights, 1, mode="edge"), CELL_M, azimuth, lines=16)[1:-1, 1:-1]
-    places = np.random.default_rng(5).integers(5, 195, (200, 2))
-    found = np.degrees(np.arctan([seen(ground, row0 + row, col0 + col, azimuth) for row, col in places]))
-    wrong = np.abs(found - by_sweep[places[:, 0], places[:, 1]])
-    assert np.median(wrong) < 0.005 and np.percentile(wrong, 98) < 0.15  # the sweep interpolates between lines
+    swept_deg = horizon_deg(np.pad(heights, 1, mode="edge"), CELL_M, azimuth, lines=16)[1:-1, 1:-1]
+    cells = np.random.default_rng(5).integers(5, 195, (200, 2))
+    walked_deg = np.degrees(np.arctan([tangent_towards(ground, row0 + row, col0 + col, azimuth) for row, col in cells]))
+    error_deg = np.abs(walked_deg - swept_deg[cells[:, 0], cells[:, 1]])
+    assert np.median(error_deg) < 0.005 and np.percentile(error_deg, 98) < 0.15  # the sweep interpolates between lines
 
 
-def test_horizon_tangent_ignores_nodata(opened):
+def test_horizon_tangent_ignores_nodata(open_scene):
     heights = np.zeros((80, 80))
     heights[:, 60] = 50.0
     heights[20:60, 30:41] = np.nan
-    scene = opened(heights)
+    scene = open_scene(heights)
     view = raster_view(scene).view.as_nodes()
     nodes = bare_nodes(scene, view, 1)
-    assert seen(walked_ground(scene, nodes, ()), int(view.row0) + 40, int(view.col0) + 20, 90.0) == pytest.approx(
+    assert tangent_towards(walked_ground(scene, nodes, ()), int(view.row0) + 40, int(view.col0) + 20, 90.0) == pytest.approx(
         50.0 / 400.0, abs=1e-4
     )
 
 
-def test_horizon_tangent_walks_fine_and_coarse_patches(opened):
+def test_horizon_tangent_walks_fine_and_coarse_patches(open_scene):
     heights = np.zeros((40, 1500))
     heights[:, 600:608], heights[:, 1200:1208] = 60.0, 700.0
-    scene = opened(heights)
+    scene = open_scene(heights)
     view = raster_view(scene).view.as_nodes()
     block = replace(view, cols=64)
     nodes = bare_nodes(scene, block, 1)
@@ -106,23 +108,23 @@ def test_horizon_tangent_walks_fine_and_coarse_patches(opened):
     rows = range((row - 20) // PATCH_QUADS, (row + 20) // PATCH_QUADS + 1)
     near = tuple(Patch(0, r, c) for r in rows for c in range(first, last + 1))
     far = tuple(Patch(1, r // 2, c) for r in rows[:1] for c in range(last // 2, last // 2 + 3))
-    assert seen(walked_ground(scene, nodes, ()), row, col, 90.0) < 1e-4
-    assert seen(walked_ground(scene, nodes, near), row, col, 90.0) == pytest.approx(60.0 / 5700.0, rel=0.05)
-    assert seen(walked_ground(scene, nodes, (*near, *far)), row, col, 90.0) == pytest.approx(700.0 / 11700.0, rel=0.05)
+    assert tangent_towards(walked_ground(scene, nodes, ()), row, col, 90.0) < 1e-4
+    assert tangent_towards(walked_ground(scene, nodes, near), row, col, 90.0) == pytest.approx(60.0 / 5700.0, rel=0.05)
+    assert tangent_towards(walked_ground(scene, nodes, (*near, *far)), row, col, 90.0) == pytest.approx(700.0 / 11700.0, rel=0.05)
 
 
-def test_walked_crossings_in_15_minute_steps_match_rays(opened, monkeypatch):
-    scene = opened(mountains(128), cell=30.0)
+def test_walked_crossings_in_15_minute_steps_match_rays(open_scene, monkeypatch):
+    scene = open_scene(mountains(128), cell=30.0)
     (day,) = window_suns(scene.world, [window_of(scene, SPRING)])
-    view = cells_of(scene)
+    view = raster_cell_view(scene)
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
     hours, _, _ = ray_truth(scene, view, row, col, day, every_min=0.5)
 
-    def wrong_min() -> float:
-        answer = sun_hours(scene, view, [day], SunRules(step_min=15.0), no_plan)
+    def mean_error_min() -> float:
+        answer = sun_hours(scene, view, [day], SunRules(step_min=15.0), forbid_plan)
         return float(60.0 * np.abs(answer.hours[row, col] - hours).mean())
 
-    walked = wrong_min()
-    monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.WALKED_MIN", np.inf)
-    guessed = wrong_min()
-    assert walked < 1.0 and walked < 0.5 * guessed
+    walked_error_min = mean_error_min()
+    monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.MIN_WALK_STEP_MIN", np.inf)
+    unwalked_error_min = mean_error_min()
+    assert walked_error_min < 1.0 and walked_error_min < 0.5 * unwalked_error_min

@@ -15,10 +15,10 @@ from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
-from tests.shadows.sun_hours.test_sun_hours import SPRING, no_plan, window_of
+from tests.shadows.sun_hours.test_sun_hours import SPRING, forbid_plan, window_of
 
 
-def series(text: str) -> np.ndarray:
+def sunlit_series(text: str) -> np.ndarray:
     return np.array([[character == "#" for character in text]])
 
 
@@ -34,16 +34,18 @@ def series(text: str) -> np.ndarray:
     ],
 )
 def test_missed_minutes_by_hand(minutes, step, missed):
-    assert missed_minutes(series(minutes), step) == pytest.approx([missed])
+    assert missed_minutes(sunlit_series(minutes), step) == pytest.approx([missed])
 
 
 def test_missed_minutes_cancel_opposite_errors():
-    assert missed_minutes(series("##.##..#..#"), 5) == pytest.approx([0.0])
-    assert missed_minutes(np.concatenate([series("##.########"), series("...........")]), 5) == pytest.approx([1.0, 0.0])
+    assert missed_minutes(sunlit_series("##.##..#..#"), 5) == pytest.approx([0.0])
+    assert missed_minutes(np.concatenate([sunlit_series("##.########"), sunlit_series("...........")]), 5) == pytest.approx(
+        [1.0, 0.0]
+    )
 
 
 @pytest.fixture
-def opened(tmp_path: Path):
+def open_scene(tmp_path: Path):
     scenes: list[Scene] = []
 
     def make(heights: np.ndarray, cell: float) -> Scene:
@@ -56,7 +58,7 @@ def opened(tmp_path: Path):
         scene.close()
 
 
-def asked_of(scene: Scene) -> float:
+def sampling_step_of(scene: Scene) -> float:
     view = raster_view(scene).view.as_nodes()
     day = window_suns(scene.world, [window_of(scene, SPRING)])[0]
     return sampling_step_min(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
@@ -75,15 +77,17 @@ def poles() -> np.ndarray:
     return heights
 
 
-def test_sampling_step_is_long_over_smooth_ground_only(opened):
-    assert asked_of(opened(dome(), 30.0)) == LONG_STEP_MIN
-    assert asked_of(opened(poles(), 1.0)) == SHORT_STEP_MIN
+def test_sampling_step_is_long_over_smooth_ground_only(open_scene):
+    assert sampling_step_of(open_scene(dome(), 30.0)) == LONG_STEP_MIN
+    assert sampling_step_of(open_scene(poles(), 1.0)) == SHORT_STEP_MIN
 
 
-def test_sun_hours_without_a_step_use_the_sampling_step(opened):
-    scene = opened(dome(), 30.0)
+def test_sun_hours_without_a_step_use_the_sampling_step(open_scene):
+    scene = open_scene(dome(), 30.0)
     view = raster_view(scene).view.as_nodes()
     days = window_suns(scene.world, [window_of(scene, SPRING)])
-    free, bound, other = (sun_hours(scene, view, days, SunRules(step), no_plan).hours for step in (None, LONG_STEP_MIN, 60.0))
-    np.testing.assert_array_equal(free, bound)
-    assert not np.array_equal(free, other, equal_nan=True)
+    default_hours, long_step_hours, hourly_step_hours = (
+        sun_hours(scene, view, days, SunRules(step), forbid_plan).hours for step in (None, LONG_STEP_MIN, 60.0)
+    )
+    np.testing.assert_array_equal(default_hours, long_step_hours)
+    assert not np.array_equal(default_hours, hourly_step_hours, equal_nan=True)

@@ -11,9 +11,9 @@ from scipy.spatial import ConvexHull
 from skugga.shadows.sweep import grid as sweep_grid
 from skugga.shadows.sweep.grid import (
     HIGHER_DIAGONALS,
-    NO_GROUND_LEVEL,
-    NO_LEVELS,
+    NO_GROUND_RAY_HEIGHT,
     NO_MASK,
+    NO_RAY_HEIGHTS,
     LineState,
     flat_grid,
     no_peaks,
@@ -21,7 +21,7 @@ from skugga.shadows.sweep.grid import (
     state_after,
     sunlit,
     sweep_nodes,
-    turned_levels,
+    turned_linear_values,
 )
 from skugga.shadows.sweep.horizon import horizon_deg
 from skugga.shadows.sweep.lines import Strip, TurnedGrid, sweep_rows
@@ -30,7 +30,7 @@ from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.ground.sheet import Sheet, diagonal_cuts, sheet_of
 
-OFF_AXIS = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
+OFF_AXIS_AZIMUTHS_DEG = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
 
 
 def mountains(side: int, seed: int = 1, roughness: float = 2.0) -> np.ndarray:
@@ -44,43 +44,48 @@ def mountains(side: int, seed: int = 1, roughness: float = 2.0) -> np.ndarray:
     return (400.0 * (heights - heights.min()) / np.ptp(heights)).astype(np.float32)
 
 
-def to_sun(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+def sun_direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
-def _nodes(height_m: np.ndarray, down_m: float, right_m: float, first: int = 0) -> np.ndarray:
+def _node_positions(height_m: np.ndarray, down_m: float, right_m: float, first: int = 0) -> np.ndarray:
     row, col = np.indices(height_m.shape) + first
     return np.stack([col * right_m, -row * down_m, height_m.astype(float)], axis=-1)
 
 
-def by_rays(
-    height_m: np.ndarray, cell_m: float, azimuth_deg: float, altitude_deg: float, falls: np.ndarray | None = None, beyond: int = 1
+def traced_sunlit(
+    height_m: np.ndarray,
+    cell_m: float,
+    azimuth_deg: float,
+    altitude_deg: float,
+    is_cut_nw_se: np.ndarray | None = None,
+    padding_cells: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return which nodes see the sun, and where the result is independent of the rays' offset.
 
-    Rays run over cuts, or along the higher diagonals; then the outermost heights continue for some cells ``beyond``.
+    Rays run over cuts, or along the higher diagonals; then the outermost heights continue for some cells ``padding_cells``.
     """
     rows, cols = height_m.shape
-    nodes = _nodes(height_m, cell_m, cell_m)
-    around = _nodes(np.pad(height_m, beyond, mode="edge"), cell_m, cell_m, first=-beyond)
-    caster = sheet_of(around) if falls is None else Sheet(nodes, falls)
+    nodes = _node_positions(height_m, cell_m, cell_m)
+    padded_nodes = _node_positions(np.pad(height_m, padding_cells, mode="edge"), cell_m, cell_m, first=-padding_cells)
+    caster = sheet_of(padded_nodes) if is_cut_nw_se is None else Sheet(nodes, is_cut_nw_se)
     rays, nodes = RayScene([caster]), nodes.reshape(-1, 3)
-    answers = []
-    for offsets in (0.25, 1.0, 4.0):
-        start = nodes + [0.0, 0.0, offsets * rays.offset_m]
-        answers.append(~rays.blocked(start, to_sun(azimuth_deg, altitude_deg)).reshape(rows, cols))
-    return answers[0], (answers[0] == answers[1]) & (answers[0] == answers[2])
+    lit_by_offset = []
+    for offset_factor in (0.25, 1.0, 4.0):
+        start = nodes + [0.0, 0.0, offset_factor * rays.offset_m]
+        lit_by_offset.append(~rays.blocked(start, sun_direction(azimuth_deg, altitude_deg)).reshape(rows, cols))
+    return lit_by_offset[0], (lit_by_offset[0] == lit_by_offset[1]) & (lit_by_offset[0] == lit_by_offset[2])
 
 
-@pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0])
+@pytest.mark.parametrize("azimuth", [*OFF_AXIS_AZIMUTHS_DEG, 0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0])
 def test_sunlit_matches_rays_at_every_azimuth(azimuth):
     heights = mountains(200)
     for altitude in (4.0, 15.0):
-        lit, sure = by_rays(heights, 10.0, azimuth, altitude)
-        wrong = (sunlit(heights, 10.0, azimuth, altitude) != lit) & sure
-        assert sure.mean() > 0.98 and (~lit).mean() > 0.2
-        assert wrong.mean() < 5e-4, f"{wrong.mean():.2%} at {azimuth}"
+        lit, decidable = traced_sunlit(heights, 10.0, azimuth, altitude)
+        mismatch = (sunlit(heights, 10.0, azimuth, altitude) != lit) & decidable
+        assert decidable.mean() > 0.98 and (~lit).mean() > 0.2
+        assert mismatch.mean() < 5e-4, f"{mismatch.mean():.2%} at {azimuth}"
 
 
 @pytest.mark.parametrize("slant", [-30.0, -0.001, 0.0, 0.001, 10.0])
@@ -93,23 +98,23 @@ def test_sunlit_shades_the_outermost_lines_of_a_wall(azimuth, slant):
     """
     heights = np.zeros((40, 40), np.float32)
     heights[20] = 40.0
-    across = heights if azimuth in (0.0, 180.0) else np.ascontiguousarray(heights.T)
-    dark = ~sunlit(across, 10.0, azimuth + slant, 45.0)
-    shaded = dark.sum(axis=0 if across is heights else 1)
-    assert (np.delete(shaded, [0, 1, 2, -3, -2, -1]) == 3).all()
-    assert shaded[[0, -1]].min() >= (3 if abs(slant) < 1.0 else 1)
+    wall_heights = heights if azimuth in (0.0, 180.0) else np.ascontiguousarray(heights.T)
+    dark = ~sunlit(wall_heights, 10.0, azimuth + slant, 45.0)
+    shaded_counts = dark.sum(axis=0 if wall_heights is heights else 1)
+    assert (np.delete(shaded_counts, [0, 1, 2, -3, -2, -1]) == 3).all()
+    assert shaded_counts[[0, -1]].min() >= (3 if abs(slant) < 1.0 else 1)
 
 
 def test_sunlit_is_more_accurate_with_more_lines():
     """The error is that of interpolation between lines, which falls with their spacing."""
     heights = mountains(256, seed=4, roughness=1.8)
-    wrong = {1: 0, 4: 0}
-    for azimuth in OFF_AXIS[:4]:
-        lit, sure = by_rays(heights, 10.0, azimuth, 10.0)
-        for lines in wrong:
-            wrong[lines] += int(((sunlit(heights, 10.0, azimuth, 10.0, lines=lines) != lit) & sure).sum())
-    assert wrong[1] > 40
-    assert wrong[4] < wrong[1] / 3
+    error_counts = {1: 0, 4: 0}
+    for azimuth in OFF_AXIS_AZIMUTHS_DEG[:4]:
+        lit, decidable = traced_sunlit(heights, 10.0, azimuth, 10.0)
+        for lines in error_counts:
+            error_counts[lines] += int(((sunlit(heights, 10.0, azimuth, 10.0, lines=lines) != lit) & decidable).sum())
+    assert error_counts[1] > 40
+    assert error_counts[4] < error_counts[1] / 3
 
 
 @pytest.mark.long
@@ -120,7 +125,7 @@ def test_sunlit_shadow_of_a_cone_is_a_convex_hull(azimuth, altitude, height):
     east, north = np.meshgrid((np.arange(221) - 110) * cell, (110 - np.arange(221)) * cell)
     heights = height * np.maximum(0.0, 1.0 - np.hypot(east, north) / radius).astype(np.float32)
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    tip = -to_sun(azimuth, altitude)[:2] * height / np.sin(np.radians(altitude))
+    tip = -sun_direction(azimuth, altitude)[:2] * height / np.sin(np.radians(altitude))
     outline = ConvexHull(np.concatenate([radius * np.stack([np.sin(angle), np.cos(angle)], axis=1), [tip]]))
     outside = np.max(np.stack([east, north], axis=-1) @ outline.equations[:, :2].T + outline.equations[:, 2], axis=-1)
     dark = ~sunlit(heights, cell, azimuth, altitude)
@@ -132,77 +137,79 @@ def test_sunlit_shadow_of_a_cone_is_a_convex_hull(azimuth, altitude, height):
 @pytest.mark.parametrize("azimuth", [202.0, 113.0])
 def test_sunlit_is_invariant_under_half_a_turn(azimuth):
     heights = mountains(150, seed=7)
-    turned = sunlit(np.ascontiguousarray(heights[::-1, ::-1]), 10.0, azimuth + 180.0, 12.0)
-    assert (turned[::-1, ::-1] != sunlit(heights, 10.0, azimuth, 12.0)).mean() < 1e-3
+    rotated = sunlit(np.ascontiguousarray(heights[::-1, ::-1]), 10.0, azimuth + 180.0, 12.0)
+    assert (rotated[::-1, ::-1] != sunlit(heights, 10.0, azimuth, 12.0)).mean() < 1e-3
 
 
 def test_sunlit_of_rectangular_cells_matches_rays():
     heights = mountains(160, seed=2)
-    rays = RayScene([sheet_of(_nodes(np.pad(heights, 1, mode="edge"), 13.0, 7.0, first=-1))])
-    nodes = _nodes(heights, 13.0, 7.0).reshape(-1, 3)
-    lit = ~rays.blocked(nodes + [0, 0, rays.offset_m], to_sun(157.0, 11.0)).reshape(160, 160)
+    rays = RayScene([sheet_of(_node_positions(np.pad(heights, 1, mode="edge"), 13.0, 7.0, first=-1))])
+    nodes = _node_positions(heights, 13.0, 7.0).reshape(-1, 3)
+    lit = ~rays.blocked(nodes + [0, 0, rays.offset_m], sun_direction(157.0, 11.0)).reshape(160, 160)
     assert (sunlit(heights, (13.0, 7.0), 157.0, 11.0) != lit)[1:-1, 1:-1].mean() < 1e-3
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 113.0, 45.0, 90.0])
 def test_sunlit_is_independent_of_strips_and_cores(azimuth, monkeypatch):
     heights = mountains(300, seed=3)
-    whole = sunlit(heights, 10.0, azimuth, 6.0)
+    expected = sunlit(heights, 10.0, azimuth, 6.0)
     for cells, cores in ((64, 1), (37, 2), (1, 2)):
         monkeypatch.setattr(sweep_grid, "STRIP_CELLS", cells)
-        assert (sunlit(heights, 10.0, azimuth, 6.0, cores=cores) == whole).all()
+        assert (sunlit(heights, 10.0, azimuth, 6.0, cores=cores) == expected).all()
 
 
-def turned_grid(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarray | None = None) -> TurnedGrid:
-    turn, row_m, col_m, column_of_t, t_of_column = flat_grid(heights.shape, 10.0, azimuth)
+def turned_grid(heights: np.ndarray, azimuth: float, altitude: float, is_cut_nw_se: np.ndarray | None = None) -> TurnedGrid:
+    orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(heights.shape, 10.0, azimuth)
     sine, cosine, angle = np.sin(np.radians(altitude)), np.cos(np.radians(altitude)), np.radians(azimuth)
-    level = turned_levels(heights, turn, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m)
-    cuts = HIGHER_DIAGONALS if falls is None else np.pad(turn.turned_cuts(falls), ((0, 0), (1, 1)))
-    return TurnedGrid(level, column_of_t, t_of_column, cuts)
+    ray_height = turned_linear_values(heights, orientation, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m)
+    cuts = HIGHER_DIAGONALS if is_cut_nw_se is None else np.pad(orientation.turned_cuts(is_cut_nw_se), ((0, 0), (1, 1)))
+    return TurnedGrid(ray_height, column_of_t, t_of_column, cuts)
 
 
-def swept(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarray | None) -> np.ndarray:
+def sweep_over_cuts(heights: np.ndarray, azimuth: float, altitude: float, is_cut_nw_se: np.ndarray | None) -> np.ndarray:
     """Return ``sunlit`` over cuts."""
-    sheet = turned_grid(heights, azimuth, altitude, falls)
-    n, m = sheet.level.shape
+    sheet = turned_grid(heights, azimuth, altitude, is_cut_nw_se)
+    n, m = sheet.ray_height.shape
     lit, _, _ = sweep_nodes(sheet, 8, (sheet.t_of_column[:, 0].min(), m), rows=(0, n))
     return flat_grid(heights.shape, 10.0, azimuth)[0].restored(lit)
 
 
-@pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0])
+@pytest.mark.parametrize("azimuth", [*OFF_AXIS_AZIMUTHS_DEG, 0.0, 45.0, 90.0, 135.0])
 def test_sweep_over_any_cuts_matches_rays(azimuth):
     """Decimated ground of a perspective view has such cuts. Rays run over the same triangles."""
     heights = mountains(150, seed=11)
-    falls = np.random.default_rng(1).random((149, 149)) < 0.5
+    is_cut_nw_se = np.random.default_rng(1).random((149, 149)) < 0.5
     for altitude in (4.0, 15.0):
-        lit, sure = by_rays(heights, 10.0, azimuth, altitude, falls)
-        wrong = (swept(heights, azimuth, altitude, falls) != lit) & sure
-        assert wrong[1:-1, 1:-1].mean() < 5e-4
+        lit, decidable = traced_sunlit(heights, 10.0, azimuth, altitude, is_cut_nw_se)
+        mismatch = (sweep_over_cuts(heights, azimuth, altitude, is_cut_nw_se) != lit) & decidable
+        assert mismatch[1:-1, 1:-1].mean() < 5e-4
 
 
-@pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0])
+@pytest.mark.parametrize("azimuth", [*OFF_AXIS_AZIMUTHS_DEG, 0.0, 45.0, 90.0, 135.0])
 def test_sweep_derives_the_higher_diagonals(azimuth):
     heights = mountains(150, seed=12)
-    own = swept(heights, azimuth, 8.0, None)
-    assert (swept(heights, azimuth, 8.0, diagonal_cuts(heights)) != own).mean() < 1e-4
-    assert (sunlit(heights, 10.0, azimuth, 8.0) == swept(np.pad(heights, 1, "edge"), azimuth, 8.0, None)[1:-1, 1:-1]).all()
+    derived = sweep_over_cuts(heights, azimuth, 8.0, None)
+    assert (sweep_over_cuts(heights, azimuth, 8.0, diagonal_cuts(heights)) != derived).mean() < 1e-4
+    assert (
+        sunlit(heights, 10.0, azimuth, 8.0) == sweep_over_cuts(np.pad(heights, 1, "edge"), azimuth, 8.0, None)[1:-1, 1:-1]
+    ).all()
     if azimuth % 90.0:  # otherwise rays run along rows or columns, and cross no diagonal
-        assert (swept(heights, azimuth, 8.0, ~diagonal_cuts(heights)) != own).mean() > 1e-3
+        assert (sweep_over_cuts(heights, azimuth, 8.0, ~diagonal_cuts(heights)) != derived).mean() > 1e-3
 
 
 def test_sweep_rows_continue_across_windows():
     """The lines of a window continue bit by bit where those of the previous window ended."""
     sheet = turned_grid(mountains(200, seed=5), 190.0, 5.0)
-    n, columns = sheet.level.shape
-    found = []
+    n, columns = sheet.ray_height.shape
+    results = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
-        line_max, lit = np.full((4, 300), NO_GROUND_LEVEL, np.float32), np.ones((n, columns), np.bool_)
+        line_max, lit = np.full((4, 300), NO_GROUND_RAY_HEIGHT, np.float32), np.ones((n, columns), np.bool_)
         strip = Strip(4, -60, line_max, no_peaks(4, 300))
         for first, last in zip(borders, borders[1:], strict=False):
-            sweep_rows(sheet, strip, first, last, NO_LEVELS, lit, no_points(n))
-        found.append((line_max, lit))
-    assert (found[0][0] == found[1][0]).all() and (found[0][1] == found[1][1]).all()
-    assert not found[0][1].all()
+            sweep_rows(sheet, strip, first, last, NO_RAY_HEIGHTS, lit, no_points(n))
+        results.append((line_max, lit))
+    assert (results[0][0] == results[1][0]).all() and (results[0][1] == results[1][1]).all()
+    assert not results[0][1].all()
 
 
 def test_sweep_state_carries_the_shadow_of_earlier_ground():
@@ -210,15 +217,20 @@ def test_sweep_state_carries_the_shadow_of_earlier_ground():
     heights[10:14, 30:50] = 300.0  # a wall in the north, whose shadow reaches beyond row 60
     lit, _, _ = sweep_nodes(turned_grid(heights, 3.0, 20.0), 4, (-30.0, 120.0), rows=(0, 220))
     assert (~lit[60:90]).any()
-    before, behind = turned_grid(heights[:61], 3.0, 20.0), turned_grid(heights[60:], 3.0, 20.0)
+    first_grid, second_grid = turned_grid(heights[:61], 3.0, 20.0), turned_grid(heights[60:], 3.0, 20.0)
     shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels count from each window's corner
-    state = state_after(before, 4, (-30.0, 120.0))
-    line_max = np.where(state.line_max > NO_GROUND_LEVEL / 2, state.line_max - np.float32(shift), NO_GROUND_LEVEL)
-    moved = LineState(state.first_cell, line_max.astype(np.float32))
+    state = state_after(first_grid, 4, (-30.0, 120.0))
+    line_max = np.where(state.line_max > NO_GROUND_RAY_HEIGHT / 2, state.line_max - np.float32(shift), NO_GROUND_RAY_HEIGHT)
+    shifted_state = LineState(state.first_cell, line_max.astype(np.float32))
     t0 = 60 * np.tan(np.radians(3.0))
-    later = TurnedGrid(behind.level, behind.column_of_t + [t0, 0, 0, 0], behind.t_of_column - [t0, 0, 0, 0], behind.falls)
-    handed, _, _ = sweep_nodes(later, 4, (-30.0, 120.0), entry=moved, factor=1.0, rows=(0, 160))
-    assert (handed[1:] != lit[61:]).mean() < 2e-4 and (~handed[1:30]).any()
+    shifted_grid = TurnedGrid(
+        second_grid.ray_height,
+        second_grid.column_of_t + [t0, 0, 0, 0],
+        second_grid.t_of_column - [t0, 0, 0, 0],
+        second_grid.is_cut_nw_se,
+    )
+    continued_lit, _, _ = sweep_nodes(shifted_grid, 4, (-30.0, 120.0), entry=shifted_state, factor=1.0, rows=(0, 160))
+    assert (continued_lit[1:] != lit[61:]).mean() < 2e-4 and (~continued_lit[1:30]).any()
 
 
 def test_sunlit_holes_cast_no_shadow():
@@ -241,11 +253,11 @@ def test_horizon_deg_answers_all_altitudes(azimuth):
     heights = mountains(160, seed=6)
     horizon = horizon_deg(heights, 10.0, azimuth)
     for altitude in (2.0, 8.0, 25.0, 50.0):
-        lit, sure = by_rays(heights, 10.0, azimuth, altitude, beyond=0)
-        wrong = ((horizon <= altitude) != lit) & sure
-        assert wrong[2:-2, 2:-2].mean() < 2e-3
-    for strip in (1, 2):
-        assert np.allclose(horizon_deg(heights, 10.0, azimuth, cores=strip), horizon)
+        lit, decidable = traced_sunlit(heights, 10.0, azimuth, altitude, padding_cells=0)
+        mismatch = ((horizon <= altitude) != lit) & decidable
+        assert mismatch[2:-2, 2:-2].mean() < 2e-3
+    for core_count in (1, 2):
+        assert np.allclose(horizon_deg(heights, 10.0, azimuth, cores=core_count), horizon)
 
 
 def test_horizon_deg_of_a_wall_is_its_angle():
@@ -281,8 +293,8 @@ def test_sweep_lines_of_varying_spacing_follow_their_cubics():
     rows, cols = 60, 1200
     column_of_t, t_of_column = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols, "")
     row, col = np.mgrid[:rows, : cols + 2].astype(float)
-    level = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
-    lit, _, _ = sweep_nodes(TurnedGrid(level, column_of_t, t_of_column, HIGHER_DIAGONALS), 8, (-500.0, 600.0), rows=(0, rows))
+    ray_height = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
+    lit, _, _ = sweep_nodes(TurnedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS), 8, (-500.0, 600.0), rows=(0, rows))
     assert lit[1:, 100:-100].mean() > 0.99
 
 
@@ -290,9 +302,9 @@ def test_horizon_deg_is_independent_of_strips(monkeypatch):
     from skugga.shadows.sweep import horizon as sweep_horizon
 
     heights = mountains(120, seed=8)
-    whole = horizon_deg(heights, 10.0, 112.0)
+    expected = horizon_deg(heights, 10.0, 112.0)
     monkeypatch.setattr(sweep_horizon, "STRIP_NODES", 2000)
-    assert np.allclose(horizon_deg(heights, 10.0, 112.0), whole)
+    assert np.allclose(horizon_deg(heights, 10.0, 112.0), expected)
 
 
 def test_position_cubics_refuse_rays_that_bend_too_much():
@@ -309,14 +321,14 @@ def test_position_cubics_refuse_rays_that_bend_too_much():
 
 
 def test_sweep_nodes_without_rows_allocates_no_mask():
-    lit, points_lit, above = sweep_nodes(turned_grid(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
-    assert lit.shape == NO_MASK.shape and len(points_lit) == len(above) == 0
+    lit, points_lit, shadow_heights = sweep_nodes(turned_grid(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
+    assert lit.shape == NO_MASK.shape and len(points_lit) == len(shadow_heights) == 0
 
 
 def test_sunlit_keeps_peaks_between_lines_near_a_diagonal():
     """Near a diagonal, nodes shade one another all along a ray. Peaks between two lines must not be cut off."""
     rng = np.random.default_rng(3)
     heights = (20.0 * (rng.random((200, 200)) < 0.01)).astype(np.float32)
-    lit, sure = by_rays(heights, 2.5, 224.99, 10.0)
-    missed = (sunlit(heights, 2.5, 224.99, 10.0) & ~lit & sure)[2:-2, 2:-2]
+    lit, decidable = traced_sunlit(heights, 2.5, 224.99, 10.0)
+    missed = (sunlit(heights, 2.5, 224.99, 10.0) & ~lit & decidable)[2:-2, 2:-2]
     assert (~lit).mean() > 0.2 and missed.mean() < 5e-4

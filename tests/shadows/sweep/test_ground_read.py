@@ -22,24 +22,24 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN
 from tests.rasters import ENGINEERING
 
-Q = PATCH_QUADS
+QUADS = PATCH_QUADS
 
 
 @given(st.sets(st.tuples(st.integers(-3, 4), st.integers(-3, 4)), max_size=30))
 def test_patch_windows_cover_each_patch_once(patches):
-    covered: list[tuple[int, int]] = []
-    for row, col, rows, cols in patch_windows([Patch(0, *place) for place in patches]):
-        assert row % Q == col % Q == 0 and (rows - 1) % Q == (cols - 1) % Q == 0
-        covered += [(row // Q + i, col // Q + j) for i in range(rows // Q) for j in range(cols // Q)]
-    assert sorted(covered) == sorted(patches)
+    covered_patches: list[tuple[int, int]] = []
+    for row, col, rows, cols in patch_windows([Patch(0, *row_col) for row_col in patches]):
+        assert row % QUADS == col % QUADS == 0 and (rows - 1) % QUADS == (cols - 1) % QUADS == 0
+        covered_patches += [(row // QUADS + i, col // QUADS + j) for i in range(rows // QUADS) for j in range(cols // QUADS)]
+    assert sorted(covered_patches) == sorted(patches)
 
 
 def test_fitted_cubics_reproduce_cubics():
     x = np.sort(np.random.default_rng(5).uniform(900.0, 3000.0, (6, 17)), axis=1)
-    factors = np.random.default_rng(6).normal(size=(6, 4)) * (1.0, 1e-1, 1e-5, 1e-9)
-    y = np.stack([np.polynomial.polynomial.polyval(*pair) for pair in zip(x, factors, strict=True)])
-    found = fitted_cubics(x, y)
-    assert np.allclose(found, factors, rtol=1e-6, atol=1e-12)
+    coefficients = np.random.default_rng(6).normal(size=(6, 4)) * (1.0, 1e-1, 1e-5, 1e-9)
+    y = np.stack([np.polynomial.polynomial.polyval(*pair) for pair in zip(x, coefficients, strict=True)])
+    fitted = fitted_cubics(x, y)
+    assert np.allclose(fitted, coefficients, rtol=1e-6, atol=1e-12)
     assert np.allclose(fitted_cubics(x[:, :2], y[:, :2])[:, 2:], 0.0)  # a line through two points
 
 
@@ -52,31 +52,31 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
     view = scene.view(bounds=(3003.0, 3003.0, 5003.0, 5003.0), size=(200, 200))
     buffer = geometry_buffer(scene, view)
     nodes = bare_nodes(scene, MapView(view.grid, float(int(view.row0)), float(int(view.col0)), 1.0, 1.0, 200, 200), 1)
-    at_points = find_casters(scene, buffer)
-    at_points = replace(
-        at_points, culled=frozenset(at_points.patches)
+    point_casters = find_casters(scene, buffer)
+    point_casters = replace(
+        point_casters, culled=frozenset(point_casters.patches)
     )  # the sheet keeps its size, and has no ground in those patches
-    of_nodes = Casters(find_sun_casters(scene, nodes), at_points.reach)
-    of_nodes = replace(of_nodes, culled=frozenset(of_nodes.patches))
+    node_casters = Casters(find_sun_casters(scene, nodes), point_casters.reach)
+    node_casters = replace(node_casters, culled=frozenset(node_casters.patches))
 
-    def seen() -> list[np.ndarray]:
+    def sweep_results() -> list[np.ndarray]:
         return [
-            fill(buffer, scene, SUN, ("relief",), at_points, SweepSettings(), PassLog()),
-            fill_nodes(nodes, scene, SUN, ("relief",), of_nodes, SweepSettings(), PassLog()),
+            fill(buffer, scene, SUN, ("relief",), point_casters, SweepSettings(), PassLog()),
+            fill_nodes(nodes, scene, SUN, ("relief",), node_casters, SweepSettings(), PassLog()),
         ]
 
-    unknown = []
+    empty_row_counts = []
 
-    def with_high_ground(n: int, m: int, known: slice, *window_to_fill: object) -> tuple[np.ndarray, np.ndarray]:
-        with_border, inside = bordered(n, m, known, *window_to_fill)
-        elsewhere = np.ones(n, bool)
-        elsewhere[known] = False
-        with_border[elsewhere] = 1e30
-        unknown.append(elsewhere.sum())
+    def with_high_ground(n: int, m: int, filled_rows: slice, *window_to_fill: object) -> tuple[np.ndarray, np.ndarray]:
+        with_border, inside = bordered(n, m, filled_rows, *window_to_fill)
+        is_empty_row = np.ones(n, bool)
+        is_empty_row[filled_rows] = False
+        with_border[is_empty_row] = 1e30
+        empty_row_counts.append(is_empty_row.sum())
         return with_border, inside
 
-    before = seen()
+    before = sweep_results()
     monkeypatch.setattr(rays, "bordered", with_high_ground)
-    after = seen()
-    assert all(0.02 < (each == 0.0).mean() < 0.98 for each in before) and min(unknown) > 0
-    assert all(np.array_equal(one, other) for one, other in zip(before, after, strict=True))
+    after = sweep_results()
+    assert all(0.02 < (visibility == 0.0).mean() < 0.98 for visibility in before) and min(empty_row_counts) > 0
+    assert all(np.array_equal(original, patched) for original, patched in zip(before, after, strict=True))

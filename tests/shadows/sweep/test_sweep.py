@@ -46,37 +46,39 @@ def tile() -> MapView:
     return block_at(-84.25, 36.2933, 12).part(273, 300, 256, 256)
 
 
-def under(scene: Scene, azimuth: float, altitude: float) -> Scene:
+def with_sun_at(scene: Scene, azimuth: float, altitude: float) -> Scene:
     return scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
 
 
-def looked_at(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters, np.ndarray]:
+def sweep_view(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters, np.ndarray]:
     """Return a view's buffer, its casters, and the sweep's visibility with attached shadow dark."""
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog())
-    seen[attached(buffer, scene)] = 0.0
-    return buffer, casters, seen
+    visibility = sweep.fill(
+        receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog()
+    )
+    visibility[attached(buffer, scene)] = 0.0
+    return buffer, casters, visibility
 
 
 @pytest.mark.parametrize("sun", SUNS)
 def test_sweep_of_a_tile_on_a_curved_earth_matches_truth(jacksboro, tile, sun):
     """The tile has casters beyond the block, converging meridians and holes. At most 0.03 % of the decidable pixels are wrong."""
-    scene = under(jacksboro, *sun)
-    buffer, casters, seen = looked_at(scene, tile)
-    found = error_metrics(seen, trace_truth(buffer, scene, casters), 30.0)
-    assert found.wrong <= 3e-4 and found.interior <= 1e-4
-    assert (seen < 0.5).mean() > 0.02
+    scene = with_sun_at(jacksboro, *sun)
+    buffer, casters, visibility = sweep_view(scene, tile)
+    metrics = error_metrics(visibility, trace_truth(buffer, scene, casters), 30.0)
+    assert metrics.wrong <= 3e-4 and metrics.interior <= 1e-4
+    assert (visibility < 0.5).mean() > 0.02
 
 
 @pytest.mark.parametrize("sun", SUNS[1::3])
 def test_sweep_of_pixels_off_the_nodes_matches_truth(jacksboro, sun):
-    scene = under(jacksboro, *sun)
+    scene = with_sun_at(jacksboro, *sun)
     view = scene.view(size=(301, 257))
     assert not view.on_nodes
-    buffer, casters, seen = looked_at(scene, view)
-    found = error_metrics(seen, trace_truth(buffer, scene, casters), 100.0)
-    assert found.wrong <= 3e-4 and found.interior <= 1e-4
+    buffer, casters, visibility = sweep_view(scene, view)
+    metrics = error_metrics(visibility, trace_truth(buffer, scene, casters), 100.0)
+    assert metrics.wrong <= 3e-4 and metrics.interior <= 1e-4
 
 
 def test_sweep_casts_far_ground_through_coarse_windows(write_raster, make_scene, monkeypatch):
@@ -88,24 +90,26 @@ def test_sweep_casts_far_ground_through_coarse_windows(write_raster, make_scene,
     view = scene.view(bounds=(2600.0, 5000.0, 6600.0, 9000.0), size=(200, 200))
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    assert {patch.level for patch in casters.patches} >= {0, 1}
-    real = trace_truth(buffer, scene, casters)
-    seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
-    near = Casters(tuple(patch for patch in casters.patches if patch.level == 0), casters.reach)
-    without = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), near, SweepSettings(), PassLog())
-    assert (without - seen).mean() > 0.05  # the far ground casts the shadow
-    seen[attached(buffer, scene)] = 0.0
-    assert error_metrics(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05
+    assert {patch.lod for patch in casters.patches} >= {0, 1}
+    reference = trace_truth(buffer, scene, casters)
+    visibility = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
+    near_casters = Casters(tuple(patch for patch in casters.patches if patch.lod == 0), casters.reach)
+    near_visibility = sweep.fill(
+        receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), near_casters, SweepSettings(), PassLog()
+    )
+    assert (near_visibility - visibility).mean() > 0.05  # the far ground casts the shadow
+    visibility[attached(buffer, scene)] = 0.0
+    assert error_metrics(visibility, reference, 20.0).wrong <= 1e-3 and visibility.mean() > 0.05
 
 
 @pytest.mark.parametrize("sun", SUNS[::3])
 def test_sweep_ignores_coarse_ground_behind_a_block(jacksboro, sun):
     """The map is far finer than the raster, so its casters are coarse close by, and some lie behind the block."""
-    scene = under(jacksboro, *sun)
+    scene = with_sun_at(jacksboro, *sun)
     view = scene.view(bounds=(-84.2505, 36.2928, -84.2495, 36.2938), size=(128, 128), crs="EPSG:4326")
-    buffer, casters, seen = looked_at(scene, view)
-    assert max(patch.level for patch in casters.patches) >= 1
-    assert error_metrics(seen, trace_truth(buffer, scene, casters), 0.8).wrong <= 3e-4
+    buffer, casters, visibility = sweep_view(scene, view)
+    assert max(patch.lod for patch in casters.patches) >= 1
+    assert error_metrics(visibility, trace_truth(buffer, scene, casters), 0.8).wrong <= 3e-4
 
 
 def test_sweep_far_from_the_anchor_keeps_summit_positions(write_raster, make_scene):
@@ -115,10 +119,10 @@ def test_sweep_far_from_the_anchor_keeps_summit_positions(write_raster, make_sce
     heights = np.minimum(heights, np.roll(heights, 2, axis=1))
     scene = make_scene(write_raster(heights, "EPSG:4326", 70.0, 29.0, 20.0 / 240), azimuth=190.0, altitude=7.0)
     view = scene.view(bounds=(9.75e6, 3.19e6, 9.95e6, 3.31e6), size=(300, 180), crs="EPSG:3857")
-    buffer, casters, seen = looked_at(scene, view)
-    found = error_metrics(seen, trace_truth(buffer, scene, casters), 700.0)
-    assert 0.02 < seen[buffer.valid].mean() < 0.98
-    assert found.wrong <= 2e-3
+    buffer, casters, visibility = sweep_view(scene, view)
+    metrics = error_metrics(visibility, trace_truth(buffer, scene, casters), 700.0)
+    assert 0.02 < visibility[buffer.valid].mean() < 0.98
+    assert metrics.wrong <= 2e-3
 
 
 @pytest.mark.parametrize("azimuth", [225.0, 270.0])
@@ -128,9 +132,9 @@ def test_sweep_of_converging_meridians_matches_truth(write_raster, make_scene, a
     heights = (600.0 + 500.0 * np.sin(row / 9.0) * np.sin(col / 7.0)).astype(np.float32)
     scene = make_scene(write_raster(heights, "EPSG:4326", 20.0, 80.5, (20.0 / 512, 2.0 / 300)), azimuth=azimuth, altitude=4.0)
     view = scene.view(bounds=(2.3e6, 1.49e7, 4.4e6, 1.55e7), size=(700, 200), crs="EPSG:3857")
-    buffer, casters, seen = looked_at(scene, view)
-    real = trace_truth(buffer, scene, casters)
-    assert error_metrics(seen, real, 3000.0).wrong <= 2e-3
+    buffer, casters, visibility = sweep_view(scene, view)
+    reference = trace_truth(buffer, scene, casters)
+    assert error_metrics(visibility, reference, 3000.0).wrong <= 2e-3
 
 
 @pytest.mark.parametrize("latitude, width_km", [(0.0, 1000.0), (65.0, 1000.0), (78.0, 500.0), (84.0, 250.0)])
@@ -148,7 +152,9 @@ def test_sweep_lines_follow_rays_across_wide_maps(write_raster, make_scene, lati
     for azimuth in (0.0, 10.0, 45.0, 80.0, 90.0, 200.0):
         scene = make_scene(raster, azimuth=azimuth, altitude=3.0)
         view = scene.view(bounds=(x - half, y - half, x + half, y + half), size=(1024, 1024), crs="EPSG:3857")
-        rays_at(scene, view.grid, view.row0 + 512.0, view.col0 + 512.0).places(0, view.row0, view.col0, 1024, 1024)  # or raises
+        rays_at(scene, view.grid, view.row0 + 512.0, view.col0 + 512.0).window_cubics(
+            0, view.row0, view.col0, 1024, 1024
+        )  # or raises
 
 
 def test_sweep_blocks_join_without_a_seam(jacksboro):
@@ -157,14 +163,14 @@ def test_sweep_blocks_join_without_a_seam(jacksboro):
     Lines run elsewhere in each window. The test leaves out nodes that the sun's rays pass by centimetres, which truth does not
     decide.
     """
-    scene = under(jacksboro, 247.0, 6.0)
+    scene = with_sun_at(jacksboro, 247.0, 6.0)
     block = block_at(-84.25, 36.2933, 12)
     views = block.part(313, 200, 160, 160), block.part(313, 280, 160, 160)
-    (buffer, casters, one), (_, _, other) = (looked_at(scene, view) for view in views)
+    (buffer, casters, first_window), (_, _, second_window) = (sweep_view(scene, view) for view in views)
     decidable = trace_truth(buffer, scene, casters).decidable[:, 80:]
     assert decidable.mean() > 0.9
-    assert not (one[:, 80:] != other[:, :80])[decidable].any()
-    assert 0.02 < one.mean() < 0.98
+    assert not (first_window[:, 80:] != second_window[:, :80])[decidable].any()
+    assert 0.02 < first_window.mean() < 0.98
 
 
 @pytest.mark.parametrize("size, decimated", [(3000, False), (14000, True)])
@@ -179,38 +185,38 @@ views:
   main: {{kind: perspective, eye: [-1200, -1300, 250], target: [0, 0, 100], fov: 60, size: [320, 256]}}
 """)
     scene = build_scene(load_level(path))
-    buffer, casters, seen = looked_at(scene, scene.view("main"))
+    buffer, casters, visibility = sweep_view(scene, scene.view("main"))
     assert buffer.ground is not None and (buffer.ground.tolerance_px > 0.0) == decimated
-    found = error_metrics(seen, trace_truth(buffer, scene, casters), 5.0)
-    assert (seen[buffer.valid] < 0.5).mean() > 0.02
-    assert found.wrong <= (1.5e-3 if decimated else 3e-4) and found.interior <= MAX_INTERIOR
+    metrics = error_metrics(visibility, trace_truth(buffer, scene, casters), 5.0)
+    assert (visibility[buffer.valid] < 0.5).mean() > 0.02
+    assert metrics.wrong <= (1.5e-3 if decimated else 3e-4) and metrics.interior <= MAX_INTERIOR
 
 
 def test_sweep_shades_trees_and_houses_by_hills():
     """Only ground casts. Objects on it are shaded up to the shadow's height."""
     scene = build_scene(load_level("configs/jacksboro_wooded.yaml"))
-    scene = under(scene, 120.0, 6.0)
+    scene = with_sun_at(scene, 120.0, 6.0)
     view = scene.view("valley", size=(320, 256))
-    buffer, casters, seen = looked_at(scene, view)
-    standing = buffer.valid & (buffer.kind != RELIEF)
-    real = trace_truth(buffer, scene, casters, kinds=("relief",))
-    decided = standing & real.decidable & ~real.attached
-    assert decided.sum() > 1000 and (~real.lit & decided).sum() > 50
-    assert (((seen < 0.5) == real.lit) & decided).sum() <= 2e-3 * decided.sum()
+    buffer, casters, visibility = sweep_view(scene, view)
+    on_object = buffer.valid & (buffer.kind != RELIEF)
+    reference = trace_truth(buffer, scene, casters, kinds=("relief",))
+    decidable_object = on_object & reference.decidable & ~reference.attached
+    assert decidable_object.sum() > 1000 and (~reference.lit & decidable_object).sum() > 50
+    assert (((visibility < 0.5) == reference.lit) & decidable_object).sum() <= 2e-3 * decidable_object.sum()
 
 
 @pytest.mark.long
 def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
     for sun in ((113.0, 10.0), (202.0, 25.0)):
-        scene = under(jacksboro, *sun)
-        buffer, casters, seen = looked_at(scene, tile, filter="sun")
-        real = soft_truth(buffer, scene, casters, 64)
-        turned = attached(buffer, scene)
-        real[turned], seen[turned] = 0.0, 0.0
-        soft = buffer.valid & (real > 0.05) & (real < 0.95)
-        assert soft.sum() > 200
-        assert soft_error(seen, real) < 0.002
-        assert np.abs(seen - real)[soft].mean() < 0.1
+        scene = with_sun_at(jacksboro, *sun)
+        buffer, casters, visibility = sweep_view(scene, tile, filter="sun")
+        reference = soft_truth(buffer, scene, casters, 64)
+        self_shadow = attached(buffer, scene)
+        reference[self_shadow], visibility[self_shadow] = 0.0, 0.0
+        in_penumbra = buffer.valid & (reference > 0.05) & (reference < 0.95)
+        assert in_penumbra.sum() > 200
+        assert soft_error(visibility, reference) < 0.002
+        assert np.abs(visibility - reference)[in_penumbra].mean() < 0.1
 
 
 def test_strips_of_sun_have_equal_areas():
@@ -219,44 +225,44 @@ def test_strips_of_sun_have_equal_areas():
     rng = np.random.default_rng(0)
     disc = rng.uniform(-1.0, 1.0, (200_000, 2))
     height = np.radians(SUN_RADIUS_DEG) * disc[np.hypot(*disc.T) < 1.0, 1]
-    below = [(height < angle).mean() for angle in angles]
-    assert np.allclose(below, (np.arange(16) + 0.5) / 16, atol=0.005)
+    share_below = [(height < angle).mean() for angle in angles]
+    assert np.allclose(share_below, (np.arange(16) + 0.5) / 16, atol=0.005)
 
 
 def test_shadow_height_separates_sun_from_shadow(jacksboro, tile):
-    scene = under(jacksboro, 113.0, 8.0)
+    scene = with_sun_at(jacksboro, 113.0, 8.0)
     plan = make_plan(describe(scene, tile), scene.loaded.level, {"algorithm": "sweep"})
     frame = render_frame(scene, tile, plan, layers=frozenset({"shadow-height"}))
     height_m = frame.layers["shadow-height"]["sun"]
     buffer = geometry_buffer(scene, tile)
     casters = find_casters(scene, buffer)
-    deep = height_m - buffer.height_m > 5.0
-    assert deep.mean() > 0.1
+    deep_shadow = height_m - buffer.height_m > 5.0
+    assert deep_shadow.mean() > 0.1
     assert np.allclose(height_m[frame.visibility == 1.0], buffer.height_m[frame.visibility == 1.0])
     rays = ray_scene(buffer, scene, casters, ("relief",))
     up = buffer.frame.frame_from_earth @ scene.world.earth_from_anchor[:, 2]
     to_sun = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
-    for metres, sees in ((1.0, True), (-1.0, False)):
-        at = buffer.position_frame_m[deep] + (height_m - buffer.height_m + metres)[deep][:, None] * up
-        assert (~rays.blocked(at, to_sun) == sees).mean() > 0.98
+    for offset_m, is_lit in ((1.0, True), (-1.0, False)):
+        start_points = buffer.position_frame_m[deep_shadow] + (height_m - buffer.height_m + offset_m)[deep_shadow][:, None] * up
+        assert (~rays.blocked(start_points, to_sun) == is_lit).mean() > 0.98
 
 
 def test_sweep_is_independent_of_the_number_of_cores(jacksboro, tile, monkeypatch):
-    scene = under(jacksboro, 67.0, 5.0)
+    scene = with_sun_at(jacksboro, 67.0, 5.0)
     monkeypatch.setattr(sweep, "CORES", 1)
-    one = looked_at(scene, tile)[2]
+    single_core_visibility = sweep_view(scene, tile)[2]
     monkeypatch.setattr(sweep, "CORES", 3)
-    assert (looked_at(scene, tile)[2] == one).all()
+    assert (sweep_view(scene, tile)[2] == single_core_visibility).all()
 
 
 def test_sweep_frame_needs_no_opengl(jacksboro, monkeypatch):
     from skugga.terrain.gl import device as gl
 
-    def never() -> None:
+    def forbid_device() -> None:
         raise AssertionError("OpenGL was called")
 
-    monkeypatch.setattr(gl, "device", never)
-    scene = under(jacksboro, 237.0, 12.0)
+    monkeypatch.setattr(gl, "device", forbid_device)
+    scene = with_sun_at(jacksboro, 237.0, 12.0)
     frame = render(scene, scene.view(size=(200, 160)), algorithm="sweep")
     assert 0.02 < shadow(frame).mean() < 0.98
     assert [record.name for record in frame.passes] == frame.plan.passes
@@ -275,5 +281,5 @@ views:
 """)
     scene = build_scene(load_level(path))
     for name in ("up", "down"):
-        _, _, seen = looked_at(scene, scene.view(name))
-        assert (seen[geometry_buffer(scene, scene.view(name)).valid] == 1.0).all()
+        _, _, visibility = sweep_view(scene, scene.view(name))
+        assert (visibility[geometry_buffer(scene, scene.view(name)).valid] == 1.0).all()

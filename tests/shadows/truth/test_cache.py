@@ -23,38 +23,38 @@ def test_cached_truth_is_computed_once_per_content(tmp_path, monkeypatch):
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
     buffer = map_geometry(scene.surface(view.grid), view, frame)
     casters = find_casters(scene, buffer)
-    made = []
+    calls = []
 
     def make(*args, **keys):
         from skugga.shadows.truth.truth import trace_truth
 
-        made.append(args)
+        calls.append(args)
         return trace_truth(*args, **keys)
 
-    one = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
-    again = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
-    assert len(made) == 1 and one.decidable.any()
+    first = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
+    second = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
+    assert len(calls) == 1 and first.decidable.any()
     for name in ("lit", "attached", "decidable", "valid"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     (stored,) = tmp_path.glob("*.npz")
-    other = BytesIO()
-    np.savez(other, something=np.zeros(3))
-    for count, damaged in enumerate((b"damaged", stored.read_bytes()[:-30], other.getvalue()), start=2):
+    other_archive = BytesIO()
+    np.savez(other_archive, something=np.zeros(3))
+    for count, damaged in enumerate((b"damaged", stored.read_bytes()[:-30], other_archive.getvalue()), start=2):
         stored.write_bytes(damaged)
         cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
-        assert len(made) == count
+        assert len(calls) == count
     assert buffer.surface is not None
     # the same nodes, but cut along the lower diagonals
-    cut = replace(buffer, surface=replace(buffer.surface, height_m=-buffer.surface.height_m))
-    assert (cut.surface.sheet.falls != buffer.surface.sheet.falls).any()
+    flipped_buffer = replace(buffer, surface=replace(buffer.surface, height_m=-buffer.surface.height_m))
+    assert (flipped_buffer.surface.sheet.is_cut_nw_se != buffer.surface.sheet.is_cut_nw_se).any()
     keys = {
         content_key(buffer, scene, casters, 4),
         content_key(buffer, scene, casters, 16),
         content_key(buffer, scene.with_sun(SunSpec(azimuth=237, altitude=10.001)), casters, 4),
         content_key(buffer, scene, Casters((), casters.reach), 4) if casters.patches else "no patches",
-        content_key(cut, scene, casters, 4),
+        content_key(flipped_buffer, scene, casters, 4),
     }
-    monkeypatch.setattr(cache, "DEFINITION", cache.DEFINITION - 1)
+    monkeypatch.setattr(cache, "DEFINITION_VERSION", cache.DEFINITION_VERSION - 1)
     keys.add(content_key(buffer, scene, casters, 4))
     assert len(keys) == 6
 
@@ -67,7 +67,7 @@ def test_content_key_depends_on_the_lamp():
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
     keys = set()
-    for changed in (lamp, replace(lamp, radius_m=lamp.radius_m + 0.1), replace(lamp, cutoff_deg=lamp.cutoff_deg - 1.0)):
-        scene.lamps[name] = changed
+    for changed_lamp in (lamp, replace(lamp, radius_m=lamp.radius_m + 0.1), replace(lamp, cutoff_deg=lamp.cutoff_deg - 1.0)):
+        scene.lamps[name] = changed_lamp
         keys.add(content_key(buffer, scene, casters, 4, name))
     assert len(keys) == 3

@@ -46,12 +46,12 @@ def geometry(scene: Scene, view: MapView) -> tuple[GeometryBuffer, Casters]:
 
 
 @pytest.fixture(scope="module")
-def real(scene, view) -> Truth:
-    return trace_truth(*_swap(scene, geometry(scene, view)))
+def reference(scene, view) -> Truth:
+    return trace_truth(*_trace_arguments(scene, geometry(scene, view)))
 
 
-def _swap(scene: Scene, ground: tuple[GeometryBuffer, Casters]) -> tuple[GeometryBuffer, Scene, Casters]:
-    return ground[0], scene, ground[1]
+def _trace_arguments(scene: Scene, buffer_and_casters: tuple[GeometryBuffer, Casters]) -> tuple[GeometryBuffer, Scene, Casters]:
+    return buffer_and_casters[0], scene, buffer_and_casters[1]
 
 
 def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bool = True) -> np.ndarray:
@@ -60,46 +60,48 @@ def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bo
         casters = Casters((), casters.reach)
     settings = plan_of(scene, view, map_size=4096, filter=1).settings["sun"]["relief"]
     settings = settings.model_copy(update={"bias_scale": bias_scale})
-    seen = shadow_map.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, settings, PassLog())
-    seen[attached(buffer, scene)] = 0.0
-    return seen
+    filled = shadow_map.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, settings, PassLog())
+    filled[attached(buffer, scene)] = 0.0
+    return filled
 
 
 @pytest.fixture(scope="module")
-def usual(scene, view, real) -> ErrorMetrics:
-    return error_metrics(visibility(scene, view), real, 30.0)
+def baseline(scene, view, reference) -> ErrorMetrics:
+    return error_metrics(visibility(scene, view), reference, 30.0)
 
 
-def test_shadow_map_is_near_truth(gl, usual):
+def test_shadow_map_is_near_truth(gl, baseline):
     """This is the baseline of the defects below."""
-    assert usual.wrong < 0.005 and usual.wrong_cast < 0.03 and usual.interior < MAX_INTERIOR and usual.edge_p95 <= 2.0
-    assert usual.boundary < 0.15
+    assert baseline.wrong < 0.005 and baseline.wrong_cast < 0.03 and baseline.interior < MAX_INTERIOR and baseline.edge_p95 <= 2.0
+    assert baseline.boundary < 0.15
 
 
-def test_wrong_bias_raises_false_shadow(gl, scene, view, real, usual):
-    found = error_metrics(visibility(scene, view, bias_scale=50.0), real, 30.0)
-    assert found.false_shadow > 20 * max(usual.false_shadow, 1e-3)
-    found = error_metrics(visibility(scene, view, bias_scale=0.0), real, 30.0)
-    assert found.false_shadow > 5 * max(usual.false_shadow, 1e-3)
+def test_wrong_bias_raises_false_shadow(gl, scene, view, reference, baseline):
+    metrics = error_metrics(visibility(scene, view, bias_scale=50.0), reference, 30.0)
+    assert metrics.false_shadow > 20 * max(baseline.false_shadow, 1e-3)
+    metrics = error_metrics(visibility(scene, view, bias_scale=0.0), reference, 30.0)
+    assert metrics.false_shadow > 5 * max(baseline.false_shadow, 1e-3)
 
 
-def test_sun_wrong_by_one_degree_displaces_edges(gl, scene, view, real, usual):
-    off = scene.with_sun(SunSpec(azimuth=237, altitude=ALTITUDE + 1.0))
-    found = error_metrics(visibility(off, view), real, 30.0)
-    assert found.edge_mean > usual.edge_mean + 0.3 and found.wrong_cast > 3 * usual.wrong_cast
+def test_sun_wrong_by_one_degree_displaces_edges(gl, scene, view, reference, baseline):
+    wrong_sun_scene = scene.with_sun(SunSpec(azimuth=237, altitude=ALTITUDE + 1.0))
+    metrics = error_metrics(visibility(wrong_sun_scene, view), reference, 30.0)
+    assert metrics.edge_mean > baseline.edge_mean + 0.3 and metrics.wrong_cast > 3 * baseline.wrong_cast
 
 
-def test_mirrored_azimuth_raises_false_and_missed_shadow(gl, scene, view, real, usual):
-    mirrored = scene.with_sun(SunSpec(azimuth=360 - 237, altitude=ALTITUDE))
-    found = error_metrics(visibility(mirrored, view), real, 30.0)
-    assert found.false_shadow > 0.1 and found.missed_shadow > 0.1 and found.interior > 0.05
+def test_mirrored_azimuth_raises_false_and_missed_shadow(gl, scene, view, reference, baseline):
+    mirrored_scene = scene.with_sun(SunSpec(azimuth=360 - 237, altitude=ALTITUDE))
+    metrics = error_metrics(visibility(mirrored_scene, view), reference, 30.0)
+    assert metrics.false_shadow > 0.1 and metrics.missed_shadow > 0.1 and metrics.interior > 0.05
 
 
-def test_exaggeration_of_2_percent_displaces_edges(gl, view, real, usual, scene):
+def test_exaggeration_of_2_percent_displaces_edges(gl, view, reference, baseline, scene):
     level = scene.loaded.level.model_copy(update={"terrain": scene.loaded.level.terrain.model_copy(update={"exaggeration": 1.02})})
-    higher = build_scene(scene.loaded.model_copy(update={"level": level})).with_sun(SunSpec(azimuth=237, altitude=ALTITUDE))
-    found = error_metrics(visibility(higher, view), real, 30.0)
-    assert found.edge_mean > usual.edge_mean and found.wrong_cast > 1.5 * usual.wrong_cast
+    exaggerated_scene = build_scene(scene.loaded.model_copy(update={"level": level})).with_sun(
+        SunSpec(azimuth=237, altitude=ALTITUDE)
+    )
+    metrics = error_metrics(visibility(exaggerated_scene, view), reference, 30.0)
+    assert metrics.edge_mean > baseline.edge_mean and metrics.wrong_cast > 1.5 * baseline.wrong_cast
 
 
 def test_dropped_caster_raises_interior_and_its_parts(gl, write_raster, make_scene):
@@ -108,12 +110,12 @@ def test_dropped_caster_raises_interior_and_its_parts(gl, write_raster, make_sce
     heights[:, 40:45] = 300.0
     ridge = make_scene(write_raster(heights, ENGINEERING, 0, 1000, 10.0), 270, 12)
     view = ridge.view(bounds=(1000, 200, 2200, 800), size=(240, 120))
-    real = trace_truth(*_swap(ridge, geometry(ridge, view)))
-    assert 0.2 < (~real.lit).mean() < 0.9
-    with_it = error_metrics(visibility(ridge, view), real, 5.0)
-    without = error_metrics(visibility(ridge, view, patches=False), real, 5.0)
-    assert with_it.interior == 0.0 and with_it.missed_shadow < 0.01
-    assert without.interior > 0.2 and without.interior_parts >= 1 and without.missed_shadow > 0.9
+    reference = trace_truth(*_trace_arguments(ridge, geometry(ridge, view)))
+    assert 0.2 < (~reference.lit).mean() < 0.9
+    with_patches = error_metrics(visibility(ridge, view), reference, 5.0)
+    without_patches = error_metrics(visibility(ridge, view, patches=False), reference, 5.0)
+    assert with_patches.interior == 0.0 and with_patches.missed_shadow < 0.01
+    assert without_patches.interior > 0.2 and without_patches.interior_parts >= 1 and without_patches.missed_shadow > 0.9
 
 
 @pytest.mark.parametrize("azimuth", [270.0, pytest.param(90.0, marks=pytest.mark.long)])
@@ -132,19 +134,19 @@ def test_truth_of_a_wall_matches_the_closed_form(write_raster, make_scene, azimu
     np.testing.assert_allclose(ends, end, atol=0.17)
 
 
-def test_truth_is_decidable_away_from_edges(real):
+def test_truth_is_decidable_away_from_edges(reference):
     """Boundary pixels lie at edges: each has a pixel of the other class within two pixels."""
     from scipy.ndimage import binary_dilation
 
-    near = binary_dilation(real.lit, iterations=2) & binary_dilation(~real.lit, iterations=2)
-    undecided = real.valid & ~real.decidable
-    assert undecided.any() and (undecided & ~near).sum() <= 0.02 * undecided.sum() + 0.002 * real.valid.sum()
+    near_edge = binary_dilation(reference.lit, iterations=2) & binary_dilation(~reference.lit, iterations=2)
+    undecided = reference.valid & ~reference.decidable
+    assert undecided.any() and (undecided & ~near_edge).sum() <= 0.02 * undecided.sum() + 0.002 * reference.valid.sum()
 
 
-def test_truth_with_more_samples_decides_fewer_pixels(scene, view, real):
-    finer = trace_truth(*_swap(scene, geometry(scene, view)), samples=16)
-    np.testing.assert_array_equal(finer.lit, real.lit)
-    assert finer.boundary >= real.boundary - 0.01
+def test_truth_with_more_samples_decides_fewer_pixels(scene, view, reference):
+    finer = trace_truth(*_trace_arguments(scene, geometry(scene, view)), samples=16)
+    np.testing.assert_array_equal(finer.lit, reference.lit)
+    assert finer.boundary >= reference.boundary - 0.01
     with pytest.raises(ValueError, match="square"):
         jittered_views(view, 5)
 
@@ -158,8 +160,8 @@ def comparison(scene) -> Iterator[Comparison]:
         yield compare(scene, scene.view(bounds=(x - 2000, y - 2000, x + 2000, y + 2000), size=(125, 125)))
 
 
-def test_noise_floor_is_far_below_the_errors(gl, comparison, usual):
-    assert comparison.noise_floor < usual.wrong_cast / 3
+def test_noise_floor_is_far_below_the_errors(gl, comparison, baseline):
+    assert comparison.noise_floor < baseline.wrong_cast / 3
     assert 0.0 < comparison.surface < 0.1
 
 
@@ -171,20 +173,20 @@ def test_sun_disc_has_the_suns_size_and_centre():
     assert (angles < 0.265 / 2**0.5).mean() == pytest.approx(0.5, abs=0.02)  # equal areas
 
 
-def test_soft_truth_is_soft_only_at_edges(scene, view, real):
+def test_soft_truth_is_soft_only_at_edges(scene, view, reference):
     buffer, casters = geometry(scene, view)
     soft = soft_truth(buffer, scene, casters, samples=16)
     assert ((soft > 0) & (soft < 1)).mean() > 0.005
     hard = fill(buffer, scene, "sun", ("relief",), casters, truth.TruthSettings(), PassLog())
     assert soft_error(np.where(buffer.valid, hard, np.nan), soft) < 0.1
-    assert ((soft < 0.5) == ~real.lit)[real.decidable].mean() > 0.97
+    assert ((soft < 0.5) == ~reference.lit)[reference.decidable].mean() > 0.97
 
 
-def test_coverage_error_of_truth_is_small(scene, view, real):
+def test_coverage_error_of_truth_is_small(scene, view, reference):
     buffer, casters = geometry(scene, view)
     shares = coverage_truth(buffer, scene, casters, 16)
     assert np.isfinite(shares).sum() == 256
-    hard = np.where(real.valid, (~real.lit).astype(float), np.nan)
+    hard = np.where(reference.valid, (~reference.lit).astype(float), np.nan)
     assert coverage_error(block_shares(hard), shares) < 0.02
     assert coverage_error(block_shares(1.0 - hard), shares) > 0.3
 
@@ -228,9 +230,9 @@ def test_compare_lists_candidates_and_marks_the_pareto_front(gl, comparison):
     ],
 )
 def test_compare_remarks_on_a_view_without_comparison(gl, scene, place, sun, words):
-    elsewhere = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
+    relit_scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     block = block_at(*place, 12)
-    comparison = compare(elsewhere, block)
+    comparison = compare(relit_scene, block)
     assert any(words in remark for remark in comparison.remarks)
     for row in comparison.rows:
         assert all(np.isfinite(value) for value in row.figures.values() if isinstance(value, float))

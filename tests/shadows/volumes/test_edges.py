@@ -13,7 +13,7 @@ from skugga.terrain.ground.sheet import sheet_of
 Mesh = tuple[np.ndarray, np.ndarray]
 
 
-def soup(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
+def triangle_soup(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
     """Return the same triangles without shared vertices."""
     return np.asarray(vertices)[np.ravel(triangles)], np.arange(3 * len(triangles)).reshape(-1, 3)
 
@@ -28,9 +28,9 @@ def test_edges_of_a_square_of_two_triangles():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     edges = edges_of(vertices, np.array([[0, 1, 2], [2, 3, 0]]))
     assert edges.ends.tolist() == [[0, 1], [1, 2], [0, 2], [2, 3], [0, 3]]
-    assert edges.of_triangle.tolist() == [[0, 1, 2], [3, 4, 2]]
-    assert edges.along.tolist() == [[1, 1, -1], [1, -1, 1]]
-    assert (edges.ends.dtype, edges.of_triangle.dtype, edges.along.dtype) == (np.int32, np.int32, np.int8)
+    assert edges.triangle_edges.tolist() == [[0, 1, 2], [3, 4, 2]]
+    assert edges.side_signs.tolist() == [[1, 1, -1], [1, -1, 1]]
+    assert (edges.ends.dtype, edges.triangle_edges.dtype, edges.side_signs.dtype) == (np.int32, np.int32, np.int8)
     assert signed_sums(edges, np.array([1, 1])).tolist() == [1, 1, 0, 1, -1]
     assert signed_sums(edges, np.array([1, -1])).tolist() == [1, 1, -2, -1, 1]
 
@@ -38,11 +38,11 @@ def test_edges_of_a_square_of_two_triangles():
 @pytest.mark.parametrize("shared", [True, False])
 def test_edges_of_a_sphere_obey_eulers_formula(shared: bool):
     sphere = trimesh.creation.icosphere(3)
-    vertices, triangles = (sphere.vertices, sphere.faces) if shared else soup(sphere.vertices, sphere.faces)
+    vertices, triangles = (sphere.vertices, sphere.faces) if shared else triangle_soup(sphere.vertices, sphere.faces)
     edges = edges_of(vertices, triangles)
-    places = len(np.unique(edges.ends))
-    assert places - len(edges.ends) + len(triangles) == 2
-    assert (np.bincount(edges.of_triangle.ravel()) == 2).all()
+    vertex_count = len(np.unique(edges.ends))
+    assert vertex_count - len(edges.ends) + len(triangles) == 2
+    assert (np.bincount(edges.triangle_edges.ravel()) == 2).all()
     assert not signed_sums(edges, np.ones(len(triangles))).any()
 
 
@@ -54,18 +54,18 @@ def test_edges_coincide_with_triangle_sides():
     start, end = vertices[triangles], vertices[np.roll(triangles, -1, axis=1)]
     degenerate = (start == end).all(axis=2).any(axis=1)
     assert 0 < degenerate.sum() < 200
-    assert (edges.along[degenerate] == 0).all() and (edges.of_triangle[degenerate] == -1).all()
-    ends = vertices[edges.ends[edges.of_triangle[~degenerate]]]
-    forwards = edges.along[~degenerate, :, None, None] > 0
+    assert (edges.side_signs[degenerate] == 0).all() and (edges.triangle_edges[degenerate] == -1).all()
+    ends = vertices[edges.ends[edges.triangle_edges[~degenerate]]]
+    forwards = edges.side_signs[~degenerate, :, None, None] > 0
     np.testing.assert_array_equal(np.where(forwards, ends, ends[:, :, ::-1]), np.stack([start, end], axis=2)[~degenerate])
     assert len(np.unique(vertices[edges.ends].reshape(-1, 6), axis=0)) == len(edges.ends)
 
 
 def test_edges_weld_positions_equal_in_float32():
-    near = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 1e-50, 0], [1 + 1e-9, 0, 0], [0, -1, 0]])
-    assert len(edges_of(near, np.array([[0, 1, 2], [4, 3, 5]])).ends) == 5
-    near[4, 0] = np.nextafter(np.float32(1), np.float32(2))
-    assert len(edges_of(near, np.array([[0, 1, 2], [4, 3, 5]])).ends) == 6
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 1e-50, 0], [1 + 1e-9, 0, 0], [0, -1, 0]])
+    assert len(edges_of(vertices, np.array([[0, 1, 2], [4, 3, 5]])).ends) == 5
+    vertices[4, 0] = np.nextafter(np.float32(1), np.float32(2))
+    assert len(edges_of(vertices, np.array([[0, 1, 2], [4, 3, 5]])).ends) == 6
 
 
 @pytest.mark.parametrize("wrong", [-1, 3])
@@ -76,21 +76,21 @@ def test_edges_name_an_invalid_vertex_number(wrong: int):
 
 def test_edges_of_empty_and_degenerate_meshes():
     edges = edges_of(np.zeros((0, 3)), np.zeros((0, 3), int))
-    assert edges.ends.shape == (0, 2) and edges.of_triangle.shape == edges.along.shape == (0, 3)
+    assert edges.ends.shape == (0, 2) and edges.triangle_edges.shape == edges.side_signs.shape == (0, 3)
     assert connected_parts(edges).shape == closed_parts(edges).shape == (0,)
-    point = edges_of(np.zeros((3, 3)), np.array([[0, 1, 2]]))
-    assert point.ends.shape == (0, 2) and signed_sums(point, np.array([1])).shape == (0,)
+    degenerate_edges = edges_of(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    assert degenerate_edges.ends.shape == (0, 2) and signed_sums(degenerate_edges, np.array([1])).shape == (0,)
 
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_hole_opens_only_its_part(shared: bool):
     vertices, triangles = row_of_boxes(3)
-    whole = edges_of(*((vertices, triangles) if shared else soup(vertices, triangles)))
-    assert connected_parts(whole).tolist() == np.repeat([0, 1, 2], 12).tolist()
-    assert closed_parts(whole).all()
-    left = np.delete(triangles, 17, axis=0)
-    holed = edges_of(*((vertices, left) if shared else soup(vertices, left)))
-    np.testing.assert_array_equal(closed_parts(holed), np.repeat([True, False, True], [12, 11, 12]))
+    complete_edges = edges_of(*((vertices, triangles) if shared else triangle_soup(vertices, triangles)))
+    assert connected_parts(complete_edges).tolist() == np.repeat([0, 1, 2], 12).tolist()
+    assert closed_parts(complete_edges).all()
+    remaining_triangles = np.delete(triangles, 17, axis=0)
+    holed_edges = edges_of(*((vertices, remaining_triangles) if shared else triangle_soup(vertices, remaining_triangles)))
+    np.testing.assert_array_equal(closed_parts(holed_edges), np.repeat([True, False, True], [12, 11, 12]))
 
 
 def test_flipped_triangle_opens_its_part():
@@ -103,7 +103,7 @@ def test_bodies_with_a_shared_edge_are_one_closed_part():
     box = trimesh.creation.box()
     vertices = np.concatenate([box.vertices, box.vertices + [1.0, 1.0, 0.0]])
     edges = edges_of(vertices, np.concatenate([box.faces, box.faces + 8]))
-    assert np.bincount(edges.of_triangle.ravel()).max() == 4
+    assert np.bincount(edges.triangle_edges.ravel()).max() == 4
     assert connected_parts(edges).max() == 0 and closed_parts(edges).all()
 
 

@@ -10,36 +10,36 @@ from hypothesis import strategies as st
 
 from skugga.shadows.volumes.edges import edges_of
 from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, max_layers, may_shade_near
-from skugga.shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from skugga.shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, orientations_of, sheet_silhouette, silhouette
 from skugga.terrain.errors import InputError
 from skugga.terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
-OVERHEAD = np.array([0.0, 0.0, 1.0, 0.0])
+OVERHEAD_LIGHT = np.array([0.0, 0.0, 1.0, 0.0])
 LIGHTS = [
-    OVERHEAD, np.array([2.0, 0.0, 0.0, 0.0]), np.array([0.31, -0.52, 0.43, 0.0]), np.array([2.3, 1.1, 3.2, 1.0]),
+    OVERHEAD_LIGHT, np.array([2.0, 0.0, 0.0, 0.0]), np.array([0.31, -0.52, 0.43, 0.0]), np.array([2.3, 1.1, 3.2, 1.0]),
     np.array([0.07, -0.11, 0.13, 1.0]),
 ]  # fmt: skip
 
 
-def copies(vertices: np.ndarray, triangles: np.ndarray, offsets: np.ndarray) -> Mesh:
+def translated_copies(vertices: np.ndarray, triangles: np.ndarray, offsets: np.ndarray) -> Mesh:
     numbers = np.arange(len(offsets))[:, None, None] * len(vertices) + triangles
     return (vertices + np.asarray(offsets)[:, None]).reshape(-1, 3), numbers.reshape(-1, 3)
 
 
 def boxes(size: float, offsets: np.ndarray) -> Mesh:
     box = trimesh.creation.box(extents=(size, size, size))
-    return copies(np.asarray(box.vertices), np.asarray(box.faces), offsets)
+    return translated_copies(np.asarray(box.vertices), np.asarray(box.faces), offsets)
 
 
-def plates(count: int) -> Mesh:
+def stacked_squares(count: int) -> Mesh:
     """Return a stack of squares."""
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
-    return copies(square, np.array([[0, 1, 2], [2, 3, 0]]), np.arange(count)[:, None] * [0.0, 0.0, 0.125])
+    return translated_copies(square, np.array([[0, 1, 2], [2, 3, 0]]), np.arange(count)[:, None] * [0.0, 0.0, 0.125])
 
 
-def folded(count: int) -> Mesh:
+def folded_strip(count: int) -> Mesh:
     """Return a strip folded back and forth, ``count`` layers thick, in one piece."""
     n = np.arange(count + 1)
     side = np.stack([n % 2, 0.0 * n, 0.1 * n], axis=-1)
@@ -48,12 +48,12 @@ def folded(count: int) -> Mesh:
     return vertices, np.concatenate([np.stack([a, a + 1, b], axis=-1), np.stack([b + 1, b, a + 1], axis=-1)])
 
 
-def cast(mesh: Mesh, light: np.ndarray, rule: str = "facing") -> Silhouette:
+def caster_silhouette(mesh: Mesh, light: np.ndarray, rule: str = "facing") -> Silhouette:
     vertices, triangles = mesh
-    return silhouette(triangles, edges_of(vertices, triangles), turns_of(facing(vertices, triangles, light), rule))  # type: ignore
+    return silhouette(triangles, edges_of(vertices, triangles), orientations_of(facing(vertices, triangles, light), rule))  # type: ignore
 
 
-def covered(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: np.ndarray) -> np.ndarray:
+def count_covering_triangles(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return how many triangles cover each point (n, 3) as seen from a light, at any distance."""
     corners = np.asarray(vertices, np.float32).astype(float)[caps]
     to_light = light[:3] - light[3] * points
@@ -62,8 +62,8 @@ def covered(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: n
         inside = [-to_light @ np.cross(p, q).T <= 0.0 for p, q in ((a, b), (b, c), (c, a))]
         return np.logical_and.reduce(inside).sum(axis=1)
     a, b, c = (corners[:, k] for k in range(3))
-    away = points[:, None]
-    inside = [np.cross(q - p, away - p) @ light[:3] >= 0.0 for p, q in ((a, b), (b, c), (c, a))]
+    broadcast_points = points[:, None]
+    inside = [np.cross(q - p, broadcast_points - p) @ light[:3] >= 0.0 for p, q in ((a, b), (b, c), (c, a))]
     return np.logical_and.reduce(inside).sum(axis=1)
 
 
@@ -73,49 +73,49 @@ def test_max_layers_is_an_upper_bound(light: np.ndarray, seed: int):
     """Soups have few large or many small triangles, and the points include the densest places."""
     rng = np.random.default_rng(seed)
     count = int(rng.choice([1, 3, 20, 150]))
-    middle = rng.uniform(-1, 1, (count, 1, 3))
-    vertices = (middle + rng.choice([0.2, 1.0]) * rng.uniform(-1, 1, (count, 3, 3))).reshape(-1, 3)
+    centres = rng.uniform(-1, 1, (count, 1, 3))
+    vertices = (centres + rng.choice([0.2, 1.0]) * rng.uniform(-1, 1, (count, 3, 3))).reshape(-1, 3)
     triangles = np.arange(3 * count).reshape(-1, 3)
     if seed % 2:
         triangles = rng.permuted(triangles.ravel()).reshape(-1, 3) % max(count, 3)  # with shared vertices
     for rule in FACING_RULE_CODES:
-        bound = cast((vertices, triangles), light, rule)
+        outline = caster_silhouette((vertices, triangles), light, rule)
         points = np.concatenate([rng.uniform(-2, 2, (1000, 3)), vertices[triangles].mean(axis=1)])
-        found = int(covered(points, vertices, bound.caps, light).max())
-        assert found <= max_layers(vertices, bound, light) <= len(bound.caps)
+        counted_layers = int(count_covering_triangles(points, vertices, outline.caps, light).max())
+        assert counted_layers <= max_layers(vertices, outline, light) <= len(outline.caps)
 
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
 def test_max_layers_of_a_convex_body_is_one(light: np.ndarray):
     ball = trimesh.creation.icosphere(3, 0.3)
     for middle in ([0.0, 0.0, -1.5], [0.4, -2.0, 0.1]):
-        assert max_layers(ball.vertices + middle, cast((ball.vertices + middle, ball.faces), light), light) == 1
+        assert max_layers(ball.vertices + middle, caster_silhouette((ball.vertices + middle, ball.faces), light), light) == 1
 
 
 @pytest.mark.parametrize("lamp", [np.array([0.2, 0.1, -0.3, 1.0]), np.array([0.0, 0.0, 0.1, 1.0])], ids=str)
 @pytest.mark.parametrize("shells", [1, 2, 5])
 def test_max_layers_of_a_lamp_in_shells(lamp: np.ndarray, shells: int):
     ball = trimesh.creation.icosphere(2)
-    vertices, triangles = copies(np.asarray(ball.vertices), np.asarray(ball.faces), np.zeros((shells, 3)))
+    vertices, triangles = translated_copies(np.asarray(ball.vertices), np.asarray(ball.faces), np.zeros((shells, 3)))
     vertices *= np.repeat(1.0 + np.arange(shells), len(ball.vertices))[:, None]
-    opened = vertices, np.delete(triangles, [17, 300, 306], axis=0)
-    assert shells <= max_layers(vertices, cast(opened, lamp, "all"), lamp) <= shells + 1
-    assert max_layers(vertices, cast(opened, lamp), lamp) == 0
+    holed_mesh = vertices, np.delete(triangles, [17, 300, 306], axis=0)
+    assert shells <= max_layers(vertices, caster_silhouette(holed_mesh, lamp, "all"), lamp) <= shells + 1
+    assert max_layers(vertices, caster_silhouette(holed_mesh, lamp), lamp) == 0
 
 
 def test_max_layers_of_a_lamp_on_a_corner():
     """No axis clears the mesh, since the lamp lies in no direction from the corner. The bound is the number of triangles."""
-    vertices, triangles = plates(5)
+    vertices, triangles = stacked_squares(5)
     lamp = np.append(vertices[-1], 1.0)
-    bound = cast((vertices, triangles), lamp, "all")
-    assert max_layers(vertices, bound, lamp) == len(bound.caps) == 10
+    outline = caster_silhouette((vertices, triangles), lamp, "all")
+    assert max_layers(vertices, outline, lamp) == len(outline.caps) == 10
 
 
 @pytest.mark.parametrize("count", [1, 7, 40])
-@pytest.mark.parametrize("light", [OVERHEAD, np.array([0.0, 0.0, 900.0, 1.0])], ids=str)
+@pytest.mark.parametrize("light", [OVERHEAD_LIGHT, np.array([0.0, 0.0, 900.0, 1.0])], ids=str)
 def test_max_layers_of_a_stack_is_its_number_of_boxes(light: np.ndarray, count: int):
     stack = boxes(1.0, np.arange(count)[:, None] * [0.0, 0.0, 1.5])
-    assert max_layers(stack[0], cast(stack, light), light) == count
+    assert max_layers(stack[0], caster_silhouette(stack, light), light) == count
 
 
 def test_max_layers_of_a_wave_is_its_number_of_crests():
@@ -128,15 +128,18 @@ def test_max_layers_of_a_wave_is_its_number_of_crests():
 
 
 @pytest.mark.parametrize("light", [np.array([0.6, 0.5, 0.4, 0.0]), np.array([1.0, 1, 1, 0]), np.array([30.0, 20, 15, 1]),
-                                   np.array([4.5, 4.5, 4.5, 1]), OVERHEAD], ids=str)  # fmt: skip
+                                   np.array([4.5, 4.5, 4.5, 1]), OVERHEAD_LIGHT], ids=str)  # fmt: skip
 def test_max_layers_of_a_thousand_boxes_fits_the_stencil(light: np.ndarray):
     rng = np.random.default_rng(1)
     mesh = boxes(0.6, np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3))
-    bound = cast(mesh, light)
+    outline = caster_silhouette(mesh, light)
     points = rng.uniform(-1, 11, (500, 3))
-    found, most = int(covered(points, mesh[0], bound.caps, light).max()), max_layers(mesh[0], bound, light)
-    assert found <= most <= 60
-    assert len(batches(*mesh, edges_of(*mesh), turns_of(facing(*mesh, light), "facing"), light)) == 1
+    counted_layers, layer_bound = (
+        int(count_covering_triangles(points, mesh[0], outline.caps, light).max()),
+        max_layers(mesh[0], outline, light),
+    )
+    assert counted_layers <= layer_bound <= 60
+    assert len(batches(*mesh, edges_of(*mesh), orientations_of(facing(*mesh, light), "facing"), light)) == 1
 
 
 def test_max_layers_of_rough_ground_fits_the_stencil():
@@ -144,30 +147,34 @@ def test_max_layers_of_rough_ground_fits_the_stencil():
     row, col = np.mgrid[:200, :200]
     position = np.stack([10.0 * col, -10.0 * row, rng.normal(0.0, 3.0, row.shape)], axis=-1)
     for light in (np.array([0.6, 0.5, 0.05, 0.0]), np.array([1000.0, -900.0, 15.0, 1.0])):
-        bound = sheet_silhouette(sheet_of(position), light, "turned_away")
-        assert len(bound.edges) > 20000
-        assert max_layers(position, bound, light) < 100
+        outline = sheet_silhouette(sheet_of(position), light, "turned_away")
+        assert len(outline.edges) > 20000
+        assert max_layers(position, outline, light) < 100
 
 
-@pytest.mark.parametrize("mesh", [plates(300), plates(600), folded(300), folded(600)], ids=["plates", "more", "folded", "longer"])
+@pytest.mark.parametrize(
+    "mesh",
+    [stacked_squares(300), stacked_squares(600), folded_strip(300), folded_strip(600)],
+    ids=["plates", "more", "folded", "longer"],
+)
 def test_batches_fit_the_stencil_and_partition_the_mesh(mesh: Mesh):
     vertices, triangles = mesh
-    edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
+    edges, orientations = edges_of(vertices, triangles), orientations_of(facing(vertices, triangles, OVERHEAD_LIGHT), "all")
     layers = len(triangles) // 2
-    assert max_layers(vertices, silhouette(triangles, edges, turns), OVERHEAD) == layers > MAX_STENCIL_LAYERS
-    groups = batches(vertices, triangles, edges, turns, OVERHEAD)
+    assert max_layers(vertices, silhouette(triangles, edges, orientations), OVERHEAD_LIGHT) == layers > MAX_STENCIL_LAYERS
+    groups = batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT)
     assert 2 <= len(groups) <= 2 * layers / MAX_STENCIL_LAYERS
-    assert all(max_layers(vertices, silhouette(triangles, edges, group), OVERHEAD) <= MAX_STENCIL_LAYERS for group in groups)
-    assert (np.sum(np.abs(groups), axis=0) == 1).all() and (np.sum(groups, axis=0) == turns).all()
-    [group] = batches(vertices, triangles, edges, turns, OVERHEAD, layers)
-    np.testing.assert_array_equal(group, turns)
-    assert len(batches(vertices, triangles, edges, turns, OVERHEAD, 1)) >= layers
+    assert all(max_layers(vertices, silhouette(triangles, edges, group), OVERHEAD_LIGHT) <= MAX_STENCIL_LAYERS for group in groups)
+    assert (np.sum(np.abs(groups), axis=0) == 1).all() and (np.sum(groups, axis=0) == orientations).all()
+    [group] = batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, layers)
+    np.testing.assert_array_equal(group, orientations)
+    assert len(batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, 1)) >= layers
 
 
 def test_batches_keep_plates_whole():
-    vertices, triangles = plates(300)
-    edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
-    groups = batches(vertices, triangles, edges, turns, OVERHEAD, 100)
+    vertices, triangles = stacked_squares(300)
+    edges, orientations = edges_of(vertices, triangles), orientations_of(facing(vertices, triangles, OVERHEAD_LIGHT), "all")
+    groups = batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, 100)
     assert all((group[::2] == group[1::2]).all() for group in groups)
     heights = [vertices[triangles[group != 0], 2] for group in groups]
     assert all(before.min() > after.max() for before, after in zip(heights, heights[1:], strict=False))  # from the light on
@@ -176,21 +183,21 @@ def test_batches_keep_plates_whole():
 def test_max_layers_of_no_caster_is_zero():
     row, col = np.mgrid[:3, :3].astype(float)
     position = np.stack([col, -row, 0.0 * row], axis=-1)
-    none = sheet_silhouette(sheet_of(position), OVERHEAD, "turned_away")
-    assert len(none.caps) == 0 and max_layers(position, none, OVERHEAD) == 0
+    none = sheet_silhouette(sheet_of(position), OVERHEAD_LIGHT, "turned_away")
+    assert len(none.caps) == 0 and max_layers(position, none, OVERHEAD_LIGHT) == 0
     vertices, triangles = position.reshape(-1, 3), sheet_of(position).triangles
-    [group] = batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD)
+    [group] = batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD_LIGHT)
     assert not group.any()
 
 
 def test_batches_refuse_zero_layers():
-    vertices, triangles = plates(2)
-    with pytest.raises(InputError, match="most: '0' is not allowed. Allowed: 1 or more"):
-        batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD, 0)
+    vertices, triangles = stacked_squares(2)
+    with pytest.raises(InputError, match="layer_limit: '0' is not allowed. Allowed: 1 or more"):
+        batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD_LIGHT, 0)
 
 
-NUMBER = st.floats(-5, 5, allow_subnormal=False)
-POINT = st.tuples(NUMBER, NUMBER, NUMBER).map(np.array)
+COORDINATE = st.floats(-5, 5, allow_subnormal=False)
+POINT = st.tuples(COORDINATE, COORDINATE, COORDINATE).map(np.array)
 
 
 @given(
@@ -199,14 +206,14 @@ POINT = st.tuples(NUMBER, NUMBER, NUMBER).map(np.array)
     corner=st.tuples(*[st.floats(0, 1)] * 3),
 )  # fmt: skip
 def test_may_shade_near_finds_casters_towards_the_light(middle, turns, width, height, light, is_lamp, share, size, corner):
-    turned = trimesh.transformations.euler_matrix(*turns)[:3, :3]
+    rotation = trimesh.transformations.euler_matrix(*turns)[:3, :3]
     corners = np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
-    rectangle = middle + corners @ turned[:2]
+    rectangle = middle + corners @ rotation[:2]
     light = np.append(light, float(is_lamp))
-    across, along, away = share
-    start = middle + [(2 * across - 1) * width, (2 * along - 1) * height] @ turned[:2]
-    between = start + (away if is_lamp else 20 * away) * (light[:3] - light[3] * start)
-    low = between - np.array(size) * corner
+    width_share, height_share, distance_share = share
+    start = middle + [(2 * width_share - 1) * width, (2 * height_share - 1) * height] @ rotation[:2]
+    occluding_point = start + (distance_share if is_lamp else 20 * distance_share) * (light[:3] - light[3] * start)
+    low = occluding_point - np.array(size) * corner
     assert may_shade_near(low[None], (low + size)[None], rectangle, light).all()
 
 
@@ -225,7 +232,7 @@ def test_may_shade_near_excludes_other_casters():
 def test_may_shade_near_of_a_light_in_the_near_plane():
     rectangle = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     low, high = np.array([[50.0, 50, -50]]), np.array([[51.0, 51, -49]])
-    for degrees, found in ((0.0, True), (0.09, True), (-0.09, True), (0.11, False), (-0.11, False)):
+    for degrees, expected in ((0.0, True), (0.09, True), (-0.09, True), (0.11, False), (-0.11, False)):
         rise = np.tan(np.radians(degrees))
-        assert may_shade_near(low, high, rectangle, np.array([1.0, 0.0, rise, 0.0])).all() == found
+        assert may_shade_near(low, high, rectangle, np.array([1.0, 0.0, rise, 0.0])).all() == expected
     assert may_shade_near(low, high, rectangle, np.array([0.3, 0.2, 0.0, 1.0])).all()

@@ -18,14 +18,14 @@ from skugga.shadows.volumes.drawing import count
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.shadows.volumes.tiles import CULLING_TILE_PX, CulledFaces, cull_faces, depth_bounds, marked_tiles, rectangles
 from skugga.shadows.volumes.volumes import volumes_of
-from tests.shadows.boxes import box, level_of
-from tests.shadows.volumes.test_shadow_volume import Look, above, eye, joined, look
+from tests.shadows.boxes import box, build_mesh_scene
+from tests.shadows.volumes.test_shadow_volume import ShadowCase, eye_views, join_meshes, shadow_case, top_view
 
 SIZES = st.tuples(st.integers(1, 90), st.integers(1, 90))
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def drawn_pixels(size: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray]:
+def random_pixels(size: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return pixels of a picture: none, few, clustered, or all over."""
     rng = np.random.default_rng(seed)
     middle, spread = rng.random((rng.integers(0, 4), 2)), rng.choice([0.0, 0.02, 0.3])
@@ -37,36 +37,38 @@ def drawn_pixels(size: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarr
 @given(SIZES, SEEDS)
 def test_rectangles_cover_each_marked_pixel_once(size, seed):
     """Rectangles are disjoint, lie inside the picture and begin at tile borders. Each holds a marked tile."""
-    rows, cols = drawn_pixels(size, seed)
+    rows, cols = random_pixels(size, seed)
     tiles = marked_tiles(rows, cols, size)
-    found = rectangles(tiles, size, 10_000)
-    covered = np.zeros(size, int)
-    for col, row, width, height in found.tolist():
+    tile_rectangles = rectangles(tiles, size, 10_000)
+    cover_counts = np.zeros(size, int)
+    for col, row, width, height in tile_rectangles.tolist():
         assert col % CULLING_TILE_PX == row % CULLING_TILE_PX == 0 and width > 0 and height > 0
         assert 0 <= col and col + width <= size[1] and 0 <= row and row + height <= size[0]
-        covered[row : row + height, col : col + width] += 1
+        cover_counts[row : row + height, col : col + width] += 1
         assert tiles[
             row // CULLING_TILE_PX : -(-(row + height) // CULLING_TILE_PX),
             col // CULLING_TILE_PX : -(-(col + width) // CULLING_TILE_PX),
         ].any()
-    assert covered.max(initial=0) <= 1 and (covered[rows, cols] == 1).all()
-    assert len(found) == 0 if not len(rows) else len(found) > 0
+    assert cover_counts.max(initial=0) <= 1 and (cover_counts[rows, cols] == 1).all()
+    assert len(tile_rectangles) == 0 if not len(rows) else len(tile_rectangles) > 0
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12))))
 def test_rectangles_cost_no_more_than_their_bounding_box(tiles):
     """The cost is the number of tiles, plus a constant for each further rectangle."""
     size = tuple(side * CULLING_TILE_PX for side in tiles.shape)
-    found = rectangles(tiles, size, 10_000)
+    tile_rectangles = rectangles(tiles, size, 10_000)
     rows, cols = np.nonzero(tiles)
     if len(rows):
-        whole = np.ptp(rows) * np.ptp(cols) + np.ptp(rows) + np.ptp(cols) + 1
-        assert (found[:, 2] * found[:, 3]).sum() // CULLING_TILE_PX**2 + 8 * (len(found) - 1) <= whole
+        bounding_box_cost = np.ptp(rows) * np.ptp(cols) + np.ptp(rows) + np.ptp(cols) + 1
+        assert (tile_rectangles[:, 2] * tile_rectangles[:, 3]).sum() // CULLING_TILE_PX**2 + 8 * (
+            len(tile_rectangles) - 1
+        ) <= bounding_box_cost
 
 
 @given(SIZES, SEEDS)
 def test_depth_bounds_are_those_of_the_pixels(size, seed):
-    rows, cols = drawn_pixels(size, seed)
+    rows, cols = random_pixels(size, seed)
     depth = np.random.default_rng(seed).random(len(rows))
     parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
     for (col, row, width, height), (low, high) in zip(parts, depth_bounds(rows, cols, depth, parts, size), strict=True):
@@ -77,17 +79,17 @@ def test_depth_bounds_are_those_of_the_pixels(size, seed):
 # -- culling of faces
 
 
-def exact(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def triangle_coverage(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return where a triangle (3, 4) of homogeneous x, y, z, w covers pixels (n,), its depth there, and its turn (+1, -1, 0).
 
     By the plane through the corners and the eye: with M the matrix of their (x, y, w), the weights are M^-T (x, y, 1).
     """
     matrix = points[:, [0, 1, 3]]
-    turn = np.sign(np.linalg.det(matrix)) if matrix[:, 2].any() else 0.0
-    if turn == 0:
-        return np.zeros(len(x), bool), np.zeros(len(x)), turn
+    orientation = np.sign(np.linalg.det(matrix)) if matrix[:, 2].any() else 0.0
+    if orientation == 0:
+        return np.zeros(len(x), bool), np.zeros(len(x)), orientation
     weights = np.linalg.solve(matrix.T, np.stack([x, y, np.ones(len(x))]))
-    return (weights > 0).all(axis=0), weights.T @ points[:, 2], turn
+    return (weights > 0).all(axis=0), weights.T @ points[:, 2], orientation
 
 
 @given(SEEDS, st.booleans(), st.booleans())
@@ -103,44 +105,56 @@ def test_cull_faces_keeps_every_count(seed, behind, clamped):
     clip[:8, 3] *= 0.0  # at infinity
     clip[8:16, :2] *= 20.0
     faces = np.array([rng.choice(len(clip), 3, replace=False) for _ in range(30)], np.int32)
-    rows, cols = drawn_pixels(size, seed)
+    rows, cols = random_pixels(size, seed)
     near = np.inf if clamped else 1.0
     depth = rng.uniform(0.1, 2.0 if clamped else 0.95, len(rows))
     parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
-    some = cull_faces(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size, clamped)
+    culled = cull_faces(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size, clamped)
     x, y = (cols + 0.5) / size[1] * 2 - 1, (rows + 0.5) / size[0] * 2 - 1
     counts = np.zeros((len(faces), len(rows)), int)
     for number, face in enumerate(faces):
-        covers, at, turn = exact(clip[face], x, y)
-        counts[number] = covers * (at <= depth if behind else (at > depth) & (at <= near)) * (turn if behind else -turn)
+        is_covered, face_depth, orientation = triangle_coverage(clip[face], x, y)
+        counts[number] = (
+            is_covered
+            * (face_depth <= depth if behind else (face_depth > depth) & (face_depth <= near))
+            * (orientation if behind else -orientation)
+        )
     for number, (col, row, width, height) in enumerate(parts.tolist()):
         inside = (row <= rows) & (rows < row + height) & (col <= cols) & (cols < col + width)
-        kept = some.faces[some.starts[number] : some.starts[number + 1]]
-        assert len(np.unique(kept)) == len(kept)
-        np.testing.assert_array_equal(counts[kept][:, inside].sum(axis=0) + some.added[number], counts[:, inside].sum(axis=0))
+        kept_faces = culled.faces[culled.starts[number] : culled.starts[number + 1]]
+        assert len(np.unique(kept_faces)) == len(kept_faces)
+        np.testing.assert_array_equal(
+            counts[kept_faces][:, inside].sum(axis=0) + culled.added[number], counts[:, inside].sum(axis=0)
+        )
 
 
-def everything(
+def all_faces(
     clip: np.ndarray,
     faces: np.ndarray,
-    behind: bool,
-    parts: np.ndarray,
+    counts_behind: bool,
+    tile_rectangles: np.ndarray,
     depths: np.ndarray,
     size: tuple[int, int],
     clamped: bool,
 ) -> CulledFaces:
     """Return all faces in every rectangle."""
-    k, m = len(parts), len(faces)
-    return CulledFaces(np.tile(np.arange(m, dtype=np.int32), k), np.arange(k + 1) * m, np.zeros(k, np.int64))
+    rectangle_count, face_count = len(tile_rectangles), len(faces)
+    return CulledFaces(
+        np.tile(np.arange(face_count, dtype=np.int32), rectangle_count),
+        np.arange(rectangle_count + 1) * face_count,
+        np.zeros(rectangle_count, np.int64),
+    )
 
 
-def counted(at: Look, wanted: np.ndarray, marked: bool, counting: Any = "auto") -> np.ndarray:
-    light = np.array(at.scene.light_position(at.light, at.buffer.frame))
-    volumes = volumes_of(at.buffer, at.scene, light, at.scene.objects.kinds, at.casters, PassRecord("volumes"))
-    return count(at.buffer, at.scene, light, volumes, VolumeSettings(counting=counting), wanted, marked, PassRecord("stencil"))
+def stencil_counts(case: ShadowCase, pixel_mask: np.ndarray, is_marked: bool, counting: Any = "auto") -> np.ndarray:
+    light = np.array(case.scene.light_position(case.light, case.buffer.frame))
+    volumes = volumes_of(case.buffer, case.scene, light, case.scene.objects.kinds, case.casters, PassRecord("volumes"))
+    return count(
+        case.buffer, case.scene, light, volumes, VolumeSettings(counting=counting), pixel_mask, is_marked, PassRecord("stencil")
+    )
 
 
-def things(rng: np.random.Generator) -> trimesh.Trimesh:
+def random_objects(rng: np.random.Generator) -> trimesh.Trimesh:
     """Return boxes, wires, holed spheres and loose triangles, and a pebble on the ground."""
     parts = [box((0.1, 0.1, 0.1), at_m=(25, 25))]
     for _ in range(rng.integers(1, 6)):
@@ -148,10 +162,12 @@ def things(rng: np.random.Generator) -> trimesh.Trimesh:
         ball = trimesh.creation.icosphere(1, rng.uniform(0.5, 3))
         ball.apply_translation([east, north, 3.5])
         holed = trimesh.Trimesh(ball.vertices, ball.faces[rng.random(len(ball.faces)) < 0.8], process=False)
-        loose = trimesh.Trimesh(rng.uniform(-4, 4, (9, 3)) + [east, north, 4.5], np.arange(9).reshape(-1, 3), process=False)
+        loose_triangles = trimesh.Trimesh(
+            rng.uniform(-4, 4, (9, 3)) + [east, north, 4.5], np.arange(9).reshape(-1, 3), process=False
+        )
         boxes = [box(tuple(rng.uniform(0.2, 6, 3)), at_m=(east, north)), box((0.02, 0.02, 6.0), at_m=(east, north))]
-        parts.append([*boxes, holed, loose][rng.integers(0, 4)])
-    return joined(*parts)
+        parts.append([*boxes, holed, loose_triangles][rng.integers(0, 4)])
+    return join_meshes(*parts)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -159,29 +175,31 @@ def test_stencil_counts_equal_those_of_all_faces(gl, tmp_path, monkeypatch, seed
     """Volumes, lights and eyes are random. Drawing all faces everywhere gives the same number in every pixel."""
     rng = np.random.default_rng(seed)
     kind = ("sun", "spot", "omni")[seed % 3]
-    place = [*rng.uniform(-10, 10, 2), rng.uniform(12, 25)]
-    lamp = {"kind": kind, "position": place} | ({"target": [0, 0, 1], "cutoff": 60} if kind == "spot" else {})
+    position = [*rng.uniform(-10, 10, 2), rng.uniform(12, 25)]
+    lamp = {"kind": kind, "position": position} | ({"target": [0, 0, 1], "cutoff": 60} if kind == "spot" else {})
     keys = {} if kind == "sun" else {"sun": "none", "lights": {"lamp": lamp}}
     start, target = (*rng.uniform(-14, 14, 2), rng.uniform(0.2, 10)), (*rng.uniform(-6, 6, 2), rng.uniform(0, 4))
-    views = eye(start, target, fov=rng.uniform(30, 100))
-    scene = level_of(tmp_path, [things(rng)], rng.uniform(0, 360), rng.choice([2.0, 35.0, 80.0]), **views, **keys)
-    for at in (look(scene), look(scene, above(scene, 12.0, 70))):
-        lit = at.buffer.valid & ~attached(at.buffer, scene, at.light)
+    views = eye_views(start, target, fov=rng.uniform(30, 100))
+    scene = build_mesh_scene(tmp_path, [random_objects(rng)], rng.uniform(0, 360), rng.choice([2.0, 35.0, 80.0]), **views, **keys)
+    for case in (shadow_case(scene), shadow_case(scene, top_view(scene, 12.0, 70))):
+        lit = case.buffer.valid & ~attached(case.buffer, scene, case.light)
         sparse = lit & (rng.random(lit.shape) < 0.01)
-        for wanted, marked, counting in ((lit, False, "auto"), (lit, False, "z_fail"), (sparse, True, "auto")):
-            with monkeypatch.context() as patched:
-                found = counted(at, wanted, marked, counting)
-                patched.setattr(volume_drawing, "cull_faces", everything)
-                whole = counted(at, wanted, marked, counting)
-            np.testing.assert_array_equal(found[wanted], whole[wanted])
-            assert (found[~wanted] == 0).all()
+        for pixel_mask, is_marked, counting in ((lit, False, "auto"), (lit, False, "z_fail"), (sparse, True, "auto")):
+            with monkeypatch.context() as patch:
+                culled_counts = stencil_counts(case, pixel_mask, is_marked, counting)
+                patch.setattr(volume_drawing, "cull_faces", all_faces)
+                full_counts = stencil_counts(case, pixel_mask, is_marked, counting)
+            np.testing.assert_array_equal(culled_counts[pixel_mask], full_counts[pixel_mask])
+            assert (culled_counts[~pixel_mask] == 0).all()
 
 
 def test_stencil_counts_ignore_faces_before_the_near_plane(gl, tmp_path, monkeypatch):
     lamp = {"kind": "omni", "position": [-6, -12, 18]}
-    body = joined(box((8, 6, 5)), box((0.3, 0.3, 0.01), 6.1, (10, 20)))
-    at = look(level_of(tmp_path, [body], 0, 0, **eye((10, 20, 6.05), (0, 2, 0)), sun="none", lights={"lamp": lamp}))
-    lit = at.buffer.valid & ~attached(at.buffer, at.scene, at.light)
-    found = counted(at, lit, False)
-    monkeypatch.setattr(volume_drawing, "cull_faces", everything)
-    np.testing.assert_array_equal(found, counted(at, lit, False))
+    body = join_meshes(box((8, 6, 5)), box((0.3, 0.3, 0.01), 6.1, (10, 20)))
+    case = shadow_case(
+        build_mesh_scene(tmp_path, [body], 0, 0, **eye_views((10, 20, 6.05), (0, 2, 0)), sun="none", lights={"lamp": lamp})
+    )
+    lit = case.buffer.valid & ~attached(case.buffer, case.scene, case.light)
+    culled_counts = stencil_counts(case, lit, False)
+    monkeypatch.setattr(volume_drawing, "cull_faces", all_faces)
+    np.testing.assert_array_equal(culled_counts, stencil_counts(case, lit, False))

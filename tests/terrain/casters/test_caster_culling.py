@@ -14,7 +14,7 @@ from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
-from skugga.terrain.casters.caster_culling import RISE_DIRECTIONS, culled_patches, own_ground_is_clear, rises
+from skugga.terrain.casters.caster_culling import RISE_DIRECTIONS, block_ground_casts_no_shadow, culled_patches, rise_support
 from skugga.terrain.casters.casting import caster_sheets
 from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -24,40 +24,40 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
-SIDE = 900
+SIDE_CELLS = 900
 """Cells along each side of the ground, each 10 m wide: a block within it has patches on all sides."""
 
-heights = arrays.arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32))
+height_arrays = arrays.arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32))
 
 
-@given(heights)
+@given(height_arrays)
 def test_rises_bound_every_triangle_of_every_diagonal(height):
-    reach = rises(height)
+    bounds = rise_support(height)
     for i in range(height.shape[0] - 1):
         for j in range(height.shape[1] - 1):
             a, b, c, d = height[i, j], height[i, j + 1], height[i + 1, j], height[i + 1, j + 1]
             for rise in ((b - a, d - b), (d - c, c - a), (b - a, c - a), (d - c, d - b)):
-                for (right, down), most in zip(RISE_DIRECTIONS, reach, strict=True):
-                    assert right * float(rise[0]) + down * float(rise[1]) <= most + 1e-3
+                for (right, down), bound in zip(RISE_DIRECTIONS, bounds, strict=True):
+                    assert right * float(rise[0]) + down * float(rise[1]) <= bound + 1e-3
 
 
-def rolling(seed: int, relief_m: float, waves: int) -> np.ndarray:
+def rolling_hills(seed: int, relief_m: float, waves: int) -> np.ndarray:
     """Return smooth hills, with wavelengths from the whole side down to ``waves`` waves per side."""
     random = np.random.default_rng(seed)
-    y, x = np.mgrid[0:SIDE, 0:SIDE] * (2.0 * np.pi / SIDE)
-    out = np.zeros((SIDE, SIDE))
+    y, x = np.mgrid[0:SIDE_CELLS, 0:SIDE_CELLS] * (2.0 * np.pi / SIDE_CELLS)
+    out = np.zeros((SIDE_CELLS, SIDE_CELLS))
     for wave in range(1, waves + 1):
-        along, phase = random.normal(size=2) * wave, random.uniform(0.0, 6.3)
-        out += np.sin(along[0] * x + along[1] * y + phase) / wave
+        wave_vector, phase = random.normal(size=2) * wave, random.uniform(0.0, 6.3)
+        out += np.sin(wave_vector[0] * x + wave_vector[1] * y + phase) / wave
     return ((out - out.min()) * (relief_m / np.ptp(out))).astype(np.float32)
 
 
 @pytest.fixture
-def blocks(write_raster, make_scene):
+def make_block(write_raster, make_scene):
     """Return a factory of a scene, the buffer of a block of rolling ground, and its casters with their culled patches."""
 
     def make(seed: int, relief_m: float, waves: int, azimuth: float, altitude: float, corner: tuple[int, int], crs: str):
-        raster = write_raster(rolling(seed, relief_m, waves), crs, 500_000.0, 5_300_000.0, 10.0, name=f"{seed}.tif")
+        raster = write_raster(rolling_hills(seed, relief_m, waves), crs, 500_000.0, 5_300_000.0, 10.0, name=f"{seed}.tif")
         scene = make_scene(raster, azimuth, altitude)
         west, north = 500_000.0 + 10.0 * corner[0], 5_300_000.0 - 10.0 * corner[1]
         view = scene.view(bounds=(west, north - 1600.0, west + 1600.0, north), size=(160, 160))
@@ -68,7 +68,7 @@ def blocks(write_raster, make_scene):
     return make
 
 
-def lit_under(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np.ndarray:
+def lit_at_altitude(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np.ndarray:
     """Return whether each point sees a sun of another altitude past the casters' ground (rows, cols)."""
     assert scene.sun is not None
     other = scene.with_sun(SunSpec(azimuth=scene.sun.azimuth_deg, altitude=altitude_deg))
@@ -80,26 +80,28 @@ def lit_under(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np
     st.integers(0, 10_000), st.floats(5.0, 900.0), st.integers(1, 9), st.floats(0.0, 360.0), st.floats(1.5, 60.0),
     st.tuples(st.integers(150, 600), st.integers(150, 600)), st.sampled_from([ENGINEERING, "EPSG:32633"]),
 )  # fmt: skip
-def test_no_ray_to_the_sun_s_disc_meets_culled_ground(blocks, seed, relief, waves, azimuth, altitude, corner, crs):
+def test_no_ray_to_the_sun_s_disc_meets_culled_ground(make_block, seed, relief, waves, azimuth, altitude, corner, crs):
     """Rays go to the disc's middle and to near its lowest point. A block without casters whose own ground is clear is fully lit."""
-    scene, buffer, casters = blocks(seed, relief, waves, azimuth, altitude, corner, crs)
-    everything = Casters(casters.patches, casters.reach)
+    scene, buffer, casters = make_block(seed, relief, waves, azimuth, altitude, corner, crs)
+    unculled_casters = Casters(casters.patches, casters.reach)
     for sun_deg in (altitude, altitude - 0.95 * SUN_RADIUS_DEG):
-        lit = lit_under(scene, buffer, everything, sun_deg)
-        assert np.array_equal(lit, lit_under(scene, buffer, casters, sun_deg))
-        if not casters.casting and own_ground_is_clear(scene, buffer):
+        lit = lit_at_altitude(scene, buffer, unculled_casters, sun_deg)
+        assert np.array_equal(lit, lit_at_altitude(scene, buffer, casters, sun_deg))
+        if not casters.casting and block_ground_casts_no_shadow(scene, buffer):
             assert lit[buffer.valid].all()
 
 
-def test_culling_omits_gentle_ground_and_keeps_casters(blocks):
+def test_culling_omits_gentle_ground_and_keeps_casters(make_block):
     """A high sun culls all ground beside a block of gentle hills. A low sun culls less, and shadows fall into the block."""
-    scene, buffer, high = blocks(5, 600.0, 6, 215.0, 50.0, (300, 300), "EPSG:32633")
-    assert high.patches and not high.casting and own_ground_is_clear(scene, buffer)
-    scene, buffer, low = blocks(5, 600.0, 6, 215.0, 6.0, (300, 300), "EPSG:32633")
-    assert low.casting and not own_ground_is_clear(scene, buffer)
-    alone = Casters((), low.reach)
-    assert (lit_under(scene, buffer, low, 6.0) != lit_under(scene, buffer, alone, 6.0)).mean() > 0.01
-    assert len([*caster_sheets(scene, buffer, low, ("relief",))]) == 1 + len(low.casting)
+    scene, buffer, high_sun_casters = make_block(5, 600.0, 6, 215.0, 50.0, (300, 300), "EPSG:32633")
+    assert high_sun_casters.patches and not high_sun_casters.casting and block_ground_casts_no_shadow(scene, buffer)
+    scene, buffer, low_sun_casters = make_block(5, 600.0, 6, 215.0, 6.0, (300, 300), "EPSG:32633")
+    assert low_sun_casters.casting and not block_ground_casts_no_shadow(scene, buffer)
+    empty_casters = Casters((), low_sun_casters.reach)
+    assert (
+        lit_at_altitude(scene, buffer, low_sun_casters, 6.0) != lit_at_altitude(scene, buffer, empty_casters, 6.0)
+    ).mean() > 0.01
+    assert len([*caster_sheets(scene, buffer, low_sun_casters, ("relief",))]) == 1 + len(low_sun_casters.casting)
 
 
 def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene):
@@ -107,29 +109,32 @@ def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene)
 
     Culling keeps the plateau's edge, which is enough for a sweep.
     """
-    height = np.zeros((SIDE, SIDE), np.float32)
+    height = np.zeros((SIDE_CELLS, SIDE_CELLS), np.float32)
     height[700:] = 120.0
     height[550:700] = np.nan
     scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0, nodata=np.nan), 180.0, 3.0)
     view = scene.view(bounds=(3000.0, 3600.0, 5000.0, 5000.0), size=(200, 140))
     buffer = geometry_buffer(scene, view)
-    everything = find_casters(scene, buffer)
-    casters = replace(everything, culled=culled_patches(scene, buffer, everything.patches))
-    lit, also_lit = (fill(buffer, scene, SUN, ("relief",), each, SweepSettings(), PassLog()) for each in (everything, casters))
-    assert casters.culled and 0.05 < (lit == 0.0).mean() < 0.95
-    assert np.array_equal(lit, also_lit)
+    unculled_casters = find_casters(scene, buffer)
+    casters = replace(unculled_casters, culled=culled_patches(scene, buffer, unculled_casters.patches))
+    unculled_light, culled_light = (
+        fill(buffer, scene, SUN, ("relief",), tested_casters, SweepSettings(), PassLog())
+        for tested_casters in (unculled_casters, casters)
+    )
+    assert casters.culled and 0.05 < (unculled_light == 0.0).mean() < 0.95
+    assert np.array_equal(unculled_light, culled_light)
 
 
 @pytest.mark.parametrize(("wall_m", "casts"), [(100.0, True), (20.0, False)])
 def test_culling_keeps_a_wall_only_if_its_shadow_reaches(write_raster, make_scene, wall_m, casts):
     """The wall is 1000 m from a block under a sun of 5 degrees: 100 m of wall cast 1143 m of shadow, 20 m cast 229 m."""
-    height = np.zeros((SIDE, SIDE), np.float32)
+    height = np.zeros((SIDE_CELLS, SIDE_CELLS), np.float32)
     height[690:700] = wall_m
     scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0), 180.0, 5.0)
     view = scene.view(bounds=(3000.0, 3100.0, 5000.0, 4600.0), size=(200, 150))
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
     casters = replace(casters, culled=culled_patches(scene, buffer, casters.patches))
-    lit = lit_under(scene, buffer, Casters(casters.patches, casters.reach), 5.0)
+    lit = lit_at_altitude(scene, buffer, Casters(casters.patches, casters.reach), 5.0)
     assert bool(casters.casting) == casts == (not lit.all())
-    assert np.array_equal(lit, lit_under(scene, buffer, casters, 5.0))
+    assert np.array_equal(lit, lit_at_altitude(scene, buffer, casters, 5.0))

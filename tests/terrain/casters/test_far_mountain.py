@@ -27,18 +27,18 @@ RIM_M, HALF_WIDTH_M = WEST_M + 72_000.0, 2500.0
 The top is flat, so the rim casts the longest shadow.
 """
 
-MIDDLE_M = NORTH_M - ROWS / 2 * CELL_M
+MIDDLE_NORTHING_M = NORTH_M - ROWS / 2 * CELL_M
 FAR_M, ALTITUDE_DEG = 60_000.0, 2.0
 """Distance from the rim, and the sun's altitude at that distance."""
 
-PATCH_PX = 6
+SAMPLE_PATCH_PX = 6
 TMS = matrix_sets.get("WebMercatorQuad")
 
 
-def heights() -> np.ndarray:
+def plateau_heights() -> np.ndarray:
     x = WEST_M + (np.arange(COLS) + 0.5) * CELL_M
     y = NORTH_M - (np.arange(ROWS) + 0.5) * CELL_M
-    top = (x >= RIM_M)[None, :] & (x <= RIM_M + 5000.0)[None, :] & (np.abs(y - MIDDLE_M) <= HALF_WIDTH_M)[:, None]
+    top = (x >= RIM_M)[None, :] & (x <= RIM_M + 5000.0)[None, :] & (np.abs(y - MIDDLE_NORTHING_M) <= HALF_WIDTH_M)[:, None]
     return np.where(top, PLAIN_M + MOUNTAIN_M, PLAIN_M).astype(np.float32)
 
 
@@ -53,29 +53,31 @@ def shadow_length_m() -> float:
     return float(length_m[np.argmax(needed_m > MOUNTAIN_M)])
 
 
-def places(margin_m: float) -> dict[tuple[float, float], bool]:
+def expected_shadow_at_positions(margin_m: float) -> dict[tuple[float, float], bool]:
     """Map places on the plain (easting, northing) to whether they lie in the mountain's shadow.
 
     Places keep a margin from the shadow's outline.
     """
     end_m = shadow_length_m()
-    dark = {(RIM_M - distance_m, MIDDLE_M): True for distance_m in (10e3, 25e3, 40e3, FAR_M - margin_m, end_m - margin_m)}
-    aside = {(RIM_M - 40e3, MIDDLE_M + side * (HALF_WIDTH_M + margin_m)): False for side in (-1, 1)}
-    return {**dark, **aside, (RIM_M - end_m - margin_m, MIDDLE_M): False}
+    in_shadow = {
+        (RIM_M - distance_m, MIDDLE_NORTHING_M): True for distance_m in (10e3, 25e3, 40e3, FAR_M - margin_m, end_m - margin_m)
+    }
+    beside_shadow = {(RIM_M - 40e3, MIDDLE_NORTHING_M + side * (HALF_WIDTH_M + margin_m)): False for side in (-1, 1)}
+    return {**in_shadow, **beside_shadow, (RIM_M - end_m - margin_m, MIDDLE_NORTHING_M): False}
 
 
 @pytest.fixture(params=["a raster", "a big one with overviews"])
 def scene(request, write_raster, make_scene, monkeypatch) -> Scene:
-    raster = write_raster(heights(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
+    raster = write_raster(plateau_heights(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
     if request.param != "a raster":
-        monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
-        monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 10_000)
+        monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 10_000)
+        monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 10_000)
         monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
         with rasterio.open(raster, "r+") as dataset:
             dataset.build_overviews([2, 4, 8, 16, 32], Resampling.average)
     middle_m = WEST_M + COLS / 2 * CELL_M
-    at_anchor = ALTITUDE_DEG + np.degrees((middle_m - (RIM_M - FAR_M)) / EARTH_RADIUS_M)
-    return make_scene(raster, 90.0, float(at_anchor))
+    anchor_altitude_deg = ALTITUDE_DEG + np.degrees((middle_m - (RIM_M - FAR_M)) / EARTH_RADIUS_M)
+    return make_scene(raster, 90.0, float(anchor_altitude_deg))
 
 
 def test_shadow_length_allows_for_the_curved_earth():
@@ -87,26 +89,26 @@ def test_tiles_of_every_zoom_show_the_far_shadow(scene):
     assert scene.bounds_lon_lat is not None
     zooms = zoom_range(TMS, scene.world, scene.bounds_lon_lat, CELL_M)
     assert zooms is not None and zooms.last - zooms.first >= 7
-    wrong: list[object] = []
+    mismatches: list[object] = []
     plan = None
     for zoom in range(zooms.first, zooms.last + 1):
         grid = tile_grid(TMS, zoom)
         pixel_m = scene.surface(grid).step_m
-        for (x, y), dark in places(500.0 + 3.0 * pixel_m).items():
+        for (x, y), dark in expected_shadow_at_positions(500.0 + 3.0 * pixel_m).items():
             lon, lat = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform(x, y)
-            at = TMS.xy(lon, lat)
-            row, col = (int(v) - PATCH_PX // 2 for v in (grid.row(at.y), grid.col(at.x)))
-            view = MapView(grid, float(row), float(col), 1.0, 1.0, PATCH_PX, PATCH_PX)
+            mercator_point = TMS.xy(lon, lat)
+            row, col = (int(v) - SAMPLE_PATCH_PX // 2 for v in (grid.row(mercator_point.y), grid.col(mercator_point.x)))
+            view = MapView(grid, float(row), float(col), 1.0, 1.0, SAMPLE_PATCH_PX, SAMPLE_PATCH_PX)
             plan = plan or plan_of(scene, view)  # all tiles of a level share one plan
-            middle = slice(PATCH_PX // 2 - 1, PATCH_PX // 2 + 1)
+            middle = slice(SAMPLE_PATCH_PX // 2 - 1, SAMPLE_PATCH_PX // 2 + 1)
             opacity = drawn(scene, view, plan).opacity[middle, middle]
             if (opacity != (255 if dark else 0)).any():
-                wrong.append((zoom, (RIM_M - x) / 1000.0, (y - MIDDLE_M) / 1000.0, dark, opacity.tolist()))
-    assert not wrong, "\n".join(map(str, wrong))
+                mismatches.append((zoom, (RIM_M - x) / 1000.0, (y - MIDDLE_NORTHING_M) / 1000.0, dark, opacity.tolist()))
+    assert not mismatches, "\n".join(map(str, mismatches))
 
 
 def test_shade_cells_show_the_far_shadow(scene):
-    for (x, y), dark in places(500.0 + 3.0 * CELL_M).items():
+    for (x, y), dark in expected_shadow_at_positions(500.0 + 3.0 * CELL_M).items():
         view = raster_view(scene, (x - 100.0, y - 100.0, x + 100.0, y + 100.0))
-        found = shade_array(scene, view, "mask", None)
-        assert (found == (MASK_SHADOW if dark else MASK_LIT)).all(), (RIM_M - x, y - MIDDLE_M, dark)
+        shadow_mask = shade_array(scene, view, "mask", None)
+        assert (shadow_mask == (MASK_SHADOW if dark else MASK_LIT)).all(), (RIM_M - x, y - MIDDLE_NORTHING_M, dark)

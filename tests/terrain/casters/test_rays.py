@@ -11,11 +11,11 @@ from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 PIXEL_M = 0.5
-NEAR_PX = 0.02
-SUNS = [(190.0, 45.0), (233.0, 17.0), (67.0, 24.0), (311.0, 71.0)]
+OUTLINE_TOLERANCE_PX = 0.02
+SUN_ANGLES_DEG = [(190.0, 45.0), (233.0, 17.0), (67.0, 24.0), (311.0, 71.0)]
 
 
-def receiver(tilt: float, size_m: float = 200.0) -> tuple[Sheet, np.ndarray, np.ndarray]:
+def receiver_plane(tilt: float, size_m: float = 200.0) -> tuple[Sheet, np.ndarray, np.ndarray]:
     """Return a plane z = tilt * x as a sheet, its pixels' centres (n, 3), and its unit normal."""
     axis = np.linspace(-size_m, size_m, 9)
     x, y = np.meshgrid(axis, -axis)
@@ -31,7 +31,7 @@ def hull_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.max(points @ hull.equations[:, :2].T + hull.equations[:, 2], axis=1)
 
 
-def along_sun(points: np.ndarray, sun: np.ndarray) -> np.ndarray:
+def project_along_sun(points: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """Project points along the sun's direction onto z = 0: (n, 2)."""
     return (points - points[:, 2:] / sun[2] * sun)[:, :2]
 
@@ -42,7 +42,7 @@ def box(centre, half) -> tuple[np.ndarray, np.ndarray]:
     return corners, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
 
 
-def fan(apex: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def cone_mesh(apex: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = len(ring)
     index = np.arange(n)
     sides = np.stack([np.zeros(n, int), 1 + index, 1 + (index + 1) % n], 1)
@@ -61,40 +61,44 @@ def sphere(centre: np.ndarray, radius: float, rings: int = 700) -> tuple[np.ndar
     return vertices.reshape(-1, 3) * radius + centre, triangles
 
 
-def check(mesh, tilt: float, sun: np.ndarray, distance) -> None:
+def check_shadow(mesh, tilt: float, sun: np.ndarray, distance) -> None:
     """Assert that every pixel farther than 0.02 px from the outline agrees.
 
     ``distance`` returns the signed distance from the outline, measured on z = 0 along the sun.
     """
-    sheet, points, normal = receiver(tilt)
+    sheet, points, normal = receiver_plane(tilt)
     assert normal @ sun > 0.02
     scene = RayScene([sheet], [mesh])
     blocked = scene.blocked(points + scene.offset_m * normal, sun)
-    away = distance(points)
-    far = np.abs(away) > NEAR_PX * PIXEL_M
+    outline_distance = distance(points)
+    far = np.abs(outline_distance) > OUTLINE_TOLERANCE_PX * PIXEL_M
     assert 0.001 < blocked.mean() < 0.5 and far.mean() > 0.99
-    wrong = far & (blocked != (away < 0))
-    assert wrong.sum() == 0, f"{wrong.sum()} of {far.sum()}, up to {np.abs(away[wrong]).max():.3f} m from the outline"
+    is_mismatch = far & (blocked != (outline_distance < 0))
+    assert is_mismatch.sum() == 0, (
+        f"{is_mismatch.sum()} of {far.sum()}, up to {np.abs(outline_distance[is_mismatch]).max():.3f} m from the outline"
+    )
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
-@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+@pytest.mark.parametrize(("azimuth", "altitude"), SUN_ANGLES_DEG)
 def test_rays_match_the_shadow_of_a_box(tilt, azimuth, altitude):
     sun = direction_enu(azimuth, altitude)
     mesh = box([0.0, 0.0, 40.0], [10.0, 6.0, 8.0])
-    check(mesh, tilt, sun, lambda points: hull_distance(along_sun(points, sun), along_sun(mesh[0], sun)))
+    check_shadow(mesh, tilt, sun, lambda points: hull_distance(project_along_sun(points, sun), project_along_sun(mesh[0], sun)))
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
-@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+@pytest.mark.parametrize(("azimuth", "altitude"), SUN_ANGLES_DEG)
 def test_rays_match_the_shadow_of_a_thin_wall(tilt, azimuth, altitude):
     sun = direction_enu(azimuth, altitude)
     mesh = box([5.0, 0.0, 40.0], [0.05, 60.0, 12.0])
-    check(mesh, tilt, sun, lambda points: hull_distance(along_sun(points, sun), along_sun(mesh[0], sun)))
+    check_shadow(mesh, tilt, sun, lambda points: hull_distance(project_along_sun(points, sun), project_along_sun(mesh[0], sun)))
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
-@pytest.mark.parametrize(("azimuth", "altitude"), [SUNS[0], *(pytest.param(*sun, marks=pytest.mark.long) for sun in SUNS[1:])])
+@pytest.mark.parametrize(
+    ("azimuth", "altitude"), [SUN_ANGLES_DEG[0], *(pytest.param(*sun, marks=pytest.mark.long) for sun in SUN_ANGLES_DEG[1:])]
+)
 def test_rays_match_the_shadow_of_a_sphere(tilt, azimuth, altitude):
     """A point is in shadow if its ray passes the centre within the radius.
 
@@ -106,11 +110,11 @@ def test_rays_match_the_shadow_of_a_sphere(tilt, azimuth, altitude):
         to_centre = centre - points
         return np.linalg.norm(to_centre - (to_centre @ sun)[:, None] * sun, axis=1) - radius
 
-    check(sphere(centre, radius), tilt, sun, distance)
+    check_shadow(sphere(centre, radius), tilt, sun, distance)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
-@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+@pytest.mark.parametrize(("azimuth", "altitude"), SUN_ANGLES_DEG)
 def test_rays_match_the_shadow_of_a_cone(tilt, azimuth, altitude):
     """The shadow is the hull of the disc and the apex, projected along the sun onto the disc's plane: tangents from the apex."""
     sun, base_z, radius, apex = direction_enu(azimuth, altitude), 30.0, 10.0, np.array([0.0, 0.0, 55.0])
@@ -119,20 +123,20 @@ def test_rays_match_the_shadow_of_a_cone(tilt, azimuth, altitude):
     tip = (apex - (apex[2] - base_z) / sun[2] * sun)[:2]
 
     def distance(points: np.ndarray) -> np.ndarray:
-        at = (points - (points[:, 2:] - base_z) / sun[2] * sun)[:, :2]
-        disc = np.linalg.norm(at, axis=1) - radius
+        projected_points = (points - (points[:, 2:] - base_z) / sun[2] * sun)[:, :2]
+        disc = np.linalg.norm(projected_points, axis=1) - radius
         reach = np.linalg.norm(tip)
         if reach <= radius:
             return disc
         towards = tip / reach
-        u, v = at @ towards, np.abs(at @ np.array([-towards[1], towards[0]]))
+        u, v = projected_points @ towards, np.abs(projected_points @ np.array([-towards[1], towards[0]]))
         sine = radius / reach
         cosine = np.sqrt(1 - sine**2)
         side = u * sine + v * cosine - radius  # from the tangent; it touches at u = radius * sine
         wedge = (u * cosine - v * sine > 0) & (u > radius * sine - 1e-9)
         return np.where(wedge, np.where(u < reach, side, np.maximum(side, 0.0)), disc)
 
-    check(fan(apex, ring), tilt, sun, distance)
+    check_shadow(cone_mesh(apex, ring), tilt, sun, distance)
 
 
 def test_start_offset_neither_self_intersects_nor_leaks():
@@ -171,9 +175,9 @@ def test_rays_pass_through_transparent_texels():
         alpha[:, 4 * k : 4 * k + 4] = 1.0
         meshes.append(AlphaMesh(corners + [0, 3.0 * k, 0], triangles, uv, alpha, 0.5))
         expected = (x >= -10 + 4 * k) & (x < -6 + 4 * k)
-        away = np.abs(np.abs(x - (-8 + 4 * k)) - 2) > 0.06
-        seen = RayScene(alpha=[meshes[-1]]).blocked(start, north)
-        np.testing.assert_array_equal(seen[away], expected[away])
+        is_off_edge = np.abs(np.abs(x - (-8 + 4 * k)) - 2) > 0.06
+        is_blocked = RayScene(alpha=[meshes[-1]]).blocked(start, north)
+        np.testing.assert_array_equal(is_blocked[is_off_edge], expected[is_off_edge])
     assert RayScene(alpha=meshes).blocked(start, north).mean() > 0.99
     stacked = AlphaMesh(
         np.concatenate([mesh.vertices_m for mesh in meshes]),
@@ -181,8 +185,8 @@ def test_rays_pass_through_transparent_texels():
         np.tile(uv, (5, 1)),
         np.where(np.arange(20) >= 10, 1.0, 0.0)[None, :].repeat(20, 0),
     )
-    seen = RayScene(alpha=[stacked]).blocked(start, north)
-    np.testing.assert_array_equal(seen[np.abs(x) > 0.06], (x > 0)[np.abs(x) > 0.06])
+    is_blocked = RayScene(alpha=[stacked]).blocked(start, north)
+    np.testing.assert_array_equal(is_blocked[np.abs(x) > 0.06], (x > 0)[np.abs(x) > 0.06])
     assert not RayScene(alpha=[AlphaMesh(corners, triangles, uv, np.zeros((4, 4)))]).blocked(start, north).any()
 
 

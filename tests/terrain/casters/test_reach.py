@@ -14,8 +14,8 @@ from tests.render import render
 
 
 def casters(scene: Scene, view):
-    buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
-    return buffer, find_casters(scene, buffer)
+    geometry = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
+    return geometry, find_casters(scene, geometry)
 
 
 def hills(rows: int, cols: int, relief: float, seed: int = 4) -> np.ndarray:
@@ -44,54 +44,54 @@ def test_find_casters_reads_only_high_ground_towards_the_sun(write_raster, make_
     heights[20:30, 195:205] = 200.0  # in the north, off the rays' path
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 4000, 10.0), 270, 8)
     view = scene.view(bounds=(1700, 1900, 2100, 2100), size=(400, 200))
-    buffer, found = casters(scene, view)
-    assert found.patches
-    for patch in found.patches:
-        quads = 256 * 2**patch.level
+    buffer, sun_casters = casters(scene, view)
+    assert sun_casters.patches
+    for patch in sun_casters.patches:
+        quads = 256 * 2**patch.lod
         x = view.grid.x(np.array([patch.col * quads, (patch.col + 1) * quads]))
         y = view.grid.y(np.array([patch.row * quads, (patch.row + 1) * quads]))
         assert x[0] <= 2100 and x[1] >= 0 and y[0] >= 1300 and y[1] <= 2700
-    assert found.reach.needed_m > 1300
-    assert render(scene.with_sun(SunSpec(azimuth=270, altitude=20)), view).reach.needed_m < found.reach.needed_m
+    assert sun_casters.reach.needed_m > 1300
+    assert render(scene.with_sun(SunSpec(azimuth=270, altitude=20)), view).reach.needed_m < sun_casters.reach.needed_m
 
 
 def test_casters_are_the_same_across_the_antimeridian(write_raster, make_scene):
     """The same hills at longitude 180 and at 100 give the same casters and the same shadows."""
-    found = []
+    results = []
     for lon in (180.0, 100.0):
         raster = write_raster(hills(120, 120, 900), "EPSG:4326", lon - 0.06, 10.06, 0.001, name=f"at{lon:.0f}.tif")
         scene = make_scene(raster, 90, 5)
         x = np.radians(lon) * 6378137.0
         view = scene.view(bounds=(x - 2000, 1113000, x + 400, 1118000), crs="EPSG:3857", size=(128, 256))
-        buffer, its = casters(scene, view)
-        found.append((len(its.patches), render(scene, view, filter=1)))
-    assert abs(found[0][0] - found[1][0]) <= 4  # the two grids have different patch borders
-    one, other = (frame.visibility < 0.5 for _, frame in found)
-    assert 0.05 < one.mean() < 0.95
-    assert (one != other).mean() < 0.02  # the sampled places differ by less than a pixel
+        buffer, sun_casters = casters(scene, view)
+        results.append((len(sun_casters.patches), render(scene, view, filter=1)))
+    assert abs(results[0][0] - results[1][0]) <= 4  # the two grids have different patch borders
+    shadow, other_shadow = (frame.visibility < 0.5 for _, frame in results)
+    assert 0.05 < shadow.mean() < 0.95
+    assert (shadow != other_shadow).mean() < 0.02  # the sampled places differ by less than a pixel
 
 
 def test_cells_far_larger_than_the_view_give_few_patches(write_raster, make_scene):
     scene = make_scene(write_raster(hills(20, 20, 3000), "EPSG:32633", 0, 9_000_000, 50_000.0), 200, 30)
     view = scene.view(bounds=(500000, 8500000, 500100, 8500100), size=(256, 256))
-    _, found = casters(scene, view)
-    assert len(found.patches) < 500
-    assert len({(patch.level, patch.row, patch.col) for patch in found.patches}) == len(found.patches)
+    _, sun_casters = casters(scene, view)
+    assert len(sun_casters.patches) < 500
+    assert len({(patch.lod, patch.row, patch.col) for patch in sun_casters.patches}) == len(sun_casters.patches)
 
 
 def test_caster_detail_falls_only_with_distance(write_raster, make_scene):
     scene = make_scene(write_raster(hills(300, 300, 4000), "EPSG:32633", 300_000, 5_300_000, 500.0), 180, 1)
     view = scene.view(bounds=(370_000, 5_228_000, 371_000, 5_229_000), size=(512, 512))
-    buffer, found = casters(scene, view)
-    levels = {patch.level for patch in found.patches}
-    assert 0 in levels and max(levels) >= 3 and len(found.patches) < 3000
-    for patch in found.patches:
-        quads = 256 * 2**patch.level
+    buffer, sun_casters = casters(scene, view)
+    levels = {patch.lod for patch in sun_casters.patches}
+    assert 0 in levels and max(levels) >= 3 and len(sun_casters.patches) < 3000
+    for patch in sun_casters.patches:
+        quads = 256 * 2**patch.lod
         row, col = (max(first - (index + 1) * quads, index * quads - last, 0) for first, last, index in (
             (buffer.surface.row0, buffer.surface.row0 + buffer.surface.height_m.shape[0], patch.row),
             (buffer.surface.col0, buffer.surface.col0 + buffer.surface.height_m.shape[1], patch.col),
         ))  # fmt: skip
-        assert max(row, col) <= 4096 * 2**patch.level, "detail falls only with distance"
+        assert max(row, col) <= 4096 * 2**patch.lod, "detail falls only with distance"
 
 
 def test_a_map_finer_than_its_raster_reads_few_patches(gl, write_raster, make_scene, monkeypatch):
@@ -100,10 +100,16 @@ def test_a_map_finer_than_its_raster_reads_few_patches(gl, write_raster, make_sc
     Reduced detail leaves the shadows the same.
     """
     scene = make_scene(write_raster(hills(60, 60, 60), "EPSG:32633", 500_000, 6_000_600, 10.0), 200, 12)
-    close, wide = (scene.view(bounds=(500_300, 6_000_300, 500_300 + m, 6_000_300 + m), size=(256, 256)) for m in (5, 20))
-    sparing = len(casters(scene, close)[1].patches), render(scene, wide, algorithm="shadow_map", filter=1, map_size=1024)
+    close_view, wide_view = (scene.view(bounds=(500_300, 6_000_300, 500_300 + m, 6_000_300 + m), size=(256, 256)) for m in (5, 20))
+    reduced_detail = (
+        len(casters(scene, close_view)[1].patches),
+        render(scene, wide_view, algorithm="shadow_map", filter=1, map_size=1024),
+    )
     monkeypatch.setattr("skugga.terrain.casters.reach.NODES_PER_CELL", 1e9)
-    whole = len(casters(scene, close)[1].patches), render(scene, wide, algorithm="shadow_map", filter=1, map_size=1024)
-    assert 1.5 * sparing[0] < whole[0]
-    assert 0.05 < (whole[1].visibility < 0.5).mean() < 0.95
-    assert ((sparing[1].visibility < 0.5) != (whole[1].visibility < 0.5)).mean() < 2e-3
+    full_detail = (
+        len(casters(scene, close_view)[1].patches),
+        render(scene, wide_view, algorithm="shadow_map", filter=1, map_size=1024),
+    )
+    assert 1.5 * reduced_detail[0] < full_detail[0]
+    assert 0.05 < (full_detail[1].visibility < 0.5).mean() < 0.95
+    assert ((reduced_detail[1].visibility < 0.5) != (full_detail[1].visibility < 0.5)).mean() < 2e-3

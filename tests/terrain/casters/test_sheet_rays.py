@@ -11,10 +11,10 @@ from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 from tests.terrain.casters.test_rays import box
 
-SUNS = [(237.0, 3.0), (120.0, 15.0), (0.0, 30.0), (200.0, 62.0), (0.0, 90.0)]
+SUN_ANGLES_DEG = [(237.0, 3.0), (120.0, 15.0), (0.0, 30.0), (200.0, 62.0), (0.0, 90.0)]
 
 
-def rough(seed: int, rows: int, cols: int, step_m: float, holes: int = 0, first_col: int = 0) -> Sheet:
+def rough_sheet(seed: int, rows: int, cols: int, step_m: float, holes: int = 0, first_col: int = 0) -> Sheet:
     """Return rough ground with the earth's curvature and missing nodes."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid((first_col + np.arange(cols)) * step_m, -np.arange(rows) * step_m)
@@ -27,7 +27,7 @@ def rough(seed: int, rows: int, cols: int, step_m: float, holes: int = 0, first_
     return sheet_of(points, height)
 
 
-def starts_on(sheet: Sheet, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def random_points_on_sheet(sheet: Sheet, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return random points on a sheet's triangles (n, 3), and these triangles' normals."""
     rng, nodes = np.random.default_rng(seed), sheet.position_frame_m.reshape(-1, 3)
     corners = nodes[sheet.triangles[rng.integers(0, len(sheet.triangles), count)]]
@@ -36,38 +36,45 @@ def starts_on(sheet: Sheet, count: int, seed: int) -> tuple[np.ndarray, np.ndarr
     return np.einsum("nk,nkj->nj", share, corners), normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+@pytest.mark.parametrize(("azimuth", "altitude"), SUN_ANGLES_DEG)
 def test_walked_rays_agree_with_embree_where_decidable(azimuth, altitude):
     """A ray is decidable if one, two and four times the start offset give the same answer.
 
     Fine and coarser ground lie side by side, with holes and a body. Their odd node counts fill no tile.
     """
     sun = direction_enu(azimuth, altitude)
-    sheets = [rough(3, 131, 94, 30.0, holes=40), rough(4, 66, 37, 60.0, first_col=47), rough(5, 3, 2, 500.0)]
+    sheets = [rough_sheet(3, 131, 94, 30.0, holes=40), rough_sheet(4, 66, 37, 60.0, first_col=47), rough_sheet(5, 3, 2, 500.0)]
     meshes = [box([1500.0, -900.0, 200.0], [80.0, 40.0, 150.0])]
-    scenes = RayScene(sheets, meshes), RayScene(sheets, meshes, walked=True)
+    scenes = RayScene(sheets, meshes), RayScene(sheets, meshes, traverse_sheets=True)
     assert scenes[0].offset_m == scenes[1].offset_m
-    points, normal = starts_on(sheets[0], 40_000, 6)
-    up = normal * np.sign(normal @ sun)[:, None]
-    asked = np.array([[each.blocked(points + k * each.offset_m * up, sun) for k in (1.0, 2.0, 4.0)] for each in scenes])
-    decidable = (asked[:, :1] == asked).all(axis=(0, 1))
-    assert decidable.mean() > 0.99
-    assert np.array_equal(asked[0, 0][decidable], asked[1, 0][decidable])
-    assert altitude == 90.0 or 0.02 < asked[0, 0].mean() < 0.98
+    points, normal = random_points_on_sheet(sheets[0], 40_000, 6)
+    upward_normal = normal * np.sign(normal @ sun)[:, None]
+    is_blocked = np.array(
+        [[ray_scene.blocked(points + k * ray_scene.offset_m * upward_normal, sun) for k in (1.0, 2.0, 4.0)] for ray_scene in scenes]
+    )
+    is_decidable = (is_blocked[:, :1] == is_blocked).all(axis=(0, 1))
+    assert is_decidable.mean() > 0.99
+    assert np.array_equal(is_blocked[0, 0][is_decidable], is_blocked[1, 0][is_decidable])
+    assert altitude == 90.0 or 0.02 < is_blocked[0, 0].mean() < 0.98
 
 
-@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+@pytest.mark.parametrize(("azimuth", "altitude"), SUN_ANGLES_DEG)
 def test_walked_rays_leak_at_no_edge_or_node(azimuth, altitude):
     """Rays start below the ground and aim at nodes, at the middles of quads' sides and at the middles of their diagonals.
 
     The ground is never as steep as the rays, because rounding decides beside a silhouette.
     """
-    sun, nodes = direction_enu(azimuth, altitude), rough(7, 40, 40, 10.0).position_frame_m
+    sun, nodes = direction_enu(azimuth, altitude), rough_sheet(7, 40, 40, 10.0).position_frame_m
     steepest = max(np.abs(np.diff(nodes[..., 2], axis=axis)).max() for axis in (0, 1)) / 10.0
     nodes[..., 2] *= 0.3 * min(np.tan(np.radians(altitude)), 1.0) / steepest
     sheet = sheet_of(nodes)
-    cut = np.where(sheet.falls[..., None], nodes[:-1, :-1] + nodes[1:, 1:], nodes[1:, :-1] + nodes[:-1, 1:]) / 2
-    places = [nodes[1:-1, 1:-1], (nodes[1:-1, 1:-2] + nodes[1:-1, 2:-1]) / 2, (nodes[1:-2, 1:-1] + nodes[2:-1, 1:-1]) / 2, cut]
+    diagonal_middles = np.where(sheet.is_cut_nw_se[..., None], nodes[:-1, :-1] + nodes[1:, 1:], nodes[1:, :-1] + nodes[:-1, 1:]) / 2
+    places = [
+        nodes[1:-1, 1:-1],
+        (nodes[1:-1, 1:-2] + nodes[1:-1, 2:-1]) / 2,
+        (nodes[1:-2, 1:-1] + nodes[2:-1, 1:-1]) / 2,
+        diagonal_middles,
+    ]
     rays = SheetRays([sheet], np.zeros(3))
     for place in places:
         for distance_m in (1e-3, 1.0, 7.0):
@@ -80,27 +87,27 @@ def test_edges_and_nodes_belong_to_a_triangle(way):
     x, y = np.meshgrid(np.arange(9.0), -np.arange(9.0))
     places = np.stack(np.meshgrid(np.arange(0.0, 8.1, 0.5), -np.arange(0.0, 8.1, 0.5)), -1).reshape(-1, 2)
     starts = np.column_stack([places, np.full(len(places), -way)])
-    for falls in (False, True):
-        sheet = Sheet(np.stack([x, y, np.zeros((9, 9))], -1), np.full((8, 8), falls))
+    for is_cut_nw_se in (False, True):
+        sheet = Sheet(np.stack([x, y, np.zeros((9, 9))], -1), np.full((8, 8), is_cut_nw_se))
         assert SheetRays([sheet], np.zeros(3)).blocked(starts, np.array([0.0, 0.0, way])).all()
 
 
 def test_a_sheet_is_walked_in_several_directions():
-    sheet = rough(8, 60, 60, 30.0)
-    walked, embree = RayScene([sheet], walked=True), RayScene([sheet])
-    points, _ = starts_on(sheet, 2000, 9)
+    sheet = rough_sheet(8, 60, 60, 30.0)
+    traversed, embree = RayScene([sheet], traverse_sheets=True), RayScene([sheet])
+    points, _ = random_points_on_sheet(sheet, 2000, 9)
     for azimuth in (40.0, 160.0, 280.0):
         sun = direction_enu(azimuth, 8.0)
         starts = points + [0.0, 0.0, 0.5]
-        assert (walked.blocked(starts, sun) == embree.blocked(starts, sun)).mean() > 0.999
+        assert (traversed.blocked(starts, sun) == embree.blocked(starts, sun)).mean() > 0.999
 
 
 def test_walked_rays_refuse_lengths_and_accept_empty_input():
     sun, points = direction_enu(180.0, 20.0), np.zeros((3, 3))
-    scene = RayScene([rough(1, 8, 8, 1.0)], walked=True)
-    for wrong in ({"direction": np.tile(sun, (3, 1))}, {"direction": sun, "length_m": np.ones(3)}):
-        with pytest.raises(ValueError, match="walked"):
-            scene.blocked(points, **wrong)
+    scene = RayScene([rough_sheet(1, 8, 8, 1.0)], traverse_sheets=True)
+    for arguments in ({"direction": np.tile(sun, (3, 1))}, {"direction": sun, "length_m": np.ones(3)}):
+        with pytest.raises(ValueError, match="traverse_sheets"):
+            scene.blocked(points, **arguments)
     assert scene.blocked(np.zeros((0, 3)), sun).shape == (0,)
-    assert not RayScene(walked=True).blocked(points, sun).any()
-    assert not RayScene([sheet_of(np.full((9, 9, 3), np.nan))], walked=True).blocked(points, sun).any()
+    assert not RayScene(traverse_sheets=True).blocked(points, sun).any()
+    assert not RayScene([sheet_of(np.full((9, 9, 3), np.nan))], traverse_sheets=True).blocked(points, sun).any()

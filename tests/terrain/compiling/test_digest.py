@@ -16,7 +16,7 @@ from skugga import shadows, terrain
 from skugga.terrain.compiling.digest import UnknownValueError, describe_types
 from skugga.terrain.compiling.loop_cache import LoopCache
 
-MODULES = {
+MODULE_SOURCES = {
     "digest_base": """
 from skugga.terrain.compiled import compiled
 
@@ -74,8 +74,8 @@ def top(x):
 def digest_of_top(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     """Return a function that digests ``top`` after replacing text of modules: ``digest_of_top((module, old, new), ...)``."""
 
-    def made(*edits: tuple[str, str, str]) -> str:
-        sources = dict(MODULES)
+    def digest_after_edits(*edits: tuple[str, str, str]) -> str:
+        sources = dict(MODULE_SOURCES)
         for module, old, new in edits:
             assert old in sources[module], old
             sources[module] = sources[module].replace(old, new)
@@ -89,7 +89,7 @@ def digest_of_top(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
         assert isinstance(cache, LoopCache)
         return cache.digest()
 
-    return made
+    return digest_after_edits
 
 
 @pytest.mark.parametrize(
@@ -132,8 +132,8 @@ def test_digest_ignores_comments_and_uncalled_functions(
 
 
 def test_digest_includes_plain_functions_that_a_loop_calls(digest_of_top: Callable[..., str]) -> None:
-    called = ("digest_middle", "deepest(x) + HALF", "digest_base.helper(x) + HALF")
-    assert digest_of_top(called, ("digest_base", "x + 1.0", "x + 2.0")) != digest_of_top(called)
+    helper_call_edit = ("digest_middle", "deepest(x) + HALF", "digest_base.helper(x) + HALF")
+    assert digest_of_top(helper_call_edit, ("digest_base", "x + 1.0", "x + 2.0")) != digest_of_top(helper_call_edit)
 
 
 def test_a_loop_that_reads_an_unknown_object_has_no_digest(digest_of_top: Callable[..., str]) -> None:
@@ -142,20 +142,20 @@ def test_a_loop_that_reads_an_unknown_object_has_no_digest(digest_of_top: Callab
 
 
 def test_signatures_differ_by_the_fields_of_named_tuples(digest_of_top: Callable[..., str]) -> None:
-    described = []
+    type_descriptions = []
     for edits in ([], [("digest_middle", "height: float\n    width: float", "width: float\n    height: float")]):
         digest_of_top(*edits)
         window = types.NamedUniTuple(types.float64, 2, sys.modules["digest_middle"].Window)
-        described.append(describe_types((types.UniTuple(window, 2), types.float64)))
-    assert described[0] != described[1]
+        type_descriptions.append(describe_types((types.UniTuple(window, 2), types.float64)))
+    assert type_descriptions[0] != type_descriptions[1]
 
 
 def test_every_loop_of_the_engine_has_a_digest() -> None:
     loops = {}
     for package in (terrain, shadows):
-        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            module = importlib.import_module(found.name)
-            loops |= {f"{found.name}.{name}": value for name, value in vars(module).items() if isinstance(value, Dispatcher)}
+        for module_info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            module = importlib.import_module(module_info.name)
+            loops |= {f"{module_info.name}.{name}": value for name, value in vars(module).items() if isinstance(value, Dispatcher)}
     assert len(loops) > 200
     for name, loop in loops.items():
         assert len(loop._cache.digest()) == 64, name

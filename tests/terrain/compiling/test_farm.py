@@ -20,7 +20,7 @@ from skugga.terrain.compiling.signatures import decode_type, encode_type, record
 
 ROOT = Path(__file__).resolve().parents[3]
 
-MODULE = """
+LOOPS_MODULE_SOURCE = """
 from skugga.terrain.compiled import compiled
 
 @compiled
@@ -40,7 +40,7 @@ def other(x):
     return x * 3.0
 """
 
-RUN = """
+FARM_SCRIPT = """
 import os, signal, sys
 import loops
 from numba.core import types
@@ -60,12 +60,12 @@ print("missing:", *missing)
 
 
 def run(folder: Path, processes: int, deadly: bool = False) -> tuple[list[str], str]:
-    (folder / "loops.py").write_text(MODULE, encoding="utf-8")
+    (folder / "loops.py").write_text(LOOPS_MODULE_SOURCE, encoding="utf-8")
     environment = {"PYTHONPATH": f"{folder}:{ROOT}", "NUMBA_CACHE_DIR": str(folder / "store"), "PATH": os.environ["PATH"]}
-    code = RUN.format(processes=processes, deadly=deadly)
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.split("\n")[:-1], done.stderr
+    code = FARM_SCRIPT.format(processes=processes, deadly=deadly)
+    process = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
+    assert process.returncode == 0, process.stderr
+    return process.stdout.split("\n")[:-1], process.stderr
 
 
 def test_callees_are_compiled_before_their_callers(tmp_path: Path) -> None:
@@ -75,9 +75,9 @@ def test_callees_are_compiled_before_their_callers(tmp_path: Path) -> None:
 
 
 def test_a_killed_child_loses_only_the_loop_it_compiled(tmp_path: Path) -> None:
-    (*order, missing), said = run(tmp_path, processes=2, deadly=True)
+    (*order, missing), log_text = run(tmp_path, processes=2, deadly=True)
     assert sorted(order) == ["leaf", "middle", "other", "top"]
-    assert said.count("was killed") == 2 and str(tmp_path / "store") in said, "top compiles middle, too, in the other child"
+    assert log_text.count("was killed") == 2 and str(tmp_path / "store") in log_text, "top compiles middle, too, in the other child"
     assert "leaf" not in missing and "other" not in missing
 
 
@@ -86,20 +86,20 @@ def test_queue_takes_first_products_then_longest_chains() -> None:
         def __init__(self, code: str) -> None:
             self.py_func = eval(f"lambda x: {code}")
 
-    short, long = Loop("x"), Loop("x + x * x - x / x + x")
-    queue = _Queue([Task(short, (), 1), Task(long, (), 1), Task(short, ("int",), 0), Task(long, ("int",), 0)])
+    short_loop, long_loop = Loop("x"), Loop("x + x * x - x / x + x")
+    queue = _Queue([Task(short_loop, (), 1), Task(long_loop, (), 1), Task(short_loop, ("int",), 0), Task(long_loop, ("int",), 0)])
     assert [queue.take() for _ in range(5)] == [3, 2, 1, 0, None]
 
 
 @pytest.fixture
-def nothing_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hooks, "_needed", [])
-    monkeypatch.setattr(hooks, "_compiled", set())
+def no_needed_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hooks, "_needed_products", [])
+    monkeypatch.setattr(hooks, "_compiled_products", set())
 
 
-def test_needed_products_are_compiled_once(nothing_needed: None) -> None:
-    asked: list[list[str]] = []
-    with missing_loop_compiler(lambda products: asked.append(list(products))):
+def test_needed_products_are_compiled_once(no_needed_products: None) -> None:
+    requested_products: list[list[str]] = []
+    with missing_loop_compiler(lambda products: requested_products.append(list(products))):
         assert not compile_needed_products(), "nothing is needed yet"
         declare_product("masks")
         declare_product("masks")
@@ -108,21 +108,21 @@ def test_needed_products_are_compiled_once(nothing_needed: None) -> None:
         assert compile_needed_products()
     declare_product("hours of sun")
     assert not compile_needed_products(), "nobody compiles any more"
-    assert asked == [["masks"], ["points"]]
+    assert requested_products == [["masks"], ["points"]]
 
 
 def test_recorded_signatures_survive_encoding() -> None:
     recorded = recorded_signatures()
-    assert {product for each in recorded for product in each.products} == set(PRODUCTS)
-    for each in recorded:
-        types = each.argument_types()
+    assert {product for signature in recorded for product in signature.products} == set(PRODUCTS)
+    for signature in recorded:
+        types = signature.argument_types()
         assert tuple(map(decode_type, map(encode_type, types))) == types
-        assert each.dispatcher().py_func.__name__ in each.loop
+        assert signature.dispatcher().py_func.__name__ in signature.loop
 
 
 def test_recorded_signatures_are_filtered_by_product() -> None:
-    chosen = recorded_signatures(["points"])
-    assert chosen and all("points" in each.products for each in chosen) and len(chosen) < len(recorded_signatures())
+    filtered = recorded_signatures(["points"])
+    assert filtered and all("points" in signature.products for signature in filtered) and len(filtered) < len(recorded_signatures())
 
 
 def test_compile_ahead_logs_a_process_that_cannot_start(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
@@ -133,26 +133,26 @@ def test_compile_ahead_logs_a_process_that_cannot_start(monkeypatch: pytest.Monk
 
 def test_an_interrupt_kills_the_compiling_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "store"))
-    started: list[subprocess.Popen[str]] = []
+    processes: list[subprocess.Popen[str]] = []
 
     def interrupt(task: str, done: int, total: int) -> None:
         assert task == "compiling loops for points" and done == 0 < total
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        compile_ahead(["points"], 1, interrupt, on_start=started.append)
-    assert started[0].returncode == -signal.SIGKILL
+        compile_ahead(["points"], 1, interrupt, on_start=processes.append)
+    assert processes[0].returncode == -signal.SIGKILL
 
 
 def test_an_unwritable_store_compiles_nothing_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
-    steps: list[int] = []
-    compile_ahead(["points"], 1, lambda task, done, total: steps.append(done))
-    assert steps == []
+    progress: list[int] = []
+    compile_ahead(["points"], 1, lambda task, done, total: progress.append(done))
+    assert progress == []
 
 
-KILLED = """
+KILLED_COMMAND_SCRIPT = """
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 farms = []
 compile_ahead(PRODUCTS, 2, lambda task, done, total: print(farms[0], flush=True), on_start=lambda farm: farms.append(farm.pid))
@@ -163,20 +163,22 @@ compile_ahead(PRODUCTS, 2, lambda task, done, total: print(farms[0], flush=True)
 def test_compiling_processes_end_with_a_killed_command(tmp_path: Path) -> None:
     """Without this, the process and its children compiled on for most of a minute, with nobody to wait for the result."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path), "SKUGGA_TEST_RUN": str(tmp_path)}
-    with subprocess.Popen([sys.executable, "-c", KILLED], env=environment, stdout=subprocess.PIPE, text=True) as command:
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED_COMMAND_SCRIPT], env=environment, stdout=subprocess.PIPE, text=True
+    ) as command:
         assert command.stdout is not None and int(command.stdout.readline()) in processes_of(tmp_path)
         command.kill()
-    until_s = time.monotonic() + 10.0
+    deadline_s = time.monotonic() + 10.0
     while processes_of(tmp_path):
-        assert time.monotonic() < until_s, "they outlived the command"
+        assert time.monotonic() < deadline_s, "they outlived the command"
         time.sleep(0.05)
 
 
-def processes_of(run: Path) -> list[int]:
+def processes_of(run_folder: Path) -> list[int]:
     """Return the ids of processes that have the environment of a run."""
-    found = []
+    process_ids = []
     for entry in Path("/proc").iterdir():
         with suppress(OSError):
-            if entry.name.isdigit() and f"SKUGGA_TEST_RUN={run}".encode() in (entry / "environ").read_bytes():
-                found.append(int(entry.name))
-    return found
+            if entry.name.isdigit() and f"SKUGGA_TEST_RUN={run_folder}".encode() in (entry / "environ").read_bytes():
+                process_ids.append(int(entry.name))
+    return process_ids

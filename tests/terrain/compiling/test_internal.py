@@ -16,69 +16,71 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @internal
-def _doubled(values, out):  # type: ignore[no-untyped-def]
+def _double_all(values, out):  # type: ignore[no-untyped-def]
     for n in range(values.size):
-        out[n] = 2.0 * _of(values, n)
+        out[n] = 2.0 * _element_at(values, n)
 
 
 @internal
-def _of(values, n):  # type: ignore[no-untyped-def]
+def _element_at(values, n):  # type: ignore[no-untyped-def]
     return values[n]
 
 
 @compiled
-def _four_times(values):  # type: ignore[no-untyped-def]
-    once, twice = np.empty(values.size), np.empty(values.size)
-    _doubled(values, once)
-    _doubled(once, twice)
-    return twice
+def _quadruple_all(values):  # type: ignore[no-untyped-def]
+    doubled, quadrupled = np.empty(values.size), np.empty(values.size)
+    _double_all(values, doubled)
+    _double_all(doubled, quadrupled)
+    return quadrupled
 
 
 def test_internal_loops_work_within_compiled_ones() -> None:
-    assert _four_times(np.arange(5.0)).tolist() == [0.0, 4.0, 8.0, 12.0, 16.0]
+    assert _quadruple_all(np.arange(5.0)).tolist() == [0.0, 4.0, 8.0, 12.0, 16.0]
 
 
 def test_python_cannot_call_an_internal_loop() -> None:
-    _four_times(np.arange(5.0))
+    _quadruple_all(np.arange(5.0))
     with pytest.raises(TypeError, match="compiled loops only"):
-        _of(np.arange(5.0), 1)
+        _element_at(np.arange(5.0), 1)
 
 
 def test_python_code_names_no_internal_loop() -> None:
-    called = [
+    references = [
         f"{path.relative_to(ROOT)}: {name}"
         for package in ("api", "benchmarks", "selector", "shadows", "terrain")
         for path in sorted((ROOT / package).rglob("*.py"))
-        for name in _named_by_python(ast.parse(path.read_text(encoding="utf-8")))
+        for name in _internal_loops_named_in_python(ast.parse(path.read_text(encoding="utf-8")))
     ]
-    assert not called
+    assert not references
 
 
-def _named_by_python(module: ast.Module) -> Iterator[str]:
+def _internal_loops_named_in_python(module: ast.Module) -> Iterator[str]:
     """Yield the internal loops of a module, defined there or imported, that code outside of loops names."""
     imported = {
         alias.asname or alias.name
         for node in ast.walk(module)
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(("skugga.shadows", "skugga.terrain"))
         for alias in node.names
-        if alias.name in _internal_of(node.module)
+        if alias.name in _internal_loops_of(node.module)
     }
-    internals = imported | {node.name for node in module.body if isinstance(node, ast.FunctionDef) and _kind_of(node) == "internal"}
+    internals = imported | {
+        node.name for node in module.body if isinstance(node, ast.FunctionDef) and _loop_decorator(node) == "internal"
+    }
     for node in module.body:
-        if not (isinstance(node, ast.FunctionDef) and _kind_of(node)):
+        if not (isinstance(node, ast.FunctionDef) and _loop_decorator(node)):
             yield from (name.id for name in ast.walk(node) if isinstance(name, ast.Name) and name.id in internals)
 
 
 @cache
-def _internal_of(name: str) -> set[str]:
+def _internal_loops_of(name: str) -> set[str]:
     path = ROOT / f"{name.replace('.', '/')}.py"
     if not path.is_file():
         return set()
     body = ast.parse(path.read_text(encoding="utf-8")).body
-    return {node.name for node in body if isinstance(node, ast.FunctionDef) and _kind_of(node) == "internal"}
+    return {node.name for node in body if isinstance(node, ast.FunctionDef) and _loop_decorator(node) == "internal"}
 
 
-def _kind_of(function: ast.FunctionDef) -> str | None:
+def _loop_decorator(function: ast.FunctionDef) -> str | None:
     """Return the name of the decorator that makes a function a loop, or ``None``."""
     names = {decorator.id for decorator in function.decorator_list if isinstance(decorator, ast.Name)}
     return next((name for name in ("internal", "compiled") if name in names), None)

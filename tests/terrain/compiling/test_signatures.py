@@ -10,7 +10,7 @@ from skugga import api, selector, shadows, terrain
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS
 from skugga.terrain.compiling.signatures import recorded_signatures
 
-RARE = {
+MODULES_WITHOUT_RECORDS = {
     "skugga.api.overviews": "`skugga overviews`",
     "skugga.shadows.sweep.columns": "levels of blocks",
     "skugga.shadows.sweep.grid": "`skugga.shadow`",
@@ -37,27 +37,27 @@ RARE = {
 
 def stored_loops() -> set[str]:
     """Return module and name of every loop that is stored for other processes."""
-    found = set()
+    loop_names = set()
     for package in (terrain, shadows, selector, api):
         for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if info.name.endswith("__main__"):
                 continue
-            for each in vars(importlib.import_module(info.name)).values():
-                if isinstance(each, Dispatcher) and each.py_func.__module__ == info.name and each._cache._enabled:
-                    found.add(f"{info.name}:{each.py_func.__qualname__}")
-    return found
+            for member in vars(importlib.import_module(info.name)).values():
+                if isinstance(member, Dispatcher) and member.py_func.__module__ == info.name and member._cache._enabled:
+                    loop_names.add(f"{info.name}:{member.py_func.__qualname__}")
+    return loop_names
 
 
 @pytest.mark.parametrize("product", PRODUCTS)
 def test_recorded_signatures_fit_their_functions(product):
     recorded = recorded_signatures([product])
     assert recorded
-    for each in recorded:
-        names = each.dispatcher().py_func.__code__.co_argcount
-        assert len(each.argument_types()) == names, each.loop
+    for signature in recorded:
+        argument_count = signature.dispatcher().py_func.__code__.co_argcount
+        assert len(signature.argument_types()) == argument_count, signature.loop
 
 
 def test_all_stored_loops_are_recorded():
     """After a loop is added or renamed, run ``python scripts/record_signatures.py``."""
-    left = stored_loops() - {each.loop for each in recorded_signatures()}
-    assert {each.partition(":")[0] for each in left} == set(RARE)
+    unrecorded_loops = stored_loops() - {entry.loop for entry in recorded_signatures()}
+    assert {entry.partition(":")[0] for entry in unrecorded_loops} == set(MODULES_WITHOUT_RECORDS)

@@ -81,14 +81,14 @@ def test_a_folder_that_cannot_be_created_is_reported(tmp_path: Path, caplog: pyt
 def test_least_recently_used_entries_are_evicted(store: LoopStore, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_BYTES", 10_000)
     monkeypatch.setattr(module, "SCAN_EVERY_BYTES", 0)
-    long_ago = time.time() - 10 * module.TOUCH_AFTER_S
+    old_mtime_s = time.time() - 10 * module.TOUCH_AFTER_S
     for number in range(8):
         store.write(f"loop-{number}", bytes(1000))
-        os.utime(store.folder / f"loop-{number}{SUFFIX}", (long_ago + number, long_ago + number))
+        os.utime(store.folder / f"loop-{number}{SUFFIX}", (old_mtime_s + number, old_mtime_s + number))
     assert store.read("loop-0") is not None  # used just now
     abandoned = store.folder / ".partial-of-a-killed-process"
     abandoned.write_bytes(b"half")
-    os.utime(abandoned, (long_ago, long_ago))
+    os.utime(abandoned, (old_mtime_s, old_mtime_s))
     for number in range(8, 11):
         store.write(f"loop-{number}", bytes(1000))
     left = {path.name.removesuffix(SUFFIX) for path in store.folder.glob(f"*{SUFFIX}")}

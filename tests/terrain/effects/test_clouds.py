@@ -36,7 +36,7 @@ UTM = "EPSG:32616"
 
 
 @pytest.fixture
-def cloudy(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
+def make_cloudy_scene(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
     """Return a factory of scenes: a plain with a low rise under clouds, ``size`` nodes of 50 m along each side."""
 
     def make(cover: float, size: int = 120, **keys) -> Scene:
@@ -49,12 +49,12 @@ def cloudy(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scen
     return make
 
 
-def densities(cover: float, step_m: float = 130.7, side: int = 400) -> np.ndarray:
+def sample_densities(cover: float, step_m: float = 130.7, side: int = 400) -> np.ndarray:
     threshold = threshold_of(cover)
     return np.array([density_at(x * step_m, y * step_m, threshold) for x in range(side) for y in range(side)])
 
 
-def sunlight_of(scene: Scene, view=None) -> np.ndarray:
+def cloud_transmittance(scene: Scene, view=None) -> np.ndarray:
     """Return the share of the sunlight that the clouds alone transmit."""
     view = view or scene.view()
     buffer = geometry_buffer(scene, view)
@@ -63,14 +63,14 @@ def sunlight_of(scene: Scene, view=None) -> np.ndarray:
     return light
 
 
-def plan_of(scene: Scene, view, wish: str = "auto") -> Plan:
-    level = scene.loaded.level.model_copy(update={"effects": {"clouds": wish}})
+def plan_of(scene: Scene, view, effect_switch: str = "auto") -> Plan:
+    level = scene.loaded.level.model_copy(update={"effects": {"clouds": effect_switch}})
     return make_plan(describe(scene, view), level, {})
 
 
 @pytest.mark.parametrize("cover", [0.02, 0.1, 0.35, 0.5, 0.8, 0.97])
 def test_shaded_share_of_the_ground_is_the_cloud_cover(cover: float) -> None:
-    density = densities(cover)
+    density = sample_densities(cover)
     assert np.mean(density > 0.5) == pytest.approx(cover, abs=0.03)
     assert density.mean() == pytest.approx(cover, abs=0.03)
 
@@ -78,45 +78,45 @@ def test_shaded_share_of_the_ground_is_the_cloud_cover(cover: float) -> None:
 def test_cover_0_has_no_cloud_and_cover_1_has_no_gap() -> None:
     assert threshold_of(0.0) - CLOUD_EDGE_WIDTH / 2 >= NOISE_BOUND
     assert threshold_of(1.0) + CLOUD_EDGE_WIDTH / 2 <= -NOISE_BOUND
-    covers = np.linspace(0.0, 1.0, 401)
-    thresholds = [threshold_of(cover) for cover in covers]
+    cover_values = np.linspace(0.0, 1.0, 401)
+    thresholds = [threshold_of(cover) for cover in cover_values]
     assert all(a > b for a, b in pairwise(thresholds))
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(0.0, 0.999))
 def test_density_grows_continuously_with_the_cover(x: float, y: float, cover: float) -> None:
-    less, more = (density_at(x, y, threshold_of(c)) for c in (cover, cover + 1e-6))
-    assert 0.0 <= less <= more <= less + 0.05
+    density, denser = (density_at(x, y, threshold_of(c)) for c in (cover, cover + 1e-6))
+    assert 0.0 <= density <= denser <= density + 0.05
 
 
 @given(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), st.floats(0.0, 2 * np.pi), st.integers(0, 99))
 @settings(max_examples=300)
-def test_noise_and_its_slope_stay_within_their_bounds(x: float, y: float, turn: float, seed: int) -> None:
+def test_noise_and_its_slope_stay_within_their_bounds(x: float, y: float, azimuth_rad: float, seed: int) -> None:
     step = 1e-5
-    here, ahead = noise_at(x, y, seed), noise_at(x + step * np.cos(turn), y + step * np.sin(turn), seed)
-    assert abs(here) <= MAX_NOISE
-    assert abs(ahead - here) <= MAX_NOISE_SLOPE * step * (1.0 + 1e-3)
+    noise, noise_ahead = noise_at(x, y, seed), noise_at(x + step * np.cos(azimuth_rad), y + step * np.sin(azimuth_rad), seed)
+    assert abs(noise) <= MAX_NOISE
+    assert abs(noise_ahead - noise) <= MAX_NOISE_SLOPE * step * (1.0 + 1e-3)
 
 
 @given(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4), st.floats(100.0, 3000.0), st.floats(1e-3, 0.2))
 @settings(max_examples=20)
 def test_max_density_bounds_every_place_in_a_box(west: float, south: float, side: float, cover: float) -> None:
     threshold = threshold_of(cover)
-    found = max(
+    sampled_max = max(
         density_at(x, y, threshold) for x in np.linspace(west, west + side, 60) for y in np.linspace(south, south + side, 60)
     )
     bound = clouds._max_density(west, west + side, south, south + side, threshold)
-    assert found <= bound
-    fine = side / 59.0
+    assert sampled_max <= bound
+    sample_step_m = side / 59.0
     slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_WAVE_M * 1.5 / CLOUD_EDGE_WIDTH
-    assert bound <= found + slope * (fine + 1.0)
+    assert bound <= sampled_max + slope * (sample_step_m + 1.0)
 
 
 def test_skipped_noise_octaves_do_not_change_the_density() -> None:
     threshold = threshold_of(0.3)
     for x in range(0, 40_000, 997):
-        whole = clouds._noise(float(x), 0.7 * x, -np.inf, np.inf)
-        assert density_at(float(x), 0.7 * x, threshold) == clouds._density(whole, threshold)
+        full_noise = clouds._noise(float(x), 0.7 * x, -np.inf, np.inf)
+        assert density_at(float(x), 0.7 * x, threshold) == clouds._density(full_noise, threshold)
 
 
 def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> None:
@@ -124,7 +124,7 @@ def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> No
     scene = make_scene(write_raster(heights, UTM, 500_000.0, 1000.0, 50.0), 90.0, 45.0, weather={"cloud_cover": 0.4})
     layer, view = cloud_layer_of(scene), scene.view()
     assert layer.height_m == pytest.approx(300.0 + CLOUD_HEIGHT_M)
-    light, buffer = sunlight_of(scene, view), geometry_buffer(scene, view)
+    light, buffer = cloud_transmittance(scene, view), geometry_buffer(scene, view)
     points = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m - scene.world.anchor_earth_m
     east, north, _ = np.moveaxis(points @ scene.world.earth_from_anchor, -1, 0)
     # The sun stands in the east at 45 degrees: the cloud that shades a point is as far east of it as it is high.
@@ -133,26 +133,26 @@ def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> No
         assert light[i, j] == pytest.approx(expected, abs=2e-3)
 
 
-def test_clouds_over_the_same_ground_agree_in_every_view(cloudy) -> None:
-    scene = cloudy(0.4)
-    whole = scene.view()
-    part = whole.part(200, 300, 150, 170)
-    assert np.array_equal(sunlight_of(scene, whole)[200:350, 300:470], sunlight_of(scene, part))
+def test_clouds_over_the_same_ground_agree_in_every_view(make_cloudy_scene) -> None:
+    scene = make_cloudy_scene(0.4)
+    full_view = scene.view()
+    part = full_view.part(200, 300, 150, 170)
+    assert np.array_equal(cloud_transmittance(scene, full_view)[200:350, 300:470], cloud_transmittance(scene, part))
 
 
-def test_clouds_drift_with_the_clock(cloudy) -> None:
-    scene = cloudy(0.4)
-    layer, later = cloud_layer_of(scene), cloud_layer_of(scene.at_second(60.0))
-    east, north = later.drift_m - layer.drift_m
+def test_clouds_drift_with_the_clock(make_cloudy_scene) -> None:
+    scene = make_cloudy_scene(0.4)
+    layer, later_layer = cloud_layer_of(scene), cloud_layer_of(scene.at_second(60.0))
+    east, north = later_layer.drift_m - layer.drift_m
     assert np.hypot(east, north) == pytest.approx(600.0)
     assert np.degrees(np.arctan2(east, north)) == pytest.approx(67.5)
-    assert not np.array_equal(sunlight_of(scene), sunlight_of(scene.at_second(60.0)))
+    assert not np.array_equal(cloud_transmittance(scene), cloud_transmittance(scene.at_second(60.0)))
 
 
-def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
-    scene = cloudy(0.4, size=600)
+def test_pixels_wider_than_the_clouds_show_their_mean(make_cloudy_scene) -> None:
+    scene = make_cloudy_scene(0.4, size=600)
     view = scene.view(size=(12, 12))
-    light = sunlight_of(scene, view)[geometry_buffer(scene, view).valid]
+    light = cloud_transmittance(scene, view)[geometry_buffer(scene, view).valid]
     assert light.size > 50
     assert light == pytest.approx(1.0 - 0.4 * cloud_layer_of(scene).max_opacity, abs=1e-6)
 
@@ -171,27 +171,32 @@ def test_clouds_are_left_out_with_a_reason(make_scene, write_raster, keys: dict,
     heights = np.zeros((40, 40), np.float32)
     scene = make_scene(write_raster(heights, UTM, 700_000.0, 4_000_000.0, 50.0), **keys)
     view = scene.view(size=(60, 60))
-    verdict = clouds.called_for(describe(scene, view))
-    assert not verdict.called_for and reason in verdict.reason
-    on, off = (render_frame(scene, view, plan_of(scene, view, wish)).color for wish in ("on", "off"))
-    assert np.array_equal(on, off)
+    verdict = clouds.judge(describe(scene, view))
+    assert not verdict.is_needed and reason in verdict.reason
+    with_clouds, without_clouds = (
+        render_frame(scene, view, plan_of(scene, view, effect_switch)).color for effect_switch in ("on", "off")
+    )
+    assert np.array_equal(with_clouds, without_clouds)
 
 
-def test_clouds_are_called_for_only_where_they_show(cloudy) -> None:
+def test_clouds_are_called_for_only_where_they_show(make_cloudy_scene) -> None:
     # At this cover a cloud lies over this ground at some times, and none at others.
-    scene = cloudy(0.02, size=40)
-    called, vain = 0, 0
+    scene = make_cloudy_scene(0.02, size=40)
+    run_count, invisible_count = 0, 0
     for second in range(0, 8000, 400):
-        later = scene.at_second(float(second))
-        view = later.view(size=(120, 120))
-        on, off = (render_frame(later, view, plan_of(later, view, wish)).color.astype(int) for wish in ("on", "off"))
-        difference = np.abs(on - off).max()
-        if "clouds" in plan_of(later, view).runs:
-            called, vain = called + 1, vain + (difference == 0)
+        later_scene = scene.at_second(float(second))
+        view = later_scene.view(size=(120, 120))
+        with_clouds, without_clouds = (
+            render_frame(later_scene, view, plan_of(later_scene, view, effect_switch)).color.astype(int)
+            for effect_switch in ("on", "off")
+        )
+        difference = np.abs(with_clouds - without_clouds).max()
+        if "clouds" in plan_of(later_scene, view).runs:
+            run_count, invisible_count = run_count + 1, invisible_count + (difference == 0)
         else:
             assert difference <= 1
-    assert 5 <= called <= 15
-    assert vain <= 0.1 * called + 1
+    assert 5 <= run_count <= 15
+    assert invisible_count <= 0.1 * run_count + 1
 
 
 @pytest.mark.parametrize("altitude", [0.0001, 0.003, 0.1, 0.5, 1.0])
@@ -199,31 +204,35 @@ def test_clouds_left_out_under_a_low_sun_do_not_show(make_scene, write_raster, a
     heights = np.zeros((40, 40), np.float32)
     scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 2000.0, 50.0), 90.0, altitude, weather={"cloud_cover": 0.6})
     view = scene.view(size=(160, 160))
-    on, off = (render_frame(scene, view, plan_of(scene, view, wish)).color.astype(int) for wish in ("on", "off"))
+    with_clouds, without_clouds = (
+        render_frame(scene, view, plan_of(scene, view, effect_switch)).color.astype(int) for effect_switch in ("on", "off")
+    )
     if "clouds" not in plan_of(scene, view).runs:
-        assert np.abs(on - off).max() <= 1
+        assert np.abs(with_clouds - without_clouds).max() <= 1
 
 
-def test_clouds_change_color_but_not_visibility(cloudy) -> None:
-    scene = cloudy(0.5)
+def test_clouds_change_color_but_not_visibility(make_cloudy_scene) -> None:
+    scene = make_cloudy_scene(0.5)
     view = scene.view(size=(160, 160))
-    on, off = (render_frame(scene, view, plan_of(scene, view, wish)) for wish in ("on", "off"))
-    assert np.array_equal(on.visibility, off.visibility)
-    assert not np.array_equal(on.color, off.color)
+    with_clouds, without_clouds = (
+        render_frame(scene, view, plan_of(scene, view, effect_switch)) for effect_switch in ("on", "off")
+    )
+    assert np.array_equal(with_clouds.visibility, without_clouds.visibility)
+    assert not np.array_equal(with_clouds.color, without_clouds.color)
 
 
-def test_clouds_in_perspective_count_visible_ground_only(cloudy) -> None:
+def test_clouds_in_perspective_count_visible_ground_only(make_cloudy_scene) -> None:
     anchor = {"kind": "perspective", "fov": 40, "size": [96, 64]}
-    scene = cloudy(0.4, views={"down": {**anchor, "eye": [-84.77, 36.09, 400], "target": [-84.7701, 36.0901, 0]}})
+    scene = make_cloudy_scene(0.4, views={"down": {**anchor, "eye": [-84.77, 36.09, 400], "target": [-84.7701, 36.0901, 0]}})
     level = scene.loaded.level
     lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
     spec = level.views["down"].model_copy(update={"eye": (lon, lat, 400.0), "target": (lon, lat + 1e-5, 0.0)})
     verdicts = []
     for second in range(0, 3000, 300):
-        later = scene.at_second(float(second))
-        view = later.view_from(spec)
-        light = sunlight_of(later, view)
-        seen = clouds.called_for(describe(later, view, "down")).called_for
-        assert seen or np.nanmin(light) > 1.0 - clouds.INVISIBLE_SHARE
-        verdicts.append(seen)
+        later_scene = scene.at_second(float(second))
+        view = later_scene.view_from(spec)
+        light = cloud_transmittance(later_scene, view)
+        clouds_are_needed = clouds.judge(describe(later_scene, view, "down")).is_needed
+        assert clouds_are_needed or np.nanmin(light) > 1.0 - clouds.INVISIBLE_SHARE
+        verdicts.append(clouds_are_needed)
     assert any(verdicts) and not all(verdicts)

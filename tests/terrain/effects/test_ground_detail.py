@@ -10,7 +10,7 @@ import pytest
 
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
-from skugga.terrain.effects.ground_detail import EFFECT, GROUND_WAVES, INVISIBLE_CHANGE, apply_ground_detail, largest_share
+from skugga.terrain.effects.ground_detail import EFFECT, GROUND_WAVES, INVISIBLE_CHANGE, apply_ground_detail, max_albedo_change
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.geo.camera import look_at
@@ -40,54 +40,56 @@ def detail_at(scene: Scene, points: np.ndarray, eye: np.ndarray, kind: int = REL
     ones = np.ones((1, len(points)), np.float32)
     normal = np.broadcast_to(UP.astype(np.float32), (1, len(points), 3))
     position = ((points - frame.origin_earth_m) @ frame.frame_from_earth.T)[None]
-    high = 1e4 * ones
-    buffer = GeometryBuffer(view, frame, ones > 0, position, high, normal, normal, 0 * ones, np.full(ones.shape, kind, np.uint8))
+    height_m = 1e4 * ones
+    buffer = GeometryBuffer(
+        view, frame, ones > 0, position, height_m, normal, normal, 0 * ones, np.full(ones.shape, kind, np.uint8)
+    )
     albedo = np.ones((1, len(points), 3), np.float32)
     apply_ground_detail(albedo, ShadingBlock(scene, replace(view, focal_px=1000.0), buffer, {}))
     return albedo[0]
 
 
 def test_ground_detail_is_called_for_only_near_the_ground(scene):
-    verdicts = {name: EFFECT.called_for(describe(scene, scene.view(name), name)) for name in ("eye", "far", "sky", "map")}
-    assert {name for name, verdict in verdicts.items() if verdict.called_for} == {"eye"}
+    verdicts = {name: EFFECT.judge(describe(scene, scene.view(name), name)) for name in ("eye", "far", "sky", "map")}
+    assert {name for name, verdict in verdicts.items() if verdict.is_needed} == {"eye"}
     assert "tints only" in verdicts["map"].reason and "no ground" in verdicts["sky"].reason
     assert "pixels are as wide" in verdicts["far"].reason
 
 
 def test_ground_detail_is_not_called_for_on_imagery(scene):
-    described = describe(scene, scene.view("eye"), "eye")
-    facts = {**described.facts, "ground_detail": {**described.facts["ground_detail"], "draped": True}}
-    verdict = EFFECT.called_for(described.model_copy(update={"facts": facts}))
-    assert not verdict.called_for and "imagery" in verdict.reason
+    descriptor = describe(scene, scene.view("eye"), "eye")
+    facts = {**descriptor.facts, "ground_detail": {**descriptor.facts["ground_detail"], "draped": True}}
+    verdict = EFFECT.judge(descriptor.model_copy(update={"facts": facts}))
+    assert not verdict.is_needed and "imagery" in verdict.reason
 
 
 def test_largest_share_bounds_detail_and_falls_with_pixel_size(scene):
     widths = np.geomspace(1e-3, 100.0, 60)
-    bounds = [largest_share(width) for width in widths]
+    bounds = [max_albedo_change(width) for width in widths]
     assert (np.diff(bounds) <= 0.0).all() and bounds[-1] == 0.0 and bounds[0] > INVISIBLE_CHANGE
     rng = np.random.default_rng(1)
-    for away in (2.0, 50.0, 1000.0, 15_000.0):
-        points = np.column_stack([rng.uniform(-0.3, 0.3, (4000, 2)) * away, np.zeros(4000)]) + [70.0, 40.0, 0.0]
-        changed = np.abs(detail_at(scene, points, np.array([70.0, 40.0, away])) - 1.0).max()
-        assert changed <= largest_share(away / 1000.0) + 1e-6
-        assert changed > 0.2 * largest_share(away / 1000.0)
+    for distance_m in (2.0, 50.0, 1000.0, 15_000.0):
+        points = np.column_stack([rng.uniform(-0.3, 0.3, (4000, 2)) * distance_m, np.zeros(4000)]) + [70.0, 40.0, 0.0]
+        max_change = np.abs(detail_at(scene, points, np.array([70.0, 40.0, distance_m])) - 1.0).max()
+        assert max_change <= max_albedo_change(distance_m / 1000.0) + 1e-6
+        assert max_change > 0.2 * max_albedo_change(distance_m / 1000.0)
 
 
 def test_ground_detail_stays_fixed_when_the_camera_moves(scene):
     points = np.column_stack([np.linspace(-3, 3, 400), np.linspace(5, 9, 400), np.zeros(400)])
-    one, other = (detail_at(scene, points, np.array([x, 7.0, 20.0])) for x in (-2.0, 2.5))
-    np.testing.assert_allclose(one, other, atol=0.02)
-    assert one.std() > 0.03
+    detail, other_detail = (detail_at(scene, points, np.array([x, 7.0, 20.0])) for x in (-2.0, 2.5))
+    np.testing.assert_allclose(detail, other_detail, atol=0.02)
+    assert detail.std() > 0.03
 
 
 def test_ground_detail_has_only_waves_that_pixels_can_show(scene):
     """Along a row of pixels the largest step is that of waves four pixels long, not that of noise from pixel to pixel."""
-    for away in (3.0, 30.0, 300.0):
-        x = np.arange(-200, 200) * away / 1000.0
-        row = detail_at(scene, np.column_stack([x, 0 * x + 1.3, 0 * x]), np.array([0.0, 1.3, away]))[:, 1]
-        steps, across = np.diff(row), row[2:] - row[:-2]
+    for distance_m in (3.0, 30.0, 300.0):
+        x = np.arange(-200, 200) * distance_m / 1000.0
+        row = detail_at(scene, np.column_stack([x, 0 * x + 1.3, 0 * x]), np.array([0.0, 1.3, distance_m]))[:, 1]
+        steps, two_pixel_steps = np.diff(row), row[2:] - row[:-2]
         assert np.abs(steps).max() < 0.25 and (steps[1:] * steps[:-1] > 0.0).mean() > 0.5
-        assert np.abs(across).mean() > 1.2 * np.abs(steps).mean()
+        assert np.abs(two_pixel_steps).mean() > 1.2 * np.abs(steps).mean()
 
 
 @pytest.mark.parametrize("kind", [MESHES, FOREST])

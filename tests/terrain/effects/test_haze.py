@@ -16,9 +16,9 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.haze import (
-    BIN,
     CLEAR_AIR_M,
     EFFECT,
+    ENCODER_BIN_WIDTH,
     RAYLEIGH_PER_M,
     _farthest,
     _max_hiding_transmittance,
@@ -43,8 +43,8 @@ EYE_M = np.array([3.0, 4.0, 50.0])
 
 
 @pytest.fixture
-def floor(tmp_path):
-    """``floor(eye, target, side, **keys)`` builds the scene of a flat floor, 400 m wide by default."""
+def make_floor_scene(tmp_path):
+    """``make_floor_scene(eye, target, side, **keys)`` builds the scene of a flat floor, 400 m wide by default."""
 
     def make(eye=(0.0, -190.0, 10.0), target=(0.0, 0.0, 0.0), side=400, **keys) -> Scene:
         sun = keys.pop("sun", {"azimuth": 200, "altitude": 35})
@@ -58,11 +58,13 @@ def floor(tmp_path):
     return make
 
 
-def hidden_beyond_m(scene: Scene) -> float:
+def hiding_distance_of_view_m(scene: Scene) -> float:
     return hiding_distance_m(scene, scene.view("v"))
 
 
-def points(scene: Scene, distance_m: np.ndarray, facing: np.ndarray, albedo: np.ndarray) -> tuple[PerspectiveView, GeometryBuffer]:
+def points_east_of_eye(
+    scene: Scene, distance_m: np.ndarray, facing: np.ndarray, albedo: np.ndarray
+) -> tuple[PerspectiveView, GeometryBuffer]:
     """Return a view and a buffer (1, n) of points at distances (n,) east of the eye, with normals (n, 3) and albedos (n, 3)."""
     view = look_at(EYE_M, EYE_M + EAST, UP, 40.0, 1, len(distance_m))
     frame = view.frame(scene.world)
@@ -76,36 +78,36 @@ def points(scene: Scene, distance_m: np.ndarray, facing: np.ndarray, albedo: np.
     return view, buffer
 
 
-def hazed(scene: Scene, color: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
+def hazed_colors(scene: Scene, color: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
     """Return linear colours (n, 3) as they arrive at the eye from distances (n,)."""
-    view, buffer = points(scene, distance_m, np.tile(UP, (len(distance_m), 1)), color)
+    view, buffer = points_east_of_eye(scene, distance_m, np.tile(UP, (len(distance_m), 1)), color)
     out = color[None].astype(np.float32)
     apply_haze(out, ShadingBlock(scene, view, buffer, {}))
     return out[0]
 
 
 def horizon_in_east(scene: Scene) -> np.ndarray:
-    """Return the horizon's colour (3,) in the direction of ``points``."""
+    """Return the horizon's colour (3,) in the direction of ``points_east_of_eye``."""
     out = np.empty(3)
     sky_color(sky_of(scene), 0.0, np.sin(np.radians(scene.sun.azimuth_deg)), out)
     return out
 
 
-def picture(scene: Scene, haze: str, name: str = "v", **asked) -> tuple[np.ndarray, tuple[str, ...]]:
+def render_picture(scene: Scene, haze: str, name: str = "v", **view_options) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return a view's picture and the names of its passes, with haze ``on``, ``off`` or as the plan decides."""
     level = scene.loaded.level.model_copy(update={"effects": "auto" if haze == "auto" else {"haze": haze}})
-    view = scene.view(name, **asked)
+    view = scene.view(name, **view_options)
     frame = render_frame(scene, view, make_plan(describe(scene, view, name), level, {}))
     return frame.color.astype(int), tuple(record.name for record in frame.passes)
 
 
 def verdict(scene: Scene, name: str = "v"):
-    return EFFECT.called_for(describe(scene, scene.view(name), name))
+    return EFFECT.judge(describe(scene, scene.view(name), name))
 
 
-def test_contrast_at_the_visibility_is_two_percent(floor):
-    scene = floor(weather={"visibility": 500})
-    black = hazed(scene, np.zeros((3, 3)), np.array([0.0, 250.0, 500.0]))
+def test_contrast_at_the_visibility_is_two_percent(make_floor_scene):
+    scene = make_floor_scene(weather={"visibility": 500})
+    black = hazed_colors(scene, np.zeros((3, 3)), np.array([0.0, 250.0, 500.0]))
     contrast = 1.0 - black / horizon_in_east(scene)
     assert contrast[:, 1] == pytest.approx(np.array([1.0, 0.02**0.5, 0.02]), rel=1e-5)
     assert extinction(500.0) == pytest.approx(3.912 / 500.0, rel=1e-4)
@@ -114,88 +116,90 @@ def test_contrast_at_the_visibility_is_two_percent(floor):
 def test_extinction_is_rayleigh_in_clear_air_and_grey_in_mist():
     """At the visibility of air alone, extinction is Rayleigh's. Dust and drops add the same extinction to every colour."""
     air = np.array(RAYLEIGH_PER_M)
-    alone = extinctions(3.912023 / air[1])
-    assert alone == pytest.approx(air, rel=1e-6)
+    air_extinctions = extinctions(3.912023 / air[1])
+    assert air_extinctions == pytest.approx(air, rel=1e-6)
     assert extinctions(2.0 * 3.912023 / air[1]) == pytest.approx(air / 2.0, rel=1e-6)
-    hazy = extinctions(10_000.0)
-    assert hazy[1] == pytest.approx(extinction(10_000.0))
-    assert hazy - hazy[1] == pytest.approx(air - air[1], rel=1e-6)
+    haze_extinctions = extinctions(10_000.0)
+    assert haze_extinctions[1] == pytest.approx(extinction(10_000.0))
+    assert haze_extinctions - haze_extinctions[1] == pytest.approx(air - air[1], rel=1e-6)
 
 
-def test_far_ground_fades_to_the_horizon_s_colour(floor):
-    scene = floor(weather={"visibility": 100})
-    far = hazed(scene, np.array([[0.9, 0.1, 0.0]]), np.array([5000.0]))
+def test_far_ground_fades_to_the_horizon_s_colour(make_floor_scene):
+    scene = make_floor_scene(weather={"visibility": 100})
+    far = hazed_colors(scene, np.array([[0.9, 0.1, 0.0]]), np.array([5000.0]))
     assert far[0] == pytest.approx(horizon_in_east(scene), abs=1e-6)
 
 
-def test_haze_leaves_invalid_pixels_unchanged(floor):
-    scene = floor(weather={"visibility": 100})
-    view, buffer = points(scene, np.array([50.0, 50.0]), np.tile(UP, (2, 1)), np.ones((2, 3)))
+def test_haze_leaves_invalid_pixels_unchanged(make_floor_scene):
+    scene = make_floor_scene(weather={"visibility": 100})
+    view, buffer = points_east_of_eye(scene, np.array([50.0, 50.0]), np.tile(UP, (2, 1)), np.ones((2, 3)))
     buffer.valid[0, 1] = False
     color = np.full((1, 2, 3), 0.125, np.float32)
     apply_haze(color, ShadingBlock(scene, view, buffer, {}))
     assert (color[0, 1] == 0.125).all() and (color[0, 0] != 0.125).all()
 
 
-def test_haze_is_not_called_for_in_maps_near_views_and_sky(floor):
-    hazy = floor(weather={"visibility": 100})
-    assert "no viewing distance" in verdict(hazy, "map").reason and not verdict(hazy, "map").called_for
-    near = floor(eye=(0.0, 0.0, 3.0), target=(0.0, 0.5, 0.0))
-    assert "100.0 km of visibility haze shows from" in verdict(near).reason and not verdict(near).called_for
-    heaven = floor(target=(0.0, 0.0, 400.0), weather={"visibility": 100})
-    assert "farther than 0.0 m" in verdict(heaven).reason and not verdict(heaven).called_for
+def test_haze_is_not_called_for_in_maps_near_views_and_sky(make_floor_scene):
+    hazy_scene = make_floor_scene(weather={"visibility": 100})
+    assert "no viewing distance" in verdict(hazy_scene, "map").reason and not verdict(hazy_scene, "map").is_needed
+    near = make_floor_scene(eye=(0.0, 0.0, 3.0), target=(0.0, 0.5, 0.0))
+    assert "100.0 km of visibility haze shows from" in verdict(near).reason and not verdict(near).is_needed
+    sky_scene = make_floor_scene(target=(0.0, 0.0, 400.0), weather={"visibility": 100})
+    assert "farther than 0.0 m" in verdict(sky_scene).reason and not verdict(sky_scene).is_needed
 
 
-def test_haze_forced_on_in_a_map_changes_nothing(floor):
-    scene = floor(weather={"visibility": 100})
-    on, off = (picture(scene, haze, "map", size=(96, 96))[0] for haze in ("on", "off"))
-    assert (on == off).all()
+def test_haze_forced_on_in_a_map_changes_nothing(make_floor_scene):
+    scene = make_floor_scene(weather={"visibility": 100})
+    with_haze, without_haze = (render_picture(scene, haze, "map", size=(96, 96))[0] for haze in ("on", "off"))
+    assert (with_haze == without_haze).all()
 
 
-def test_air_is_clear_if_a_level_sets_no_visibility(floor):
+def test_air_is_clear_if_a_level_sets_no_visibility(make_floor_scene):
     color = np.full((1, 3), 0.1)
-    unset = hazed(floor(), color, np.array([9000.0]))
+    with_default = hazed_colors(make_floor_scene(), color, np.array([9000.0]))
     up = EYE_M[2] / 8000.0
-    said = hazed(floor(weather={"visibility": CLEAR_AIR_M * up / -np.expm1(-up)}), color, np.array([9000.0]))
-    np.testing.assert_allclose(unset, said, rtol=1e-6)
-    assert (unset > color).all() and unset[0, 2] > unset[0, 1] > unset[0, 0]
+    with_visibility = hazed_colors(
+        make_floor_scene(weather={"visibility": CLEAR_AIR_M * up / -np.expm1(-up)}), color, np.array([9000.0])
+    )
+    np.testing.assert_allclose(with_default, with_visibility, rtol=1e-6)
+    assert (with_default > color).all() and with_default[0, 2] > with_default[0, 1] > with_default[0, 0]
 
 
 def test_srgb_encoder_is_constant_within_bins():
-    first = np.arange(round(1.0 / BIN)) * BIN
-    assert (srgb_encoded(first) == srgb_encoded(first + 0.999 * BIN)).all()
+    first = np.arange(round(1.0 / ENCODER_BIN_WIDTH)) * ENCODER_BIN_WIDTH
+    assert (srgb_encoded(first) == srgb_encoded(first + 0.999 * ENCODER_BIN_WIDTH)).all()
     assert (np.diff(srgb_encoded(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92))
 def test_max_invisible_share_moves_no_colour_by_two_steps(color, horizon):
     share = _max_invisible_share((horizon,), (horizon,))
-    near = np.linspace(max(color - 2 * BIN, 0.0), min(color + 2 * BIN, 1.0), 400)
-    moved = near + share * (horizon - near)
-    assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(near)).max() <= 1
+    near = np.linspace(max(color - 2 * ENCODER_BIN_WIDTH, 0.0), min(color + 2 * ENCODER_BIN_WIDTH, 1.0), 400)
+    blended = near + share * (horizon - near)
+    assert np.abs(srgb_encoded(blended).astype(int) - srgb_encoded(near)).max() <= 1
 
 
 @pytest.mark.parametrize("horizon", [0.0144, 0.1, 0.5, 0.92])
 def test_max_invisible_share_is_tight_within_a_tenth(horizon):
     share = 1.1 * _max_invisible_share((horizon,), (horizon,))
     color = np.linspace(0.0, 1.0, 200_000)
-    moved = color + share * (horizon - color)
-    assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(color)).max() == 2
+    blended = color + share * (horizon - color)
+    assert np.abs(srgb_encoded(blended).astype(int) - srgb_encoded(color)).max() == 2
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92), st.floats(0.05, 1.0), st.sampled_from([1.0, 0.8, 0.5, 0.2]))
 def test_max_hiding_transmittance_equates_sun_and_shadow(dark, horizon, white, part):
     share = _max_hiding_transmittance((horizon,) * 3, (white,) * 3)
-    dark = (1.0 - white) * dark + np.linspace(0.0, 8 * BIN, 400)
+    dark = (1.0 - white) * dark + np.linspace(0.0, 8 * ENCODER_BIN_WIDTH, 400)
     shadow = part * ((1.0 - share) * horizon + share * dark)
     sun = shadow + part * share * white
     assert np.abs(srgb_encoded(np.minimum(sun, 1.0)).astype(int) - srgb_encoded(np.minimum(shadow, 1.0))).max() <= 1
 
 
-SUNS = {"day": 50.0, "low": 14.0, "evening": 2.0, "sunset": 0.5}
+SUN_ALTITUDES_DEG = {"day": 50.0, "low": 14.0, "evening": 2.0, "sunset": 0.5}
 
 
-def difference_of_sunlight(scene: Scene, distance_m: float) -> np.ndarray:
+def sun_shadow_steps(scene: Scene, distance_m: float) -> np.ndarray:
     """Return sRGB steps (n,) between sun and shadow, for points of all colours and directions at a distance."""
     rng = np.random.default_rng(0)
     count = 20_000
@@ -203,7 +207,7 @@ def difference_of_sunlight(scene: Scene, distance_m: float) -> np.ndarray:
     facing[: count // 2] = scene.sun.to_sun_earth
     facing /= np.linalg.norm(facing, axis=1)[:, None]
     albedo = rng.random((count, 3)) ** 0.2
-    view, buffer = points(scene, np.full(count, distance_m), facing, albedo)
+    view, buffer = points_east_of_eye(scene, np.full(count, distance_m), facing, albedo)
     pictures = []
     for share in (0.0, 1.0):
         color = shade(buffer, scene, np.full(buffer.valid.shape, share, np.float32))
@@ -212,106 +216,110 @@ def difference_of_sunlight(scene: Scene, distance_m: float) -> np.ndarray:
     return np.abs(pictures[0] - pictures[1]).max(axis=-1).ravel()
 
 
-@pytest.mark.parametrize("altitude", SUNS.values(), ids=SUNS.keys())
+@pytest.mark.parametrize("altitude", SUN_ALTITUDES_DEG.values(), ids=SUN_ALTITUDES_DEG.keys())
 @pytest.mark.parametrize("visibility", [80, 5000])
-def test_hiding_distance_is_where_sunlight_ceases_to_show(floor, altitude, visibility):
-    scene = floor(sun={"azimuth": 130, "altitude": altitude}, weather={"visibility": visibility})
+def test_hiding_distance_is_where_sunlight_ceases_to_show(make_floor_scene, altitude, visibility):
+    scene = make_floor_scene(sun={"azimuth": 130, "altitude": altitude}, weather={"visibility": visibility})
     beyond_m = hiding_distance_m(scene, scene.view("v"))
-    assert difference_of_sunlight(scene, beyond_m * 1.0001).max() <= 1
-    assert difference_of_sunlight(scene, 2.0 * beyond_m).max() <= 1
-    assert difference_of_sunlight(scene, 0.8 * beyond_m).max() > 1
+    assert sun_shadow_steps(scene, beyond_m * 1.0001).max() <= 1
+    assert sun_shadow_steps(scene, 2.0 * beyond_m).max() <= 1
+    assert sun_shadow_steps(scene, 0.8 * beyond_m).max() > 1
 
 
-def test_hiding_distance_is_long_in_clear_air_and_0_at_night(floor):
-    assert 1.0 * CLEAR_AIR_M < hidden_beyond_m(floor()) < 3.0 * CLEAR_AIR_M
-    assert hidden_beyond_m(floor(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
-    assert hidden_beyond_m(floor(weather={"visibility": 100}, sun="none")) == 0.0
+def test_hiding_distance_is_long_in_clear_air_and_0_at_night(make_floor_scene):
+    assert 1.0 * CLEAR_AIR_M < hiding_distance_of_view_m(make_floor_scene()) < 3.0 * CLEAR_AIR_M
+    assert hiding_distance_of_view_m(make_floor_scene(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
+    assert hiding_distance_of_view_m(make_floor_scene(weather={"visibility": 100}, sun="none")) == 0.0
 
 
-def test_hiding_distance_is_proportional_to_visibility(floor):
+def test_hiding_distance_is_proportional_to_visibility(make_floor_scene):
     """This holds in mist, where the extinction of the air itself is negligible."""
-    one, two = (hidden_beyond_m(floor(weather={"visibility": v})) for v in (20, 40))
-    assert two == pytest.approx(2.0 * one, rel=1e-3)
+    distance_m, doubled_distance_m = (hiding_distance_of_view_m(make_floor_scene(weather={"visibility": v})) for v in (20, 40))
+    assert doubled_distance_m == pytest.approx(2.0 * distance_m, rel=1e-3)
 
 
-def test_horizon_colors_bound_every_direction(floor):
-    scene, out = floor(sun={"azimuth": 130, "altitude": 3}), np.empty(3)
-    some = horizon_colors(scene)
+def test_horizon_colors_bound_every_direction(make_floor_scene):
+    scene, color = make_floor_scene(sun={"azimuth": 130, "altitude": 3}), np.empty(3)
+    bounding_colors = horizon_colors(scene)
     for azimuth in np.linspace(0.0, np.pi, 1001):
-        sky_color(sky_of(scene), 0.0, np.cos(azimuth), out)
-        assert (out >= some.min(axis=0) - 2e-4).all() and (out <= some.max(axis=0) + 2e-4).all()
+        sky_color(sky_of(scene), 0.0, np.cos(azimuth), color)
+        assert (color >= bounding_colors.min(axis=0) - 2e-4).all() and (color <= bounding_colors.max(axis=0) + 2e-4).all()
 
 
-def test_clear_air_visibility_grows_with_the_eye_s_height(floor):
+def test_clear_air_visibility_grows_with_the_eye_s_height(make_floor_scene):
     """Visibility is divided by the mean of exp(-z / 8 km) up to the eye, summed numerically. A level's own visibility is not."""
     for up_m in (10.0, 3000.0, 40_000.0):
-        scene, z = floor(eye=(0.0, -190.0, up_m)), (np.arange(20_000) + 0.5) * up_m / 20_000
-        thin = np.exp(-z / 8000.0).mean()
-        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_M / thin, rel=1e-4)
-        hazy = floor(eye=(0.0, -190.0, up_m), weather={"visibility": 5000})
-        assert visibility_of(hazy, hazy.view("v")) == 5000.0
+        scene, z = make_floor_scene(eye=(0.0, -190.0, up_m)), (np.arange(20_000) + 0.5) * up_m / 20_000
+        mean_density = np.exp(-z / 8000.0).mean()
+        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_M / mean_density, rel=1e-4)
+        hazy_scene = make_floor_scene(eye=(0.0, -190.0, up_m), weather={"visibility": 5000})
+        assert visibility_of(hazy_scene, hazy_scene.view("v")) == 5000.0
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("away", [0.98, 1.02])
 @pytest.mark.parametrize("altitude", [35, -20])
-def test_haze_is_called_for_exactly_where_it_shows(gl, floor, altitude, away):
+def test_haze_is_called_for_exactly_where_it_shows(gl, make_floor_scene, altitude, away):
     """The visibility puts the farthest visible point just before, or just beyond, the distance from which haze can show."""
     keys = {
         "sun": {"azimuth": 200, "altitude": altitude},
         "meshes": [{"generate": "boxgrid"}],
         "eye": (0.0, -60.0, 40.0),
     }
-    probe = floor(weather={"visibility": 1e7}, **keys)
+    probe = make_floor_scene(weather={"visibility": 1e7}, **keys)
     facts = describe(probe, probe.view("v"), "v").facts["haze"]
     visibility = 1e7 * facts["farthest_m"] / facts["shows_from_m"] / away
-    scene = floor(weather={"visibility": visibility}, **keys)
-    chosen, passes = picture(scene, "auto")
-    without = picture(scene, "off")[0]
-    if verdict(scene).called_for:
-        assert away > 1.0 and "haze" in passes and (chosen != without).any()
+    scene = make_floor_scene(weather={"visibility": visibility}, **keys)
+    auto_color, passes = render_picture(scene, "auto")
+    without_haze = render_picture(scene, "off")[0]
+    if verdict(scene).is_needed:
+        assert away > 1.0 and "haze" in passes and (auto_color != without_haze).any()
     else:
-        assert "haze" not in passes and (chosen == without).all()
-        assert np.abs(picture(scene, "on")[0] - without).max() <= 1
+        assert "haze" not in passes and (auto_color == without_haze).all()
+        assert np.abs(render_picture(scene, "on")[0] - without_haze).max() <= 1
 
 
-WALL_M = np.array([[-9.0, 0.0, -2.0], [9.0, 0.0, -2.0], [9.0, 0.0, 3.0], [-9.0, 0.0, 3.0], [0.0, -500.0, 0.0], [1.0, -500.0, 0.0]])
-WALL = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 4]], np.int32)
+WALL_VERTICES_M = np.array(
+    [[-9.0, 0.0, -2.0], [9.0, 0.0, -2.0], [9.0, 0.0, 3.0], [-9.0, 0.0, 3.0], [0.0, -500.0, 0.0], [1.0, -500.0, 0.0]]
+)
+WALL_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 4]], np.int32)
 
 
-def farthest_of_wall_m(away: float, col: float, row: float, half: float) -> float:
+def farthest_of_wall_m(wall_distance_m: float, col: float, row: float, half: float) -> float:
     """Return the farthest distance within a pyramid, for a wall north of an eye at the origin and a body behind the eye.
 
     The pyramid is centred on the tangents ``col`` to the east and ``row`` up.
     """
     inward = np.array([[0, 1, 0], [1, half - col, 0], [-1, half + col, 0], [0, half - row, 1], [0, half + row, -1.0]])
-    return _farthest(WALL_M + [0.0, away, 0.0] * (WALL_M[:, 1:2] == 0.0), WALL, np.zeros(3), inward)
+    return _farthest(
+        WALL_VERTICES_M + [0.0, wall_distance_m, 0.0] * (WALL_VERTICES_M[:, 1:2] == 0.0), WALL_TRIANGLES, np.zeros(3), inward
+    )
 
 
 @given(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.floats(5.0, 300.0), st.floats(1e-4, 0.5))
-def test_farthest_is_the_farthest_point_within_the_pyramid(col, row, away, half):
-    west, east = max(col - half, -9.0 / away), min(col + half, 9.0 / away)
-    low, high = max(row - half, -2.0 / away), min(row + half, 3.0 / away)
+def test_farthest_is_the_farthest_point_within_the_pyramid(col, row, wall_distance_m, half):
+    west, east = max(col - half, -9.0 / wall_distance_m), min(col + half, 9.0 / wall_distance_m)
+    low, high = max(row - half, -2.0 / wall_distance_m), min(row + half, 3.0 / wall_distance_m)
     corner = np.hypot(max(abs(west), abs(east)), max(abs(low), abs(high)))
-    expected = away * np.sqrt(1.0 + corner**2) if west < east and low < high else 0.0
-    assert farthest_of_wall_m(away, col, row, half) == pytest.approx(expected, rel=1e-6)
+    expected = wall_distance_m * np.sqrt(1.0 + corner**2) if west < east and low < high else 0.0
+    assert farthest_of_wall_m(wall_distance_m, col, row, half) == pytest.approx(expected, rel=1e-6)
 
 
-def test_farthest_bounds_every_point_of_a_picture(gl, floor):
+def test_farthest_bounds_every_point_of_a_picture(gl, make_floor_scene):
     """Every point of the picture at full size is compared with a bound that ignores occlusion."""
-    scene = floor(eye=(0.0, -60.0, 50.0), weather={"visibility": 1e7}, meshes=[{"generate": "boxgrid"}])
+    scene = make_floor_scene(eye=(0.0, -60.0, 50.0), weather={"visibility": 1e7}, meshes=[{"generate": "boxgrid"}])
     view, descriptor = scene.view("v"), describe(scene, scene.view("v"), "v")
     frame = render_frame(scene, view, make_plan(descriptor, scene.loaded.level, {}))
     seen_m = np.nanmax(np.linalg.norm(frame.position_earth_m - view.eye_earth_m, axis=-1))
     assert seen_m <= descriptor.facts["haze"]["farthest_m"] <= 1.1 * seen_m
 
 
-def test_haze_counts_trees_that_the_coarse_view_omits(gl, floor, tmp_path):
+def test_haze_counts_trees_that_the_coarse_view_omits(gl, make_floor_scene, tmp_path):
     """A tree rises into a view that otherwise shows only sky."""
     keys = {"eye": (0.0, -60.0, 2.0), "target": (0.0, -30.0, 15.0), "weather": {"visibility": 100}}
-    bare = floor(**keys)
+    treeless_scene = make_floor_scene(**keys)
     tree = shapely.to_wkb(np.array([shapely.Point(0.0, -40.0)]))
-    pyogrio.raw.write(tmp_path / "tree.gpkg", tree, [], [], geometry_type="Point", crs=bare.world.crs.to_wkt())
+    pyogrio.raw.write(tmp_path / "tree.gpkg", tree, [], [], geometry_type="Point", crs=treeless_scene.world.crs.to_wkt())
     forest = [{"source": "tree.gpkg", "height": [30, 30]}]
-    assert not verdict(bare).called_for
-    assert verdict(floor(**keys, forest=forest)).called_for
+    assert not verdict(treeless_scene).is_needed
+    assert verdict(make_floor_scene(**keys, forest=forest)).is_needed

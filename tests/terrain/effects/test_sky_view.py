@@ -13,79 +13,79 @@ from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.sky_view import EFFECT, apply_sky_view, max_darkening_steps
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer, view_frame
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.ground.sky_view_factor import hidden_sky, pyramid, sky_view, sky_view_nodes
+from skugga.terrain.ground.sky_view_factor import pyramid, sky_occlusion, sky_view, sky_view_nodes
 from tests.render import plan_of, render
 
-ALONG = np.arange(129) - 64.0
+NODE_OFFSETS = np.arange(129) - 64.0
 
 
-def hidden(height_m: np.ndarray, across_m: float = 1.0, down_m: float = 1.0, curvature: float = 0.0) -> np.ndarray:
+def occluded_share(height_m: np.ndarray, across_m: float = 1.0, down_m: float = 1.0, curvature: float = 0.0) -> np.ndarray:
     rows = len(height_m)
-    return hidden_sky(height_m, np.full(rows, across_m), np.full(rows, down_m), curvature)
+    return sky_occlusion(height_m, np.full(rows, across_m), np.full(rows, down_m), curvature)
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.3, 3))
 def test_a_plane_hides_no_sky(east: float, south: float, down_m: float) -> None:
     """The horizon of a plane is its own slope, so only rounding is lost; on level ground nothing is."""
     height = east * np.arange(24.0) + south * np.arange(20.0)[:, None]
-    assert hidden(height, down_m=down_m).max() < 1e-6
-    assert not hidden(np.full((20, 24), 7.0)).any()
+    assert occluded_share(height, down_m=down_m).max() < 1e-6
+    assert not occluded_share(np.full((20, 24), 7.0)).any()
 
 
 @pytest.mark.parametrize("slope_deg", [10.0, 30.0, 45.0, 70.0])
 @pytest.mark.parametrize("way", ["rows", "columns", "diagonal"])
 def test_sky_view_at_the_bottom_of_a_valley(slope_deg: float, way: str) -> None:
     """The bottom line of an endless valley with straight sides sees the share cos(slope) of the sky."""
-    away = {"rows": ALONG[:, None] + 0 * ALONG, "columns": ALONG + 0 * ALONG[:, None]}.get(way)
-    away = (ALONG + ALONG[:, None]) / np.sqrt(2.0) if away is None else away
-    seen = 1.0 - hidden(np.abs(away) * np.tan(np.radians(slope_deg)))[64, 64]
-    assert seen == pytest.approx(np.cos(np.radians(slope_deg)), abs=0.012)
+    axis_distance = {"rows": NODE_OFFSETS[:, None] + 0 * NODE_OFFSETS, "columns": NODE_OFFSETS + 0 * NODE_OFFSETS[:, None]}.get(way)
+    axis_distance = (NODE_OFFSETS + NODE_OFFSETS[:, None]) / np.sqrt(2.0) if axis_distance is None else axis_distance
+    sky_share = 1.0 - occluded_share(np.abs(axis_distance) * np.tan(np.radians(slope_deg)))[64, 64]
+    assert sky_share == pytest.approx(np.cos(np.radians(slope_deg)), abs=0.012)
 
 
 @pytest.mark.parametrize("slope_deg", [10.0, 45.0, 70.0])
 def test_sky_view_at_the_bottom_of_a_funnel(slope_deg: float) -> None:
     """The tip sees cos^2(slope). Ground between nodes is straight, which raises the innermost ring around the tip."""
-    seen = 1.0 - hidden(np.hypot(ALONG, ALONG[:, None]) * np.tan(np.radians(slope_deg)))[64, 64]
-    assert seen == pytest.approx(np.cos(np.radians(slope_deg)) ** 2, abs=0.02)
+    sky_share = 1.0 - occluded_share(np.hypot(NODE_OFFSETS, NODE_OFFSETS[:, None]) * np.tan(np.radians(slope_deg)))[64, 64]
+    assert sky_share == pytest.approx(np.cos(np.radians(slope_deg)) ** 2, abs=0.02)
 
 
 def test_sky_view_is_uniform_in_a_hollow_half_sphere() -> None:
     """In an integrating sphere every place sees the same share of the opening: half of the sky for a half sphere."""
     radius = 60.0
-    square = ALONG**2 + (ALONG**2)[:, None]
+    square = NODE_OFFSETS**2 + (NODE_OFFSETS**2)[:, None]
     height = -np.sqrt(np.maximum(radius**2 - square, 0.0))
-    own = 0.5 + 0.5 * np.sqrt(np.maximum(1.0 - square / radius**2, 0.0))
-    seen = own * (1.0 - hidden(height))
-    assert seen[square < (0.8 * radius) ** 2] == pytest.approx(0.5, abs=0.012)
+    tilted_sky_share = 0.5 + 0.5 * np.sqrt(np.maximum(1.0 - square / radius**2, 0.0))
+    sky_share = tilted_sky_share * (1.0 - occluded_share(height))
+    assert sky_share[square < (0.8 * radius) ** 2] == pytest.approx(0.5, abs=0.012)
 
 
 def test_sky_view_before_a_wall() -> None:
     """An endless wall whose top has the elevation angle h leaves (1 + cos h) / 2 of level ground's sky."""
     height = np.zeros((1025, 65))
     height[:, 40:] = 10.0
-    for away in (4, 10, 30):
-        expected = 0.5 - 0.5 * np.cos(np.arctan2(10.0, away))
-        assert hidden(height)[512, 40 - away] == pytest.approx(expected, abs=0.012)
-    assert not hidden(height)[512, 45:].any()
+    for distance_cells in (4, 10, 30):
+        expected = 0.5 - 0.5 * np.cos(np.arctan2(10.0, distance_cells))
+        assert occluded_share(height)[512, 40 - distance_cells] == pytest.approx(expected, abs=0.012)
+    assert not occluded_share(height)[512, 45:].any()
 
 
 @given(st.sampled_from([(0, 0), (1, 0), (0, 1), (1, 1)]), st.booleans(), st.floats(0.4, 2.5))
 def test_sky_view_follows_mirrored_and_turned_ground(mirrored: tuple[int, int], turned: bool, down_m: float) -> None:
     """The hidden share moves with the ground, because all azimuths are treated alike."""
     height = np.random.default_rng(3).normal(size=(19, 23)).cumsum(axis=1)
-    other, cells = height[:: 1 - 2 * mirrored[0], :: 1 - 2 * mirrored[1]], (1.0, down_m)
-    found = hidden(other.T if turned else other, *(cells[::-1] if turned else cells))
-    back = (found.T if turned else found)[:: 1 - 2 * mirrored[0], :: 1 - 2 * mirrored[1]]
-    np.testing.assert_allclose(back, hidden(height, *cells), atol=1e-6)
+    mirrored_height, cells = height[:: 1 - 2 * mirrored[0], :: 1 - 2 * mirrored[1]], (1.0, down_m)
+    occlusion = occluded_share(mirrored_height.T if turned else mirrored_height, *(cells[::-1] if turned else cells))
+    restored = (occlusion.T if turned else occlusion)[:: 1 - 2 * mirrored[0], :: 1 - 2 * mirrored[1]]
+    np.testing.assert_allclose(restored, occluded_share(height, *cells), atol=1e-6)
 
 
 def test_sky_view_allows_for_the_earth_s_curvature() -> None:
     """A ridge 1000 m high and 120 km away lies below the earth's horizon (113 km), but above that of a plane."""
     height = np.zeros((3, 121))
     height[:, 120] = 1000.0
-    assert hidden(height, 1000.0, 1000.0)[1, 0] > 0.0
-    assert hidden(height, 1000.0, 1000.0, 1.0 / 6_371_000.0)[1, 0] == 0.0
-    assert hidden(height, 1000.0, 1000.0, 1.0 / 6_371_000.0)[1, 20] > 0.0
+    assert occluded_share(height, 1000.0, 1000.0)[1, 0] > 0.0
+    assert occluded_share(height, 1000.0, 1000.0, 1.0 / 6_371_000.0)[1, 0] == 0.0
+    assert occluded_share(height, 1000.0, 1000.0, 1.0 / 6_371_000.0)[1, 20] > 0.0
 
 
 def test_nodata_hides_no_sky() -> None:
@@ -94,8 +94,8 @@ def test_nodata_hides_no_sky() -> None:
     height[:, 40:] = 10.0
     holes = height.copy()
     holes[:, 35:45] = np.nan
-    assert not hidden(holes)[:, 35:45].any()
-    assert 0.0 < hidden(holes)[32, 30] < hidden(height)[32, 30]
+    assert not occluded_share(holes)[:, 35:45].any()
+    assert 0.0 < occluded_share(holes)[32, 30] < occluded_share(height)[32, 30]
 
 
 def test_pyramid_reduces_pairs_down_to_one_node() -> None:
@@ -128,7 +128,7 @@ def test_sky_view_nodes_agree_with_proj(write_raster, make_scene, crs: str, x0: 
     np.testing.assert_allclose(nodes, np.stack([row, col], axis=-1), atol=0.01)
 
 
-def valley(depth_m: float) -> np.ndarray:
+def valley_heights(depth_m: float) -> np.ndarray:
     """Return a valley along the middle of an otherwise level plain."""
     return np.broadcast_to(-depth_m * np.exp(-((np.arange(96) - 48.0) ** 2) / 50.0), (96, 96)).astype(np.float32)
 
@@ -142,21 +142,21 @@ def test_sky_view_predicate_agrees_with_pictures(write_raster, make_scene, altit
     """
     verdicts = set()
     for depth_m in (2.0, 12.0, 18.0, 25.0, 35.0, 50.0, 70.0, 120.0):
-        path = write_raster(valley(depth_m), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0, name=f"valley{depth_m:g}.tif")
+        path = write_raster(valley_heights(depth_m), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0, name=f"valley{depth_m:g}.tif")
         pictures = []
-        for forced in ("on", "off"):
-            scene = make_scene(path, 90.0, altitude, weather=weather, effects={"sky_view": forced})
+        for effect_switch in ("on", "off"):
+            scene = make_scene(path, 90.0, altitude, weather=weather, effects={"sky_view": effect_switch})
             pictures.append(render(scene, scene.view(size=(96, 96)), algorithm="sweep").color.astype(int))
-        verdict = EFFECT.called_for(describe(scene, scene.view(size=(96, 96))))
+        verdict = EFFECT.judge(describe(scene, scene.view(size=(96, 96))))
         change = np.abs(pictures[0] - pictures[1]).max()
-        assert change >= 1 if verdict.called_for else change <= 1, (depth_m, change, verdict.reason)
-        verdicts.add(verdict.called_for)
+        assert change >= 1 if verdict.is_needed else change <= 1, (depth_m, change, verdict.reason)
+        verdicts.add(verdict.is_needed)
     assert verdicts == {True, False}
 
 
 def test_sky_view_in_perspective_depends_on_visible_ground(write_raster, make_scene) -> None:
     """A camera that looks into the valley calls for the effect. A camera over the plain, looking away from the valley, does not."""
-    path = write_raster(valley(400.0), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0)
+    path = write_raster(valley_heights(400.0), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0)
     scene = make_scene(path)
     lon, lat = (float(v) for v in scene.world.lon_lat(scene.elevation.crs, np.array(501_440.0), np.array(5_298_560.0)))
     views = {
@@ -170,11 +170,11 @@ def test_sky_view_in_perspective_depends_on_visible_ground(write_raster, make_sc
         },
     }
     scene = make_scene(path, views=views)
-    assert EFFECT.called_for(describe(scene, scene.view("valley"))).called_for
-    assert not EFFECT.called_for(describe(scene, scene.view("plain"))).called_for
+    assert EFFECT.judge(describe(scene, scene.view("valley"))).is_needed
+    assert not EFFECT.judge(describe(scene, scene.view("plain"))).is_needed
     pictures = []
-    for forced in ("on", "off"):
-        scene = make_scene(path, views=views, effects={"sky_view": forced})
+    for effect_switch in ("on", "off"):
+        scene = make_scene(path, views=views, effects={"sky_view": effect_switch})
         pictures.append(render(scene, scene.view("plain"), algorithm="shadow_map").color.astype(int))
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
     scene = make_scene(path, views=views)
@@ -184,25 +184,25 @@ def test_sky_view_in_perspective_depends_on_visible_ground(write_raster, make_sc
 
 def test_sky_view_of_map_parts_agrees(write_raster, make_scene) -> None:
     """The same ground loses the same share of the sky in every part of a map and in every frame."""
-    scene = make_scene(write_raster(valley(4000.0), "EPSG:4326", 10.0, 47.0, 0.004))
-    whole = scene.view(size=(128, 128))
+    scene = make_scene(write_raster(valley_heights(4000.0), "EPSG:4326", 10.0, 47.0, 0.004))
+    full_view = scene.view(size=(128, 128))
 
-    def seen(view: MapView) -> np.ndarray:
+    def skylight_of_view(view: MapView) -> np.ndarray:
         skylight = np.ones((view.rows, view.cols), np.float32)
         apply_sky_view(skylight, ShadingBlock(scene, view, geometry_buffer(scene, view), {}))
         return skylight
 
-    part = whole.part(96, 44, 32, 40)
-    assert view_frame(scene, part).key != view_frame(scene, whole).key
-    assert seen(whole).min() < 0.99
-    np.testing.assert_allclose(seen(part), seen(whole)[96:128, 44:84], atol=2e-7)
+    part = full_view.part(96, 44, 32, 40)
+    assert view_frame(scene, part).key != view_frame(scene, full_view).key
+    assert skylight_of_view(full_view).min() < 0.99
+    np.testing.assert_allclose(skylight_of_view(part), skylight_of_view(full_view)[96:128, 44:84], atol=2e-7)
 
 
 def test_sky_view_is_not_called_for_on_level_ground(write_raster, make_scene) -> None:
     """A floor needs no horizon search, and the reason says so."""
     scene = make_scene(write_raster(np.full((8, 8), 3.0, np.float32), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0))
-    verdict = EFFECT.called_for(describe(scene, scene.view()))
-    assert not verdict.called_for and "open sky" in verdict.reason
+    verdict = EFFECT.judge(describe(scene, scene.view()))
+    assert not verdict.is_needed and "open sky" in verdict.reason
 
 
 def test_sky_view_averages_over_large_pixels(write_raster, make_scene) -> None:

@@ -21,12 +21,12 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of
 from tests.rasters import ENGINEERING
 
-DOWN = np.array([0.0, 0.0, -1e12])
+EARTH_CENTRE = np.array([0.0, 0.0, -1e12])
 """The point from which "up" points away in a flat world."""
 
 
 @pytest.fixture
-def slope(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
+def make_slope_scene(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
     """Return a factory of planes that rise eastwards from height 0 at an angle, with nodes 10 m apart."""
 
     def make(slope_deg: float, **keys) -> Scene:
@@ -36,7 +36,7 @@ def slope(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene
     return make
 
 
-def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
+def albedo_without_and_with_snow(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
     """Return the albedo of a small map before and after snow, and its buffer."""
     view = scene.view(size=(100, 100))
     assert isinstance(view, MapView)
@@ -48,19 +48,19 @@ def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
 
 
 @pytest.mark.parametrize("slope_deg", [0.0, 15.0, FULL_SNOW_DEG - 1.6 * ROUGH_DEG])
-def test_snow_covers_gentle_slopes(slope, slope_deg: float) -> None:
-    _, albedo, buffer = snowed(slope(slope_deg))
+def test_snow_covers_gentle_slopes(make_slope_scene, slope_deg: float) -> None:
+    _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene(slope_deg))
     assert np.allclose(albedo[buffer.valid], SNOW, atol=0.01)
 
 
 @pytest.mark.parametrize("slope_deg", [NO_SNOW_DEG + 2 * ROUGH_DEG, 75.0])
-def test_steep_slopes_show_rock_without_tint(slope, slope_deg: float) -> None:
-    _, albedo, buffer = snowed(slope(slope_deg))
+def test_steep_slopes_show_rock_without_tint(make_slope_scene, slope_deg: float) -> None:
+    _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene(slope_deg))
     assert np.allclose(albedo[buffer.valid], ROCK, atol=0.01)
 
 
-def test_the_edge_of_the_snow_is_irregular(slope) -> None:
-    _, albedo, buffer = snowed(slope((FULL_SNOW_DEG + NO_SNOW_DEG) / 2))
+def test_the_edge_of_the_snow_is_irregular(make_slope_scene) -> None:
+    _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene((FULL_SNOW_DEG + NO_SNOW_DEG) / 2))
     share = (albedo[buffer.valid][:, 0] - ROCK[0]) / (SNOW[0] - ROCK[0])
     assert 0.3 < share.mean() < 0.7
     assert share.std() > 0.1
@@ -79,22 +79,24 @@ def test_snow_noise_fades_out_in_wide_pixels() -> None:
     assert len({float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, 1.0)) for k in range(9)}) > 5
 
 
-def test_snow_skips_water(slope) -> None:
-    scene = slope(10.0, water={"level": 40.0})
-    before, albedo, buffer = snowed(scene)
-    wet = buffer.valid & (buffer.height_m <= 40.0)
-    assert 0.2 < wet.mean() < 0.8
-    assert np.array_equal(albedo[wet], before[wet])
+def test_snow_skips_water(make_slope_scene) -> None:
+    scene = make_slope_scene(10.0, water={"level": 40.0})
+    before, albedo, buffer = albedo_without_and_with_snow(scene)
+    is_water = buffer.valid & (buffer.height_m <= 40.0)
+    assert 0.2 < is_water.mean() < 0.8
+    assert np.array_equal(albedo[is_water], before[is_water])
     assert np.allclose(albedo[buffer.valid & (buffer.height_m > 40.1)], SNOW, atol=0.01)
 
 
 def test_snow_covers_roofs_and_crown_tops_but_no_walls() -> None:
     normal = np.array([[[0, 0, 1], [1, 0, 0], [0, 0, 1], [1, 0, 0], [0, 0, 1]]], np.float32)
     kind = np.array([[MESHES, MESHES, FOREST, FOREST, RELIEF]], np.uint8)
-    own = np.full((1, 5, 3), 0.1, np.float32)
-    albedo = own.copy()
-    shown = ShadingInputs(np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal)
-    snow._whiten(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 100.0))
+    base_albedo = np.full((1, 5, 3), 0.1, np.float32)
+    albedo = base_albedo.copy()
+    shading_inputs = ShadingInputs(np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal)
+    snow._whiten(
+        albedo, shading_inputs, base_albedo, EARTH_CENTRE, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 100.0)
+    )
     roof, wall, top, side, ground = albedo[0]
     assert np.allclose(roof, SNOW) and np.allclose(ground, SNOW)
     assert np.allclose(wall, 0.1) and np.allclose(side, 0.1)
@@ -102,27 +104,29 @@ def test_snow_covers_roofs_and_crown_tops_but_no_walls() -> None:
 
 
 def test_steep_imagery_keeps_its_albedo() -> None:
-    own = np.full((1, 1, 3), 0.3, np.float32)
-    albedo = own.copy()
-    shown = ShadingInputs(
+    base_albedo = np.full((1, 1, 3), 0.3, np.float32)
+    albedo = base_albedo.copy()
+    shading_inputs = ShadingInputs(
         np.ones((1, 1), bool), np.full((1, 1), RELIEF, np.uint8), np.zeros((1, 1, 3)), np.zeros((1, 1), np.float32),
         np.array([[[1, 0, 0]]], np.float32),
     )  # fmt: skip
-    snow._whiten(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 1.0))
+    snow._whiten(
+        albedo, shading_inputs, base_albedo, EARTH_CENTRE, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 1.0)
+    )
     assert np.allclose(albedo, 0.3)
 
 
-def test_snow_of_map_parts_agrees(slope) -> None:
-    scene = slope((FULL_SNOW_DEG + NO_SNOW_DEG) / 2)
-    whole = scene.view(size=(100, 100))
-    part = whole.part(20, 30, 40, 50)
-    drawn = []
-    for view in (whole, part):
+def test_snow_of_map_parts_agrees(make_slope_scene) -> None:
+    scene = make_slope_scene((FULL_SNOW_DEG + NO_SNOW_DEG) / 2)
+    full_view = scene.view(size=(100, 100))
+    part = full_view.part(20, 30, 40, 50)
+    albedos = []
+    for view in (full_view, part):
         buffer = geometry_buffer(scene, view)
         albedo = albedo_of(buffer, scene)
         apply_snow(albedo, ShadingBlock(scene, view, buffer, {}))
-        drawn.append(albedo)
-    assert np.array_equal(drawn[0][20:60, 30:80], drawn[1])
+        albedos.append(albedo)
+    assert np.array_equal(albedos[0][20:60, 30:80], albedos[1])
 
 
 @pytest.mark.parametrize(
@@ -134,11 +138,11 @@ def test_snow_of_map_parts_agrees(slope) -> None:
         ({"water": {"level": 50.0}}, True, "slopes below"),
     ],
 )
-def test_snow_is_called_for_only_where_it_shows(slope, keys: dict, called: bool, reason: str) -> None:
-    scene = slope(10.0, **keys)
+def test_snow_is_called_for_only_where_it_shows(make_slope_scene, keys: dict, called: bool, reason: str) -> None:
+    scene = make_slope_scene(10.0, **keys)
     view = scene.view(size=(60, 60))
-    verdict = snow.called_for(describe(scene, view))
-    assert verdict.called_for is called and reason in verdict.reason
+    verdict = snow.judge(describe(scene, view))
+    assert verdict.is_needed is called and reason in verdict.reason
     frames = []
     for wish in ("on", "off"):
         level = scene.loaded.level.model_copy(update={"effects": {"snow": wish}})
@@ -146,7 +150,7 @@ def test_snow_is_called_for_only_where_it_shows(slope, keys: dict, called: bool,
     assert (np.abs(frames[0] - frames[1]).max() > 1) == called
 
 
-def test_sunlit_snow_is_not_overexposed(slope) -> None:
-    scene = slope(20.0, azimuth=270.0, altitude=30.0)
+def test_sunlit_snow_is_not_overexposed(make_slope_scene) -> None:
+    scene = make_slope_scene(20.0, azimuth=270.0, altitude=30.0)
     frame = render_frame(scene, scene.view(size=(60, 60)), make_plan(describe(scene, scene.view()), scene.loaded.level, {}))
     assert 200 < frame.color[30, 30].min() <= frame.color[30, 30].max() < 250

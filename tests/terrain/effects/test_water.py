@@ -22,7 +22,7 @@ from skugga.terrain.shading import albedo_of, water_in
 from skugga.terrain.sky import Sky
 
 UTM = "EPSG:32633"
-LEVEL_M = 100.0
+WATER_LEVEL_M = 100.0
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def bowl_m() -> np.ndarray:
 def make_lake(write_raster, make_scene, bowl_m):
     """Return a factory of scenes with water in the bowl, seen from above and from its rim."""
 
-    def make(altitude: float = 40.0, level_m: float = LEVEL_M, heights_m: np.ndarray = bowl_m, **keys):
+    def make(altitude: float = 40.0, level_m: float = WATER_LEVEL_M, heights_m: np.ndarray = bowl_m, **keys):
         path = write_raster(heights_m, UTM, 500_000, 5_000_600, 10)
         views = {
             "map": {"kind": "map", "size": [80, 60]},
@@ -67,35 +67,35 @@ def make_lake(write_raster, make_scene, bowl_m):
     return make
 
 
-def drawn(scene, name: str, water_on: bool):
+def render_lake(scene, name: str, water_on: bool):
     view = scene.view(name)
     level = scene.loaded.level.model_copy(update={"effects": {"haze": "off", "water": "on" if water_on else "off"}})
     return render_frame(scene, view, make_plan(describe(scene, view, name), level, {})).color.astype(int)
 
 
 def verdict(scene, name: str):
-    return water.called_for(describe(scene, scene.view(name), name))
+    return water.judge(describe(scene, scene.view(name), name))
 
 
 def test_heights_are_the_maximum_of_ground_and_water(write_raster, bowl_m):
     path = str(write_raster(bowl_m, UTM, 0, 600, 10))
-    dry, wet = Elevation(path), Elevation(path, water_m=LEVEL_M)
+    dry_elevation, flooded_elevation = Elevation(path), Elevation(path, water_m=WATER_LEVEL_M)
     row, col = np.meshgrid(np.linspace(-0.5, 59.5, 130), np.linspace(-0.5, 79.5, 170), indexing="ij")
     for level in (0, 1, 2):
-        ground_m, valid = dry.heights_at(level, row, col)
-        height_m, still_there = wet.heights_at(level, row, col)
-        np.testing.assert_array_equal(height_m, np.maximum(ground_m, np.float32(LEVEL_M)))
-        np.testing.assert_array_equal(still_there, valid)
-    assert wet.ground_m(395.0, 305.0) == LEVEL_M == wet.filled_ground_m(395.0, 305.0)
-    assert wet.overview.heights_m.min() == LEVEL_M and wet.overview.lowest_m == bowl_m.min()
+        ground_m, valid = dry_elevation.heights_at(level, row, col)
+        height_m, flooded_valid = flooded_elevation.heights_at(level, row, col)
+        np.testing.assert_array_equal(height_m, np.maximum(ground_m, np.float32(WATER_LEVEL_M)))
+        np.testing.assert_array_equal(flooded_valid, valid)
+    assert flooded_elevation.ground_m(395.0, 305.0) == WATER_LEVEL_M == flooded_elevation.filled_ground_m(395.0, 305.0)
+    assert flooded_elevation.overview.heights_m.min() == WATER_LEVEL_M and flooded_elevation.overview.lowest_m == bowl_m.min()
 
 
 def test_overviews_of_large_rasters_are_flooded(write_raster):
     heights_m = np.full((600, 1100), 120.0, np.float32)
     heights_m[:300] = 40.0
     heights_m[5, 5] = 10.0
-    overview = Elevation(str(write_raster(heights_m, UTM, 0, 6000, 10)), water_m=LEVEL_M).overview
-    assert overview.level == 2 and overview.lowest_m == 10.0
+    overview = Elevation(str(write_raster(heights_m, UTM, 0, 6000, 10)), water_m=WATER_LEVEL_M).overview
+    assert overview.lod == 2 and overview.lowest_m == 10.0
     for values in (overview.heights_m, overview.high_m):
         assert set(np.unique(values)) == {100.0, 120.0}
 
@@ -103,14 +103,14 @@ def test_overviews_of_large_rasters_are_flooded(write_raster):
 def test_water_does_not_fill_nodata(write_raster):
     heights_m = np.full((40, 40), 50.0, np.float32)
     heights_m[10:20, 10:20] = -9999
-    elevation = Elevation(str(write_raster(heights_m, UTM, 0, 400, 10, nodata=-9999)), water_m=LEVEL_M)
+    elevation = Elevation(str(write_raster(heights_m, UTM, 0, 400, 10, nodata=-9999)), water_m=WATER_LEVEL_M)
     height_m, valid = elevation.heights_at(0, np.array([[15.0, 30.0]]), np.array([[15.0, 30.0]]))
     np.testing.assert_array_equal(valid, [[False, True]])
-    assert height_m[0, 1] == LEVEL_M and np.isnan(elevation.ground_m(155.0, 245.0))
+    assert height_m[0, 1] == WATER_LEVEL_M and np.isnan(elevation.ground_m(155.0, 245.0))
 
 
 def test_exaggeration_raises_the_ground_but_not_the_water(write_raster):
-    elevation = Elevation(str(write_raster(np.full((9, 9), 60.0), UTM, 0, 90, 10)), exaggeration=2.0, water_m=LEVEL_M)
+    elevation = Elevation(str(write_raster(np.full((9, 9), 60.0), UTM, 0, 90, 10)), exaggeration=2.0, water_m=WATER_LEVEL_M)
     assert elevation.ground_m(45.0, 45.0) == 120.0
 
 
@@ -124,12 +124,12 @@ def test_water_far_below_all_ground_changes_nothing(write_raster, bowl_m):
 def test_water_is_painted_up_to_its_round_shore(make_lake):
     scene = make_lake()
     buffer = geometry_buffer(scene, scene.view("map", size=(800, 600)))
-    wet = water_in(buffer, scene)
+    is_water = water_in(buffer, scene)
     albedo = albedo_of(buffer, scene)
-    np.testing.assert_allclose(albedo[wet], np.broadcast_to(scene.style.water, albedo[wet].shape), atol=1e-6)
-    assert not np.isclose(albedo[~wet & buffer.valid], scene.style.water, atol=1e-3).all(axis=-1).any()
-    area_m2 = wet.sum() * 100.0 / 100.0
-    assert area_m2 == pytest.approx(np.pi * (LEVEL_M - 60.0) / 0.06 * 100.0, rel=0.02)
+    np.testing.assert_allclose(albedo[is_water], np.broadcast_to(scene.style.water, albedo[is_water].shape), atol=1e-6)
+    assert not np.isclose(albedo[~is_water & buffer.valid], scene.style.water, atol=1e-3).all(axis=-1).any()
+    area_m2 = is_water.sum() * 100.0 / 100.0
+    assert area_m2 == pytest.approx(np.pi * (WATER_LEVEL_M - 60.0) / 0.06 * 100.0, rel=0.02)
 
 
 def test_trees_do_not_stand_in_water(make_lake, tmp_path):
@@ -137,8 +137,8 @@ def test_trees_do_not_stand_in_water(make_lake, tmp_path):
     features = [{"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": place}} for place in places]
     path = tmp_path / "trees.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
-    trees = [make_lake(level_m=m, forest=[{"source": str(path)}]).objects.trees for m in (0.0, LEVEL_M)]
-    assert [len(found.rank) for found in trees] == [2, 1]
+    trees = [make_lake(level_m=m, forest=[{"source": str(path)}]).objects.trees for m in (0.0, WATER_LEVEL_M)]
+    assert [len(tree_set.rank) for tree_set in trees] == [2, 1]
 
 
 @given(cosine=st.floats(0.0, 1.0))
@@ -146,10 +146,10 @@ def test_seen_facets_match_integrals_over_all_facets(cosine):
     s = np.sqrt(0.5 * water.MEAN_SQUARE_SLOPE)
     sine = np.sqrt(1.0 - cosine * cosine)
     z = np.linspace(-8.0 * s, 8.0 * s, 20001)
-    seen = np.exp(-0.5 * (z / s) ** 2) / (s * np.sqrt(2.0 * np.pi)) * np.maximum(cosine + z * sine, 0.0)
-    area, slope = water._seen_facets(cosine, water.MEAN_SQUARE_SLOPE)
-    assert area == pytest.approx(np.trapezoid(seen, z), rel=1e-4, abs=1e-6)
-    assert slope == pytest.approx(np.trapezoid(z * seen, z) / np.trapezoid(seen, z), rel=1e-3, abs=1e-6)
+    visible_density = np.exp(-0.5 * (z / s) ** 2) / (s * np.sqrt(2.0 * np.pi)) * np.maximum(cosine + z * sine, 0.0)
+    area, slope = water._visible_facets(cosine, water.MEAN_SQUARE_SLOPE)
+    assert area == pytest.approx(np.trapezoid(visible_density, z), rel=1e-4, abs=1e-6)
+    assert slope == pytest.approx(np.trapezoid(z * visible_density, z) / np.trapezoid(visible_density, z), rel=1e-3, abs=1e-6)
 
 
 @pytest.mark.parametrize("altitude_deg", [90.0, 50.0, 20.0])
@@ -162,9 +162,9 @@ def test_glint_carries_the_fresnel_share_of_sunlight(altitude_deg):
     sun = np.array([np.sqrt(1.0 - sun_up * sun_up), 0.0, sun_up])
 
     def radiance(azimuth, eye_up):
-        across = np.sqrt(1.0 - eye_up * eye_up)
-        eye_sun = across * np.cos(azimuth) * sun[0] + eye_up * sun[2]
-        area, _ = water._seen_facets(eye_up, water.MEAN_SQUARE_SLOPE)
+        eye_horizontal = np.sqrt(1.0 - eye_up * eye_up)
+        eye_sun = eye_horizontal * np.cos(azimuth) * sun[0] + eye_up * sun[2]
+        area, _ = water._visible_facets(eye_up, water.MEAN_SQUARE_SLOPE)
         return water._glint(eye_up, sun_up, eye_sun, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up
 
     power, _ = dblquad(radiance, 1e-3, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6, epsrel=1e-4)
@@ -184,55 +184,57 @@ def test_water_seen_vertically_reflects_a_fiftieth():
 
 def test_glint_peaks_under_the_sun_and_is_symmetric():
     sun_up, eye_up = np.sin(np.radians([30.0, 25.0]))
-    area, _ = water._seen_facets(eye_up, water.MEAN_SQUARE_SLOPE)
-    across = np.sqrt((1.0 - sun_up**2) * (1.0 - eye_up**2))
+    area, _ = water._visible_facets(eye_up, water.MEAN_SQUARE_SLOPE)
+    horizontal_product = np.sqrt((1.0 - sun_up**2) * (1.0 - eye_up**2))
     off_deg = np.arange(-90.0, 91.0, 5.0)  # angle between the eye's azimuth and the sun's
-    bright = [
-        water._glint(eye_up, sun_up, sun_up * eye_up - across * np.cos(np.radians(off)), area, water.MEAN_SQUARE_SLOPE)
-        for off in off_deg
+    glint = [
+        water._glint(
+            eye_up, sun_up, sun_up * eye_up - horizontal_product * np.cos(np.radians(offset_deg)), area, water.MEAN_SQUARE_SLOPE
+        )
+        for offset_deg in off_deg
     ]
-    np.testing.assert_allclose(bright, bright[::-1], rtol=1e-9)
-    assert np.argmax(bright) == len(off_deg) // 2 and (np.diff(bright[: len(off_deg) // 2 + 1]) >= 0).all()
+    np.testing.assert_allclose(glint, glint[::-1], rtol=1e-9)
+    assert np.argmax(glint) == len(off_deg) // 2 and (np.diff(glint[: len(off_deg) // 2 + 1]) >= 0).all()
 
 
 @pytest.mark.parametrize("name", ["map", "rim", "down"])
 def test_water_is_called_for_by_day_and_changes_only_water(make_lake, name):
     scene = make_lake()
-    assert verdict(scene, name).called_for
-    on, off = (drawn(scene, name, way) for way in (True, False))
-    changed = (on != off).any(axis=-1)
+    assert verdict(scene, name).is_needed
+    with_water, without_water = (render_lake(scene, name, water_on) for water_on in (True, False))
+    is_changed = (with_water != without_water).any(axis=-1)
     buffer = geometry_buffer(scene, scene.view(name))
-    assert changed.any() and (np.abs(on - off).max() > 1)
+    assert is_changed.any() and (np.abs(with_water - without_water).max() > 1)
     far = ~water_in(buffer, scene)
     if name == "map":
-        assert not (changed & far).any()
+        assert not (is_changed & far).any()
 
 
 @pytest.mark.parametrize("name", ["map", "rim", "down"])
 @pytest.mark.parametrize("altitude", [20.0, -3.0, -8.0, -9.0, -9.5, -10.0, -10.5, -11.0, -12.0, -40.0])
 def test_water_that_the_plan_omits_does_not_show(make_lake, name, altitude):
     scene = make_lake().with_sun(SunSpec(azimuth=90.0, altitude=altitude))
-    change = np.abs(drawn(scene, name, True) - drawn(scene, name, False)).max()
-    if verdict(scene, name).called_for:
+    change = np.abs(render_lake(scene, name, True) - render_lake(scene, name, False)).max()
+    if verdict(scene, name).is_needed:
         assert change > 0
     else:
         assert change <= 1
 
 
 def test_a_map_by_night_needs_no_reflections(make_lake):
-    found = verdict(make_lake(altitude=-30.0), "map")
-    assert not found.called_for and "of 255" in found.reason
+    water_verdict = verdict(make_lake(altitude=-30.0), "map")
+    assert not water_verdict.is_needed and "of 255" in water_verdict.reason
 
 
 @pytest.mark.parametrize(
     ("level_m", "name", "reason"),
-    [(20.0, "map", "no ground lies below the water level, 20.0 m"), (LEVEL_M, "away", "the water at 100.0 m is out of view")],
+    [(20.0, "map", "no ground lies below the water level, 20.0 m"), (WATER_LEVEL_M, "away", "the water at 100.0 m is out of view")],
 )
 def test_water_is_left_out_with_a_reason(make_lake, level_m, name, reason):
     scene = make_lake(level_m=level_m)
-    found = verdict(scene, name)
-    assert (found.called_for, found.reason) == (False, reason)
-    np.testing.assert_array_equal(drawn(scene, name, True), drawn(scene, name, False))
+    water_verdict = verdict(scene, name)
+    assert (water_verdict.is_needed, water_verdict.reason) == (False, reason)
+    np.testing.assert_array_equal(render_lake(scene, name, True), render_lake(scene, name, False))
 
 
 def test_a_level_without_water_says_so(write_raster, make_scene, bowl_m):
@@ -243,8 +245,10 @@ def test_a_level_without_water_says_so(write_raster, make_scene, bowl_m):
 def test_glint_needs_the_sun_mirrored_towards_the_eye(make_lake):
     scene = make_lake(altitude=70.0)
     assert water.has_glint(scene, scene.view("map"))
-    low, night = (scene.with_sun(SunSpec(azimuth=90.0, altitude=a)) for a in (20.0, -5.0))
-    assert not water.has_glint(low, low.view("map")) and not water.has_glint(night, night.view("rim"))
+    low_sun_scene, night_scene = (scene.with_sun(SunSpec(azimuth=90.0, altitude=a)) for a in (20.0, -5.0))
+    assert not water.has_glint(low_sun_scene, low_sun_scene.view("map")) and not water.has_glint(
+        night_scene, night_scene.view("rim")
+    )
     towards, from_behind = (scene.with_sun(SunSpec(azimuth=a, altitude=20.0)) for a in (90.0, 270.0))
     assert water.has_glint(towards, towards.view("rim")) and not water.has_glint(from_behind, from_behind.view("rim"))
 
@@ -253,14 +257,14 @@ def test_glint_stays_out_of_shadow(make_lake):
     scene = make_lake(altitude=25.0)
     view = scene.view("rim")
     buffer = geometry_buffer(scene, view)
-    wet = water_in(buffer, scene)
-    shown = []
-    for lit in (0.0, 1.0):
-        color = np.full((*wet.shape, 3), 0.2, np.float32)
-        water.apply_water(color, ShadingBlock(scene, view, buffer, {"sun": np.full(wet.shape, lit, np.float32)}))
-        shown.append(color[wet])
-    assert (shown[1] >= shown[0]).all() and (shown[1] - shown[0]).max() > 0.2
-    assert shown[1].max() <= 1.0
+    is_water = water_in(buffer, scene)
+    colors = []
+    for sun_visibility in (0.0, 1.0):
+        color = np.full((*is_water.shape, 3), 0.2, np.float32)
+        water.apply_water(color, ShadingBlock(scene, view, buffer, {"sun": np.full(is_water.shape, sun_visibility, np.float32)}))
+        colors.append(color[is_water])
+    assert (colors[1] >= colors[0]).all() and (colors[1] - colors[0]).max() > 0.2
+    assert colors[1].max() <= 1.0
 
 
 def test_a_pond_between_coarse_view_points_is_not_missed(make_lake, bowl_m):
@@ -269,10 +273,10 @@ def test_a_pond_between_coarse_view_points_is_not_missed(make_lake, bowl_m):
     heights_m[28:31, 38:41] = 90.0
     scene = make_lake(heights_m=heights_m, level_m=100.0)
     eye = scene.view("rim")
-    seen = 0
+    view_count_with_water = 0
     for shift in range(8):
         view = eye.shifted(shift, 3 * shift)
         on_water = water_in(geometry_buffer(scene, view), scene).any()
-        assert water.called_for(describe(scene, view, "rim")).called_for >= on_water
-        seen += on_water
-    assert seen > 0
+        assert water.judge(describe(scene, view, "rim")).is_needed >= on_water
+        view_count_with_water += on_water
+    assert view_count_with_water > 0

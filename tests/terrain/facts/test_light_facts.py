@@ -17,7 +17,7 @@ from skugga.terrain.casters.rays import RayScene, trees_as_mesh
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.caster_facts import trees_of
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 from skugga.terrain.facts.leaf_rays import first_leaf_hits
 from skugga.terrain.facts.mesh_rays import any_hit, bvh_of
 from skugga.terrain.facts.probes import quasirandom, stratified_indices
@@ -27,7 +27,7 @@ from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 
 
-def made(folder: Path, body: trimesh.Trimesh | None = None, size: float = 300.0, **keys) -> Scene:
+def scene_with_body(folder: Path, body: trimesh.Trimesh | None = None, size: float = 300.0, **keys) -> Scene:
     """Build a floor with one body on it, which stands at its own coordinates."""
     level = {"version": 1, "terrain": {"flat": {"size": [size, size], "cells": [30, 30]}}, **keys}
     if body is not None:
@@ -42,28 +42,28 @@ def plate(side: float, x: float, y: float, z: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
 
 
-def hung(body: trimesh.Trimesh) -> trimesh.Trimesh:
+def keep_body_height(body: trimesh.Trimesh) -> trimesh.Trimesh:
     """Return a body that keeps its height: its lowest point, a speck in a corner of the floor, stands on the floor."""
     speck = trimesh.Trimesh([[149.0, 149.0, 0.0], [149.01, 149.0, 0.0], [149.0, 149.01, 0.0]], [[0, 1, 2]], process=False)
     return trimesh.util.concatenate([body, speck])
 
 
-def block(size: tuple[float, float, float]) -> trimesh.Trimesh:
+def box_on_ground(size: tuple[float, float, float]) -> trimesh.Trimesh:
     body = trimesh.creation.box(extents=size)
     body.apply_translation([0.0, 0.0, size[2] / 2])
     return body
 
 
 SUN = {"azimuth": 180, "altitude": 45}
-DOWN = {"kind": "perspective", "eye": [0, -1, 250], "target": [0, 0, 0], "fov": 50, "size": [512, 512]}
+DOWN_VIEW = {"kind": "perspective", "eye": [0, -1, 250], "target": [0, 0, 0], "fov": 50, "size": [512, 512]}
 
 
-def in_map(scene: Scene) -> Descriptor:
+def describe_map(scene: Scene) -> Descriptor:
     return describe(scene, scene.view("map", size=(300, 300)))
 
 
 def test_the_shadow_of_a_plate_is_as_large_as_the_plate(tmp_path):
-    facts = in_map(made(tmp_path, hung(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN)).lights["sun"]
+    facts = describe_map(scene_with_body(tmp_path, keep_body_height(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN)).lights["sun"]
     assert facts.facing_share == 1.0
     assert facts.cast_share == pytest.approx(120.0**2 / 310.0**2, rel=0.1)  # half a cell more on each side of the ground
     assert facts.casts["meshes"].share == facts.cast_share
@@ -72,12 +72,16 @@ def test_the_shadow_of_a_plate_is_as_large_as_the_plate(tmp_path):
 
 def test_facts_of_a_map_include_shadows_on_bodies(tmp_path):
     """Of two plates the higher one shades part of the lower one and hides the ground below. Planar shadows ignore both."""
-    low, high = plate(100.0, 60.0, 60.0, 20.0), plate(60.0, 60.0, 20.0, 60.0)
-    facts = in_map(made(tmp_path, hung(trimesh.util.concatenate([low, high])), sun=SUN)).lights["sun"].casts["meshes"]
+    low_plate, high_plate = plate(100.0, 60.0, 60.0, 20.0), plate(60.0, 60.0, 20.0, 60.0)
+    facts = (
+        describe_map(scene_with_body(tmp_path, keep_body_height(trimesh.util.concatenate([low_plate, high_plate])), sun=SUN))
+        .lights["sun"]
+        .casts["meshes"]
+    )
     # The sun stands at 45 degrees in the south: the shadow on the lower plate lies 40 m north of the higher one.
     on_top_m2 = 60.0 * 60.0 - 60.0 * 20.0
     assert facts.on_bodies == pytest.approx(on_top_m2 / 310.0**2, rel=0.35)
-    ground = in_map(made(tmp_path, hung(high), sun=SUN)).lights["sun"].casts["meshes"]
+    ground = describe_map(scene_with_body(tmp_path, keep_body_height(high_plate), sun=SUN)).lights["sun"].casts["meshes"]
     assert ground.on_bodies == 0.0 and ground.share > 0.0
 
 
@@ -86,11 +90,16 @@ def test_band_differs_by_the_mean_texel_strip_along_edges(tmp_path):
 
     The strip that differs along an edge is that wide.
     """
-    (band,) = in_map(made(tmp_path, hung(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN)).lights["sun"].casts["meshes"].bands
+    (band,) = (
+        describe_map(scene_with_body(tmp_path, keep_body_height(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN))
+        .lights["sun"]
+        .casts["meshes"]
+        .bands
+    )
     assert band.near_m == 0.0 and band.far_m is None and band.pixel_m == pytest.approx(310.0 / 300.0)
     seen_m2 = 310.0**2 - 120.0**2
     for rung, rel in ((6, 0.35), (7, 0.25)):
-        strip_m = TEXEL_LADDER_PX[rung] * band.pixel_m / 4.0
+        strip_m = TEXEL_SIZES_PX[rung] * band.pixel_m / 4.0
         expected = (240.0 * strip_m / np.sin(np.radians(45.0)) + 240.0 * strip_m) / seen_m2
         assert band.differs[rung] == pytest.approx(expected, rel=rel)
     assert band.differs[0] <= 0.01
@@ -98,14 +107,14 @@ def test_band_differs_by_the_mean_texel_strip_along_edges(tmp_path):
 
 @pytest.mark.parametrize("view", ["map", "down"])
 def test_nothing_casts_on_an_empty_plain(tmp_path, view):
-    scene = made(tmp_path, sun=SUN, views={"down": DOWN})
+    scene = scene_with_body(tmp_path, sun=SUN, views={"down": DOWN_VIEW})
     facts = describe(scene, scene.view(view), view).lights["sun"]
     assert facts.cast_share == 0.0 and facts.nearest_edge_m is None
     assert all(not any(band.differs) for casting in facts.casts.values() for band in casting.bands)
 
 
 def test_by_night_nothing_faces_the_sun(tmp_path):
-    scene = made(tmp_path, block((10, 10, 10)), sun={"azimuth": 0, "altitude": -20}, views={"down": DOWN})
+    scene = scene_with_body(tmp_path, box_on_ground((10, 10, 10)), sun={"azimuth": 0, "altitude": -20}, views={"down": DOWN_VIEW})
     facts = describe(scene, scene.view("down"), "down").lights["sun"]
     assert (facts.facing_share, facts.cast_share, facts.casts) == (0.0, 0.0, {})
 
@@ -123,7 +132,7 @@ def test_shadow_of_a_ridge_has_its_closed_form_length(make_scene, write_raster):
 
 def test_nearest_shadow_edge_has_its_closed_form_distance(tmp_path):
     """Seen from above, the shadow of a wall ends as far north of the wall as the wall is high."""
-    scene = made(tmp_path, block((100.0, 1.0, 40.0)), sun=SUN, views={"down": DOWN})
+    scene = scene_with_body(tmp_path, box_on_ground((100.0, 1.0, 40.0)), sun=SUN, views={"down": DOWN_VIEW})
     facts = describe(scene, scene.view("down"), "down").lights["sun"]
     assert 205.0 < facts.nearest_edge_m < 255.0
     assert facts.to_view_deg == pytest.approx(135.0, abs=1.0)
@@ -138,7 +147,9 @@ def test_a_spot_lights_only_its_cone(tmp_path):
     An omni light lights all of the floor, one face of the cube around it.
     """
     spot = {"kind": "spot", "position": [0, 0, 100], "target": [0, 0, 0], "cutoff": 20}
-    scene = made(tmp_path, sun="none", lights={"spot": spot, "omni": {"kind": "omni", "position": [0, 0, 100]}}, size=180.0)
+    scene = scene_with_body(
+        tmp_path, sun="none", lights={"spot": spot, "omni": {"kind": "omni", "position": [0, 0, 100]}}, size=180.0
+    )
     lights = describe(scene, scene.view("map")).lights
     radius = 100.0 * np.tan(np.radians(20.0))
     assert lights["spot"].facing_share == pytest.approx(np.pi * radius**2 / (180.0 * 31.0 / 30.0) ** 2, rel=0.05)
@@ -148,9 +159,9 @@ def test_a_spot_lights_only_its_cone(tmp_path):
     assert 100.0 <= band.light_m <= 100.0 / np.cos(np.radians(20.0))
 
 
-@pytest.mark.parametrize(("body", "edges"), [(block((20, 30, 25)), 6), (plate(30.0, 0.0, 0.0, 20.0), 4)])
+@pytest.mark.parametrize(("body", "edges"), [(box_on_ground((20, 30, 25)), 6), (plate(30.0, 0.0, 0.0, 20.0), 4)])
 def test_silhouettes_of_box_and_plate_have_6_and_4_edges(tmp_path, body, edges):
-    scene = made(tmp_path, body, sun={"azimuth": 205, "altitude": 40}, views={"down": DOWN})
+    scene = scene_with_body(tmp_path, body, sun={"azimuth": 205, "altitude": 40}, views={"down": DOWN_VIEW})
     facts = describe(scene, scene.view("down"), "down").lights["sun"]
     assert facts.silhouette_edges == edges
     assert facts.silhouette_px > 0.0
@@ -165,10 +176,10 @@ def test_projected_length_is_clipped_to_the_picture():
     low, high = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
     inside = np.array([[[-5.0, 0.0, 100.0], [5.0, 0.0, 100.0]]])
     half = np.array([[[0.0, 0.0, 10.0], [20.0, 0.0, 10.0]]])
-    behind = np.array([[[-1.0, 0.0, -5.0], [1.0, 0.0, -5.0]]])
+    edges_behind_eye = np.array([[[-1.0, 0.0, -5.0], [1.0, 0.0, -5.0]]])
     assert projected_length(inside, low, high) == pytest.approx(0.1)
     assert projected_length(half, low, high) == pytest.approx(1.0)
-    assert projected_length(behind, low, high) == 0.0
+    assert projected_length(edges_behind_eye, low, high) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -178,11 +189,13 @@ def test_mean_volume_layers_counts_sides_before_points(light, is_positional):
     """An edge 10 m up runs from x = 0 to 10. Its volume side hangs down from it, and is wider below a lamp."""
     ends = np.array([[[0.0, 0.0, 10.0], [10.0, 0.0, 10.0]]])
     start = np.tile([5.0, -20.0, 5.0], (4, 1))
-    way = np.array([[0.0, 40.0, 0.0], [0.0, 10.0, 0.0], [0.0, 40.0, 20.0], [12.0, 40.0, 0.0]])
-    through, short, above, triangle_pair = (mean_volume_layers(ends, light, is_positional, start[:1], one[None]) for one in way)
-    assert (through, short, above) == (1.0, 0.0, 0.0)
-    assert triangle_pair == (1.0 if is_positional else 0.0)
-    assert mean_volume_layers(ends, light, is_positional, start, way) == pytest.approx((2.0 if is_positional else 1.0) / 4.0)
+    rays = np.array([[0.0, 40.0, 0.0], [0.0, 10.0, 0.0], [0.0, 40.0, 20.0], [12.0, 40.0, 0.0]])
+    through_layers, short_layers, above_layers, triangle_pair_layers = (
+        mean_volume_layers(ends, light, is_positional, start[:1], ray[None]) for ray in rays
+    )
+    assert (through_layers, short_layers, above_layers) == (1.0, 0.0, 0.0)
+    assert triangle_pair_layers == (1.0 if is_positional else 0.0)
+    assert mean_volume_layers(ends, light, is_positional, start, rays) == pytest.approx((2.0 if is_positional else 1.0) / 4.0)
 
 
 @settings(max_examples=20)
@@ -191,13 +204,13 @@ def test_any_hit_agrees_with_embree(seed, count):
     rng = np.random.default_rng(seed)
     vertices = np.repeat(rng.uniform(-10, 10, (count, 1, 3)), 3, axis=1) + rng.uniform(-2, 2, (count, 3, 3))
     vertices, triangles = vertices.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    start, way = rng.uniform(-12, 12, (200, 3)), rng.normal(size=(200, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    start, ray_direction = rng.uniform(-12, 12, (200, 3)), rng.normal(size=(200, 3))
+    ray_direction /= np.linalg.norm(ray_direction, axis=1, keepdims=True)
     length = rng.uniform(1.0, 20.0, 200)
     tree = bvh_of(vertices, triangles)
-    found = any_hit(tree, start - tree.origin_earth_m, way, length)
-    expected = RayScene(meshes=[(vertices, triangles)]).blocked(start, way, length)
-    assert (found != expected).sum() <= 1  # one that grazes an edge in float32
+    is_hit = any_hit(tree, start - tree.origin_earth_m, ray_direction, length)
+    expected = RayScene(meshes=[(vertices, triangles)]).blocked(start, ray_direction, length)
+    assert (is_hit != expected).sum() <= 1  # one that grazes an edge in float32
 
 
 def test_first_leaf_hits_agree_with_embree(tmp_path):
@@ -205,28 +218,28 @@ def test_first_leaf_hits_agree_with_embree(tmp_path):
     wkb = shapely.to_wkb(shapely.points(places))
     pyogrio.raw.write(tmp_path / "trees.gpkg", wkb, [np.full(150, 12.0)], ["height"], geometry_type="Point", crs=ENGINEERING)
     view = {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 0, 0], "fov": 50, "size": [512, 512]}
-    scene = made(tmp_path, sun=SUN, forest=[{"source": "trees.gpkg", "height": "height"}], views={"main": view})
+    scene = scene_with_body(tmp_path, sun=SUN, forest=[{"source": "trees.gpkg", "height": "height"}], views={"main": view})
     trees = trees_of(scene, scene.view("main"))
     rng = np.random.default_rng(5)
     start = np.column_stack([rng.uniform(-60, 60, (500, 2)), rng.uniform(0.1, 5.0, 500)])
-    way = np.tile(scene.sun.to_sun_earth, (500, 1))
-    met, _ = first_leaf_hits(trees, start, way, np.full(500, np.inf))
-    expected = RayScene(alpha=[trees_as_mesh(trees)]).blocked(start, way)
+    ray_directions = np.tile(scene.sun.to_sun_earth, (500, 1))
+    hits, _ = first_leaf_hits(trees, start, ray_directions, np.full(500, np.inf))
+    expected = RayScene(alpha=[trees_as_mesh(trees)]).blocked(start, ray_directions)
     assert 0.1 < expected.mean() < 0.9
-    assert (np.isfinite(met) == expected).mean() >= 0.97
+    assert (np.isfinite(hits) == expected).mean() >= 0.97
     facts = describe(scene, scene.view("main"), "main")
     forest = facts.lights["sun"].casts["forest"]
     assert forest.share > 0.02
-    (stand,) = (its for its in facts.stands if its.kind == "forest")
-    assert (stand.count, stand.triangles, stand.alpha_share) == (150, 900, 1.0)
-    assert stand.height_m == pytest.approx(12.0) and 0.0 < stand.leaf_gap_m < stand.width_m
+    (forest_facts,) = (stand_facts for stand_facts in facts.stands if stand_facts.kind == "forest")
+    assert (forest_facts.count, forest_facts.triangles, forest_facts.alpha_share) == (150, 900, 1.0)
+    assert forest_facts.height_m == pytest.approx(12.0) and 0.0 < forest_facts.leaf_gap_m < forest_facts.width_m
 
 
 @given(st.integers(0, 5000), st.integers(1, 2000))
 def test_stratified_indices_are_distinct_and_ordered(size, count):
-    some = stratified_indices(size, count)
-    assert len(some) == min(size, count)
-    assert (np.diff(some) > 0).all() and (not len(some) or (some[0] >= 0 and some[-1] < size))
+    indices = stratified_indices(size, count)
+    assert len(indices) == min(size, count)
+    assert (np.diff(indices) > 0).all() and (not len(indices) or (indices[0] >= 0 and indices[-1] < size))
 
 
 def test_quasirandom_points_are_evenly_spread():

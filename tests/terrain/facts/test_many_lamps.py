@@ -17,12 +17,12 @@ from skugga.terrain.facts import light_facts
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
-NEAR = {"near": {"kind": "spot", "position": [6, 0, 10], "target": [0, 0, 0], "intensity": 0.5}}
-FAR = {
+NEAR_LAMP = {"near": {"kind": "spot", "position": [6, 0, 10], "target": [0, 0, 0], "intensity": 0.5}}
+FAR_LAMPS = {
     f"far{number}": {"kind": "omni", "position": [400.0 - 7 * (number % 9), 400.0 - 7 * (number // 9), 3], "intensity": 1e-4}
     for number in range(60)
 }
-LEVEL = {
+BASE_LEVEL = {
     "version": 1, "terrain": {"flat": {"size": [900, 900], "cells": [30, 30]}}, "meshes": [{"generate": "tetrahedra"}],
     "sun": {"azimuth": 200, "altitude": 35},
     "views": {"eye": {"kind": "perspective", "eye": [-20, -28, 15], "target": [3, 2, 0], "fov": 30, "size": [48, 40]}},
@@ -32,38 +32,40 @@ LEVEL = {
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
     """Return two scenes: one with all lamps, and one with only the lamp that reaches."""
-    folder, found = tmp_path_factory.mktemp("lamps"), []
-    for name, lights in (("all", NEAR | FAR), ("near", NEAR)):
+    folder, built_scenes = tmp_path_factory.mktemp("lamps"), []
+    for name, lights in (("all", NEAR_LAMP | FAR_LAMPS), ("near", NEAR_LAMP)):
         path = folder / f"{name}.yaml"
-        path.write_text(json.dumps({**LEVEL, "lights": lights}))
-        found.append(build_scene(load_level(path)))
-    return found
+        path.write_text(json.dumps({**BASE_LEVEL, "lights": lights}))
+        built_scenes.append(build_scene(load_level(path)))
+    return built_scenes
 
 
 def test_only_lamps_that_reach_are_probed_planned_and_drawn(gl, scenes, monkeypatch):
-    probed, own = [], light_facts._facts
+    probed_lamps, original_facts = [], light_facts._facts
     monkeypatch.setattr(
-        light_facts, "_facts", lambda seen, lamp, share: probed.append(lamp and lamp.name) or own(seen, lamp, share)
+        light_facts,
+        "_facts",
+        lambda view_probes, lamp, share: probed_lamps.append(lamp and lamp.name) or original_facts(view_probes, lamp, share),
     )
     frames, descriptors = [], []
     for scene in scenes:
         view = scene.view("eye")
         descriptors.append(describe(scene, view, "eye"))
         frames.append(render_frame(scene, view, make_plan(descriptors[-1], scene.loaded.level)))
-    assert probed == [None, "near"] * 2 and len(descriptors[0].lamps) == 61
-    many, few = frames
-    assert many.plan.lights == few.plan.lights == ("sun", "near")
-    assert [record.name for record in many.passes] == [record.name for record in few.passes]
-    assert (many.color == few.color).all() and set(many.visibilities) == {"sun", "near"}
-    why = {reasoned.name: reasoned.reason for reasoned in many.plan.reasons}
-    assert why["lamps left out"] == "no light from far0, far1, far2 and 57 others reaches the view"
+    assert probed_lamps == [None, "near"] * 2 and len(descriptors[0].lamps) == 61
+    all_lamps_frame, near_lamp_frame = frames
+    assert all_lamps_frame.plan.lights == near_lamp_frame.plan.lights == ("sun", "near")
+    assert [record.name for record in all_lamps_frame.passes] == [record.name for record in near_lamp_frame.passes]
+    assert (all_lamps_frame.color == near_lamp_frame.color).all() and set(all_lamps_frame.visibilities) == {"sun", "near"}
+    reasons = {reasoned.name: reasoned.reason for reasoned in all_lamps_frame.plan.reasons}
+    assert reasons["lamps left out"] == "no light from far0, far1, far2 and 57 others reaches the view"
 
 
 def test_lamps_that_are_forced_on_are_all_planned(scenes):
     scene = scenes[0]
-    forced = scene.loaded.level.model_copy(update={"effects": {"lamps": "on"}})
+    level_with_lamps_on = scene.loaded.level.model_copy(update={"effects": {"lamps": "on"}})
     descriptor = describe(scene, scene.view("eye"), "eye")
-    assert len(make_plan(descriptor, forced).lights) == 62
+    assert len(make_plan(descriptor, level_with_lamps_on).lights) == 62
 
 
 def test_a_map_s_plan_keeps_lamps_that_do_not_reach_it(scenes):
@@ -75,7 +77,7 @@ def test_a_map_s_plan_keeps_lamps_that_do_not_reach_it(scenes):
     assert len(make_plan(descriptor, scene.loaded.level).lights) == 62
 
 
-DIM = 30
+DIM_LAMP_COUNT = 30
 """Number of lamps, each too dim to be seen alone."""
 
 
@@ -85,24 +87,24 @@ def dim_scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("dim") / "dim.yaml"
 
     def scene_of(count: int, intensity: float):
-        angles = np.radians(np.arange(count) * 360.0 / DIM)
+        angles = np.radians(np.arange(count) * 360.0 / DIM_LAMP_COUNT)
         lights = {
             f"dim{number}": {"kind": "omni", "position": [np.cos(a), np.sin(a), 150], "intensity": intensity}
             for number, a in enumerate(angles.tolist())
         }
-        path.write_text(json.dumps({**LEVEL, "meshes": [], "sun": "none", "lights": lights}))
+        path.write_text(json.dumps({**BASE_LEVEL, "meshes": [], "sun": "none", "lights": lights}))
         return build_scene(load_level(path))
 
-    def alone_is_seen(intensity: float) -> bool:
+    def single_lamp_is_visible(intensity: float) -> bool:
         scene = scene_of(1, intensity)
         return describe(scene, scene.view("eye"), "eye").lamps[0].reaches
 
-    low, high = 1e-9, 1.0
-    assert alone_is_seen(high) and not alone_is_seen(low)
-    while high / low > 1.02:
-        middle = (low * high) ** 0.5
-        low, high = (low, middle) if alone_is_seen(middle) else (middle, high)
-    return scene_of(DIM, low / 1.02)  # others of the ring are a little nearer
+    low_intensity, high_intensity = 1e-9, 1.0
+    assert single_lamp_is_visible(high_intensity) and not single_lamp_is_visible(low_intensity)
+    while high_intensity / low_intensity > 1.02:
+        middle = (low_intensity * high_intensity) ** 0.5
+        low_intensity, high_intensity = (low_intensity, middle) if single_lamp_is_visible(middle) else (middle, high_intensity)
+    return scene_of(DIM_LAMP_COUNT, low_intensity / 1.02)  # others of the ring are a little nearer
 
 
 def test_lamps_too_dim_alone_are_seen_together(gl, dim_scene):
@@ -110,11 +112,11 @@ def test_lamps_too_dim_alone_are_seen_together(gl, dim_scene):
     descriptor, level = describe(scene, view, "eye"), scene.loaded.level
     colors = []
     for effects in ("auto", {"lamps": "on"}, {"lamps": "off"}):
-        asked = level.model_copy(update={"effects": effects})
-        colors.append(render_frame(scene, view, make_plan(descriptor, asked)).color.astype(int))
-    drawn, with_all, without = colors
-    assert np.abs(with_all - without).max() >= 5, "all of them together are seen"
-    assert np.abs(with_all - drawn).max() <= 1
+        level_with_effects = level.model_copy(update={"effects": effects})
+        colors.append(render_frame(scene, view, make_plan(descriptor, level_with_effects)).color.astype(int))
+    auto_color, color_with_lamps, color_without_lamps = colors
+    assert np.abs(color_with_lamps - color_without_lamps).max() >= 5, "all of them together are seen"
+    assert np.abs(color_with_lamps - auto_color).max() <= 1
     left_out = [lamp for lamp in descriptor.lamps if not lamp.reaches]
     assert 0 < len(left_out) < 5, "some are left out, those alone that are not missed"
 
@@ -126,17 +128,17 @@ def test_negligible_lamps_are_the_dimmest_within_the_limit():
     )
     assert negligible_lamps({"a": 0.4, "b": 0.2, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b"}
     assert negligible_lamps({"a": 0.9, "b": 0.9, "c": 0.9}, 1.0) == {"a"}
-    here, other = np.array([0.9, 0.0]), np.array([0.0, 0.8])
-    assert negligible_lamps({"a": here, "b": other}, 1.0) == {"a", "b"}, "no point has the light of both"
-    assert negligible_lamps({"a": here, "b": other, "c": here}, 1.0) == {"b", "a"}
+    light, other_light = np.array([0.9, 0.0]), np.array([0.0, 0.8])
+    assert negligible_lamps({"a": light, "b": other_light}, 1.0) == {"a", "b"}, "no point has the light of both"
+    assert negligible_lamps({"a": light, "b": other_light, "c": light}, 1.0) == {"b", "a"}
     assert negligible_lamps({"a": 0.0, "b": 2.0, "c": 0.0}, 0.0) == {"a", "c"}, "what does not shine at all is never missed"
 
 
 @given(most=st.dictionaries(st.text(max_size=3), st.integers(0, 10), max_size=12), least=st.integers(0, 30))
 def test_negligible_lamps_sum_to_the_limit_at_most(most, least):
-    unseen = negligible_lamps(most, least)
-    seen = most.keys() - unseen
-    together = sum(most[name] for name in unseen)
-    assert unseen <= most.keys() and together <= least
-    assert all(most[dim] <= most[bright] for dim in unseen for bright in seen)
-    assert not seen or together + min(most[name] for name in seen) > least, "one more would show"
+    negligible = negligible_lamps(most, least)
+    kept_lamps = most.keys() - negligible
+    total_light = sum(most[name] for name in negligible)
+    assert negligible <= most.keys() and total_light <= least
+    assert all(most[dim] <= most[bright] for dim in negligible for bright in kept_lamps)
+    assert not kept_lamps or total_light + min(most[name] for name in kept_lamps) > least, "one more would show"

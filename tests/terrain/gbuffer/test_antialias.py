@@ -39,7 +39,7 @@ def tower(floor, make_scene, tmp_path) -> Scene:
     return make_scene(floor, 250.0, 30.0, meshes=meshes, views=views)
 
 
-def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
+def render_unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
     """Render the frame with one point per pixel."""
     with monkeypatch.context() as patch:
         patch.setattr(
@@ -48,21 +48,21 @@ def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
         return render(scene, scene.view("eye"))
 
 
-def wall_share(scene: Scene, view: PerspectiveView) -> np.ndarray:
+def mesh_share(scene: Scene, view: PerspectiveView) -> np.ndarray:
     """Return the share of each pixel that shows a mesh, from 16 x 16 points."""
-    fine = geometry_buffer(scene, view.finer(16)).kind == MESHES
-    return fine.reshape(view.rows, 16, view.cols, 16).mean(axis=(1, 3))
+    fine_mesh_mask = geometry_buffer(scene, view.finer(16)).kind == MESHES
+    return fine_mesh_mask.reshape(view.rows, 16, view.cols, 16).mean(axis=(1, 3))
 
 
 def test_edge_pixels_are_blended_and_face_interiors_plain(gl, tower, monkeypatch):
     """On the outline against the sky, colours lie between the sky's and the wall's. The interior of a face has one colour."""
     view = tower.view("eye")
-    frame, plain, buffer = render(tower, view), unsampled(monkeypatch, tower), geometry_buffer(tower, view)
+    frame, unsampled_frame, buffer = render(tower, view), render_unsampled(monkeypatch, tower), geometry_buffer(tower, view)
     wall, sky = buffer.kind == MESHES, buffer.kind == NO_SURFACE
     assert 0.1 < wall.mean() < 0.9 and sky.mean() > 0.1
-    share = wall_share(tower, view)
+    share = mesh_share(tower, view)
     partly = (share > 0.2) & (share < 0.8) & binary_dilation(sky) & ~binary_dilation(buffer.kind == RELIEF)
-    low, high = minimum_filter(plain.color[..., 0], 5), maximum_filter(plain.color[..., 0], 5)
+    low, high = minimum_filter(unsampled_frame.color[..., 0], 5), maximum_filter(unsampled_frame.color[..., 0], 5)
     contrast = partly & (high.astype(int) - low > 40)
     assert contrast.sum() > 40
     between = (frame.color[..., 0] > low + 2) & (frame.color[..., 0] < high - 2)
@@ -81,16 +81,24 @@ def test_edge_means_match_the_covered_share_of_the_pixel(gl, tower):
     view = tower.view("eye")
     picture = multisampled(tower, view)
     row, col = picture.pixels
-    assert len(row) > 100 and picture.each == 4
-    tall = (picture.buffer.kind == MESHES).astype(float)[..., None]
-    found = picture.averaged(tall)[..., 0]
-    exact = wall_share(tower, view)
-    own = tall[: view.rows, :, 0]
-    partly = (exact > 0.02) & (exact < 0.98)
-    assert partly.sum() > 80
-    error, plain = np.sqrt(((found - exact)[partly] ** 2).mean()), np.sqrt(((own - exact)[partly] ** 2).mean())
-    assert error < 0.5 * plain and error < 0.17 and abs((found - exact)[partly].mean()) < 0.03
-    np.testing.assert_array_equal(found[~binary_dilation(partly, iterations=2)], own[~binary_dilation(partly, iterations=2)])
+    assert len(row) > 100 and picture.sample_count == 4
+    mesh_samples = (picture.buffer.kind == MESHES).astype(float)[..., None]
+    sample_means = picture.averaged(mesh_samples)[..., 0]
+    covered_share = mesh_share(tower, view)
+    single_samples = mesh_samples[: view.rows, :, 0]
+    is_partly_covered = (covered_share > 0.02) & (covered_share < 0.98)
+    assert is_partly_covered.sum() > 80
+    error, single_sample_error = (
+        np.sqrt(((sample_means - covered_share)[is_partly_covered] ** 2).mean()),
+        np.sqrt(((single_samples - covered_share)[is_partly_covered] ** 2).mean()),
+    )
+    assert (
+        error < 0.5 * single_sample_error and error < 0.17 and abs((sample_means - covered_share)[is_partly_covered].mean()) < 0.03
+    )
+    np.testing.assert_array_equal(
+        sample_means[~binary_dilation(is_partly_covered, iterations=2)],
+        single_samples[~binary_dilation(is_partly_covered, iterations=2)],
+    )
 
 
 def test_samples_lie_inside_their_pixels(gl, tower):
@@ -102,29 +110,32 @@ def test_samples_lie_inside_their_pixels(gl, tower):
     below = row >= view.rows
     row, col = row[below], col[below]
     eye, camera = view.in_frame(buffer.frame)
-    at = (buffer.position_frame_m[row, col] - eye) @ camera.T
-    found = np.column_stack([at[:, 1], at[:, 0]]) / at[:, 2:] * view.focal_px - [view.row0, view.col0]
-    own = np.column_stack(picture.pixels_of(row, col))
-    off = found - own
-    assert len(off) > 300 and np.quantile(np.abs(np.abs(off) - 0.25), 0.95) < 1e-6
-    assert {(a, b) for a, b in np.sign(off).astype(int).tolist()} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
+    camera_points = (buffer.position_frame_m[row, col] - eye) @ camera.T
+    sample_px = np.column_stack([camera_points[:, 1], camera_points[:, 0]]) / camera_points[:, 2:] * view.focal_px - [
+        view.row0,
+        view.col0,
+    ]
+    pixel_px = np.column_stack(picture.pixels_of(row, col))
+    offset_px = sample_px - pixel_px
+    assert len(offset_px) > 300 and np.quantile(np.abs(np.abs(offset_px) - 0.25), 0.95) < 1e-6
+    assert {(a, b) for a, b in np.sign(offset_px).astype(int).tolist()} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
 
 
 def test_samples_leave_data_layers_unchanged(gl, tower, monkeypatch):
     """Visibility, heights and positions equal those of a frame without samples. Colours do so away from edges."""
     view = tower.view("eye")
-    smooth = render(tower, view)
+    sampled_frame = render(tower, view)
     pixels = multisampled(tower, view).pixels
-    plain = unsampled(monkeypatch, tower)
-    assert (plain.visibility == 0.0).any() and (plain.visibility == 1.0).any()
-    np.testing.assert_array_equal(smooth.height_m, plain.height_m)
-    np.testing.assert_array_equal(smooth.position_earth_m, plain.position_earth_m)
-    np.testing.assert_array_equal(smooth.visibility < 0.5, plain.visibility < 0.5)
-    np.testing.assert_allclose(smooth.visibility, plain.visibility, atol=1e-4)
-    differ = (smooth.color != plain.color).any(axis=-1)
-    allowed = np.zeros(differ.shape, bool)
+    unsampled_frame = render_unsampled(monkeypatch, tower)
+    assert (unsampled_frame.visibility == 0.0).any() and (unsampled_frame.visibility == 1.0).any()
+    np.testing.assert_array_equal(sampled_frame.height_m, unsampled_frame.height_m)
+    np.testing.assert_array_equal(sampled_frame.position_earth_m, unsampled_frame.position_earth_m)
+    np.testing.assert_array_equal(sampled_frame.visibility < 0.5, unsampled_frame.visibility < 0.5)
+    np.testing.assert_allclose(sampled_frame.visibility, unsampled_frame.visibility, atol=1e-4)
+    is_different = (sampled_frame.color != unsampled_frame.color).any(axis=-1)
+    allowed = np.zeros(is_different.shape, bool)
     allowed[pixels] = True
-    assert differ.any() and not (differ & ~allowed).any() and allowed.mean() < 0.2
+    assert is_different.any() and not (is_different & ~allowed).any() and allowed.mean() < 0.2
 
 
 def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
@@ -132,15 +143,15 @@ def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
     scene = make_scene(floor, views=down)
     picture = multisampled(scene, scene.view("eye"))
-    assert not len(picture.pixels[0]) and picture.own is picture.buffer and picture.buffer.valid.all()
+    assert not len(picture.pixels[0]) and picture.pixel_buffer is picture.buffer and picture.buffer.valid.all()
     slanting = {"eye": {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 50, 25], "fov": 50, "size": [40, 400]}}
     scene = make_scene(floor, views=slanting)
     picture = multisampled(scene, scene.view("eye"))
-    valid = picture.own.valid
-    marked = np.zeros(valid.shape, bool)
-    marked[picture.pixels] = True
+    valid = picture.pixel_buffer.valid
+    is_sampled = np.zeros(valid.shape, bool)
+    is_sampled[picture.pixels] = True
     rim = valid & binary_dilation(~valid) | ~valid & binary_dilation(valid)
-    assert rim.any() and (marked == rim).all()
+    assert rim.any() and (is_sampled == rim).all()
 
 
 def test_edge_means_are_of_linear_light(gl, tower):
@@ -148,26 +159,26 @@ def test_edge_means_are_of_linear_light(gl, tower):
     view = tower.view("eye")
     picture = multisampled(tower, view)
     frame = render(tower, view)
-    lit = np.where(picture.buffer.valid, 1.0, 0.0).astype(np.float32)
-    colours = shade(picture.buffer, tower, lit)
+    visibility = np.where(picture.buffer.valid, 1.0, 0.0).astype(np.float32)
+    colours = shade(picture.buffer, tower, visibility)
     row, col = picture.pixels
-    whole = picture.buffer.valid.copy()
-    below = whole[view.rows :].ravel()[: len(row) * picture.each].reshape(-1, picture.each)
-    solid = below.all(axis=1) & whole[row, col]  # no sky in them
-    expected = srgb_encoded(picture.averaged(colours))[row[solid], col[solid]].astype(int)
-    bright = frame.visibility[row[solid], col[solid]] == 1.0
-    close = np.abs(frame.color[row[solid], col[solid]].astype(int) - expected).max(axis=1) <= 1
-    assert solid.sum() > 30 and close[bright].mean() > 0.5
+    valid_samples = picture.buffer.valid.copy()
+    extra_samples_valid = valid_samples[view.rows :].ravel()[: len(row) * picture.sample_count].reshape(-1, picture.sample_count)
+    is_opaque = extra_samples_valid.all(axis=1) & valid_samples[row, col]  # no sky in them
+    expected = srgb_encoded(picture.averaged(colours))[row[is_opaque], col[is_opaque]].astype(int)
+    is_lit = frame.visibility[row[is_opaque], col[is_opaque]] == 1.0
+    is_equal = np.abs(frame.color[row[is_opaque], col[is_opaque]].astype(int) - expected).max(axis=1) <= 1
+    assert is_opaque.sum() > 30 and is_equal[is_lit].mean() > 0.5
 
 
 def test_averages_in_closed_form():
     """Two pixels of 2 x 3 have four samples each, and the last row is padded: the means are of five values."""
     picture = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
     samples = np.array([10, 20, 30, 40, 100, 100, 100, 100, 999], np.float32).reshape(3, 3, 1)
-    found = MultisampledBuffer(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).averaged(np.concatenate([picture, samples]))  # type: ignore[arg-type]
+    averages = MultisampledBuffer(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).averaged(np.concatenate([picture, samples]))  # type: ignore[arg-type]
     expected = picture.copy()
     expected[0, 1], expected[1, 2] = (1 + 100) / 5, (5 + 400) / 5
-    np.testing.assert_allclose(found, expected)
+    np.testing.assert_allclose(averages, expected)
 
 
 def test_coarse_views_of_all_pixels_find_the_sampled_edges(gl, tower):
@@ -176,19 +187,21 @@ def test_coarse_views_of_all_pixels_find_the_sampled_edges(gl, tower):
     The 64 coarse views, each shifted by a pixel, together find the edges that the picture's own triangles give.
     """
     view = tower.view("eye")
-    wide = multisampled(tower, view.part(-1, -1, view.rows + 2, view.cols + 2))
-    marked = np.zeros((view.rows + 2, view.cols + 2), bool)
-    marked[wide.pixels] = True
-    found, shares = np.zeros((view.rows, view.cols), bool), []
+    padded_buffer = multisampled(tower, view.part(-1, -1, view.rows + 2, view.cols + 2))
+    is_sampled = np.zeros((view.rows + 2, view.cols + 2), bool)
+    is_sampled[padded_buffer.pixels] = True
+    edge_mask, shares = np.zeros((view.rows, view.cols), bool), []
     for row in range(COARSE_STEP_PX):
         for col in range(COARSE_STEP_PX):
-            look = coarse_view_of(tower, view.shifted(row, col))
-            its = look.edge_samples
-            found[its.row + row, its.col + col] = edge_mask_of_crosses(its.number, its.distance_m, its.ground, its.normals)
-            shares.append(look.edge_share)
-    marked = marked[1:-1, 1:-1]
-    assert 0.02 < marked.mean() < 0.2 and (found != marked).mean() < 1e-3
-    assert np.mean(shares) == pytest.approx(found.mean())
+            coarse_view = coarse_view_of(tower, view.shifted(row, col))
+            edge_samples = coarse_view.edge_samples
+            edge_mask[edge_samples.row + row, edge_samples.col + col] = edge_mask_of_crosses(
+                edge_samples.number, edge_samples.distance_m, edge_samples.ground, edge_samples.normals
+            )
+            shares.append(coarse_view.edge_share)
+    is_sampled = is_sampled[1:-1, 1:-1]
+    assert 0.02 < is_sampled.mean() < 0.2 and (edge_mask != is_sampled).mean() < 1e-3
+    assert np.mean(shares) == pytest.approx(edge_mask.mean())
 
 
 def test_a_coarse_view_of_sky_alone_samples_every_pixel(gl, tower):
@@ -208,8 +221,8 @@ def test_a_coarse_view_of_sky_alone_samples_every_pixel(gl, tower):
 def test_descriptor_s_edge_share_is_the_sampled_share(gl, tower, floor, make_scene):
     """The edge share is about the share of sampled pixels. It is 0 in a map and on a floor alone."""
     view = tower.view("eye", size=(512, 384))
-    real = len(multisampled(tower, view).pixels[0]) / (view.rows * view.cols)
-    assert describe(tower, view).edge_share == pytest.approx(real, abs=0.01) and real > 0.01
+    sampled_share = len(multisampled(tower, view).pixels[0]) / (view.rows * view.cols)
+    assert describe(tower, view).edge_share == pytest.approx(sampled_share, abs=0.01) and sampled_share > 0.01
     assert describe(tower, tower.view("map")).edge_share == 0.0
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
     scene = make_scene(floor, views=down)
@@ -223,6 +236,6 @@ def test_edge_share_includes_leaf_edges_from_few_rays(gl):
     """
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("overview", size=(320, 256))
-    real = len(multisampled(scene, view).pixels[0]) / (view.rows * view.cols)
-    bare, found = coarse_view_of(scene, view).edge_share, describe(scene, view).edge_share
-    assert bare < 0.5 * real and found == pytest.approx(real, abs=0.04)
+    sampled_share = len(multisampled(scene, view).pixels[0]) / (view.rows * view.cols)
+    coarse_share, described_share = coarse_view_of(scene, view).edge_share, describe(scene, view).edge_share
+    assert coarse_share < 0.5 * sampled_share and described_share == pytest.approx(sampled_share, abs=0.04)

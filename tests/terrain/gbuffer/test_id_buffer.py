@@ -20,7 +20,7 @@ def landscape() -> Scene:
     return build_scene(load_level(find_level("spatialace")))
 
 
-def part_of(scene: Scene, name: str) -> PerspectiveView:
+def view_part(scene: Scene, name: str) -> PerspectiveView:
     view = scene.view(name)
     assert isinstance(view, PerspectiveView)
     return view.part(150, 200, 300, 400)
@@ -28,9 +28,9 @@ def part_of(scene: Scene, name: str) -> PerspectiveView:
 
 @pytest.mark.parametrize("name", ["main", "overview", "close"])
 def test_frustum_culling_leaves_the_id_buffer_unchanged(gl, landscape, monkeypatch, name):
-    view = part_of(landscape, name)
+    view = view_part(landscape, name)
     frame = view.frame(landscape.world)
-    some, counts = RasterisedView(landscape, view, frame).seen, []
+    culled_buffer, counts = RasterisedView(landscape, view, frame).id_buffer, []
 
     def every(position, triangles, *args):
         counts.append((len(id_buffer_in_view(position, triangles, *args)), len(triangles)))
@@ -38,29 +38,32 @@ def test_frustum_culling_leaves_the_id_buffer_unchanged(gl, landscape, monkeypat
 
     id_buffer_in_view = id_buffer._triangles_in_frustum
     monkeypatch.setattr(id_buffer, "_triangles_in_frustum", every)
-    every_one = RasterisedView(landscape, view, frame).seen
-    assert all(0 < ahead < total for ahead, total in counts), counts
-    np.testing.assert_array_equal(some.number, every_one.number)
-    np.testing.assert_array_equal(some.depth, every_one.depth)
+    unculled_buffer = RasterisedView(landscape, view, frame).id_buffer
+    assert all(0 < kept_count < triangle_count for kept_count, triangle_count in counts), counts
+    np.testing.assert_array_equal(culled_buffer.number, unculled_buffer.number)
+    np.testing.assert_array_equal(culled_buffer.depth, unculled_buffer.depth)
 
 
 def test_pixel_mask_keeps_its_pixels_and_empties_the_others(gl, landscape):
-    view = part_of(landscape, "main")
+    view = view_part(landscape, "main")
     frame, pixel_mask = view.frame(landscape.world), np.random.default_rng(5).random((view.rows, view.cols)) < 0.3
-    whole, some = RasterisedView(landscape, view, frame).seen, RasterisedView(landscape, view, frame, pixel_mask=pixel_mask).seen
-    assert (whole.number[pixel_mask] > 0).mean() > 0.5
-    np.testing.assert_array_equal(some.number[pixel_mask], whole.number[pixel_mask])
-    np.testing.assert_array_equal(some.sqrt_albedo[pixel_mask], whole.sqrt_albedo[pixel_mask])
-    assert not some.number[~pixel_mask].any()
+    full_buffer, masked_buffer = (
+        RasterisedView(landscape, view, frame).id_buffer,
+        RasterisedView(landscape, view, frame, pixel_mask=pixel_mask).id_buffer,
+    )
+    assert (full_buffer.number[pixel_mask] > 0).mean() > 0.5
+    np.testing.assert_array_equal(masked_buffer.number[pixel_mask], full_buffer.number[pixel_mask])
+    np.testing.assert_array_equal(masked_buffer.sqrt_albedo[pixel_mask], full_buffer.sqrt_albedo[pixel_mask])
+    assert not masked_buffer.number[~pixel_mask].any()
 
 
 def test_multisampled_buffer_is_cached_across_suns(gl, landscape):
     """The cache entry serves no other view and no other second of the clock."""
-    view = part_of(landscape, "close")
-    shown = multisampled(landscape, view)
-    assert multisampled(landscape.with_sun(SunSpec(azimuth=90, altitude=40)), part_of(landscape, "close")) is shown
-    assert multisampled(landscape, view.shifted(0.5, 0.0)) is not shown
-    shown = multisampled(landscape, view)
-    later = landscape.at_second(2.0)
-    assert multisampled(later, view) is not shown
-    assert (multisampled(later, view).own.kind != shown.own.kind).any()
+    view = view_part(landscape, "close")
+    sampled_buffer = multisampled(landscape, view)
+    assert multisampled(landscape.with_sun(SunSpec(azimuth=90, altitude=40)), view_part(landscape, "close")) is sampled_buffer
+    assert multisampled(landscape, view.shifted(0.5, 0.0)) is not sampled_buffer
+    sampled_buffer = multisampled(landscape, view)
+    later_scene = landscape.at_second(2.0)
+    assert multisampled(later_scene, view) is not sampled_buffer
+    assert (multisampled(later_scene, view).pixel_buffer.kind != sampled_buffer.own.kind).any()

@@ -75,10 +75,10 @@ def test_nodes_lie_where_proj_says(epsg, place):
     lon, lat = Transformer.from_crs(crs, 4326, always_xy=True).transform(grid.x(cols), grid.y(rows))
     to_earth = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     earth = np.stack(to_earth.transform(lon, lat, window.height_m.astype(float)), axis=-1)
-    back = window.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
-    assert np.abs(back - earth).max() < 1e-3
+    window_earth_m = window.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
+    assert np.abs(window_earth_m - earth).max() < 1e-3
     row, col = scene.elevation.cell_of(lon, lat)
-    height, _ = scene.elevation.heights_at(scene.surface(grid).level, row, col)
+    height, _ = scene.elevation.heights_at(scene.surface(grid).lod, row, col)
     np.testing.assert_allclose(window.height_m, height, atol=1e-3)
 
 
@@ -88,10 +88,10 @@ def test_a_node_has_the_same_bits_in_every_window():
     frame = scene.world.frame_near(block.grid.crs, *block.centre)
     surface = scene.surface(block.grid)
     row, col = int(block.row0), int(block.col0)
-    one = surface.window(row, col, 300, 300, frame)
-    other = surface.window(row + 111, col + 57, 300, 300, frame)
-    np.testing.assert_array_equal(one.position_frame_m[111:, 57:], other.position_frame_m[:-111, :-57])
-    np.testing.assert_array_equal(one.height_m[111:, 57:], other.height_m[:-111, :-57])
+    window = surface.window(row, col, 300, 300, frame)
+    other_window = surface.window(row + 111, col + 57, 300, 300, frame)
+    np.testing.assert_array_equal(window.position_frame_m[111:, 57:], other_window.position_frame_m[:-111, :-57])
+    np.testing.assert_array_equal(window.height_m[111:, 57:], other_window.height_m[:-111, :-57])
 
 
 @pytest.mark.parametrize("tile", [True, False])
@@ -107,7 +107,7 @@ def test_points_lie_on_the_triangle_they_name(tile):
     assert valid.sum() > 5000
     row, col, half = buffer.triangle[valid].T
     sheet = buffer.surface.sheet
-    corners = sheet_triangles(sheet.falls)[2 * (row * sheet.falls.shape[1] + col) + half]
+    corners = sheet_triangles(sheet.is_cut_nw_se)[2 * (row * sheet.is_cut_nw_se.shape[1] + col) + half]
     o, a, b = sheet.position_frame_m.reshape(-1, 3)[corners].transpose(1, 0, 2)
     point = buffer.position_frame_m[valid]
     face = np.cross(a - o, b - o)
@@ -131,12 +131,12 @@ def test_position_lies_on_the_raster_s_surface(tile, share):
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.2933, 12).part(313, 300, 200, 200) if tile else scene.view()
     position = product_of_frame(scene, render(scene, view, algorithm="none"), "position")
-    known = np.isfinite(position[..., 2])
-    assert known.sum() > 10_000
-    x, y, height = position[known].T
+    is_valid = np.isfinite(position[..., 2])
+    assert is_valid.sum() > 10_000
+    x, y, height = position[is_valid].T
     lon, lat = scene.world.lon_lat(view.grid.crs, x, y)
     row, col = scene.elevation.cell_of(lon, lat)
-    truth, _ = scene.elevation.heights_at(scene.surface(view.grid).level, row[None], col[None])
+    truth, _ = scene.elevation.heights_at(scene.surface(view.grid).lod, row[None], col[None])
     within = np.abs(height - truth[0]) < 0.01 * scene.elevation.cell_size_m(1.0)
     assert within.mean() >= share
 
@@ -174,10 +174,10 @@ def test_frames_are_true_to_north_and_scale_in_web_mercator():
 def test_neighbouring_frames_place_the_same_ground_alike():
     world = World(CRS.from_epsg(4326), False, 10.0, 45.0, 10.0, 45.0)
     crs = CRS.from_epsg(4326)
-    one, other = world.frame_near(crs, 10.1, 45.0), world.frame_near(crs, 10.3, 45.0)
-    assert one.key != other.key
+    west_frame, east_frame = world.frame_near(crs, 10.1, 45.0), world.frame_near(crs, 10.3, 45.0)
+    assert west_frame.key != east_frame.key
     point, _ = world.ground(crs, np.array(10.2), np.array(45.1))
-    for frame in (one, other):
+    for frame in (west_frame, east_frame):
         local = frame.frame_from_earth @ (point - frame.origin_earth_m)
         assert np.abs(local).max() < 25_000
         np.testing.assert_allclose(frame.frame_from_earth.T @ local + frame.origin_earth_m, point, atol=1e-8)
@@ -186,13 +186,16 @@ def test_neighbouring_frames_place_the_same_ground_alike():
 def test_sub_samples_with_shared_nodes_are_identical():
     """Views lie on nodes, between nodes, or on every fourth node. A view that needs more nodes than it is given is refused."""
     scene = build_scene(load_level(find_level("jacksboro")))
-    full = scene.view("map")
-    for view in (full.part(100, 200, 90, 70), subsampled_view(full.part(301, 202, 90, 70), 4)):
+    full_view = scene.view("map")
+    for view in (full_view.part(100, 200, 90, 70), subsampled_view(full_view.part(301, 202, 90, 70), 4)):
         frame, views = view_frame(scene, view), jittered_views(view, 4)
         nodes = shared_nodes(scene, views, frame)
-        for each in views:
-            alone, shared = geometry_buffer(scene, each, frame), geometry_buffer(scene, each, frame, nodes=nodes)
-            assert alone.valid.any()
+        for sample_view in views:
+            buffer, shared_buffer = (
+                geometry_buffer(scene, sample_view, frame),
+                geometry_buffer(scene, sample_view, frame, nodes=nodes),
+            )
+            assert buffer.valid.any()
             for name in (
                 "valid",
                 "position_frame_m",
@@ -203,9 +206,9 @@ def test_sub_samples_with_shared_nodes_are_identical():
                 "kind",
                 "lift_m",
             ):
-                assert np.array_equal(getattr(alone, name), getattr(shared, name), equal_nan=True), name
+                assert np.array_equal(getattr(buffer, name), getattr(shared_buffer, name), equal_nan=True), name
             light = light_position(np.array([0.6, 0.0, 0.8]), 0.0)
-            for one, other in zip(facing_normals(alone, light), facing_normals(shared, light), strict=True):
-                assert np.array_equal(one, other, equal_nan=True)
+            for array, shared_array in zip(facing_normals(buffer, light), facing_normals(shared_buffer, light), strict=True):
+                assert np.array_equal(array, shared_array, equal_nan=True)
         with pytest.raises(ValueError, match="nodes"):
             geometry_buffer(scene, view.shifted(2.0, 0.0), frame, nodes=nodes)

@@ -14,7 +14,7 @@ from skugga.terrain.geo.world import World, geocentric
 from tests.rasters import ENGINEERING
 
 UP = np.array([0.0, 0.0, 1.0])
-FLAT = World(CRS.from_user_input(ENGINEERING), True, 0.0, 0.0)
+FLAT_WORLD = World(CRS.from_user_input(ENGINEERING), True, 0.0, 0.0)
 
 points = st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array)
 sizes = st.integers(1, 40)
@@ -27,7 +27,7 @@ views = st.builds(
 )  # fmt: skip
 
 
-def rays(view: PerspectiveView) -> np.ndarray:
+def pixel_rays(view: PerspectiveView) -> np.ndarray:
     """Return the pixels' rays (rows, cols, 3), earth-fixed, as the module's docstring defines them."""
     x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
     y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
@@ -44,45 +44,49 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 @given(views, offsets, offsets, sizes, sizes)
 def test_a_part_has_exactly_the_rays_of_the_whole(view, row, col, rows, cols):
     """Rays are equal bit by bit. Beyond the picture they continue evenly."""
-    around = view.part(min(row, 0), min(col, 0), rows + abs(row) + view.rows, cols + abs(col) + view.cols)
+    enclosing_view = view.part(min(row, 0), min(col, 0), rows + abs(row) + view.rows, cols + abs(col) + view.cols)
     top, left = row - min(row, 0), col - min(col, 0)
-    np.testing.assert_array_equal(rays(view.part(row, col, rows, cols)), rays(around)[top : top + rows, left : left + cols])
+    np.testing.assert_array_equal(
+        pixel_rays(view.part(row, col, rows, cols)), pixel_rays(enclosing_view)[top : top + rows, left : left + cols]
+    )
     top, left = -min(row, 0), -min(col, 0)
-    np.testing.assert_array_equal(rays(view), rays(around)[top : top + view.rows, left : left + view.cols])
+    np.testing.assert_array_equal(pixel_rays(view), pixel_rays(enclosing_view)[top : top + view.rows, left : left + view.cols])
 
 
 @given(views, offsets, offsets)
 def test_a_shift_by_whole_pixels_is_a_part(view, rows, cols):
-    np.testing.assert_array_equal(rays(view.shifted(rows, cols)), rays(view.part(rows, cols, view.rows, view.cols)))
+    np.testing.assert_array_equal(pixel_rays(view.shifted(rows, cols)), pixel_rays(view.part(rows, cols, view.rows, view.cols)))
 
 
 @given(views, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_a_shift_within_a_pixel_lies_between_its_neighbours(view, down, right):
-    around = rays(view.part(-1, -1, view.rows + 2, view.cols + 2))
+    enclosing_rays = pixel_rays(view.part(-1, -1, view.rows + 2, view.cols + 2))
     row, col = np.meshgrid(np.arange(view.rows) + 1, np.arange(view.cols) + 1, indexing="ij")
-    middle = around[row, col]
-    expected = middle + down * (around[row + 1, col] - middle) + right * (around[row, col + 1] - middle)
-    np.testing.assert_allclose(rays(view.shifted(down, right)), expected, atol=1e-12 * np.abs(around).max())
+    middle = enclosing_rays[row, col]
+    expected = middle + down * (enclosing_rays[row + 1, col] - middle) + right * (enclosing_rays[row, col + 1] - middle)
+    np.testing.assert_allclose(pixel_rays(view.shifted(down, right)), expected, atol=1e-12 * np.abs(enclosing_rays).max())
 
 
 @given(views, st.integers(1, 5))
 def test_a_finer_view_lies_evenly_inside_the_pixels(view, side):
     """The means of its blocks are the pixels' own rays, its steps are even throughout, and it spans the same picture."""
-    fine = view.finer(side)
-    found = rays(fine)
-    blocks = found.reshape(view.rows, side, view.cols, side, 3).mean(axis=(1, 3))
-    scale = np.abs(found).max()
-    np.testing.assert_allclose(blocks, rays(view), atol=1e-12 * scale)
-    assert fine.pixel == pytest.approx(view.pixel / side)
+    finer_view = view.finer(side)
+    finer_rays = pixel_rays(finer_view)
+    blocks = finer_rays.reshape(view.rows, side, view.cols, side, 3).mean(axis=(1, 3))
+    scale = np.abs(finer_rays).max()
+    np.testing.assert_allclose(blocks, pixel_rays(view), atol=1e-12 * scale)
+    assert finer_view.pixel == pytest.approx(view.pixel / side)
     for axis in (0, 1):
-        steps = np.diff(found, axis=axis)
+        steps = np.diff(finer_rays, axis=axis)
         assert not steps.size or np.allclose(steps, np.take(steps, [0], axis=axis), atol=1e-12 * scale)
-    assert (fine.row0 - fine.step / 2, fine.col0 - fine.step / 2) == pytest.approx((view.row0 - 0.5, view.col0 - 0.5))
+    assert (finer_view.row0 - finer_view.step / 2, finer_view.col0 - finer_view.step / 2) == pytest.approx(
+        (view.row0 - 0.5, view.col0 - 0.5)
+    )
     part = view.part(1, 2, 3, 4).finer(side)
     np.testing.assert_allclose(
-        rays(part),
-        rays(view.finer(side).part(side, 2 * side, 3 * side, 4 * side)),
-        atol=1e-12 * max(scale, np.abs(rays(part)).max()),
+        pixel_rays(part),
+        pixel_rays(view.finer(side).part(side, 2 * side, 3 * side, 4 * side)),
+        atol=1e-12 * max(scale, np.abs(pixel_rays(part)).max()),
     )
 
 
@@ -110,12 +114,12 @@ def test_the_camera_is_upright_and_looks_at_its_target(eye, target, fov):
     axes = view.earth_from_camera
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1.0)  # right, down, forward: a right-handed system
-    way = (target - eye) / np.linalg.norm(target - eye)
-    assert angle_deg(rays(view)[2, 3], way) < 1e-9
+    direction = (target - eye) / np.linalg.norm(target - eye)
+    assert angle_deg(pixel_rays(view)[2, 3], direction) < 1e-9
     assert axes[2, 0] == pytest.approx(0.0, abs=1e-12)
-    level = np.hypot(way[0], way[1])
+    level = np.hypot(direction[0], direction[1])
     assert axes[2, 1] == pytest.approx(-level, abs=1e-9)
-    assert rays(view)[0, 3] @ UP >= rays(view)[4, 3] @ UP
+    assert pixel_rays(view)[0, 3] @ UP >= pixel_rays(view)[4, 3] @ UP
 
 
 @pytest.mark.parametrize("height", [-50.0, 50.0])
@@ -157,7 +161,7 @@ def test_camera_coordinates_agree_by_way_of_the_frame():
     """A point has the same camera coordinates by way of the frame, whose origin is near the eye."""
     eye, target = np.array([40_000.0, -70_000.0, 300.0]), np.array([40_200.0, -69_000.0, 10.0])
     view = look_at(eye, target, UP, 50.0, 10, 20)
-    frame = view.frame(FLAT)
+    frame = view.frame(FLAT_WORLD)
     assert np.abs((eye - frame.origin_earth_m)[:2]).max() <= 512.0
     in_frame, camera_from_frame = view.in_frame(frame)
     target_frame = frame.frame_from_earth @ (target - frame.origin_earth_m)

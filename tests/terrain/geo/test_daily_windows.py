@@ -43,16 +43,16 @@ def test_the_clock_jumps_when_it_is_put_forward_or_back(world, day, before_min, 
 def test_a_window_starts_at_its_zone_s_clock_time(world):
     window = daily_window(date(2024, 6, 21), 8 * 60.0, 16 * 60.0, OSLO, world)
     assert (window.start, window.minutes, window.clock_min) == (datetime(2024, 6, 21, 6, tzinfo=UTC), 480.0, 480.0)
-    fixed = daily_window(date(2024, 6, 21), 0.0, 1440.0, timezone(timedelta(hours=9)), world)
-    assert (fixed.start, fixed.clock_min) == (datetime(2024, 6, 20, 15, tzinfo=UTC), 0.0)
+    offset_zone_window = daily_window(date(2024, 6, 21), 0.0, 1440.0, timezone(timedelta(hours=9)), world)
+    assert (offset_zone_window.start, offset_zone_window.clock_min) == (datetime(2024, 6, 20, 15, tzinfo=UTC), 0.0)
 
 
 def test_windows_handle_skipped_and_repeated_clock_times(world):
-    left_out = daily_window(date(2024, 3, 31), 150.0, 240.0, OSLO, world)  # 02:30, which is 03:30 of summer time
-    assert left_out.start == datetime(2024, 3, 31, 1, 30, tzinfo=UTC)
-    assert left_out.clock_time_min(0.0) == 210.0
-    twice = daily_window(date(2024, 10, 27), 150.0, 151.0, OSLO, world)  # from the first 02:30 to the second 02:31
-    assert twice.minutes == 61.0
+    skipped_window = daily_window(date(2024, 3, 31), 150.0, 240.0, OSLO, world)  # 02:30, which is 03:30 of summer time
+    assert skipped_window.start == datetime(2024, 3, 31, 1, 30, tzinfo=UTC)
+    assert skipped_window.clock_time_min(0.0) == 210.0
+    repeated_window = daily_window(date(2024, 10, 27), 150.0, 151.0, OSLO, world)  # from the first 02:30 to the second 02:31
+    assert repeated_window.minutes == 61.0
 
 
 @pytest.mark.parametrize(("day", "hours"), [("2024-11-02", 24), ("2024-11-03", 25), ("2024-03-10", 23)])
@@ -96,13 +96,13 @@ def test_the_sun_stands_in_the_south_at_solar_noon(world, day):
 
 
 def test_solar_time_follows_the_equation_of_time(world):
-    early, late = (
+    november_offset_min, february_offset_min = (
         (daily_window(day, 720.0, 721.0, SOLAR, world).start.replace(tzinfo=None) - datetime(2024, day.month, day.day, 12))
         / timedelta(minutes=1) + 4.0 * LON
         for day in (date(2024, 11, 3), date(2024, 2, 11))
     )  # fmt: skip
-    assert early == pytest.approx(-16.4, abs=0.2)  # the year's extremes
-    assert late == pytest.approx(14.2, abs=0.2)
+    assert november_offset_min == pytest.approx(-16.4, abs=0.2)  # the year's extremes
+    assert february_offset_min == pytest.approx(14.2, abs=0.2)
 
 
 def test_dates_of_have_even_steps():

@@ -10,7 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 from skugga.terrain.geo.keyed_curve import KeyedCurve
 
-SEED = st.integers(0, 10_000)
+SEEDS = st.integers(0, 10_000)
 
 
 def random_curve(seed: int, loop: bool = False, count: int = 7, size: int = 2) -> KeyedCurve:
@@ -22,21 +22,21 @@ def random_curve(seed: int, loop: bool = False, count: int = 7, size: int = 2) -
     return KeyedCurve(rng.uniform(-1e4, 1e4) + np.cumsum(rng.uniform(0.2, 9.0, count)), values, loop)
 
 
-@given(SEED, st.booleans())
+@given(SEEDS, st.booleans())
 def test_curve_passes_its_keys_at_their_times(seed, loop):
     curve = random_curve(seed, loop)
     np.testing.assert_allclose(curve.at(curve.times_s), curve.values, atol=1e-9)
     np.testing.assert_array_equal(curve.at(curve.times_s[0]), curve.values[0])
 
 
-@given(SEED, st.booleans())
+@given(SEEDS, st.booleans())
 def test_curve_velocity_is_continuous(seed, loop):
     """This includes times where the curve is held, and where a loop begins again."""
     curve = random_curve(seed, loop)
     h = 1e-6  # an acceleration of 2,000 m/s² is no jump of the velocity
     for time in curve.times_s:
-        before, now, after = curve.at(time + np.array([-h, 0.0, h]))
-        np.testing.assert_allclose((now - before) / h, (after - now) / h, atol=2e-2)
+        before, middle, after = curve.at(time + np.array([-h, 0.0, h]))
+        np.testing.assert_allclose((middle - before) / h, (after - middle) / h, atol=2e-2)
 
 
 def test_curve_of_one_coordinate_is_pchip():
@@ -55,16 +55,16 @@ def test_curve_of_even_keys_is_catmull_rom():
     np.testing.assert_allclose(curve.at(2.5), np.array([-9.0, 111.0, 29.0, -3.0]) / 128.0 @ values, atol=1e-12)
 
 
-@given(SEED, st.booleans(), st.floats(0.0, 360.0))
+@given(SEEDS, st.booleans(), st.floats(0.0, 360.0))
 def test_curve_is_rotation_invariant(seed, loop, turn_deg):
-    curve, turn = random_curve(seed, loop), np.radians(turn_deg)
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    curve, rotation_rad = random_curve(seed, loop), np.radians(turn_deg)
+    rotation = np.array([[np.cos(rotation_rad), -np.sin(rotation_rad)], [np.sin(rotation_rad), np.cos(rotation_rad)]])
     turned = KeyedCurve(curve.times_s, curve.values @ rotation.T, loop)
     seconds = np.linspace(curve.times_s[0] - 5.0, curve.times_s[-1] + 5.0, 200)
     np.testing.assert_allclose(turned.at(seconds), curve.at(seconds) @ rotation.T, atol=1e-9)
 
 
-@given(SEED, st.booleans())
+@given(SEEDS, st.booleans())
 def test_curve_stays_between_the_values_of_neighbouring_keys(seed, loop):
     curve = random_curve(seed, loop, size=1)
     for k in range(len(curve.times_s) - 1):
@@ -73,7 +73,7 @@ def test_curve_stays_between_the_values_of_neighbouring_keys(seed, loop):
         assert ends.min() - 1e-9 <= between.min() and between.max() <= ends.max() + 1e-9
 
 
-@given(SEED, st.booleans())
+@given(SEEDS, st.booleans())
 def test_curve_rests_between_equal_keys(seed, loop):
     curve = random_curve(seed, loop)
     np.testing.assert_array_equal(curve.at(np.linspace(*curve.times_s[2:4], 50)), np.tile(curve.values[2], (50, 1)))
@@ -87,34 +87,44 @@ def test_curve_is_held_before_and_after_its_keys():
 
 
 def test_a_loop_is_periodic():
-    turn = np.linspace(0.0, 2.0 * np.pi, 9)
-    values = 40.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    angle = np.linspace(0.0, 2.0 * np.pi, 9)
+    values = 40.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     values[-1] = values[0]
     curve = KeyedCurve(5.0 + 3.0 * np.arange(9.0), values, loop=True)
     seconds = np.linspace(0.0, 24.0, 100)
-    for rounds in (-1, 1, 1000):
-        np.testing.assert_allclose(curve.at(seconds + 24.0 * rounds), curve.at(seconds), atol=1e-7)
+    for loop_count in (-1, 1, 1000):
+        np.testing.assert_allclose(curve.at(seconds + 24.0 * loop_count), curve.at(seconds), atol=1e-7)
     radius = np.linalg.norm(curve.at(seconds), axis=1)
     assert 39.6 < radius.min() and radius.max() < 40.01  # eight keys make nearly a circle
 
 
-@given(SEED, st.booleans())
+@given(SEEDS, st.booleans())
 def test_curve_direction_is_that_of_its_motion(seed, loop):
     curve = random_curve(seed, loop)
     for seconds in np.random.default_rng(seed).uniform(curve.times_s[0], curve.times_s[-1], 20):
-        way = curve.at(seconds + 1e-5) - curve.at(seconds - 1e-5)
-        if np.linalg.norm(way) > 1e-4:
-            np.testing.assert_allclose(unit(curve.direction_at(float(seconds))), unit(way), atol=1e-3)
+        displacement = curve.at(seconds + 1e-5) - curve.at(seconds - 1e-5)
+        if np.linalg.norm(displacement) > 1e-4:
+            np.testing.assert_allclose(normalized(curve.direction_at(float(seconds))), normalized(displacement), atol=1e-3)
 
 
 def test_a_resting_curve_keeps_its_last_direction():
     values = np.array([[0.0, 0.0], [0.0, 0.0], [10.0, 0.0], [10.0, 0.0], [10.0, 10.0], [10.0, 10.0]])
     curve = KeyedCurve(np.arange(6.0), values)
-    ways = {-3.0: (1, 0), 0.5: (1, 0), 1.0: (1, 0), 1.5: (1, 0), 2.0: (1, 0), 2.7: (1, 0), 3.5: (0, 1), 4.6: (0, 1), 9.0: (0, 1)}
-    for seconds, way in ways.items():
-        np.testing.assert_allclose(unit(curve.direction_at(seconds)), way, atol=1e-5, err_msg=str(seconds))
+    directions = {
+        -3.0: (1, 0),
+        0.5: (1, 0),
+        1.0: (1, 0),
+        1.5: (1, 0),
+        2.0: (1, 0),
+        2.7: (1, 0),
+        3.5: (0, 1),
+        4.6: (0, 1),
+        9.0: (0, 1),
+    }
+    for seconds, direction in directions.items():
+        np.testing.assert_allclose(normalized(curve.direction_at(seconds)), direction, atol=1e-5, err_msg=str(seconds))
     loop = KeyedCurve(np.arange(4.0), np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 7.0], [0.0, 0.0]]), loop=True)
-    np.testing.assert_allclose(unit(loop.direction_at(0.5)), (0, -1), atol=1e-5)
+    np.testing.assert_allclose(normalized(loop.direction_at(0.5)), (0, -1), atol=1e-5)
     assert not KeyedCurve(np.arange(2.0), np.zeros((2, 3))).direction_at(0.3).any()
 
 
@@ -124,5 +134,5 @@ def test_short_parts_late_on_the_clock_keep_their_direction(first_s):
     assert all(curve.direction_at(first_s + after_s)[0] > 0.0 for after_s in (0.0, 0.001, 0.002))
 
 
-def unit(vector: np.ndarray) -> np.ndarray:
+def normalized(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)

@@ -17,7 +17,7 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, geocentric
 from skugga.terrain.level.parts import SunSpec
 
 
-def globe(lon: float, lat: float) -> World:
+def world_at(lon: float, lat: float) -> World:
     return World(CRS.from_epsg(4326), False, lon, lat, lon, lat)
 
 
@@ -49,16 +49,16 @@ def test_refraction_raises_the_low_sun():
     st.floats(-180, 180), st.floats(-89.9, 89.9), st.floats(0, 360, exclude_max=True), st.floats(-2, 89.99)
 )  # fmt: skip
 def test_sun_angles_survive_the_earth_fixed_direction(lon, lat, azimuth, altitude):
-    world = globe(lon, lat)
+    world = world_at(lon, lat)
     sun = sun_of(SunSpec(azimuth=azimuth, altitude=altitude), world)
-    back = position_at(sun.to_sun_earth, world.earth_from_anchor)
-    assert back[1] == pytest.approx(altitude, abs=1e-6)
-    assert (back[0] - azimuth + 180) % 360 - 180 == pytest.approx(0.0, abs=1e-6 / np.cos(np.radians(altitude)))
+    angles = position_at(sun.to_sun_earth, world.earth_from_anchor)
+    assert angles[1] == pytest.approx(altitude, abs=1e-6)
+    assert (angles[0] - azimuth + 180) % 360 - 180 == pytest.approx(0.0, abs=1e-6 / np.cos(np.radians(altitude)))
 
 
 def test_one_direction_gives_the_sun_s_angles_at_every_place():
     """The sun is in the zenith at one place. A quarter of the earth away it stands on the horizon."""
-    world = globe(10.0, 0.0)
+    world = world_at(10.0, 0.0)
     sun = sun_of(SunSpec(azimuth=0, altitude=90), world)
     for lon, altitude in ((10.0, 90.0), (55.0, 45.0), (100.0, 0.0), (-80.0, 0.0), (190.0, -90.0)):
         rotation = world.earth_from_enu(*geocentric(np.float64(lon), np.float64(0.0)))
@@ -79,7 +79,7 @@ def test_a_flat_world_has_no_time():
 
 @given(st.floats(-360, 720), st.floats(-90, 90))
 def test_light_space_is_orthonormal_for_every_sun(azimuth, altitude):
-    world = globe(15.0, 47.0)
+    world = world_at(15.0, 47.0)
     light = light_space(world, sun_of(SunSpec(azimuth=azimuth, altitude=altitude), world))
     rotation = light.light_from_earth
     assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-12
@@ -89,16 +89,16 @@ def test_light_space_is_orthonormal_for_every_sun(azimuth, altitude):
 
 @pytest.mark.parametrize(("azimuth", "altitude"), [(0, 90), (90, 0), (180, 0), (270, 45), (0, 0)])
 def test_light_space_is_continuous_in_the_sun(azimuth, altitude):
-    world = globe(15.0, 47.0)
-    one, other = (
+    world = world_at(15.0, 47.0)
+    first_basis, second_basis = (
         light_space(world, sun_of(SunSpec(azimuth=azimuth, altitude=min(altitude + d, 90)), world)).light_from_earth
         for d in (0.0, -1e-6)
     )
-    assert np.abs(one - other).max() < 1e-7
+    assert np.abs(first_basis - second_basis).max() < 1e-7
 
 
 def test_towards_sun_m_is_measured_along_the_ground():
-    world = globe(15.0, 47.0)
+    world = world_at(15.0, 47.0)
     sun = sun_of(SunSpec(azimuth=90, altitude=30), world)
     light = light_space(world, sun)
     east = world.anchor_earth_m + world.earth_from_anchor @ np.array([1000.0, 500.0, 0.0])

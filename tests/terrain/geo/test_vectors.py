@@ -12,11 +12,11 @@ import shapely
 from pyproj import CRS, Transformer
 
 from skugga.terrain.errors import SourceError
-from skugga.terrain.geo.vectors import MAX_EDGE, attribute_names, numeric_attribute, read_features, vector_layer
+from skugga.terrain.geo.vectors import MAX_EDGE_LENGTH, attribute_names, numeric_attribute, read_features, vector_layer
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32632)
-SITE = CRS.from_wkt(ENGINEERING)
+ENGINEERING_CRS = CRS.from_wkt(ENGINEERING)
 BOW_TIE = [[9.0, 47.0], [9.01, 47.01], [9.01, 47.0], [9.0, 47.01], [9.0, 47.0]]
 
 
@@ -69,20 +69,22 @@ def test_polygons_are_repaired_or_dropped_without_area(geojson, tmp_path):
 
 
 def test_long_edges_follow_their_parallel(geojson):
-    wide = {"type": "Polygon", "coordinates": [[[8.0, 47.0], [10.0, 47.0], [10.0, 48.0], [8.0, 48.0], [8.0, 47.0]]]}
-    outline = read_features(geojson([wide]), UTM).geometry[0]
+    long_edge_polygon = {"type": "Polygon", "coordinates": [[[8.0, 47.0], [10.0, 47.0], [10.0, 48.0], [8.0, 48.0], [8.0, 47.0]]]}
+    outline = read_features(geojson([long_edge_polygon]), UTM).geometry[0]
     on_edge = shapely.Point(Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(8.123, 47.0))
     assert outline.boundary.distance(on_edge) < 0.1
-    assert MAX_EDGE[True] < 2.0  # else the edge would have been a chord, 100 m off
+    assert MAX_EDGE_LENGTH[True] < 2.0  # else the edge would have been a chord, 100 m off
 
 
 def test_engineering_coordinates_are_not_transformed(tmp_path):
-    with_crs, without = tmp_path / "site.gpkg", tmp_path / "site.shp"
-    for path in (with_crs, without):
-        pyogrio.raw.write(path, shapely.to_wkb(shapely.points([[3.0, 4.0]])), [], [], geometry_type="Point", crs=SITE.to_wkt())
-    without.with_suffix(".prj").unlink()
-    for path in (with_crs, without):
-        assert shapely.get_coordinates(read_features(str(path), SITE).geometry).tolist() == [[3.0, 4.0]]
+    with_crs, without_crs = tmp_path / "site.gpkg", tmp_path / "site.shp"
+    for path in (with_crs, without_crs):
+        pyogrio.raw.write(
+            path, shapely.to_wkb(shapely.points([[3.0, 4.0]])), [], [], geometry_type="Point", crs=ENGINEERING_CRS.to_wkt()
+        )
+    without_crs.with_suffix(".prj").unlink()
+    for path in (with_crs, without_crs):
+        assert shapely.get_coordinates(read_features(str(path), ENGINEERING_CRS).geometry).tolist() == [[3.0, 4.0]]
 
 
 def test_shapefile_without_prj_is_refused(tmp_path):
@@ -130,7 +132,7 @@ def test_missing_files_folders_and_rasters_are_refused(tmp_path, write_raster):
 
 def test_degrees_are_refused_in_an_engineering_crs(geojson):
     with pytest.raises(SourceError, match="its CRS 'WGS 84' cannot be transformed into 'site'. Use a file in another CRS"):
-        read_features(geojson([point(9, 47)]), SITE)
+        read_features(geojson([point(9, 47)]), ENGINEERING_CRS)
 
 
 def test_numeric_attribute_parses_numbers_but_no_other_text(geojson):
@@ -146,7 +148,7 @@ def test_numeric_attribute_parses_numbers_but_no_other_text(geojson):
 
 
 @pytest.fixture
-def layered(tmp_path):
+def layered_geopackage(tmp_path):
     """Return a GeoPackage with a table, a layer without features, then points, parcels and buildings."""
     path = tmp_path / "town.gpkg"
     square = [shapely.box(5e5, 5.2e6, 500010, 5200010)]
@@ -161,40 +163,40 @@ def layered(tmp_path):
     return str(path)
 
 
-def test_vector_layer_is_the_first_with_matching_geometries(layered):
-    assert (vector_layer(layered, (0,)).name, vector_layer(layered, (0, 2)).name) == ("wells", "wells")
-    parcels = vector_layer(layered, (2,))
+def test_vector_layer_is_the_first_with_matching_geometries(layered_geopackage):
+    assert (vector_layer(layered_geopackage, (0,)).name, vector_layer(layered_geopackage, (0, 2)).name) == ("wells", "wells")
+    parcels = vector_layer(layered_geopackage, (2,))
     assert (parcels.name, parcels.other_layers) == ("parcels", ("buildings",))
     assert parcels.notes == ("layer 'parcels', not buildings (the key layer selects another one)",)
-    buildings = vector_layer(layered, (2,), accepts_attributes=lambda names: "Height" in names)
+    buildings = vector_layer(layered_geopackage, (2,), accepts_attributes=lambda names: "Height" in names)
     assert (buildings.name, buildings.other_layers) == ("buildings", ("parcels",))
-    assert numeric_attribute(read_features(layered, UTM, ["Height"], layer=buildings), "Height").tolist() == [7.0]
+    assert numeric_attribute(read_features(layered_geopackage, UTM, ["Height"], layer=buildings), "Height").tolist() == [7.0]
     with pytest.raises(SourceError, match="no feature with a geometry. Use points or polygons"):
-        read_features(layered, UTM, layer=vector_layer(layered, (2,), "empty"))
+        read_features(layered_geopackage, UTM, layer=vector_layer(layered_geopackage, (2,), "empty"))
 
 
-def test_vector_layer_takes_a_name_and_lists_the_layers(layered, geojson):
-    assert vector_layer(layered, (0,), "buildings").name == "buildings"
+def test_vector_layer_takes_a_name_and_lists_the_layers(layered_geopackage, geojson):
+    assert vector_layer(layered_geopackage, (0,), "buildings").name == "buildings"
     with pytest.raises(SourceError, match="town.gpkg: no layer 'roofs'. Use one of empty, wells, parcels, buildings, notes"):
-        vector_layer(layered, (2,), "roofs")
+        vector_layer(layered_geopackage, (2,), "roofs")
     assert vector_layer(geojson([point(9, 47)]), (2,)).name is None
     with pytest.raises(SourceError, match="no such file"):
         vector_layer("none.gpkg", (2,))
 
 
-def test_vector_layer_falls_back_to_other_geometries(layered):
+def test_vector_layer_falls_back_to_other_geometries(layered_geopackage):
     """The reader can then report which geometries the file has."""
-    assert vector_layer(layered, (1,)).name == "wells"
+    assert vector_layer(layered_geopackage, (1,)).name == "wells"
 
 
-TRACK = """<?xml version="1.0"?><gpx version="1.1" creator="x" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
+GPX_TRACK = """<?xml version="1.0"?><gpx version="1.1" creator="x" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
 <trkpt lat="47.0" lon="9.0"><time>2024-10-21T06:00:00Z</time></trkpt>
 <trkpt lat="47.1" lon="9.1"><time>2024-10-21T07:30:00Z</time></trkpt></trkseg></trk></gpx>"""
 
 
 def test_gpx_tracks_are_read_although_waypoints_are_empty(tmp_path):
     path = tmp_path / "tour.gpx"
-    path.write_text(TRACK, encoding="utf-8")
+    path.write_text(GPX_TRACK, encoding="utf-8")
     lines = vector_layer(str(path), (1,))
     assert lines.name == "tracks"
     assert shapely.get_num_coordinates(read_features(str(path), CRS.from_epsg(4326), layer=lines).geometry).tolist() == [2]
@@ -233,8 +235,8 @@ def test_one_bad_feature_among_many_is_named(geojson, bad, said):
 
 def test_a_hole_inside_its_polygon_is_kept(geojson):
     hole = [[9.006, 47.002], [9.008, 47.002], [9.008, 47.004], [9.006, 47.002]]
-    (read,) = read_features(geojson([{"type": "Polygon", "coordinates": [SQUARE, hole]}]), UTM).geometry
-    assert len(read.interiors) == 1
+    (polygon,) = read_features(geojson([{"type": "Polygon", "coordinates": [SQUARE, hole]}]), UTM).geometry
+    assert len(polygon.interiors) == 1
 
 
 def test_features_are_numbered_as_in_the_file(geojson):

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-VENDORS = Path("/usr/share/glvnd/egl_vendor.d")
+VENDOR_FOLDER = Path("/usr/share/glvnd/egl_vendor.d")
 
 
-def two_mesas(folder: Path) -> dict[str, str]:
+def duplicate_mesa_environment(folder: Path) -> dict[str, str]:
     """Return the environment of a process for which EGL lists Mesa's devices twice; write its files to a folder."""
     driver = next((path for path in Path("/usr/lib").glob("*/libEGL_mesa.so.0")), None)
-    mesa = VENDORS / "50_mesa.json"
+    mesa = VENDOR_FOLDER / "50_mesa.json"
     if driver is None or not mesa.is_file():
         pytest.skip("EGL is not of Mesa and GLVND")
     second = folder / "libEGL_second.so.0"

@@ -14,8 +14,8 @@ from skugga.terrain.gl.depth_targets import MAX_TARGETS
 from skugga.terrain.gl.programs import join_shader_parts, record_draw_calls
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 
-VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
-FRAGMENT = "#version 430\nvoid main() {}\n"
+VERTEX_SHADER = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
+FRAGMENT_SHADER = "#version 430\nvoid main() {}\n"
 
 
 def sheet(depth: float, rows: int = 3, cols: int = 3) -> np.ndarray:
@@ -30,10 +30,10 @@ def draw_sheet(gl, program: moderngl.Program, position: np.ndarray) -> int:
 
 def draw(gl, sheets, bits: int = 24, size: int = 8) -> np.ndarray:
     target = gl.depth_target(size, size, bits)
-    program = gl.program(VERTEX, FRAGMENT)
+    program = gl.program(VERTEX_SHADER, FRAGMENT_SHADER)
     with gl.depth_pass(target):
-        for one in sheets:
-            draw_sheet(gl, program, one)
+        for position in sheets:
+            draw_sheet(gl, program, position)
     return gl.read(target, attachment=-1)
 
 
@@ -48,10 +48,10 @@ def test_ci_uses_the_rasteriser_of_the_goldens(gl):
 @pytest.mark.parametrize(("bits", "step"), [(16, 1 / (2**16 - 1)), (24, 1 / (2**24 - 1)), (32, 2.0**-24)])
 def test_depth_is_stored_with_the_requested_bits(gl, bits, step):
     depth = 0.123456789
-    stored = draw(gl, [sheet(depth)], bits)
-    assert np.ptp(stored) == 0.0
-    assert abs(float(stored[0, 0]) - depth) <= step / 2 + 2e-8
-    assert bits != 16 or float(stored[0, 0]) * (2**16 - 1) == pytest.approx(round(depth * (2**16 - 1)), abs=0.01)
+    stored_depth = draw(gl, [sheet(depth)], bits)
+    assert np.ptp(stored_depth) == 0.0
+    assert abs(float(stored_depth[0, 0]) - depth) <= step / 2 + 2e-8
+    assert bits != 16 or float(stored_depth[0, 0]) * (2**16 - 1) == pytest.approx(round(depth * (2**16 - 1)), abs=0.01)
 
 
 def test_depth_pass_clamps_casters_and_keeps_the_nearest(gl):
@@ -66,15 +66,15 @@ def test_depth_clamp_does_not_leak_into_the_next_pass(gl):
     target.use()
     target.clear(depth=1.0)
     gl.ctx.enable_only(moderngl.DEPTH_TEST)
-    draw_sheet(gl, gl.program(VERTEX, FRAGMENT), sheet(-3.0))
+    draw_sheet(gl, gl.program(VERTEX_SHADER, FRAGMENT_SHADER), sheet(-3.0))
     assert (gl.read(target, attachment=-1) == 1.0).all(), "clipped, as OpenGL does by default"
 
 
 def test_triangles_with_a_missing_corner_are_left_out(gl):
-    whole = sheet(0.5, 3, 3)
-    whole[0, 0] = np.nan  # a corner of the NW quad only, which keeps one of its triangles
-    program = gl.program(VERTEX, FRAGMENT)
-    assert draw_sheet(gl, program, whole) == 7
+    position = sheet(0.5, 3, 3)
+    position[0, 0] = np.nan  # a corner of the NW quad only, which keeps one of its triangles
+    program = gl.program(VERTEX_SHADER, FRAGMENT_SHADER)
+    assert draw_sheet(gl, program, position) == 7
     assert draw_sheet(gl, program, sheet(0.5, 3, 3)) == 8
     assert draw_sheet(gl, program, np.full((3, 3, 3), np.nan)) == 0
     assert draw_sheet(gl, program, sheet(0.5, 1, 3)) == 0
@@ -84,14 +84,14 @@ def test_a_sheet_is_drawn_along_its_diagonals(gl):
     """Two opposite corners are nearer than the others. The middle is as near only if the diagonal joins these two."""
     position = sheet(0.5, 2, 2)
     position[[0, 1], [0, 1], 2] = -0.8
-    program, seen = gl.program(VERTEX, FRAGMENT), {}
-    for falls in (False, True):
+    program, middle_depths = gl.program(VERTEX_SHADER, FRAGMENT_SHADER), {}
+    for is_cut_nw_se in (False, True):
         target = gl.depth_target(9, 9, 24)
         with gl.depth_pass(target):
-            one = Sheet(position, np.array([[falls]]))
-            assert gl.draw_sheet(program, one.position_frame_m, one.triangles) == 2
-        seen[falls] = float(gl.read(target, attachment=-1)[4, 4])
-    assert seen[False] == pytest.approx(0.5, abs=1e-6) and seen[True] == pytest.approx(0.1, abs=1e-6)
+            cut_sheet = Sheet(position, np.array([[is_cut_nw_se]]))
+            assert gl.draw_sheet(program, cut_sheet.position_frame_m, cut_sheet.triangles) == 2
+        middle_depths[is_cut_nw_se] = float(gl.read(target, attachment=-1)[4, 4])
+    assert middle_depths[False] == pytest.approx(0.5, abs=1e-6) and middle_depths[True] == pytest.approx(0.1, abs=1e-6)
 
 
 def test_reading_without_the_context_raises(gl):
@@ -119,7 +119,7 @@ def test_check_raises_a_pending_error_once(gl):
 
 def test_a_shader_that_does_not_compile_raises_one_line(gl):
     with pytest.raises(GraphicsError) as caught:
-        gl.program("#version 430\nvoid main() { nonsense }", FRAGMENT)
+        gl.program("#version 430\nvoid main() { nonsense }", FRAGMENT_SHADER)
     assert "\n" not in str(caught.value)
     gl.check("what comes after")
 
@@ -137,7 +137,7 @@ def test_a_program_s_label_lists_its_parts_and_constants(gl):
     assert gl.program(vertex, fragment).extra.label == "a/one b/two.vert b/two.frag"
 
 
-KINDS = [
+SAMPLER_TYPES = [
     "sampler2D",
     "sampler2DArray",
     "sampler2DShadow",
@@ -149,7 +149,7 @@ KINDS = [
 ]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SAMPLER_TYPES)
 def test_a_program_s_textures_are_its_active_samplers(gl, kind):
     """The linker drops declared samplers that nothing reads, or that a compiled-in constant rules out."""
     size = "textureSize(one)" if kind == "sampler2DMS" else "textureSize(one, level)"
@@ -162,13 +162,17 @@ uniform float scale;
 out float c;
 void main() {{ c = scale; if (looks) c *= float({size}.x); }}
 """
-    assert gl.program(VERTEX, fragment).extra.textures == ("one",)
-    assert gl.program(VERTEX, fragment, {"looks": True}).extra.textures == ("one",)
-    assert gl.program(VERTEX, fragment, {"looks": False}).extra.textures == ()
+    assert gl.program(VERTEX_SHADER, fragment).extra.textures == ("one",)
+    assert gl.program(VERTEX_SHADER, fragment, {"looks": True}).extra.textures == ("one",)
+    assert gl.program(VERTEX_SHADER, fragment, {"looks": False}).extra.textures == ()
 
 
 def test_draw_calls_are_recorded_with_their_programs(gl):
-    target, program, other = gl.depth_target(8, 8, 24), gl.program(VERTEX, FRAGMENT), gl.program(VERTEX, FRAGMENT + "// another\n")
+    target, program, other = (
+        gl.depth_target(8, 8, 24),
+        gl.program(VERTEX_SHADER, FRAGMENT_SHADER),
+        gl.program(VERTEX_SHADER, FRAGMENT_SHADER + "// another\n"),
+    )
     triangle, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 3), np.int32)
     corners = sheet(0.5).reshape(-1, 3)
     with record_draw_calls() as calls, gl.depth_pass(target):

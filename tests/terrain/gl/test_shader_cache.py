@@ -17,7 +17,7 @@ MESA_INDEX_BYTES = 1_310_728
 
 
 @pytest.fixture
-def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def index_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a sparse index file, as Mesa creates it."""
     monkeypatch.setenv(DISABLE_VARIABLE, "false")
     monkeypatch.setenv("MESA_SHADER_CACHE_DIR", str(tmp_path))
@@ -28,30 +28,30 @@ def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_an_existing_index_is_allocated_in_full(index: Path):
-    assert index.stat().st_blocks * 512 < MESA_INDEX_BYTES
-    with index.open("r+b") as file:
+def test_an_existing_index_is_allocated_in_full(index_file: Path):
+    assert index_file.stat().st_blocks * 512 < MESA_INDEX_BYTES
+    with index_file.open("r+b") as file:
         file.write(b"kept")
     with safe_shader_cache():
-        assert index.stat().st_blocks * 512 >= MESA_INDEX_BYTES == index.stat().st_size
-    assert index.read_bytes()[:5] == b"kept\0" and os.environ[DISABLE_VARIABLE] == "false"
+        assert index_file.stat().st_blocks * 512 >= MESA_INDEX_BYTES == index_file.stat().st_size
+    assert index_file.read_bytes()[:5] == b"kept\0" and os.environ[DISABLE_VARIABLE] == "false"
 
 
-def test_an_index_made_while_opening_is_allocated_in_full(index: Path):
-    index.unlink()
-    with safe_shader_cache(), index.open("wb") as file:
+def test_an_index_made_while_opening_is_allocated_in_full(index_file: Path):
+    index_file.unlink()
+    with safe_shader_cache(), index_file.open("wb") as file:
         file.truncate(MESA_INDEX_BYTES)
-    assert index.stat().st_blocks * 512 >= MESA_INDEX_BYTES
+    assert index_file.stat().st_blocks * 512 >= MESA_INDEX_BYTES
 
 
-def test_a_disk_without_room_for_an_index_disables_the_cache(index: Path, full_disk):
-    index.unlink()
+def test_a_disk_without_room_for_an_index_disables_the_cache(index_file: Path, full_disk):
+    index_file.unlink()
     with full_disk(1000), safe_shader_cache():
         assert os.environ[DISABLE_VARIABLE] == "true"
-    assert list(index.parent.iterdir()) == []
+    assert list(index_file.parent.iterdir()) == []
 
 
-def test_a_disk_without_room_to_allocate_disables_the_cache(index: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_disk_without_room_to_allocate_disables_the_cache(index_file: Path, monkeypatch: pytest.MonkeyPatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -77,7 +77,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", disk], check=True)
 
 
-PROGRAMS = """
+MANY_PROGRAMS_SCRIPT = """
 import moderngl
 from skugga.terrain.gl.device import device
 context = device().ctx
@@ -94,5 +94,5 @@ def test_a_process_draws_while_the_cache_s_disk_is_full(gl, small_disk: Path):
     """Mesa's own sparse index ended the process: 40 shaders write to 40 places in the index."""
     (small_disk / "all").write_bytes(bytes(2**21 - 2**16))  # enough for folders, and for a sparse file
     environment = {**os.environ, "MESA_SHADER_CACHE_DIR": str(small_disk)}
-    done = subprocess.run([sys.executable, "-c", PROGRAMS], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, (done.returncode, done.stderr)
+    process = subprocess.run([sys.executable, "-c", MANY_PROGRAMS_SCRIPT], env=environment, capture_output=True, text=True)
+    assert process.returncode == 0, (process.returncode, process.stderr)

@@ -13,7 +13,7 @@ from skugga.terrain.ground.collar import Collar, detect_collar
 from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
-WITH_A_COLLAR = ("lisbon_1arcsec_4326.tif",)
+FILES_WITH_COLLAR = ("lisbon_1arcsec_4326.tif",)
 """Real rasters with a collar of zeros around the data."""
 
 
@@ -23,7 +23,7 @@ def hills(rows: int, cols: int, low_m: float = 300.0, high_m: float = 900.0) -> 
     return (low_m + (high_m - low_m) * (wave - wave.min()) / np.ptp(wave)).astype(np.float32)
 
 
-def found(path: Path, heights: np.ndarray, **options) -> Collar | None:
+def collar_of_raster(path: Path, heights: np.ndarray, **options) -> Collar | None:
     elevation = Elevation(str(write_geotiff(path / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 30.0, **options)))
     try:
         return detect_collar(elevation)
@@ -34,7 +34,7 @@ def found(path: Path, heights: np.ndarray, **options) -> Collar | None:
 @pytest.mark.parametrize("value", [0.0, -9999.0, 9000.0])
 @pytest.mark.parametrize("size", [200, 1500])
 def test_collar_left_by_warping_is_detected(tmp_path, value, size):
-    collar = found(tmp_path, rotate(hills(size, size), 15.0, order=0, cval=value))
+    collar = collar_of_raster(tmp_path, rotate(hills(size, size), 15.0, order=0, cval=value))
     assert collar is not None and collar.value == value and collar.border_share > 0.9
     assert collar.cliff_m == pytest.approx(abs(value - 600.0), abs=120.0)
     assert f"nodata: {value:g}" in collar.warning
@@ -43,9 +43,9 @@ def test_collar_left_by_warping_is_detected(tmp_path, value, size):
 @pytest.mark.parametrize("side", [np.s_[:3], np.s_[-2:], np.s_[:, :4], np.s_[:, -1:]])
 def test_thin_collar_on_one_side_of_a_large_raster_is_detected(tmp_path, side):
     heights = hills(1400, 1300)
-    assert found(tmp_path, heights) is None
+    assert collar_of_raster(tmp_path, heights) is None
     heights[side] = 0.0
-    collar = found(tmp_path, heights)
+    collar = collar_of_raster(tmp_path, heights)
     assert collar is not None and collar.value == 0.0
 
 
@@ -70,7 +70,7 @@ def test_collar_of_depths_is_detected(tmp_path):
 def test_sea_or_lake_is_no_collar(tmp_path, level_m):
     for rows in (300, 1400):
         heights = hills(rows, rows)
-        assert found(tmp_path, np.maximum(heights, level_m)) is None
+        assert collar_of_raster(tmp_path, np.maximum(heights, level_m)) is None
 
 
 def test_river_between_quays_is_no_collar(tmp_path):
@@ -79,32 +79,32 @@ def test_river_between_quays_is_no_collar(tmp_path):
     col = np.arange(300)
     heights[:, np.abs(col - 150) < 40] = 32.0
     heights[:, np.abs(col - 150) < 20] = 20.0
-    assert found(tmp_path, heights) is None
+    assert collar_of_raster(tmp_path, heights) is None
 
 
 def test_objects_on_a_plain_are_no_collar(tmp_path):
     heights = np.zeros((200, 200), np.float32)
     heights[80:120, 60:110] = 40.0
-    assert found(tmp_path, heights) is None
+    assert collar_of_raster(tmp_path, heights) is None
     heights[80:120, 60:110] += hills(40, 50, 0.0, 20.0)
-    assert found(tmp_path, heights) is None
+    assert collar_of_raster(tmp_path, heights) is None
 
 
 def test_declared_nodata_is_no_collar(tmp_path):
-    assert found(tmp_path, rotate(hills(200, 200), 15.0, order=0, cval=0.0), nodata=0.0) is None
+    assert collar_of_raster(tmp_path, rotate(hills(200, 200), 15.0, order=0, cval=0.0), nodata=0.0) is None
 
 
 def test_real_rasters_have_only_the_known_collars(shared_data):
     """No false positives, also where sea level replaces the missing cells."""
-    seen = 0
+    raster_count = 0
     for path in sorted(shared_data.rglob("*.tif")):
         if path.name == "CHM_empty.tif":
             continue
         elevation = Elevation(str(path))
-        assert (detect_collar(elevation) is not None) is (path.name in WITH_A_COLLAR), path
+        assert (detect_collar(elevation) is not None) is (path.name in FILES_WITH_COLLAR), path
         elevation.close()
-        seen += 1
-    assert seen > 20
+        raster_count += 1
+    assert raster_count > 20
 
 
 def test_real_coasts_are_no_collar(shared_data, tmp_path):
@@ -124,5 +124,5 @@ def test_real_rasters_with_an_added_collar_are_detected(shared_data, tmp_path):
                  "urban/bilbao/DEM.tif", "urban/essen_dom1_32_356_5699_1_nw_2020.tif"):  # fmt: skip
         with rasterio.open(shared_data / name) as dataset:
             turned = rotate(dataset.read(1).astype(np.float32), 10.0, order=0, cval=0.0)
-        collar = found(tmp_path, turned)
+        collar = collar_of_raster(tmp_path, turned)
         assert collar is not None and collar.value == 0.0, name

@@ -38,27 +38,27 @@ def test_sheet_has_a_top_per_cell_and_walls_at_height_steps(tmp_path: Path):
     columns = Columns(scene.world, scene.elevation, 0)
     sheet = columns.window(0, 0, 2, 3, scene.world.frame_near_earth(np.zeros(3))).sheet
     corners = sheet.position_frame_m.reshape(-1, 3)[sheet.triangles]
-    across, down = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(across, down)
+    col_side, row_side = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(col_side, row_side)
     area = np.linalg.norm(normal, axis=1) / 2.0
     tops = normal[:, 2] > 0.5
     assert (area > 0.0).all() and set(corners[tops][:, :, 2].ravel()) == {1.0, 2.0, 5.0}
     assert area[tops].sum() == pytest.approx(6 * 4.0)  # the hole is filled for casting
     assert not normal[~tops][:, 2].any()  # walls are upright
-    filled = sheet.height_m[1, 2]
+    filled_height_m = sheet.height_m[1, 2]
     steps = abs(np.diff(sheet.height_m, axis=0)).sum() + abs(np.diff(sheet.height_m, axis=1)).sum()
-    assert area[~tops].sum() == pytest.approx(2.0 * steps) and np.isfinite(filled)
+    assert area[~tops].sum() == pytest.approx(2.0 * steps) and np.isfinite(filled_height_m)
 
 
 def test_cell_grid_follows_cell_sides_and_level_of_detail(tmp_path: Path):
     heights = np.arange(48.0).reshape(6, 8)
     scene = scene_of(tmp_path, heights, UTM, (3.0, 2.0), 500000.0, 5000000.0)
-    fine, coarse = (Columns(scene.world, scene.elevation, level) for level in (0, 1))
-    assert (fine.grid.x(7.0), fine.grid.y(5.0)) == pytest.approx((500022.5, 4999989.0))
-    assert (coarse.grid.x(0.0), coarse.grid.y(0.0)) == pytest.approx((500003.0, 4999998.0))
-    assert fine.grid.row(fine.grid.y(2.5)) == pytest.approx(2.5)
-    np.testing.assert_array_equal(fine.heights(0, 0, 6, 8)[0], heights)
-    np.testing.assert_array_equal(coarse.heights(0, 0, 3, 4)[0], heights.reshape(3, 2, 4, 2).mean(axis=(1, 3)))
+    fine_columns, coarse_columns = (Columns(scene.world, scene.elevation, level) for level in (0, 1))
+    assert (fine_columns.grid.x(7.0), fine_columns.grid.y(5.0)) == pytest.approx((500022.5, 4999989.0))
+    assert (coarse_columns.grid.x(0.0), coarse_columns.grid.y(0.0)) == pytest.approx((500003.0, 4999998.0))
+    assert fine_columns.grid.row(fine_columns.grid.y(2.5)) == pytest.approx(2.5)
+    np.testing.assert_array_equal(fine_columns.heights(0, 0, 6, 8)[0], heights)
+    np.testing.assert_array_equal(coarse_columns.heights(0, 0, 3, 4)[0], heights.reshape(3, 2, 4, 2).mean(axis=(1, 3)))
 
 
 @pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:32633"])

@@ -13,7 +13,7 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.world import EARTH_RADIUS_M
 from skugga.terrain.ground.decimation import DecimatedMesh, NodeErrors, decimate, node_errors
 
-ALL = 10**9
+UNLIMITED_TRIANGLES = 10**9
 SPACING_M = 30.0
 
 
@@ -42,12 +42,12 @@ def half_cells(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return corners, np.isfinite(height[corners[..., 0], corners[..., 1]]).all(axis=1)
 
 
-def cross(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+def double_area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Return twice the area of triangles of (row, col), positive if counter-clockwise from above (east = col, north = -row)."""
     return (b[..., 1] - a[..., 1]) * (a[..., 0] - c[..., 0]) - (c[..., 1] - a[..., 1]) * (a[..., 0] - b[..., 0])
 
 
-def edges(corners: np.ndarray) -> np.ndarray:
+def directed_edges(corners: np.ndarray) -> np.ndarray:
     """Return the directed edges (3 m, 2, 2) of triangles (m, 3, 2)."""
     return np.stack([corners, np.roll(corners, -1, axis=1)], 2).reshape(-1, 2, 2)
 
@@ -57,13 +57,15 @@ def outline(corners: np.ndarray) -> np.ndarray:
 
     A boundary edge is a directed edge that no other triangle has in the opposite direction.
     """
-    directed = edges(corners).reshape(-1, 4)
+    directed = directed_edges(corners).reshape(-1, 4)
     place = np.array([2**48, 2**32, 2**16, 1])
-    alone = directed[~np.isin(directed @ place, directed[:, [2, 3, 0, 1]] @ place)]
-    steps = abs(alone[:, 2:] - alone[:, :2]).max(axis=1, initial=0)
-    along = (np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps))[:, None]
-    start, unit = (np.repeat(v, steps, axis=0) for v in (alone[:, :2], np.sign(alone[:, 2:] - alone[:, :2])))
-    return np.unique(np.concatenate([start + along * unit, start + (along + 1) * unit], axis=1), axis=0)
+    boundary_edges = directed[~np.isin(directed @ place, directed[:, [2, 3, 0, 1]] @ place)]
+    steps = abs(boundary_edges[:, 2:] - boundary_edges[:, :2]).max(axis=1, initial=0)
+    offset = (np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps))[:, None]
+    start, unit = (
+        np.repeat(v, steps, axis=0) for v in (boundary_edges[:, :2], np.sign(boundary_edges[:, 2:] - boundary_edges[:, :2]))
+    )
+    return np.unique(np.concatenate([start + offset * unit, start + (offset + 1) * unit], axis=1), axis=0)
 
 
 def assert_conforming(height: np.ndarray, mesh: DecimatedMesh) -> None:
@@ -72,13 +74,13 @@ def assert_conforming(height: np.ndarray, mesh: DecimatedMesh) -> None:
     Triangles are counter-clockwise, each directed edge occurs once, and unpaired edges occur only where the full grid has them.
     """
     corners = mesh.nodes[mesh.triangles].astype(np.int64)
-    whole, present = half_cells(height)
-    area = cross(*np.moveaxis(corners, 1, 0))
+    halves, is_complete = half_cells(height)
+    area = double_area(*np.moveaxis(corners, 1, 0))
     assert (area > 0).all()
-    assert area.sum() == present.sum()
-    directed = edges(corners).reshape(-1, 4)
+    assert area.sum() == is_complete.sum()
+    directed = directed_edges(corners).reshape(-1, 4)
     assert len(np.unique(directed, axis=0)) == len(directed)
-    np.testing.assert_array_equal(outline(corners), outline(whole[present]))
+    np.testing.assert_array_equal(outline(corners), outline(halves[is_complete]))
     np.testing.assert_array_equal(np.unique(mesh.triangles), np.arange(len(mesh.nodes)))
     assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)
 
@@ -88,7 +90,7 @@ def times_covered(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
     middle = half_cells(height)[0].sum(axis=1)
     a, b, c = np.moveaxis(3 * mesh.nodes[mesh.triangles].astype(np.int64), 1, 0)[:, None]
     m = middle[:, None]
-    return ((cross(a, b, m) > 0) & (cross(b, c, m) > 0) & (cross(c, a, m) > 0)).sum(axis=1)
+    return ((double_area(a, b, m) > 0) & (double_area(b, c, m) > 0) & (double_area(c, a, m) > 0)).sum(axis=1)
 
 
 def deviation_m(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
@@ -98,10 +100,10 @@ def deviation_m(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
         (r0, c0), (r1, c1) = corners.min(axis=0), corners.max(axis=0)
         p = np.stack(np.mgrid[r0 : r1 + 1, c0 : c1 + 1], -1)
         a, b, c = corners
-        weight = np.stack([cross(b, c, p), cross(c, a, p), cross(a, b, p)], -1) / cross(a, b, c)
-        held = (weight >= 0).all(axis=-1)
+        weight = np.stack([double_area(b, c, p), double_area(c, a, p), double_area(a, b, p)], -1) / double_area(a, b, c)
+        is_inside = (weight >= 0).all(axis=-1)
         flat = weight @ height[corners[:, 0], corners[:, 1]].astype(float)
-        out[p[held][:, 0], p[held][:, 1]] = np.abs(flat - height[r0 : r1 + 1, c0 : c1 + 1])[held]
+        out[p[is_inside][:, 0], p[is_inside][:, 1]] = np.abs(flat - height[r0 : r1 + 1, c0 : c1 + 1])[is_inside]
     return out
 
 
@@ -118,8 +120,8 @@ def hypotenuse(row: int, col: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def distance_m(height: np.ndarray, eye: tuple[float, float, float], near_m: float = 1.0) -> np.ndarray:
     row, col = np.mgrid[: height.shape[0], : height.shape[1]]
-    away = np.hypot(row - eye[0], col - eye[1]) * SPACING_M
-    return np.maximum(np.hypot(away, np.nan_to_num(height - eye[2])), near_m)
+    plan_distance_m = np.hypot(row - eye[0], col - eye[1]) * SPACING_M
+    return np.maximum(np.hypot(plan_distance_m, np.nan_to_num(height - eye[2])), near_m)
 
 
 @st.composite
@@ -142,7 +144,7 @@ tolerances = st.one_of(st.just(0.0), st.floats(1e-4, 0.3))
 
 
 @settings(max_examples=200, deadline=None)
-@given(surfaces(), eyes, tolerances, st.sampled_from([ALL, 40, 8]), st.booleans())
+@given(surfaces(), eyes, tolerances, st.sampled_from([UNLIMITED_TRIANGLES, 40, 8]), st.booleans())
 def test_decimate_is_conforming_with_an_exact_outline(height, eye, tolerance, max_triangles, sagitta):
     mesh = decimate(node_errors(height, SPACING_M, sagitta), eye, tolerance, max_triangles)
     assert_conforming(height, mesh)
@@ -154,10 +156,10 @@ def test_decimate_is_conforming_with_an_exact_outline(height, eye, tolerance, ma
 @given(surfaces(), eyes)
 def test_zero_tolerance_keeps_every_node_with_an_error(height, eye):
     errors = node_errors(height, SPACING_M, False)
-    mesh = decimate(errors, eye, 0.0, ALL)
-    kept = np.zeros(height.shape, bool)
-    kept[tuple(mesh.nodes.T)] = True
-    assert kept[(errors.error_m > 0) & np.isfinite(errors.error_m)].all()
+    mesh = decimate(errors, eye, 0.0, UNLIMITED_TRIANGLES)
+    is_kept = np.zeros(height.shape, bool)
+    is_kept[tuple(mesh.nodes.T)] = True
+    assert is_kept[(errors.error_m > 0) & np.isfinite(errors.error_m)].all()
     # Heights are in quarter metres and corners at most 16 cells apart, so the planes between them are exact.
     assert np.nanmax(deviation_m(height, mesh), initial=0.0) == 0.0
 
@@ -166,17 +168,17 @@ def test_zero_tolerance_keeps_every_node_with_an_error(height, eye):
 @given(surfaces(), eyes, tolerances)
 def test_deviation_is_bounded_by_the_sum_of_omitted_errors(height, eye, tolerance):
     errors = node_errors(height, SPACING_M, False)
-    mesh = decimate(errors, eye, tolerance, ALL)
+    mesh = decimate(errors, eye, tolerance, UNLIMITED_TRIANGLES)
     assert mesh.tolerance == tolerance
     deviation, share = deviation_m(height, mesh), tolerance * distance_m(height, eye)
-    used = set(map(tuple, mesh.nodes.tolist()))
+    used_nodes = set(map(tuple, mesh.nodes.tolist()))
     bound = {}
 
     def bound_m(node: tuple[int, int]) -> float:
         """Return 0 for a kept node, else its tolerated error plus the mean bound of the ends of its hypotenuse."""
         if node not in bound:
-            left_out = node not in used and np.isfinite(deviation[node])
-            bound[node] = share[node] + sum(bound_m(end) for end in hypotenuse(*node)) / 2 if left_out else 0.0
+            is_omitted = node not in used_nodes and np.isfinite(deviation[node])
+            bound[node] = share[node] + sum(bound_m(end) for end in hypotenuse(*node)) / 2 if is_omitted else 0.0
         return bound[node]
 
     for node in np.argwhere(np.isfinite(deviation)).tolist():
@@ -188,7 +190,7 @@ def test_deviation_is_bounded_by_the_sum_of_omitted_errors(height, eye, toleranc
 def test_deviation_on_terrain_is_below_twice_the_tolerance(eye, tolerance):
     height = fractal(129, 100, seed=3)
     errors = node_errors(height, SPACING_M, False)
-    mesh = decimate(errors, eye, tolerance, ALL)
+    mesh = decimate(errors, eye, tolerance, UNLIMITED_TRIANGLES)
     ratio = deviation_m(height, mesh) / distance_m(height, eye)
     assert len(mesh.triangles) < 0.75 * errors.triangles
     assert ratio.max() <= 2.0 * tolerance
@@ -200,16 +202,16 @@ def test_far_node_that_bends_the_ground_at_the_eye_is_kept():
     errors = node_errors(pyramid, SPACING_M, False)
     assert np.argwhere(errors.error_m > 0).tolist() == [[32, 32]]
     tolerance = 2.0 / (30 * SPACING_M)  # the peak is 1 m high, so its error seen from the rim is below the tolerance
-    assert len(decimate(errors, (2.0, 32.0, 100.0), tolerance, ALL).triangles) == 2
-    assert len(decimate(errors, (16.0, 32.0, 100.0), tolerance, ALL).triangles) == 4
+    assert len(decimate(errors, (2.0, 32.0, 100.0), tolerance, UNLIMITED_TRIANGLES).triangles) == 2
+    assert len(decimate(errors, (16.0, 32.0, 100.0), tolerance, UNLIMITED_TRIANGLES).triangles) == 4
 
 
 def test_near_m_is_the_minimum_distance():
     height = np.zeros((3, 3), np.float32)
     height[1, 1] = 1.0
     errors = node_errors(height, SPACING_M, False)
-    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.09, ALL, near_m=10.0).triangles) == 4
-    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.11, ALL, near_m=10.0).triangles) == 2
+    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.09, UNLIMITED_TRIANGLES, near_m=10.0).triangles) == 4
+    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.11, UNLIMITED_TRIANGLES, near_m=10.0).triangles) == 2
 
 
 def test_node_errors_of_single_peaks():
@@ -233,7 +235,7 @@ def test_node_errors_include_the_sagitta_of_the_earth():
 @pytest.mark.parametrize(("rows", "cols", "triangles"), [(65, 65, 2), (129, 65, 3), (65, 129, 3), (2, 2, 2), (9, 25, 5)])
 def test_plane_needs_a_handful_of_triangles(rows, cols, triangles):
     height = np.add.outer(-0.25 * np.arange(rows), 0.5 * np.arange(cols))
-    mesh = decimate(node_errors(height, SPACING_M, False), (10.0, 10.0, 1000.0), 0.0, ALL)
+    mesh = decimate(node_errors(height, SPACING_M, False), (10.0, 10.0, 1000.0), 0.0, UNLIMITED_TRIANGLES)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) == triangles
 
@@ -241,7 +243,7 @@ def test_plane_needs_a_handful_of_triangles(rows, cols, triangles):
 def test_hole_in_a_plane_keeps_only_its_corners():
     height = np.zeros((65, 65), np.float32)
     height[17:32, 33:48] = np.nan
-    mesh = decimate(node_errors(height, SPACING_M, False), (0.0, 0.0, 100.0), 0.1, ALL)
+    mesh = decimate(node_errors(height, SPACING_M, False), (0.0, 0.0, 100.0), 0.1, UNLIMITED_TRIANGLES)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) < 40
 
@@ -259,14 +261,14 @@ def test_max_triangles_selects_the_smallest_tolerance_that_fits(mountains, max_t
     mesh = decimate(mountains, eye, 1e-5, max_triangles)
     assert 0.99 * max_triangles <= len(mesh.triangles) <= max_triangles
     assert_conforming(mountains.height_m, mesh)
-    again = decimate(mountains, eye, mesh.tolerance, ALL)
-    np.testing.assert_array_equal(again.triangles, mesh.triangles)
-    less = float(np.nextafter(np.float32(mesh.tolerance), np.float32(0.0)))
-    assert len(decimate(mountains, eye, less, ALL).triangles) > max_triangles
+    repeated_mesh = decimate(mountains, eye, mesh.tolerance, UNLIMITED_TRIANGLES)
+    np.testing.assert_array_equal(repeated_mesh.triangles, mesh.triangles)
+    lower_tolerance = float(np.nextafter(np.float32(mesh.tolerance), np.float32(0.0)))
+    assert len(decimate(mountains, eye, lower_tolerance, UNLIMITED_TRIANGLES).triangles) > max_triangles
 
 
 def test_outline_is_kept_even_beyond_max_triangles(mountains):
-    mesh, outline_alone = (decimate(mountains, (0.0, 0.0, 100.0), t, m) for t, m in ((0.001, 1), (1e9, ALL)))
+    mesh, outline_alone = (decimate(mountains, (0.0, 0.0, 100.0), t, m) for t, m in ((0.001, 1), (1e9, UNLIMITED_TRIANGLES)))
     np.testing.assert_array_equal(mesh.triangles, outline_alone.triangles)
     assert_conforming(mountains.height_m, mesh)
     assert 0.001 < mesh.tolerance < 1e9
@@ -294,16 +296,16 @@ def test_grid_of_holes_has_no_triangles():
 def test_strip_needs_no_square_memory():
     height = fractal(3, 2000)
     height = np.tile(height, (1, 100))
-    mesh = decimate(node_errors(height, SPACING_M, False), (1.0, 1e5, 100.0), 0.01, ALL)
+    mesh = decimate(node_errors(height, SPACING_M, False), (1.0, 1e5, 100.0), 0.01, UNLIMITED_TRIANGLES)
     corners = mesh.nodes[mesh.triangles].astype(np.int64)
-    assert cross(*np.moveaxis(corners, 1, 0)).sum() == 2 * 2 * (height.shape[1] - 1)
+    assert double_area(*np.moveaxis(corners, 1, 0)).sum() == 2 * 2 * (height.shape[1] - 1)
 
 
 def test_raster_with_holes_is_conforming(shared_data):
     with rasterio.open(shared_data / "mountain" / "vinschgau_250m_utm32.tif") as dataset:
         height = dataset.read(1, masked=True).filled(np.nan)
     errors = node_errors(height, 250.0, True)
-    mesh = decimate(errors, (100.0, 100.0, 4000.0), 0.005, ALL)
+    mesh = decimate(errors, (100.0, 100.0, 4000.0), 0.005, UNLIMITED_TRIANGLES)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) < 0.5 * errors.triangles
 
@@ -331,11 +333,11 @@ def test_invalid_arguments_are_named(change, named):
 def test_triangles_near_the_eye_fit_float32_precision(eye):
     """Level ground of 256 km would be two triangles, with corners 100 km from a pebble in front of the eye."""
     errors = node_errors(np.zeros((257, 257), np.float32), 1000.0, False)
-    low, high = (decimate(errors, (*eye[:2], height), 0.001, ALL) for height in (eye[2], 60_000.0))
+    low, high = (decimate(errors, (*eye[:2], height), 0.001, UNLIMITED_TRIANGLES) for height in (eye[2], 60_000.0))
     assert len(high.triangles) == 2 and len(low.triangles) < 200
     assert_conforming(errors.height_m, low)
     corners = low.nodes[low.triangles].astype(float)
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max(axis=1)
-    away = shapely.distance(shapely.polygons(corners), shapely.Point(eye[:2]))
-    near = sides[away <= sides / 64.0]
+    eye_distance_m = shapely.distance(shapely.polygons(corners), shapely.Point(eye[:2]))
+    near = sides[eye_distance_m <= sides / 64.0]
     assert len(near) and near.max() <= max(64.0 * eye[2] / 1000.0, 2.0**0.5) * (1.0 + 1e-9)

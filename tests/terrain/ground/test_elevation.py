@@ -34,9 +34,9 @@ def test_windows_agree_with_the_whole_raster(write_raster):
     values[60:90, 50:120] = np.nan  # filled from its rim, equal in every window
     elevation = Elevation(str(write_raster(values, UTM, 0, 1500, 10)))
     col, row = np.meshgrid(np.arange(0, 169, 0.7), np.arange(0, 149, 0.7))
-    whole, _ = elevation.heights_at(0, row, col)
-    part, _ = elevation.heights_at(0, row[80:140, 60:200], col[80:140, 60:200])
-    np.testing.assert_array_equal(whole[80:140, 60:200], part)
+    full_heights, _ = elevation.heights_at(0, row, col)
+    window_heights, _ = elevation.heights_at(0, row[80:140, 60:200], col[80:140, 60:200])
+    np.testing.assert_array_equal(full_heights[80:140, 60:200], window_heights)
 
 
 def test_coarse_cells_are_means_counted_from_the_corner(write_raster):
@@ -45,24 +45,24 @@ def test_coarse_cells_are_means_counted_from_the_corner(write_raster):
     mean = values.reshape(16, 4, 16, 4).mean(axis=(1, 3))
     centre = np.arange(16) * 4 + 1.5
     col, row = np.meshgrid(centre, centre)
-    whole, _ = elevation.heights_at(2, row, col)
-    np.testing.assert_allclose(whole, mean, rtol=1e-6)
-    part, _ = elevation.heights_at(2, row[5:7, 9:11], col[5:7, 9:11])
-    np.testing.assert_array_equal(part, whole[5:7, 9:11])
+    full_heights, _ = elevation.heights_at(2, row, col)
+    np.testing.assert_allclose(full_heights, mean, rtol=1e-6)
+    window_heights, _ = elevation.heights_at(2, row[5:7, 9:11], col[5:7, 9:11])
+    np.testing.assert_array_equal(window_heights, full_heights[5:7, 9:11])
 
 
 @pytest.mark.parametrize("sentinel", [-9999.0, 3.4e38, -32768.0, np.nan, np.inf, -np.inf])
 def test_holes_are_invalid_and_neither_walls_nor_pits(write_raster, sentinel):
     values = np.full((60, 60), 100.0, np.float32)
     values[20:40, 20:40] = sentinel
-    tagged = sentinel == -9999.0
-    elevation = Elevation(str(write_raster(values, UTM, 0, 600, 10, nodata=sentinel if tagged else None)))
+    is_declared = sentinel == -9999.0
+    elevation = Elevation(str(write_raster(values, UTM, 0, 600, 10, nodata=sentinel if is_declared else None)))
     col, row = np.meshgrid(np.arange(60.0), np.arange(60.0))
     height, valid = elevation.heights_at(0, row, col)
     np.testing.assert_allclose(height, 100.0)
     assert (~valid).sum() == 400 and not valid[20:40, 20:40].any()
-    coarse, _ = elevation.heights_at(2, row, col)
-    np.testing.assert_allclose(coarse[np.isfinite(coarse)], 100.0)
+    coarse_heights, _ = elevation.heights_at(2, row, col)
+    np.testing.assert_allclose(coarse_heights[np.isfinite(coarse_heights)], 100.0)
 
 
 def test_centre_of_a_large_hole_is_not_filled(write_raster):
@@ -121,16 +121,16 @@ def test_hole_across_the_seam_of_a_global_raster_is_filled(write_raster, hole):
     """The same cells start at another meridian: the hole lies across the seam in one file and in the middle of the other."""
     values = np.random.default_rng(4).normal(500, 200, (128, 256)).astype(np.float32)
     values[40:90, np.arange(-hole // 2, hole // 2)] = np.nan
-    across = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 360 / 256, name="across.tif")))
-    within = Elevation(str(write_raster(np.roll(values, 128, axis=1), "EPSG:4326", 0, 90, 360 / 256, name="within.tif")))
+    seam_elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 360 / 256, name="across.tif")))
+    inner_elevation = Elevation(str(write_raster(np.roll(values, 128, axis=1), "EPSG:4326", 0, 90, 360 / 256, name="within.tif")))
     for level in (0, 1, 2):
         for first, last in ((-20, 20), (236, 276), (0, 30), (230, 255.5), (-128, 128), (0, 255.5)):
             row, col = np.meshgrid(np.arange(0, 127, 0.5), np.arange(first, last, 0.5), indexing="ij")
-            found, valid = across.heights_at(level, row, col)
-            expected, known = within.heights_at(level, row, (col + 128) % 256)
-            np.testing.assert_array_equal(found, expected)
-            np.testing.assert_array_equal(valid, known)
-            assert np.isfinite(found[~valid]).any(), "some of the hole is filled"
+            heights, valid = seam_elevation.heights_at(level, row, col)
+            expected, expected_valid = inner_elevation.heights_at(level, row, (col + 128) % 256)
+            np.testing.assert_array_equal(heights, expected)
+            np.testing.assert_array_equal(valid, expected_valid)
+            assert np.isfinite(heights[~valid]).any(), "some of the hole is filled"
 
 
 def test_global_raster_without_its_last_column_has_a_hole(write_raster):
@@ -139,10 +139,10 @@ def test_global_raster_without_its_last_column_has_a_hole(write_raster):
     for first, last in ((0, 359), (350, 359), (355, 365), (-5, 5)):
         col = np.arange(first, last)
         height, valid = heights_at(elevation, 5, col)
-        known = col % 360 < 359
-        np.testing.assert_array_equal(height[0, known], 10.0 * (col % 360)[known])
-        np.testing.assert_array_equal(valid[0], known)
-        assert (height[0, ~known] == 3580 / 2).all(), "filled between its rims"
+        has_data = col % 360 < 359
+        np.testing.assert_array_equal(height[0, has_data], 10.0 * (col % 360)[has_data])
+        np.testing.assert_array_equal(valid[0], has_data)
+        assert (height[0, ~has_data] == 3580 / 2).all(), "filled between its rims"
 
 
 @pytest.mark.parametrize("level", range(7))
@@ -156,10 +156,10 @@ def test_coarse_global_raster_is_periodic_with_a_partial_cell(write_raster, leve
     elevation = Elevation(str(write_raster(values, "EPSG:4326", 0, 90, 1.0)))
     col = np.arange(0, 360.0)
     height, valid = heights_at(elevation, 90, col, level)
-    for turn in (-2, -1, 1):
-        other, known = heights_at(elevation, 90, col + 360 * turn, level)
+    for revolutions in (-2, -1, 1):
+        other, is_valid = heights_at(elevation, 90, col + 360 * revolutions, level)
         np.testing.assert_allclose(other, height, atol=1e-3)
-        assert known.all()
+        assert is_valid.all()
     assert valid.all()
     error_m = np.abs(height[0] - values[0])
     at_seam = (col < 2**level) | (col > 360 - 2 * 2**level)
@@ -170,7 +170,7 @@ def test_overview_contains_the_highest_cell(write_raster):
     values = np.zeros((1100, 1300), np.float32)
     values[777, 555] = 3000.0
     elevation = Elevation(str(write_raster(values, UTM, 0, 11000, 10)))
-    assert elevation.overview.level == 2 and np.nanmax(elevation.overview.high_m) == 3000.0
+    assert elevation.overview.lod == 2 and np.nanmax(elevation.overview.high_m) == 3000.0
 
 
 def test_ground_m_is_bilinear_and_nan_off_the_surface(write_raster):
@@ -194,19 +194,19 @@ def test_ground_m_does_not_depend_on_block_size(write_raster, monkeypatch, crs):
     values[30:50, 60:100] = np.nan
     elevation = Elevation(str(write_raster(values, crs, -180, 45, 1.0)))
     x, y = rng.uniform(-190, 350, 500), rng.uniform(-46, 46, 500)
-    whole = elevation.ground_m(x, y), elevation.filled_ground_m(x, y)
-    assert np.isnan(whole[0]).sum() > np.isnan(whole[1]).sum() > 0
+    expected = elevation.ground_m(x, y), elevation.filled_ground_m(x, y)
+    assert np.isnan(expected[0]).sum() > np.isnan(expected[1]).sum() > 0
     monkeypatch.setattr(module, "READ_BLOCK_CELLS", 7)
-    np.testing.assert_array_equal((elevation.ground_m(x, y), elevation.filled_ground_m(x, y)), whole)
+    np.testing.assert_array_equal((elevation.ground_m(x, y), elevation.filled_ground_m(x, y)), expected)
 
 
 def test_two_distant_points_do_not_load_the_cells_between(write_raster, monkeypatch):
     elevation = Elevation(str(write_raster(np.ones((3000, 3000), np.float32), UTM, 0, 30000, 10, tiled=True)))
-    read = []
+    read_windows = []
     inside = elevation._read_inside
-    monkeypatch.setattr(elevation, "_read_inside", lambda *window: read.append(inside(*window)) or read[-1])
+    monkeypatch.setattr(elevation, "_read_inside", lambda *window: read_windows.append(inside(*window)) or read_windows[-1])
     np.testing.assert_array_equal(elevation.ground_m([5.0, 29995.0], [29995.0, 5.0]), 1.0)
-    assert sum(window.size for window in read) < 100
+    assert sum(window.size for window in read_windows) < 100
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 3))
@@ -269,7 +269,7 @@ def test_engineering_crs_is_flat(write_raster):
     assert Elevation(str(write_raster(np.ones((3, 3), np.float32), ENGINEERING, 0, 3, 1))).flat
 
 
-REAL = {
+REAL_RASTERS = {
     # file: share of valid cells, lowest and highest height in metres, from SOURCES.md or gdalinfo
     "mountain/bigtujunga_30m_utm11.tif": (1.0, 315, 2295),
     "mountain/zion_srtm_4326.tif": (1.0, 1000, 2900),
@@ -279,9 +279,9 @@ REAL = {
 }
 
 
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize("name", REAL_RASTERS)
 def test_real_rasters_have_their_heights(shared_data, name):
-    share, low, high = REAL[name]
+    share, low, high = REAL_RASTERS[name]
     overview = Elevation(str(shared_data / name)).overview
     assert np.isfinite(overview.heights_m).mean() == pytest.approx(share, abs=0.02)
     assert low - 1 <= np.nanmin(overview.heights_m) and np.nanmax(overview.high_m) <= high + 1
@@ -327,7 +327,7 @@ def test_undeclared_sentinel_is_not_averaged_into_heights(write_raster, nodata):
     heights[5:9, 5:9] = -9999.0 if nodata else 100.0
     elevation = Elevation(str(write_raster(heights, "EPSG:32633", 500_000, 5_300_000, 10.0, nodata=nodata)))
     for level in (1, 2, 3):
-        found, valid = elevation.heights_at(level, np.array([[333.0, 330.0]]), np.array([[777.0, 770.0]]))
-        assert valid[0, 1] and np.allclose(found[valid], 100.0)
+        read_heights, valid = elevation.heights_at(level, np.array([[333.0, 330.0]]), np.array([[777.0, 770.0]]))
+        assert valid[0, 1] and np.allclose(read_heights[valid], 100.0)
     lowest = np.nanmin(elevation.overview.heights_m)
     assert lowest == np.nanmax(elevation.overview.high_m) == 100.0

@@ -8,28 +8,28 @@ import numpy as np
 import pytest
 from pyproj import CRS
 from scipy.ndimage import label
+from skugga.terrain.read_generated_ground.elevation import Elevation
+from skugga.terrain.read_generated_ground.erosion import drainage
+from skugga.terrain.read_generated_ground.generated_ground import _generate, generated_ground
+from skugga.terrain.read_generated_ground.noise import fractal
 
-from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.erosion import drainage
-from skugga.terrain.ground.generated_ground import _generate, generated_ground
-from skugga.terrain.ground.noise import fractal
 from skugga.terrain.level.parts import Terrain
 
 NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"
 """Digests of every bit. Renew them only for an intended change of the generated ground."""
 
 
-def ground(**terrain) -> tuple[np.ndarray, tuple[float, ...], CRS]:
+def read_generated_ground(**terrain) -> tuple[np.ndarray, tuple[float, ...], CRS]:
     with generated_ground(Terrain.model_validate(terrain)).open() as dataset:
         return dataset.read(1), tuple(dataset.transform)[:6], CRS.from_user_input(dataset.crs.to_wkt())
 
 
-def generated(kind: str, size=(2000, 2000), cell=20, relief=500, seed=1) -> np.ndarray:
-    return ground(generate={"kind": kind, "size": size, "cell": cell, "relief": relief, "seed": seed})[0]
+def generated_heights(kind: str, size=(2000, 2000), cell=20, relief=500, seed=1) -> np.ndarray:
+    return read_generated_ground(generate={"kind": kind, "size": size, "cell": cell, "relief": relief, "seed": seed})[0]
 
 
 def test_flat_ground_has_its_nodes_at_cell_centres():
-    heights, transform, crs = ground(flat={"size": [200, 100], "cells": [100, 20]})
+    heights, transform, crs = read_generated_ground(flat={"size": [200, 100], "cells": [100, 20]})
     assert heights.shape == (21, 101) and not heights.any()
     dx, _, west, _, dy, north = transform
     assert (dx, dy) == (2.0, -5.0)
@@ -49,7 +49,7 @@ def test_elevation_opens_generated_ground():
 @pytest.mark.parametrize("kind", ["ridges", "landscape"])
 @pytest.mark.parametrize("size, cell", [((2000, 2000), 20), ((3000, 500), 10), ((400, 1000), 100), ((40, 40), 10)])
 def test_heights_fill_the_relief_on_any_grid(kind, size, cell):
-    heights = generated(kind, size, cell, relief=750)
+    heights = generated_heights(kind, size, cell, relief=750)
     assert heights.shape == (size[1] // cell + 1, size[0] // cell + 1) and heights.dtype == np.float32
     assert heights.min() == 0.0 and heights.max() == 750.0
     assert heights.std() > 20
@@ -57,17 +57,17 @@ def test_heights_fill_the_relief_on_any_grid(kind, size, cell):
 
 @pytest.mark.parametrize("kind", ["ridges", "landscape"])
 def test_seed_determines_the_ground(kind):
-    first = generated(kind, seed=7)
-    assert not np.array_equal(first, generated(kind, seed=8))
+    first = generated_heights(kind, seed=7)
+    assert not np.array_equal(first, generated_heights(kind, seed=8))
     _generate.cache.clear()
-    np.testing.assert_array_equal(first, generated(kind, seed=7))
+    np.testing.assert_array_equal(first, generated_heights(kind, seed=7))
 
 
 def test_values_are_equal_on_any_machine():
     x = np.arange(64) / 7.0
     values = fractal(x, x, 4, 12345)
     assert hashlib.sha256(values.tobytes()).hexdigest()[:16] == NOISE_DIGEST
-    assert hashlib.sha256(generated("ridges", seed=3).tobytes()).hexdigest()[:16] == RIDGES_DIGEST
+    assert hashlib.sha256(generated_heights("ridges", seed=3).tobytes()).hexdigest()[:16] == RIDGES_DIGEST
 
 
 def test_noise_is_balanced_and_continuous():
@@ -95,10 +95,10 @@ def test_drainage_leads_downhill_to_the_rim_from_every_cell():
 
 def test_ridges_have_long_valleys_and_few_pits():
     """Rivers carve the ridges: unlike noise, they have almost no pits, and the drainage area concentrates in streams."""
-    heights = generated("ridges", (4000, 4000), 20, 750, seed=3).astype(float)
+    heights = generated_heights("ridges", (4000, 4000), 20, 750, seed=3).astype(float)
     inner = heights[1:-1, 1:-1]
-    around = np.stack([heights[1 + a : 200 + a, 1 + b : 200 + b] for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b])
-    pits = (inner < around.min(axis=0)).mean()
+    neighbours = np.stack([heights[1 + a : 200 + a, 1 + b : 200 + b] for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b])
+    pits = (inner < neighbours.min(axis=0)).mean()
     order, receiver = drainage(heights)
     area = np.ones(heights.size)
     for cell in order[::-1]:
@@ -112,7 +112,7 @@ def test_ridges_have_long_valleys_and_few_pits():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_landscape_has_a_lake_gentle_ground_and_peaks(seed):
-    heights = generated("landscape", (7000, 7000), 100, 600, seed)
+    heights = generated_heights("landscape", (7000, 7000), 100, 600, seed)
     assert heights.shape == (71, 71)  # 9,800 triangles
     lakes, _ = label(heights == 0.0)
     assert 0.01 < np.bincount(lakes.ravel())[1:].max() / heights.size <= 0.06

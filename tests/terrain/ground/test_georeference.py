@@ -19,7 +19,7 @@ from tests.rasters import ENGINEERING, write_geotiff
 UTM, DEGREES = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)
 
 
-def crs_at(folder, crs, place, **options):
+def checked_crs_of_raster(folder, crs, place, **options):
     path = write_geotiff(folder / "dem.tif", np.ones((40, 50), np.float32), crs, *place, **options)
     with rasterio.open(path) as dataset:
         return checked_crs("dem.tif", dataset)
@@ -34,7 +34,7 @@ def crs_at(folder, crs, place, **options):
     ],
 )  # fmt: skip
 def test_valid_georeference_is_accepted(tmp_path, crs, place):
-    assert crs_at(tmp_path, crs, place).is_geographic is (crs == "EPSG:4326")
+    assert checked_crs_of_raster(tmp_path, crs, place).is_geographic is (crs == "EPSG:4326")
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_valid_georeference_is_accepted(tmp_path, crs, place):
 )
 def test_invalid_georeference_is_rejected_with_details(tmp_path, crs, place, words):
     with pytest.raises(SourceError) as caught:
-        crs_at(tmp_path, crs, place)
+        checked_crs_of_raster(tmp_path, crs, place)
     message = str(caught.value)
     assert message.startswith("dem.tif: ") and "\n" not in message
     for word in words:
@@ -62,9 +62,9 @@ def test_invalid_georeference_is_rejected_with_details(tmp_path, crs, place, wor
 
 def test_cells_without_a_size_or_position_are_rejected(tmp_path):
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning), pytest.raises(SourceError, match="not georeferenced"):
-        crs_at(tmp_path, "EPSG:32633", UTM, transform=Affine.identity())
+        checked_crs_of_raster(tmp_path, "EPSG:32633", UTM, transform=Affine.identity())
     with pytest.raises(SourceError, match="cells of a size above 0"):
-        crs_at(tmp_path, "EPSG:32633", UTM, transform=Affine(0, 0, 5e5, 0, 0, 5e6))
+        checked_crs_of_raster(tmp_path, "EPSG:32633", UTM, transform=Affine(0, 0, 5e5, 0, 0, 5e6))
 
 
 GCPS = [rasterio.control.GroundControlPoint(row, col, 12.5 + col * 3e-4, 47.2 - row * 3e-4) for row in (0, 40) for col in (0, 50)]

@@ -31,8 +31,8 @@ def ridge(write_raster) -> Path:
 
 
 def path_in(scene: Scene, *keys: tuple, loop: bool = False, above: HeightReference = "ground") -> GroundPath:
-    timed = [(seconds, (*place, 0.0) if len(place) == 2 else place) for seconds, place in keys]
-    return path_over_ground(timed, loop, above, Geolocator(scene.world, scene.elevation), "level.yaml: path", "position")
+    timed_positions = [(seconds, (*place, 0.0) if len(place) == 2 else place) for seconds, place in keys]
+    return path_over_ground(timed_positions, loop, above, Geolocator(scene.world, scene.elevation), "level.yaml: path", "position")
 
 
 def test_path_height_is_relative_to_the_ground_or_the_sea(make_scene, ridge):
@@ -44,10 +44,12 @@ def test_path_height_is_relative_to_the_ground_or_the_sea(make_scene, ridge):
         share = t * t * (3.0 - 2.0 * t)  # smoothstep: the path starts and stops slowly
         x = -200.0 + 400.0 * share
         ground = float(scene.elevation.ground_m(x, 7.0))
-        low, high = over_ground.at_second(float(seconds)), over_sea.at_second(float(seconds))
-        np.testing.assert_allclose(low.point_earth_m, [x, 7.0, ground + 20.0], atol=1e-6)
-        np.testing.assert_allclose(high.point_earth_m, [x, 7.0, 260.0 - 100.0 * share], atol=1e-6)
-        assert low.above_ground_m == pytest.approx(20.0) and high.above_ground_m == pytest.approx(260.0 - 100.0 * share - ground)
+        ground_position, sea_position = over_ground.at_second(float(seconds)), over_sea.at_second(float(seconds))
+        np.testing.assert_allclose(ground_position.point_earth_m, [x, 7.0, ground + 20.0], atol=1e-6)
+        np.testing.assert_allclose(sea_position.point_earth_m, [x, 7.0, 260.0 - 100.0 * share], atol=1e-6)
+        assert ground_position.above_ground_m == pytest.approx(20.0) and sea_position.above_ground_m == pytest.approx(
+            260.0 - 100.0 * share - ground
+        )
     for path in (over_ground, over_sea):
         path.check("path")
 
@@ -59,13 +61,13 @@ def test_path_height_over_water_is_relative_to_the_water(make_scene, ridge):
 
 def test_path_through_a_ridge_is_rejected(make_scene, ridge):
     scene = make_scene(ridge)
-    through = path_in(scene, (0.0, (-200, 0, 120)), (10.0, (200, 0, 120)), above="sea")
+    colliding_path = path_in(scene, (0.0, (-200, 0, 120)), (10.0, (200, 0, 120)), above="sea")
     with pytest.raises(LevelError) as caught:
-        through.check("level.yaml: path")
+        colliding_path.check("level.yaml: path")
     text = str(caught.value)
     assert text.startswith("level.yaml: path: at 120.00 m at second 4") and "under the ground, which is at 12" in text
     assert text.endswith(". Keep all of the path above the ground.") and "\n" not in text
-    through.check("path", may_be_under_ground=True)
+    colliding_path.check("path", may_be_under_ground=True)
     path_in(scene, (0.0, (-200, 0, 60)), (5.0, (0, 0, 155)), (10.0, (200, 0, 60)), above="sea").check("path")
 
 
@@ -91,15 +93,15 @@ def test_path_on_the_globe_keeps_its_height_between_far_keys(make_scene, write_r
     """The chord between keys 60 km apart lies 70 m below sea level. North is true north."""
     dem = write_raster(np.full((90, 90), 100.0, np.float32), UTM, 455000, 5045000, 1000)
     scene = make_scene(dem)
-    out, back = (transformer(CRS(UTM), LONGITUDE_LATITUDE).transform(x, 5001000) for x in (470000, 530000))
-    path = path_in(scene, (0.0, (*out, 30.0)), (10.0, (*back, 30.0)))
+    start_lon_lat, end_lon_lat = (transformer(CRS(UTM), LONGITUDE_LATITUDE).transform(x, 5001000) for x in (470000, 530000))
+    path = path_in(scene, (0.0, (*start_lon_lat, 30.0)), (10.0, (*end_lon_lat, 30.0)))
     point, up, above_m = path.at_second(seconds)
     lon, lat, height = scene.world.map_position(LONGITUDE_LATITUDE, point)
     assert height == pytest.approx(130.0, abs=1e-3) and above_m == pytest.approx(30.0)
     np.testing.assert_allclose(up, geocentric(lon, lat)[1], atol=1e-9)
     assert path.azimuth_deg(seconds) == pytest.approx(90.0, abs=0.5)
     if seconds == 5.0:
-        assert lon == pytest.approx((out[0] + back[0]) / 2, abs=1e-6)
+        assert lon == pytest.approx((start_lon_lat[0] + end_lon_lat[0]) / 2, abs=1e-6)
 
 
 def test_path_across_the_antimeridian_is_the_short_one(make_scene, write_raster):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from skugga.terrain.ground.noise import noise_along, noise_at
 
-KNOWN = {
+EXPECTED_NOISE = {
     (0.25, 0.5, 1): 0.041015625,
     (-3.7, 12.1, 71): 0.23998877184000014,
     (100000.3, -199999.3, 5): -0.4696694049585789,
@@ -17,9 +17,9 @@ KNOWN = {
 }
 
 
-@pytest.mark.parametrize("place", KNOWN)
+@pytest.mark.parametrize("place", EXPECTED_NOISE)
 def test_noise_of_a_place_and_seed_never_changes(place):
-    assert noise_at(*place) == KNOWN[place]
+    assert noise_at(*place) == EXPECTED_NOISE[place]
 
 
 @given(st.lists(st.tuples(*[st.floats(-1e9, 1e9)] * 2), min_size=1, max_size=40), st.integers(0, 2**31))
@@ -32,8 +32,10 @@ def test_noise_along_equals_noise_at_bit_for_bit(places, seed):
 
 def test_noise_is_zero_and_smooth_at_whole_coordinates():
     x, y = (axis.ravel() for axis in np.mgrid[-6:7, -6:7].astype(float))
-    at, beside = np.empty(x.size), np.empty(x.size)
-    noise_along(x, y, 9, at)
-    noise_along(x + 1e-6, y, 9, beside)
-    assert not at.any()
-    assert (np.abs(beside) <= 1.01e-6).all() and (np.abs(beside) >= 0.49e-6).all()  # gradients are 1 or 1/2 along an axis
+    node_noise, nearby_noise = np.empty(x.size), np.empty(x.size)
+    noise_along(x, y, 9, node_noise)
+    noise_along(x + 1e-6, y, 9, nearby_noise)
+    assert not node_noise.any()
+    assert (np.abs(nearby_noise) <= 1.01e-6).all() and (
+        np.abs(nearby_noise) >= 0.49e-6
+    ).all()  # gradients are 1 or 1/2 along an axis

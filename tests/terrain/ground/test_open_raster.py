@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rasterio
+from skugga.terrain.raster_heights.elevation import Elevation
 
 from skugga.terrain.errors import SourceError
-from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
 
-def ground(path, heights: np.ndarray, stated: float | None, **options) -> np.ndarray:
+def raster_heights(path, heights: np.ndarray, stated_nodata: float | None, **options) -> np.ndarray:
     """Return the heights of all cells, NaN without a surface."""
     write_geotiff(path / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 10.0, **options)
-    elevation = Elevation(str(path / "dem.tif"), nodata=stated)
+    elevation = Elevation(str(path / "dem.tif"), nodata=stated_nodata)
     row, col = np.mgrid[: heights.shape[0], : heights.shape[1]].astype(float)
     height, valid = elevation.heights_at(0, row, col)
     elevation.close()
@@ -31,11 +31,11 @@ def test_stated_and_own_nodata_are_both_missing(tmp_path, own, dtype):
     if own:
         heights[7, 1:4] = own
         missing[7, 1:4] = True
-    seen = ground(tmp_path, heights, 0.0, nodata=own)
-    np.testing.assert_array_equal(np.isnan(seen), missing)
-    np.testing.assert_array_equal(seen[~missing], heights[~missing])
+    read_heights = raster_heights(tmp_path, heights, 0.0, nodata=own)
+    np.testing.assert_array_equal(np.isnan(read_heights), missing)
+    np.testing.assert_array_equal(read_heights[~missing], heights[~missing])
     if own != 0.0:
-        assert not np.isnan(ground(tmp_path, heights, None, nodata=own)[2, 3:6]).any()
+        assert not np.isnan(raster_heights(tmp_path, heights, None, nodata=own)[2, 3:6]).any()
 
 
 def test_scale_and_unit_are_kept(tmp_path):
@@ -56,10 +56,10 @@ def test_stated_nodata_is_not_averaged_into_heights(tmp_path):
     heights[:, :301] = 0.0
     path = write_geotiff(tmp_path / "wide.tif", heights, "EPSG:32633", 500e3, 5200e3, 10.0)
     overview = Elevation(str(path), nodata=0.0).overview
-    assert overview.level == 1 and overview.lowest_m == 500.0
-    known = np.isfinite(overview.heights_m)
-    np.testing.assert_array_equal(overview.heights_m[known], 500.0)
-    np.testing.assert_array_equal(known.any(axis=0), np.arange(512) >= 150)
+    assert overview.lod == 1 and overview.lowest_m == 500.0
+    is_valid = np.isfinite(overview.heights_m)
+    np.testing.assert_array_equal(overview.heights_m[is_valid], 500.0)
+    np.testing.assert_array_equal(is_valid.any(axis=0), np.arange(512) >= 150)
 
 
 def test_stated_nodata_ignores_overviews_in_the_file(tmp_path):
@@ -78,7 +78,7 @@ def test_stated_nodata_ignores_overviews_in_the_file(tmp_path):
 @pytest.mark.parametrize("value", [-9999.0, 70000.0, 0.5])
 def test_nodata_value_that_no_cell_can_have_is_rejected(tmp_path, value):
     with pytest.raises(SourceError, match="dem.tif: nodata: .*uint16"):
-        ground(tmp_path, np.ones((5, 5), np.uint16), value)
+        raster_heights(tmp_path, np.ones((5, 5), np.uint16), value)
 
 
 def test_bundled_data_set_accepts_a_stated_nodata():

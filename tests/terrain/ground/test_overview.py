@@ -15,10 +15,10 @@ PEAK_M = 3000.0
 
 
 @pytest.fixture
-def big(write_raster, monkeypatch) -> Elevation:
+def big_raster(write_raster, monkeypatch) -> Elevation:
     """Return a plain of 500 m with a narrow peak, a narrow pit and a hole: too large for an exact read."""
-    monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 128 * 128)
-    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 128 * 128)
+    monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 128 * 128)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 128 * 128)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 32)
     row, col = np.mgrid[:SIDE, :SIDE]
 
@@ -30,29 +30,29 @@ def big(write_raster, monkeypatch) -> Elevation:
     return Elevation(str(write_raster(heights.astype(np.float32), "EPSG:32633", 500_000, 5_300_000, 30.0, tiled=True)))
 
 
-def test_peak_is_estimated_from_means(big):
-    found = big.overview
-    assert found.level == 5 and found.high_m.shape == (32, 32)
+def test_peak_is_estimated_from_means(big_raster):
+    raster_overview = big_raster.overview
+    assert raster_overview.level == 5 and raster_overview.high_m.shape == (32, 32)
     # The mean of the 32 x 32 cells around the peak is less than a quarter of its height.
-    assert np.nanmax(found.heights_m) < 500.0 + PEAK_M / 4
-    assert 500.0 + 0.8 * PEAK_M < np.nanmax(found.high_m) < 500.0 + 1.6 * PEAK_M
-    assert np.unravel_index(np.nanargmax(found.high_m), (32, 32))[1] in (20, 21)
-    assert found.lowest_m < 500.0 - 0.8 * 400.0
+    assert np.nanmax(raster_overview.heights_m) < 500.0 + PEAK_M / 4
+    assert 500.0 + 0.8 * PEAK_M < np.nanmax(raster_overview.high_m) < 500.0 + 1.6 * PEAK_M
+    assert np.unravel_index(np.nanargmax(raster_overview.high_m), (32, 32))[1] in (20, 21)
+    assert raster_overview.lowest_m < 500.0 - 0.8 * 400.0
 
 
-def test_high_m_is_at_least_the_mean_and_nan_in_holes(big):
-    found = big.overview
-    valid = np.isfinite(found.heights_m)
-    assert (found.high_m[valid] >= found.heights_m[valid] - 1e-3).all()
-    assert np.isnan(found.high_m[26:29, 26:29]).all() and np.isnan(found.heights_m[25:30, 25:30]).all()
-    assert (found.high_m[2:8, 22:30] == 500.0).all()
+def test_high_m_is_at_least_the_mean_and_nan_in_holes(big_raster):
+    raster_overview = big_raster.overview
+    valid = np.isfinite(raster_overview.heights_m)
+    assert (raster_overview.high_m[valid] >= raster_overview.heights_m[valid] - 1e-3).all()
+    assert np.isnan(raster_overview.high_m[26:29, 26:29]).all() and np.isnan(raster_overview.heights_m[25:30, 25:30]).all()
+    assert (raster_overview.high_m[2:8, 22:30] == 500.0).all()
 
 
-def test_overview_does_not_depend_on_strip_height(big, monkeypatch):
-    monkeypatch.setattr(overview, "MEANS_ROWS", 4)
-    again = Elevation(big.name)
-    np.testing.assert_array_equal(again.overview.high_m, big.overview.high_m)
-    assert again.overview.lowest_m == big.overview.lowest_m
+def test_overview_does_not_depend_on_strip_height(big_raster, monkeypatch):
+    monkeypatch.setattr(overview, "MEAN_ROWS_PER_READ", 4)
+    reopened = Elevation(big_raster.name)
+    np.testing.assert_array_equal(reopened.overview.high_m, big_raster.overview.high_m)
+    assert reopened.overview.lowest_m == big_raster.overview.lowest_m
 
 
 @pytest.mark.parametrize(
@@ -83,8 +83,8 @@ def test_check_overviews_rejects_rasters_without_enough():
 def test_scene_warns_about_missing_overviews(make_scene, write_raster, monkeypatch):
     path = write_raster(np.zeros((600, 700), np.float32), "EPSG:32633", 500_000, 5_300_000, 30.0)
     assert make_scene(path).warnings == ()
-    monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 10_000)
-    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
+    monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 10_000)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 10_000)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
     (warning,) = make_scene(path).warnings
     assert f"'skugga overviews {path}'" in warning

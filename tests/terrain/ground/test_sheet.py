@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.ground.sheet import Sheet, diagonal_cuts, sheet_of, sheet_triangles
 
-CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
+UNIT_SQUARE_CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
 """Rows and columns of a quad's corners: NW, NE, SW, SE."""
 
 HEIGHTS = arrays(np.int8, st.tuples(st.integers(2, 6), st.integers(2, 6)), elements=st.integers(-3, 5))
@@ -33,17 +33,17 @@ def height_at(sheet: Sheet, x: float, y: float) -> float:
     return np.nan
 
 
-@pytest.mark.parametrize("falls", [False, True])
-def test_triangles_of_either_cut_face_up_and_cover_the_sheet(falls):
-    triangles = sheet_triangles(np.full((3, 4), falls))
+@pytest.mark.parametrize("is_cut_nw_se", [False, True])
+def test_triangles_of_either_cut_face_up_and_cover_the_sheet(is_cut_nw_se):
+    triangles = sheet_triangles(np.full((3, 4), is_cut_nw_se))
     assert triangles.dtype == np.int32 and len(triangles) == 2 * 3 * 4
     row, col = np.divmod(triangles, 5)
     x, y = col.astype(float), -row.astype(float)
     area = ((x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])) / 2
     assert (area == 0.5).all()
-    diagonal, other = ((0, 6), (1, 5)) if falls else ((1, 5), (0, 6))  # of the first quad
+    diagonal, other = ((0, 6), (1, 5)) if is_cut_nw_se else ((1, 5), (0, 6))  # of the first quad
     corners = [set(triangle) for triangle in triangles.tolist()]
-    assert sum(set(diagonal) <= each for each in corners) == 2 and not any(set(other) <= each for each in corners)
+    assert sum(set(diagonal) <= node_set for node_set in corners) == 2 and not any(set(other) <= node_set for node_set in corners)
     # The two triangles of a quad contain its four corners; the northern one comes first.
     for n, (north, south) in enumerate(zip(corners[::2], corners[1::2], strict=True)):
         northwest = n // 4 * 5 + n % 4
@@ -52,7 +52,7 @@ def test_triangles_of_either_cut_face_up_and_cover_the_sheet(falls):
 
 
 def test_diagonal_with_the_higher_ends_is_the_cut():
-    for height, falls in (
+    for height, is_cut_nw_se in (
         ([[1, 0], [0, 0]], True),
         ([[0, 0], [0, 1]], True),
         ([[0, 1], [0, 0]], False),
@@ -61,7 +61,7 @@ def test_diagonal_with_the_higher_ends_is_the_cut():
         ([[5, 4], [4, 2]], False),
         ([[-1, 0], [0, 0]], False),
     ):
-        assert diagonal_cuts(np.array(height, np.float32)).tolist() == [[falls]], height
+        assert diagonal_cuts(np.array(height, np.float32)).tolist() == [[is_cut_nw_se]], height
 
 
 @given(
@@ -72,7 +72,7 @@ def test_surface_is_the_higher_of_the_two_cuts(height, place):
     """The surface is the upper hull of the four corners everywhere in a quad."""
     x, y = place[0], -place[1]
     nodes = nodes_of(height)
-    rising, falling = (height_at(Sheet(nodes, np.array([[falls]])), x, y) for falls in (False, True))
+    rising, falling = (height_at(Sheet(nodes, np.array([[is_cut_nw_se]])), x, y) for is_cut_nw_se in (False, True))
     assert height_at(sheet_of(nodes), x, y) == pytest.approx(max(rising, falling), abs=1e-9)
 
 
@@ -85,16 +85,20 @@ def test_planar_quad_is_equal_for_both_cuts(corners, place):
     x, y = place[0], -place[1]
     nodes = nodes_of(np.array([[nw, ne], [sw, ne + sw - nw]], float))
     expected = nw + x * (ne - nw) - y * (sw - nw)
-    for falls in (False, True):
-        assert height_at(Sheet(nodes, np.array([[falls]])), x, y) == pytest.approx(expected, abs=1e-9)
+    for is_cut_nw_se in (False, True):
+        assert height_at(Sheet(nodes, np.array([[is_cut_nw_se]])), x, y) == pytest.approx(expected, abs=1e-9)
 
 
-def corners_of(sheet: Sheet, plane: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> set[frozenset[tuple[int, int]]]:
+def triangle_positions(sheet: Sheet, plane: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> set[frozenset[tuple[int, int]]]:
     """Return the triangles of quads that are not ``plane``, as places of their nodes in ``rows`` and ``cols``."""
-    quads = sheet_triangles(sheet.falls).reshape(-1, 2, 3)
-    bent = {frozenset(map(int, triangle)) for triangle in quads[~plane.ravel()].reshape(-1, 3)}
+    quads = sheet_triangles(sheet.is_cut_nw_se).reshape(-1, 2, 3)
+    bent_triangles = {frozenset(map(int, triangle)) for triangle in quads[~plane.ravel()].reshape(-1, 3)}
     place = list(zip(rows.ravel().tolist(), cols.ravel().tolist(), strict=True))
-    return {frozenset(place[node] for node in triangle) for triangle in sheet.triangles.tolist() if frozenset(triangle) in bent}
+    return {
+        frozenset(place[node] for node in triangle)
+        for triangle in sheet.triangles.tolist()
+        if frozenset(triangle) in bent_triangles
+    }
 
 
 @given(height=HEIGHTS, turned=st.booleans(), down=st.sampled_from([1, -1]), right=st.sampled_from([1, -1]))
@@ -102,28 +106,28 @@ def test_triangles_follow_rotation_and_mirroring(height, turned, down, right):
     """All eight symmetries, also beside holes. Planar quads are left out because both cuts are right."""
     height = np.where(height < -2, np.nan, height.astype(float))
     rows, cols = np.indices(height.shape)
-    found = []
-    for each in (lambda v: v, lambda v: (v.T if turned else v)[::down, ::right]):
-        heights = each(height)
+    triangle_sets = []
+    for transformed in (lambda v: v, lambda v: (v.T if turned else v)[::down, ::right]):
+        heights = transformed(height)
         plane = heights[:-1, :-1] + heights[1:, 1:] == heights[:-1, 1:] + heights[1:, :-1]
-        found.append(corners_of(sheet_of(nodes_of(heights)), plane, each(rows), each(cols)))
-    assert found[0] == found[1]
+        triangle_sets.append(triangle_positions(sheet_of(nodes_of(heights)), plane, transformed(rows), transformed(cols)))
+    assert triangle_sets[0] == triangle_sets[1]
 
 
 @given(height=arrays(np.float64, (5, 7), elements=st.floats(-1000, 1000)))
 def test_cuts_of_mirrored_ground_are_mirrored(height):
-    bent = height[:-1, :-1] + height[1:, 1:] != height[:-1, 1:] + height[1:, :-1]
+    is_bent = height[:-1, :-1] + height[1:, 1:] != height[:-1, 1:] + height[1:, :-1]
     cuts = diagonal_cuts(height)
-    np.testing.assert_array_equal(diagonal_cuts(height[:, ::-1])[:, ::-1][bent], ~cuts[bent])
-    np.testing.assert_array_equal(diagonal_cuts(height[::-1])[::-1][bent], ~cuts[bent])
-    np.testing.assert_array_equal(diagonal_cuts(height[::-1, ::-1])[::-1, ::-1][bent], cuts[bent])
-    np.testing.assert_array_equal(diagonal_cuts(height.T).T[bent], cuts[bent])
+    np.testing.assert_array_equal(diagonal_cuts(height[:, ::-1])[:, ::-1][is_bent], ~cuts[is_bent])
+    np.testing.assert_array_equal(diagonal_cuts(height[::-1])[::-1][is_bent], ~cuts[is_bent])
+    np.testing.assert_array_equal(diagonal_cuts(height[::-1, ::-1])[::-1, ::-1][is_bent], cuts[is_bent])
+    np.testing.assert_array_equal(diagonal_cuts(height.T).T[is_bent], cuts[is_bent])
 
 
 @given(height=arrays(np.float64, (2, 2), elements=st.floats(-1000, 1000)), missing=st.sets(st.sampled_from(range(4))))
 def test_three_corners_are_a_triangle_and_two_are_none(height, missing):
     for corner in missing:
-        height[CORNERS[corner]] = np.nan
+        height[UNIT_SQUARE_CORNERS[corner]] = np.nan
     triangles = [set(triangle) for triangle in sheet_of(nodes_of(height)).triangles.tolist()]
     if not missing:
         assert len(triangles) == 2 and triangles[0] | triangles[1] == set(range(4))
@@ -145,23 +149,32 @@ def test_ridge_of_one_node_has_no_gaps(along):
     rays = RayScene([sheet])
     ends = sheet.position_frame_m[on_ridge][[0, -1]]
     crest = ends[0] + np.linspace(0.1, 0.9, 81)[:, None] * (ends[1] - ends[0])
-    way = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    across, up = np.array([-way[1], way[0], 0.0]), np.array([0.0, 0.0, 1.0])
-    for direction in (across, -across, 0.8 * across + 0.6 * way, 0.8 * across - 0.6 * way):
+    ridge_direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    cross_direction, up = np.array([-ridge_direction[1], ridge_direction[0], 0.0]), np.array([0.0, 0.0, 1.0])
+    for direction in (
+        cross_direction,
+        -cross_direction,
+        0.8 * cross_direction + 0.6 * ridge_direction,
+        0.8 * cross_direction - 0.6 * ridge_direction,
+    ):
         start = crest - 1.5 * direction
         assert rays.blocked(start - 0.01 * up, direction).all()
         assert not rays.blocked(start + 0.01 * up, direction).any()
     assert rays.blocked(crest - 0.01 * up, up).all()  # from below
     inside = ends[0] + 0.05 * (ends[1] - ends[0]) - 0.01 * up
-    assert not rays.blocked(inside[None], way, np.array([0.9 * np.linalg.norm(ends[1] - ends[0])])).any()  # along the ridge: no gap
+    assert not rays.blocked(
+        inside[None], ridge_direction, np.array([0.9 * np.linalg.norm(ends[1] - ends[0])])
+    ).any()  # along the ridge: no gap
 
 
 def test_cuts_use_heights_and_not_bent_nodes():
     """A saddle on ground that falls away with the curvature: the heights above the ground decide."""
     height = np.array([[0.0, 1.0], [1.0, 0.0]])
-    bent = nodes_of(height)
-    bent[0, 1, 2] -= 5.0
-    assert sheet_of(bent, height).falls.tolist() == [[False]] and sheet_of(bent).falls.tolist() == [[True]]
+    bent_nodes = nodes_of(height)
+    bent_nodes[0, 1, 2] -= 5.0
+    assert sheet_of(bent_nodes, height).is_cut_nw_se.tolist() == [[False]] and sheet_of(bent_nodes).is_cut_nw_se.tolist() == [
+        [True]
+    ]
 
 
 @given(height=HEIGHTS)
@@ -170,7 +183,7 @@ def test_normals_are_those_of_the_triangles(height):
     sheet = sheet_of(nodes_of(height))
     normals = sheet.normals_frame
     assert normals.shape == (height.shape[0] - 1, height.shape[1] - 1, 2, 3) and normals.dtype == np.float32
-    o, a, b = sheet.position_frame_m.reshape(-1, 3)[sheet_triangles(sheet.falls)].transpose(1, 0, 2)
+    o, a, b = sheet.position_frame_m.reshape(-1, 3)[sheet_triangles(sheet.is_cut_nw_se)].transpose(1, 0, 2)
     expected = np.cross(a - o, b - o)
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     np.testing.assert_allclose(normals.reshape(-1, 3), expected, atol=1e-6)
@@ -180,4 +193,4 @@ def test_normals_are_those_of_the_triangles(height):
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 5), (5, 1)])
 def test_single_row_or_column_has_no_triangle(shape):
     sheet = sheet_of(nodes_of(np.zeros(shape)))
-    assert sheet.falls.size == 0 and sheet.triangles.shape == (0, 3)
+    assert sheet.is_cut_nw_se.size == 0 and sheet.triangles.shape == (0, 3)

@@ -35,7 +35,7 @@ def scene(write_raster, make_scene):
     return make_scene(write_raster(heights, "EPSG:32633", 420_000.0, 5_200_000.0, 30.0, nodata=np.nan))
 
 
-def grid_over(scene, step: float) -> Grid:
+def mercator_grid(scene, step: float) -> Grid:
     """Return a Mercator grid with node (0, 0) at the centre of the level."""
     crs = CRS.from_epsg(3857)
     x, y, _ = scene.world.map_position(crs, scene.world.anchor_earth_m)
@@ -48,19 +48,19 @@ def test_block_and_its_rim_need_only_its_own_tiles():
 
 @pytest.mark.parametrize("window", [(-40, -90, 70, 200), (500, -530, 30, 60), (-520, 505, 20, 20), (900, 900, 10, 10)])
 def test_height_window_equals_heights_read_at_once(scene, window):
-    surface = scene.surface(grid_over(scene, 20.0))
+    surface = scene.surface(mercator_grid(scene, 20.0))
     height, valid = surface.heights(*window)
     for _ in range(2):  # read, then cached
-        kept = surface.height_window(*window)
-        assert np.array_equal(kept.height_m, height, equal_nan=True)
-        assert np.array_equal(kept.valid, valid & np.isfinite(height))
+        height_window = surface.height_window(*window)
+        assert np.array_equal(height_window.height_m, height, equal_nan=True)
+        assert np.array_equal(height_window.valid, valid & np.isfinite(height))
 
 
 def test_cached_heights_are_not_read_again(scene, monkeypatch):
-    surface = scene.surface(grid_over(scene, 20.0))
+    surface = scene.surface(mercator_grid(scene, 20.0))
     first = surface.height_window(-40, -90, 70, 200)
     monkeypatch.setattr(type(surface), "heights", None)
-    assert np.array_equal(scene.surface(grid_over(scene, 20.0)).height_window(-40, -90, 70, 200).height_m, first.height_m)
+    assert np.array_equal(scene.surface(mercator_grid(scene, 20.0)).height_window(-40, -90, 70, 200).height_m, first.height_m)
 
 
 @pytest.mark.parametrize("row0", [-741, -740])
@@ -69,27 +69,27 @@ def test_cached_heights_are_not_read_again(scene, monkeypatch):
 def test_along_equals_the_coordinates_of_the_points(scene, row0, col0, turn):
     """Compare with points in a frame, for any orientation of the array, and for heights refined on the fly or in advance."""
     down, right, swapped = turn
-    surface, frame = scene.surface(grid_over(scene, 20.0).refined()), scene.world.frame_near_earth(scene.world.anchor_earth_m)
+    surface, frame = scene.surface(mercator_grid(scene, 20.0).refined()), scene.world.frame_near_earth(scene.world.anchor_earth_m)
     rows, cols = 150, 190
     window = surface.height_window(row0, col0, rows, cols)
     assert isinstance(window, RefinedWindow)
-    plain = HeightWindow(row0, col0, window.height_m, window.valid)
+    refined_window = HeightWindow(row0, col0, window.height_m, window.valid)
     axis, origin = np.array([0.48, 0.6, 0.64]), scene.world.anchor_earth_m + 5.0
-    filled = []
-    for each in (window, plain):
+    arrays = []
+    for grid_window in (window, refined_window):
         memory = np.full((cols, rows) if swapped else (rows, cols), np.nan, np.float32)
         array = (memory.T if swapped else memory)[::down, ::right]
-        surface.along(axis, origin, [each], [array])
-        filled.append(array)
-    assert np.array_equal(*filled, equal_nan=True)
+        surface.write_axis_coordinates(axis, origin, [grid_window], [array])
+        arrays.append(array)
+    assert np.array_equal(*arrays, equal_nan=True)
     exact = (frame.points_to_earth(surface.points(row0, col0, window.height_m, frame)) - origin) @ axis
-    assert np.isnan(filled[0]).any() and np.array_equal(np.isnan(filled[0]), np.isnan(exact))
-    assert np.nanmax(np.abs(filled[0] - exact)) < 2e-3  # float32 at distances of kilometres
+    assert np.isnan(arrays[0]).any() and np.array_equal(np.isnan(arrays[0]), np.isnan(exact))
+    assert np.nanmax(np.abs(arrays[0] - exact)) < 2e-3  # float32 at distances of kilometres
 
 
 def test_refined_heights_are_midpoints_of_higher_diagonals():
-    coarse = np.array([[0.0, 4.0, 6.0], [2.0, 8.0, np.nan], [1.0, 1.0, 1.0]], np.float32)
-    window = RefinedWindow(0, 0, (5, 5), HeightWindow(0, 0, coarse, np.isfinite(coarse)))
+    coarse_heights = np.array([[0.0, 4.0, 6.0], [2.0, 8.0, np.nan], [1.0, 1.0, 1.0]], np.float32)
+    window = RefinedWindow(0, 0, (5, 5), HeightWindow(0, 0, coarse_heights, np.isfinite(coarse_heights)))
     nan = np.nan
     expected = [
         [0.0, 2.0, 4.0, 5.0, 6.0],
@@ -100,7 +100,7 @@ def test_refined_heights_are_midpoints_of_higher_diagonals():
     ]
     assert np.array_equal(window.height_m, np.array(expected, np.float32), equal_nan=True)
     assert np.array_equal(window.valid, np.isfinite(window.height_m))
-    part = RefinedWindow(1, 3, (3, 2), HeightWindow(0, 1, coarse[:, 1:], np.isfinite(coarse[:, 1:])))
+    part = RefinedWindow(1, 3, (3, 2), HeightWindow(0, 1, coarse_heights[:, 1:], np.isfinite(coarse_heights[:, 1:])))
     assert np.array_equal(part.height_m, np.array(expected, np.float32)[1:4, 3:5], equal_nan=True)
 
 
@@ -126,27 +126,30 @@ def test_rim_casts_but_is_not_shown(write_raster, make_scene, finer):
     heights[:2, 3:] = np.nan
     scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 40.0, 10.0))
     surface = scene.surface(Grid(scene.map_crs, 5.0, 35.0, 10.0).finer(finer))
-    around = -6, -6, 20, 21
-    shown, casting = surface.height_window(*around), surface.height_window(*around, rim=True)
-    np.testing.assert_array_equal(shown.valid, casting.valid)
-    known = np.isfinite(shown.height_m)
-    assert (np.isfinite(casting.height_m) & ~known).any()
-    for height, valid in ((shown.height_m, shown.valid), surface.heights(*around)):
-        np.testing.assert_array_equal(np.isfinite(height), known)
-        np.testing.assert_array_equal(valid, shown.valid)
-    window = surface.window(*around, scene.world.frame_near(scene.map_crs, 0.0, 0.0))
-    for mine, other in ((window.height_m, shown.height_m), (window.casting.height_m[known], window.height_m[known])):
-        np.testing.assert_array_equal(mine, other)
-    assert np.isfinite(window.casting.position_frame_m[..., 2]).sum() == np.isfinite(casting.height_m).sum()
+    extent = -6, -6, 20, 21
+    visible_window, casting_window = surface.height_window(*extent), surface.height_window(*extent, rim=True)
+    np.testing.assert_array_equal(visible_window.valid, casting_window.valid)
+    is_valid = np.isfinite(visible_window.height_m)
+    assert (np.isfinite(casting_window.height_m) & ~is_valid).any()
+    for height, valid in ((visible_window.height_m, visible_window.valid), surface.heights(*extent)):
+        np.testing.assert_array_equal(np.isfinite(height), is_valid)
+        np.testing.assert_array_equal(valid, visible_window.valid)
+    window = surface.window(*extent, scene.world.frame_near(scene.map_crs, 0.0, 0.0))
+    for actual, expected in (
+        (window.height_m, visible_window.height_m),
+        (window.casting.height_m[is_valid], window.height_m[is_valid]),
+    ):
+        np.testing.assert_array_equal(actual, expected)
+    assert np.isfinite(window.casting.position_frame_m[..., 2]).sum() == np.isfinite(casting_window.height_m).sum()
     complete = np.isfinite(window.sheet.normals_frame[..., 0])
     np.testing.assert_array_equal(window.casting.sheet.normals_frame[complete], window.sheet.normals_frame[complete])
 
 
 @given(st.floats(-0.49, 0.49), st.floats(-0.49, 0.49), st.sampled_from([0.4, 1.0, 1.4, 3.0]))
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_rim_nodes_are_neighbours_of_valid_nodes(scene_of_cells, row, col, step):
+def test_rim_nodes_are_neighbours_of_valid_nodes(cell_scene, row, col, step):
     """For any offset of nodes from cells, the heights are those of valid nodes and of their eight neighbours."""
-    scene = scene_of_cells
+    scene = cell_scene
     surface = scene.surface(Grid(scene.map_crs, 10.0 * col + 5.0, 395.0 - 10.0 * row, 10.0 * step))
     window = surface.height_window(-5, -5, 120, 120, rim=True)
     height, valid = window.height_m, window.valid
@@ -155,7 +158,7 @@ def test_rim_nodes_are_neighbours_of_valid_nodes(scene_of_cells, row, col, step)
 
 
 @pytest.fixture(scope="module")
-def scene_of_cells(tmp_path_factory):
+def cell_scene(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cells")
     heights = np.random.default_rng(1).normal(size=(40, 40)).astype(np.float32)
     raster = write_geotiff(folder / "dem.tif", heights, ENGINEERING, 0.0, 400.0, 10.0)
@@ -165,13 +168,13 @@ def scene_of_cells(tmp_path_factory):
 
 def test_rim_does_not_depend_on_the_window(scene):
     """This includes windows that contain only rim nodes."""
-    surface = scene.surface(grid_over(scene, 20.0))
+    surface = scene.surface(mercator_grid(scene, 20.0))
     height, valid, _ = surface._heights_and_rim(-300, -400, 600, 800)
     rim = np.argwhere(np.isfinite(height) & ~valid)
     assert len(rim) > 500
     for row, col in rim[:: len(rim) // 20]:
-        single, _, _ = surface._heights_and_rim(int(row) - 300, int(col) - 400, 1, 1)
-        assert single[0, 0] == height[row, col]
+        single_node, _, _ = surface._heights_and_rim(int(row) - 300, int(col) - 400, 1, 1)
+        assert single_node[0, 0] == height[row, col]
 
 
 def test_rim_does_not_extend_beyond_a_pole(write_raster, make_scene):

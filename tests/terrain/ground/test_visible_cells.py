@@ -64,8 +64,8 @@ def test_window_beside_the_raster_shows_no_cells(scene):
 
 
 def test_block_of_tiles_shows_the_whole_raster(scene):
-    small = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
-    block = replace(small, row0=float(-BLOCK_PX), col0=0.0, row_step=1.0, col_step=1.0, rows=BLOCK_PX, cols=BLOCK_PX)
-    assert is_block(block) and not is_block(small)
+    small_view = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
+    block = replace(small_view, row0=float(-BLOCK_PX), col0=0.0, row_step=1.0, col_step=1.0, rows=BLOCK_PX, cols=BLOCK_PX)
+    assert is_block(block) and not is_block(small_view)
     assert visible_cells(scene.elevation, block) == full_cell_range(scene.elevation)
     assert not is_block(replace(block, col0=256.0)) and not is_block(replace(block, rows=256))

@@ -31,19 +31,19 @@ SUMMITS = {"jacksboro": CROSS_MOUNTAIN, "jacksboro_utm": CROSS_MOUNTAIN}
 SRTM_CELL_DEG = 3.0 / 3600.0
 """Warping to finer cells does not improve the position of a summit."""
 
-MAX_CELLS = 1.0
+MAX_OFFSET_CELLS = 1.0
 """Maximum distance of the highest cell from the summit, along either axis: half a cell to the cell's centre, a sixth for a position
 published in whole seconds, and a fifth for the 20 m within which 90 % of SRTM's heights lie (its specification).
 """
 
-MAX_M = 16.0
+MAX_HEIGHT_ERROR_M = 16.0
 """90 % of SRTM's heights have a smaller error (its specification)."""
 
 
 def test_every_bundled_raster_has_a_known_summit():
     assert set(SUMMITS) == set(BUNDLED)
-    of_levels = {load_level(path).source for path in bundled_levels()} - {""}
-    assert of_levels and of_levels <= set(SUMMITS), "a level over another real raster needs a summit too"
+    level_sources = {load_level(path).source for path in bundled_levels()} - {""}
+    assert level_sources and level_sources <= set(SUMMITS), "a level over another real raster needs a summit too"
 
 
 @pytest.mark.parametrize("name", BUNDLED)
@@ -54,8 +54,10 @@ def test_highest_cell_is_the_published_summit(name):
         row, col = np.unravel_index(np.nanargmax(heights_m), heights_m.shape)
         (longitude,), (latitude,) = rasterio.warp.transform(dataset.crs, LONGITUDE_LATITUDE, *([v] for v in dataset.xy(row, col)))
     off_deg = longitude - summit.longitude, latitude - summit.latitude
-    assert np.abs(off_deg).max() <= MAX_CELLS * SRTM_CELL_DEG, f"cells off east and north: {np.array(off_deg) / SRTM_CELL_DEG}"
-    assert abs(heights_m[row, col] - summit.height_m) <= MAX_M
+    assert np.abs(off_deg).max() <= MAX_OFFSET_CELLS * SRTM_CELL_DEG, (
+        f"cells off east and north: {np.array(off_deg) / SRTM_CELL_DEG}"
+    )
+    assert abs(heights_m[row, col] - summit.height_m) <= MAX_HEIGHT_ERROR_M
 
 
 def test_srtm_cells_are_centred_on_whole_arc_seconds():

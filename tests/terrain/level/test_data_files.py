@@ -32,7 +32,7 @@ READERS = {
 }  # fmt: skip
 
 
-def vrt(source: str, band: str = "", inside: str = "", relative: int = 1) -> str:
+def vrt_text(source: str, band: str = "", inside: str = "", relative: int = 1) -> str:
     return (
         f'<VRTDataset rasterXSize="8" rasterYSize="6"><SRS>{UTM}</SRS><GeoTransform>500000, 10, 0, 5200000, 0, -10</GeoTransform>'
         f'<VRTRasterBand dataType="Float32" band="1" {band}>{inside}<SimpleSource>'
@@ -44,8 +44,8 @@ def vrt(source: str, band: str = "", inside: str = "", relative: int = 1) -> str
 @pytest.fixture
 def folder(tmp_path):
     write_geotiff(tmp_path / "dem.tif", np.arange(48, dtype=np.float32).reshape(6, 8), UTM, 500e3, 5200e3, 10.0)
-    (tmp_path / "good.vrt").write_text(vrt("dem.tif"))
-    (tmp_path / "twice.vrt").write_text(vrt(str(tmp_path / "good.vrt"), relative=0))
+    (tmp_path / "good.vrt").write_text(vrt_text("dem.tif"))
+    (tmp_path / "twice.vrt").write_text(vrt_text(str(tmp_path / "good.vrt"), relative=0))
     return tmp_path
 
 
@@ -91,16 +91,19 @@ def test_virtual_rasters_of_files_are_read(folder):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (vrt("/etc/passwd", 'subClass="VRTRawRasterBand"'), "raw bytes"),
-        (vrt("dem.tif", 'subClass="VRTDerivedRasterBand"', "<PixelFunctionLanguage> Python </PixelFunctionLanguage>"), "Python"),
-        (vrt("/dev/zero", relative=0), "/dev/zero, a device"),
-        (vrt("&lt;VRTDataset/&gt;"), "contains another virtual file as text"),
+        (vrt_text("/etc/passwd", 'subClass="VRTRawRasterBand"'), "raw bytes"),
+        (
+            vrt_text("dem.tif", 'subClass="VRTDerivedRasterBand"', "<PixelFunctionLanguage> Python </PixelFunctionLanguage>"),
+            "Python",
+        ),
+        (vrt_text("/dev/zero", relative=0), "/dev/zero, a device"),
+        (vrt_text("&lt;VRTDataset/&gt;"), "contains another virtual file as text"),
     ],
     ids=["raw", "python", "device", "inside"],
 )
 def test_unsafe_virtual_rasters_are_rejected(folder, text, said):
     (folder / "bad.vrt").write_text(text)
-    (folder / "of_bad.vrt").write_text(vrt("bad.vrt"))
+    (folder / "of_bad.vrt").write_text(vrt_text("bad.vrt"))
     for name in ("bad.vrt", "of_bad.vrt"):
         with pytest.raises(SourceError, match=said):
             Elevation(str(folder / name))
@@ -109,40 +112,42 @@ def test_unsafe_virtual_rasters_are_rejected(folder, text, said):
 
 
 def test_linked_files_ends_on_a_cycle(folder):
-    (folder / "a.vrt").write_text(vrt("b.vrt"))
-    (folder / "b.vrt").write_text(vrt("a.vrt"))
+    (folder / "a.vrt").write_text(vrt_text("b.vrt"))
+    (folder / "b.vrt").write_text(vrt_text("a.vrt"))
     assert linked_files(str(folder / "a.vrt")) == (str(folder / "b.vrt"),)
     check_file(str(folder / "a.vrt"))
 
 
-ADDRESS = "http://elsewhere.example/data"
-CRS_LINK = {"type": "link", "properties": {"href": ADDRESS}}
-REMOTE = {
-    "a.vrt": vrt(f"/vsicurl/{ADDRESS}", relative=0),
-    "b.vrt": vrt(f"{ADDRESS}.tif", relative=1),
-    "c.vrt": vrt("wms.xml"),
-    "wms.xml": f"<GDAL_WMS><Service name='TMS'><ServerUrl>{ADDRESS}</ServerUrl></Service></GDAL_WMS>",
-    "ogr.vrt": f"<OGRVRTDataSource><OGRVRTLayer name='x'><SrcDataSource>{ADDRESS}</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>",
-    "wfs.xml": f"<?xml version='1.0'?><!-- a -->\n<OGRWFSDataSource><URL>{ADDRESS}</URL></OGRWFSDataSource>",
+REMOTE_URL = "http://elsewhere.example/data"
+CRS_LINK = {"type": "link", "properties": {"href": REMOTE_URL}}
+REMOTE_FILES = {
+    "a.vrt": vrt_text(f"/vsicurl/{REMOTE_URL}", relative=0),
+    "b.vrt": vrt_text(f"{REMOTE_URL}.tif", relative=1),
+    "c.vrt": vrt_text("wms.xml"),
+    "wms.xml": f"<GDAL_WMS><Service name='TMS'><ServerUrl>{REMOTE_URL}</ServerUrl></Service></GDAL_WMS>",
+    "ogr.vrt": (
+        f"<OGRVRTDataSource><OGRVRTLayer name='x'><SrcDataSource>{REMOTE_URL}</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>"
+    ),
+    "wfs.xml": f"<?xml version='1.0'?><!-- a -->\n<OGRWFSDataSource><URL>{REMOTE_URL}</URL></OGRWFSDataSource>",
     "crs.geojson": json.dumps({"type": "FeatureCollection", "crs": CRS_LINK, "features": []}),
     "deep.json": json.dumps({"features": [{"geometry": {"type": "Point", "crs": {**CRS_LINK, "type": "Link"}}}]}),
     "escaped.json": json.dumps({"crs": CRS_LINK}).replace("link", "\\u006cink").replace("crs", "cr\\u0073"),
-    "run.gdalg.json": json.dumps({"type": "gdal_streamed_alg", "command_line": f"gdal vector pipeline ! read {ADDRESS}"}),
-    "model.gltf": json.dumps({"images": [{"uri": ADDRESS}]}),
+    "run.gdalg.json": json.dumps({"type": "gdal_streamed_alg", "command_line": f"gdal vector pipeline ! read {REMOTE_URL}"}),
+    "model.gltf": json.dumps({"images": [{"uri": REMOTE_URL}]}),
 }
 
 
-@pytest.mark.parametrize("name", REMOTE)
+@pytest.mark.parametrize("name", REMOTE_FILES)
 def test_linked_files_finds_addresses_in_any_format(folder, name):
-    for each, text in REMOTE.items():
-        (folder / each).write_text(text)
-    assert any(ADDRESS in link for link in linked_files(str(folder / name)))
+    for file_name, text in REMOTE_FILES.items():
+        (folder / file_name).write_text(text)
+    assert any(REMOTE_URL in link for link in linked_files(str(folder / name)))
 
 
-@pytest.mark.parametrize("name", REMOTE)
+@pytest.mark.parametrize("name", REMOTE_FILES)
 def test_service_rejects_levels_with_remote_sources(folder, name):
-    for each, text in REMOTE.items():
-        (folder / each).write_text(text)
+    for file_name, text in REMOTE_FILES.items():
+        (folder / file_name).write_text(text)
     for keys in ({"terrain": {"source": name}}, {"terrain": {"source": "dem.tif"}, "meshes": [{"source": name, "height": 3}]}):
         (folder / "level.yaml").write_text(json.dumps({"version": 1, **keys}))
         with pytest.raises(LevelError, match="elsewhere.*SKUGGA_REMOTE_SOURCES"):
@@ -150,16 +155,16 @@ def test_service_rejects_levels_with_remote_sources(folder, name):
 
 
 def test_service_serves_virtual_rasters_of_files(folder):
-    served = ServedLevels([folder / "twice.vrt"])
-    assert [level.name for level in served.known()] == ["twice"]
+    served_levels = ServedLevels([folder / "twice.vrt"])
+    assert [level.name for level in served_levels.known()] == ["twice"]
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        json.dumps({"type": "FeatureCollection", "features": [{"properties": {"link": ADDRESS, "type": "link"}}]}),
+        json.dumps({"type": "FeatureCollection", "features": [{"properties": {"link": REMOTE_URL, "type": "link"}}]}),
         json.dumps({"crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::3857"}}, "link": "ä"}),
-        f"<kml xmlns='http://www.opengis.net/kml/2.2'><Document><description>{ADDRESS}</description></Document></kml>",
+        f"<kml xmlns='http://www.opengis.net/kml/2.2'><Document><description>{REMOTE_URL}</description></Document></kml>",
     ],
 )
 def test_addresses_in_plain_data_are_no_links(tmp_path, text):
@@ -168,7 +173,7 @@ def test_addresses_in_plain_data_are_no_links(tmp_path, text):
     assert linked_files(str(path)) == ()
 
 
-READ_ALL = """
+READ_ALL_SCRIPT = """
 import sys, rasterio, pyogrio, warnings
 from skugga.terrain.level.gdal_guard import forbid_remote_reads
 address, guarded, *files = sys.argv[1:]
@@ -189,20 +194,20 @@ def test_gdal_guard_does_not_warn_about_missing_drivers():
     """Wheels of pyogrio have no PostgreSQL driver to skip."""
     code = "from skugga.terrain.level.gdal_guard import forbid_remote_reads as f; f(); import rasterio, pyogrio"
     environment = {name: value for name, value in os.environ.items() if name != "CPL_LOG"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False,
         env={**environment, "PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (process.returncode, process.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("guarded", ["yes", "no"])
 def test_gdal_guard_stops_all_requests_of_gdal(folder, guarded):
-    asked = []
+    requested_paths = []
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self):  # noqa: N802
-            asked.append(self.path)
+            requested_paths.append(self.path)
             self.send_error(404)
 
         do_HEAD = do_GET  # noqa: N815
@@ -215,23 +220,23 @@ def test_gdal_guard_stops_all_requests_of_gdal(folder, guarded):
     thread.start()
     try:
         address = f"http://127.0.0.1:{server.server_port}"
-        files = [name for name in REMOTE if name != "model.gltf"]
+        files = [name for name in REMOTE_FILES if name != "model.gltf"]
         for name in files:
-            (folder / name).write_text(REMOTE[name].replace(ADDRESS, f"{address}/{name}"))
+            (folder / name).write_text(REMOTE_FILES[name].replace(REMOTE_URL, f"{address}/{name}"))
         files += [f"{address}/plain.tif", f"/vsicurl/{address}/plain.geojson"]
         environment = {name: value for name, value in os.environ.items() if "proxy" not in name.lower()}
-        done = subprocess.run(
-            [sys.executable, "-c", READ_ALL, address, guarded, *files], cwd=folder, capture_output=True, text=True, timeout=120,
+        process = subprocess.run(
+            [sys.executable, "-c", READ_ALL_SCRIPT, address, guarded, *files], cwd=folder, capture_output=True, text=True, timeout=120,
             env={**environment, "PYTHONPATH": os.pathsep.join(sys.path)},
         )  # fmt: skip
     finally:
         server.shutdown()
         thread.join()
         server.server_close()
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [str(float(sum(range(48))))] * 2
-    found = {path.split("/")[1].split("?")[0] for path in asked}
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.split() == [str(float(sum(range(48))))] * 2
+    requested_files = {path.split("/")[1].split("?")[0] for path in requested_paths}
     if guarded == "yes":
-        assert not asked
+        assert not requested_paths
     else:  # without the guard GDAL sends requests; otherwise the test could not fail
-        assert {"a.vrt", "crs.geojson", "plain.tif"} <= found, found
+        assert {"a.vrt", "crs.geojson", "plain.tif"} <= requested_files, requested_files

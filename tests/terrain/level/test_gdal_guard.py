@@ -11,7 +11,7 @@ import pytest
 
 from skugga.terrain.level.gdal_guard import CACHE_LIMITS
 
-IN_A_WORKER = """
+WORKER_SCRIPT = """
 import json, multiprocessing, os, sys
 
 def told():
@@ -27,27 +27,27 @@ if __name__ == "__main__":
     process.join()
 """
 
-PARENTS = {
+PARENT_IMPORTS = {
     "the service's pool": "import skugga.api.workers.pool",
     "a library's user": "import skugga",
     "whoever opens rasters": "import skugga.terrain.ground.elevation",
 }
 
 
-def limits_in_a_worker(folder, parent: str, **said: str) -> list[list[str]]:
+def limits_in_a_worker(folder, parent: str, **overrides: str) -> list[list[str]]:
     """Return the limits in the environment of a child process, and the values that GDAL uses there."""
     script = folder / "parent.py"
-    script.write_text(IN_A_WORKER.replace("PARENT", parent), encoding="utf-8")
-    environment = {name: value for name, value in os.environ.items() if name not in CACHE_LIMITS} | said
-    done = subprocess.run(
+    script.write_text(WORKER_SCRIPT.replace("PARENT", parent), encoding="utf-8")
+    environment = {name: value for name, value in os.environ.items() if name not in CACHE_LIMITS} | overrides
+    process = subprocess.run(
         [sys.executable, str(script), json.dumps([*CACHE_LIMITS])], env=environment, capture_output=True, text=True, timeout=120
     )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    return [[str(value) for value in found[: len(CACHE_LIMITS)]], [str(value) for value in found[len(CACHE_LIMITS) :]]]
+    assert process.returncode == 0, process.stderr
+    limits = json.loads(process.stdout)
+    return [[str(value) for value in limits[: len(CACHE_LIMITS)]], [str(value) for value in limits[len(CACHE_LIMITS) :]]]
 
 
-@pytest.mark.parametrize("parent", PARENTS.values(), ids=PARENTS)
+@pytest.mark.parametrize("parent", PARENT_IMPORTS.values(), ids=PARENT_IMPORTS)
 def test_workers_inherit_the_limits_of_their_parent(tmp_path, parent):
     environment, gdal = limits_in_a_worker(tmp_path, parent)
     assert environment == list(CACHE_LIMITS.values())
@@ -55,7 +55,7 @@ def test_workers_inherit_the_limits_of_their_parent(tmp_path, parent):
 
 
 def test_limits_of_the_user_take_precedence(tmp_path):
-    environment, gdal = limits_in_a_worker(tmp_path, PARENTS["the service's pool"], GDAL_CACHEMAX="64")
+    environment, gdal = limits_in_a_worker(tmp_path, PARENT_IMPORTS["the service's pool"], GDAL_CACHEMAX="64")
     assert environment == ["64", *list(CACHE_LIMITS.values())[1:]] and gdal[0] == str(64 * 2**20)
 
 
@@ -64,7 +64,7 @@ def test_command_line_sets_the_limits(tmp_path):
     script += "try: main()\nexcept SystemExit: pass\n"
     script += "print([os.environ[name] for name in sys.stdin.read().split()])"
     environment = {name: value for name, value in os.environ.items() if name not in CACHE_LIMITS}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], env=environment, input=" ".join(CACHE_LIMITS), capture_output=True, text=True, timeout=120
     )
-    assert done.stdout.splitlines()[-1] == str(list(CACHE_LIMITS.values())), done.stderr
+    assert process.stdout.splitlines()[-1] == str(list(CACHE_LIMITS.values())), process.stderr

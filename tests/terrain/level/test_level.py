@@ -13,9 +13,9 @@ from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES
-from skugga.terrain.level.level import EffectName, expand_override, load_level, parse_algorithm, parse_sun, spelt
+from skugga.terrain.level.level import EffectName, expand_override, load_level, override_text, parse_algorithm, parse_sun
 
-GOOD = "version: 1\nterrain: {source: jacksboro}\n"
+VALID_LEVEL = "version: 1\nterrain: {source: jacksboro}\n"
 
 
 def level(tmp_path: Path, text: str) -> Path:
@@ -41,29 +41,39 @@ def test_bundled_levels_load():
     ("text", "key", "value", "allowed"),
     [
         ("terrain: {source: jacksboro}\n", "version", "missing", "required"),
-        (GOOD + "forrest: []\n", "forrest", "unknown key", "terrain, water, forest, meshes, sun, lights, weather"),
+        (VALID_LEVEL + "forrest: []\n", "forrest", "unknown key", "terrain, water, forest, meshes, sun, lights, weather"),
         ("version: 1\nterrain: {sourc: x}\n", "terrain.sourc", "unknown key", "source, flat, generate, bounds"),
         ("version: 2\nterrain: {source: x}\n", "version", "2", "1"),
         ("version: 1\nterrain: {source: x, units: yards}\n", "terrain.units", "yards", "'m', 'ft', 'us-ft', "),
         ("version: 1\nterrain: {source: x, positive: downwards}\n", "terrain.positive", "downwards", "'up' or 'down'"),
         ("version: 1\nterrain: {source: x, exaggeration: -2}\n", "terrain.exaggeration", "-2", "greater than 0"),
         ("version: 1\nterrain: {source: x, bounds: [3, 2, 1, 4]}\n", "terrain.bounds", "[3, 2, 1, 4]", "west < east"),
-        (GOOD + "sun: {azimuth: 100, altitude: 91}\n", "sun.altitude", "91", "less than or equal to 90"),
-        (GOOD + "sun: {time: '2024-06-01T12:00:00'}\n", "sun", "2024-06-01", "offset"),
-        (GOOD + "sun: {azimuth: 100}\n", "sun", "100", "time, or azimuth and altitude"),
-        (GOOD + "shadows: {algorithm: magic}\n", "shadows.algorithm", "magic", "shadow_map"),
-        (GOOD + "shadows: {map_size: 10}\n", "shadows.map_size", "10", "64"),
-        (GOOD + "shadows: {stencil: three_pass}\n", "shadows.stencil", "three_pass", "'one_pass' or 'two_pass'"),
-        (GOOD + "shadows: {counting: z_pass}\n", "shadows.counting", "z_pass", "'auto' or 'z_fail'"),
-        (GOOD + "shadows: {mask: paper}\n", "shadows.mask", "paper", "'conservative' or 'original'"),
-        (GOOD + "effects: {glitter: on}\n", "effects.glitter", "glitter", "cast_shadows"),
-        (GOOD + "views: {a: {kind: fisheye}}\n", "views.a", "fisheye", "'map', 'perspective'"),
-        (GOOD + "views: {a: {kind: perspective, target: [0, 0, 0]}}\n", "views.a.eye", "missing", "required"),
-        (GOOD + "views: {a: {kind: perspective, eye: [0, 0, 1], target: [0, 0, 1]}}\n", "views.a", "0", "other than the eye"),
-        (GOOD + "lights: {sun: {kind: omni, position: [0, 0, 1]}}\n", "lights", "sun", "light names other than sun"),
-        (GOOD + "lights: {lamp: {kind: spot, position: [0, 0, 1]}}\n", "lights.lamp", "spot", "a target for a spot"),
-        (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "shadows.algorithm", "lamp", "name a light (sun) or a caster kind"),
-        (GOOD + "meshes: [{source: a.obj, generate: rocks}]\n", "meshes.0", "rocks", "either source or generate"),
+        (VALID_LEVEL + "sun: {azimuth: 100, altitude: 91}\n", "sun.altitude", "91", "less than or equal to 90"),
+        (VALID_LEVEL + "sun: {time: '2024-06-01T12:00:00'}\n", "sun", "2024-06-01", "offset"),
+        (VALID_LEVEL + "sun: {azimuth: 100}\n", "sun", "100", "time, or azimuth and altitude"),
+        (VALID_LEVEL + "shadows: {algorithm: magic}\n", "shadows.algorithm", "magic", "shadow_map"),
+        (VALID_LEVEL + "shadows: {map_size: 10}\n", "shadows.map_size", "10", "64"),
+        (VALID_LEVEL + "shadows: {stencil: three_pass}\n", "shadows.stencil", "three_pass", "'one_pass' or 'two_pass'"),
+        (VALID_LEVEL + "shadows: {counting: z_pass}\n", "shadows.counting", "z_pass", "'auto' or 'z_fail'"),
+        (VALID_LEVEL + "shadows: {mask: paper}\n", "shadows.mask", "paper", "'conservative' or 'original'"),
+        (VALID_LEVEL + "effects: {glitter: on}\n", "effects.glitter", "glitter", "cast_shadows"),
+        (VALID_LEVEL + "views: {a: {kind: fisheye}}\n", "views.a", "fisheye", "'map', 'perspective'"),
+        (VALID_LEVEL + "views: {a: {kind: perspective, target: [0, 0, 0]}}\n", "views.a.eye", "missing", "required"),
+        (
+            VALID_LEVEL + "views: {a: {kind: perspective, eye: [0, 0, 1], target: [0, 0, 1]}}\n",
+            "views.a",
+            "0",
+            "other than the eye",
+        ),
+        (VALID_LEVEL + "lights: {sun: {kind: omni, position: [0, 0, 1]}}\n", "lights", "sun", "light names other than sun"),
+        (VALID_LEVEL + "lights: {lamp: {kind: spot, position: [0, 0, 1]}}\n", "lights.lamp", "spot", "a target for a spot"),
+        (
+            VALID_LEVEL + "shadows: {algorithm: {lamp: shadow_map}}\n",
+            "shadows.algorithm",
+            "lamp",
+            "name a light (sun) or a caster kind",
+        ),
+        (VALID_LEVEL + "meshes: [{source: a.obj, generate: rocks}]\n", "meshes.0", "rocks", "either source or generate"),
         ("version: 1\nterrain: {source: x, flat: {size: [1, 1], cells: [1, 1]}}\n", "terrain", "flat", "one of source, flat"),
         ("version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, nodata: 0}\n", "terrain", "flat", "nodata with a source only"),
         (
@@ -74,7 +84,7 @@ def test_bundled_levels_load():
         ),
         ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
         ("version: [1\n", "my.yaml: line 2", "expected", "well-formed YAML"),
-        (GOOD + "sun: {time: 2024-13-45}\n", "my.yaml", "month", "well-formed YAML"),
+        (VALID_LEVEL + "sun: {time: 2024-13-45}\n", "my.yaml", "month", "well-formed YAML"),
         ("[" * 3000, "my.yaml", "nested lists and mappings", "well-formed YAML"),
     ],
 )
@@ -103,21 +113,21 @@ def test_all_errors_of_a_level_are_reported_at_once(tmp_path):
         "effects.glitter", "effects.haze", "forest.0.densty", "forest.1.height", "sun.altitude", "sun.azimut", "terrain.sourc",
         "terrain.units", "titel", "version", "views.a.eye", "views.a.fovv", "views.b.kind",
     ]  # fmt: skip
-    assert len(caught.value.others) == len(keys) - 1
-    said = dict(zip(keys, lines, strict=True))
-    for wrong, right in (
+    assert len(caught.value.further_errors) == len(keys) - 1
+    message_of_key = dict(zip(keys, lines, strict=True))
+    for misspelt_key, suggested_key in (
         ("titel", "title"),
         ("terrain.sourc", "source"),
         ("forest.0.densty", "density"),
         ("sun.azimut", "azimuth"),
     ):
-        assert f"unknown key. Did you mean '{right}'? Allowed keys: " in said[wrong]
-    assert "3 items" not in said["views.a.eye"] and ": missing." in said["views.a.eye"]
+        assert f"unknown key. Did you mean '{suggested_key}'? Allowed keys: " in message_of_key[misspelt_key]
+    assert "3 items" not in message_of_key["views.a.eye"] and ": missing." in message_of_key["views.a.eye"]
 
 
 def test_unknown_key_without_a_match_lists_allowed_keys(tmp_path):
     with pytest.raises(LevelError, match=r"my\.yaml: zzz: unknown key\. Allowed keys: version, title"):
-        load_level(level(tmp_path, GOOD + "zzz: 1\n"))
+        load_level(level(tmp_path, VALID_LEVEL + "zzz: 1\n"))
 
 
 def test_missing_and_binary_levels_are_rejected(tmp_path):
@@ -130,15 +140,18 @@ def test_missing_and_binary_levels_are_rejected(tmp_path):
 
 def test_overrides_are_expanded():
     assert expand_override("auto") == {}
-    every = {"relief": "shadow_map", "meshes": "shadow_map", "forest": "shadow_map"}
-    assert expand_override("shadow_map") == {"sun": every}
-    assert expand_override("shadow_map", ("sun", "lamp")) == {"sun": every, "lamp": every}
-    assert expand_override({"forest": "none", "lamp": "shadow_map"}, ("sun", "lamp")) == {"sun": {"forest": "none"}, "lamp": every}
+    all_kinds = {"relief": "shadow_map", "meshes": "shadow_map", "forest": "shadow_map"}
+    assert expand_override("shadow_map") == {"sun": all_kinds}
+    assert expand_override("shadow_map", ("sun", "lamp")) == {"sun": all_kinds, "lamp": all_kinds}
+    assert expand_override({"forest": "none", "lamp": "shadow_map"}, ("sun", "lamp")) == {
+        "sun": {"forest": "none"},
+        "lamp": all_kinds,
+    }
     assert expand_override({"relief": "none"}) == {"sun": {"relief": "none"}}
     assert expand_override({"sun": {"relief": "none"}}) == {"sun": {"relief": "none"}}
     assert parse_algorithm("relief=shadow_map") == {"relief": "shadow_map"}
     for text in ("sweep", "relief=sweep,forest=shadow_map,lamp=none"):
-        assert spelt(parse_algorithm(text)) == text
+        assert override_text(parse_algorithm(text)) == text
     with pytest.raises(PydanticCustomError, match="relief"):
         expand_override(parse_algorithm("leaves=shadow_map"))  # "leaves" may be the name of a light, which only the level can tell
     with pytest.raises(InputError, match=", ".join([*ALGORITHM_NAMES, "auto"])):
@@ -147,9 +160,9 @@ def test_overrides_are_expanded():
 
 def test_parse_sun_reads_request_parameters():
     assert parse_sun(None, None, None) is None
-    given = parse_sun("2024-06-01T12:00:00 02:00", None, None)  # a query decodes "+" as a space
-    assert given is not None and given.time is not None and given.time.utcoffset().total_seconds() == 7200
-    for wrong, name in (
+    sun_spec = parse_sun("2024-06-01T12:00:00 02:00", None, None)  # a query decodes "+" as a space
+    assert sun_spec is not None and sun_spec.time is not None and sun_spec.time.utcoffset().total_seconds() == 7200
+    for arguments, name in (
         (("yesterday", None, None), "time"),
         (("2024-06-01T12:00:00", None, None), "time"),
         ((None, 10.0, None), "altitude"),
@@ -161,7 +174,7 @@ def test_parse_sun_reads_request_parameters():
         (("2024-06-01T12:00:00Z", None, 20.0), "time"),
     ):
         with pytest.raises(InputError) as caught:
-            parse_sun(*wrong)
+            parse_sun(*arguments)
         assert caught.value.name == name
 
 
@@ -175,4 +188,4 @@ def test_a_conflict_names_both_parameters_with_their_prefix():
 def test_relative_sources_are_relative_to_the_level(tmp_path):
     loaded = load_level(level(tmp_path, "version: 1\nterrain: {source: data/dem.tif}\n"))
     assert loaded.source == str((tmp_path / "data/dem.tif").resolve())
-    assert load_level(level(tmp_path, GOOD)).source == "jacksboro"
+    assert load_level(level(tmp_path, VALID_LEVEL)).source == "jacksboro"

@@ -14,11 +14,11 @@ from skugga.terrain.errors import InputError, LevelError, combined_error, printa
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_text import MAX_CHARACTERS, MAX_DEPTH, MAX_VALUES, parse_level_text
 
-HEAD = "version: 1\nterrain: {flat: {size: [10, 10], cells: [2, 2]}}\n"
+LEVEL_HEAD = "version: 1\nterrain: {flat: {size: [10, 10], cells: [2, 2]}}\n"
 
-LISTS = "a0: &a0 [1,1,1,1,1,1,1,1,1]\n" + "".join(f"a{n}: &a{n} [{','.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
-MERGES = "a0: &a0 {x: 1, y: 2}\n" + "".join(f"a{n}: &a{n} {{<<: [{','.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 12))
-CHAIN = "a0: &a0 [1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, MAX_DEPTH + 2))
+NESTED_LISTS = "a0: &a0 [1,1,1,1,1,1,1,1,1]\n" + "".join(f"a{n}: &a{n} [{','.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
+NESTED_MERGES = "a0: &a0 {x: 1, y: 2}\n" + "".join(f"a{n}: &a{n} {{<<: [{','.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 12))
+ALIAS_CHAIN = "a0: &a0 [1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, MAX_DEPTH + 2))
 
 
 @pytest.fixture
@@ -34,9 +34,9 @@ def level(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (LISTS, "after alias expansion"),
-        (MERGES, "after alias expansion"),
-        (CHAIN, "nested lists and mappings"),
+        (NESTED_LISTS, "after alias expansion"),
+        (NESTED_MERGES, "after alias expansion"),
+        (ALIAS_CHAIN, "nested lists and mappings"),
         ("a: &a [*a]\n", "an alias of a list or mapping that contains it"),
         ("a: " + "[" * 100_000, "nested lists and mappings"),
         ("a:\n  " + "- " * 100_000, "nested lists and mappings"),
@@ -49,7 +49,7 @@ def level(tmp_path):
 )
 def test_harmful_level_text_is_rejected_in_one_short_line(level, text, said):
     with pytest.raises(LevelError) as caught:
-        load_level(level(HEAD + text))
+        load_level(level(LEVEL_HEAD + text))
     message = str(caught.value)
     assert said in message and "line " in message and len(message) < 500 and message.isprintable()
 
@@ -77,7 +77,7 @@ def test_aliases_count_with_their_expanded_values(widths):
 
 def test_level_text_has_a_maximum_length(level):
     with pytest.raises(LevelError, match="more than 16777216 characters"):
-        load_level(level(HEAD + "title: " + "x" * MAX_CHARACTERS))
+        load_level(level(LEVEL_HEAD + "title: " + "x" * MAX_CHARACTERS))
 
 
 @pytest.mark.parametrize("kind", ["pipe.yaml", "folder.yaml", "device.yaml"])
@@ -100,10 +100,10 @@ def test_error_message_escapes_control_characters():
 
 @given(st.text(st.characters(), max_size=30))
 def test_printable_text_is_encodable_and_one_line(text):
-    shown = printable(text)
-    shown.encode()
-    assert len(shown.splitlines()) <= 1 and "\x1b" not in shown
-    assert printable(shown) == shown
+    escaped = printable(text)
+    escaped.encode()
+    assert len(escaped.splitlines()) <= 1 and "\x1b" not in escaped
+    assert printable(escaped) == escaped
 
 
 def test_printable_keeps_ordinary_text():
@@ -112,17 +112,17 @@ def test_printable_keeps_ordinary_text():
 
 
 def test_level_name_of_an_undecodable_file_name_is_escaped(level, tmp_path):
-    path = level(HEAD)
-    strange = os.fsencode(tmp_path) + b"/\xff\x1b.yaml"
-    os.rename(path, strange)
-    loaded = load_level(os.fsdecode(strange))
+    path = level(LEVEL_HEAD)
+    undecodable_path = os.fsencode(tmp_path) + b"/\xff\x1b.yaml"
+    os.rename(path, undecodable_path)
+    loaded = load_level(os.fsdecode(undecodable_path))
     assert loaded.name == "\\udcff\\x1b"
     json.dumps(loaded.name, ensure_ascii=False).encode()
 
 
 def test_at_most_a_hundred_errors_are_reported(level):
     with pytest.raises(LevelError) as caught:
-        load_level(level(HEAD + "forest: [" + "{source: 1}," * 2_000 + "]"))
+        load_level(level(LEVEL_HEAD + "forest: [" + "{source: 1}," * 2_000 + "]"))
     lines = str(caught.value).split("\n")
     assert len(lines) == 101 and lines[0].startswith(str(level("", "x").parent)) and lines[-1].endswith("more are wrong")
 

@@ -29,7 +29,7 @@ from skugga.terrain.trees.canopy import Canopy
 UTM = "EPSG:32633"
 
 
-def courtyards(side: int) -> tuple[np.ndarray, np.ndarray]:
+def square_with_courtyards(side: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners (n, 2) and ring ends of a square with ``side`` x ``side`` square courtyards in rows and columns."""
     size = 4 * side + 4
     rings = [[(0, 0), (size, 0), (size, size), (0, size)]]
@@ -42,12 +42,12 @@ def courtyards(side: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("side", [1, 3, 25])
 def test_roof_around_rows_of_courtyards_has_no_gap(side):
-    xy, ends = courtyards(side)
+    xy, ends = square_with_courtyards(side)
     roof = block_triangles.roof_triangles(xy, ends)
     assert len(roof) == len(xy) + 2 * (len(ends) - 1) - 2
     a, b, c = np.moveaxis(xy[roof], 1, 0)
-    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    assert (doubled > 0).all() and doubled.sum() / 2 == pytest.approx((4 * side + 4) ** 2 - 4 * side**2)
+    double_area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    assert (double_area > 0).all() and double_area.sum() / 2 == pytest.approx((4 * side + 4) ** 2 - 4 * side**2)
     edges = {edge for i, j, k in roof.tolist() for edge in ((i, j), (j, k), (k, i))}
     assert len(edges) == 3 * len(roof)
     ring_edges = set(enumerate(block_triangles._next_corners(ends).tolist()))
@@ -59,13 +59,13 @@ def test_centre_of_a_large_fan_is_shaded_flat(monkeypatch):
     rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(8)])
     tip = Body(np.vstack([[0.0, 0.0, 0.2], rim]), [(0, 1 + k, 1 + (k + 1) % 8) for k in range(8)], (0.5, 0.5, 0.5))
     a, b, c = np.moveaxis(tip.vertices_m[tip.triangles], 1, 0)
-    own = np.cross(b - a, c - a)
-    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    face_normals = np.cross(b - a, c - a)
+    face_normals /= np.linalg.norm(face_normals, axis=1, keepdims=True)
     np.testing.assert_allclose(tip.corner_normals()[:, 0], [[0.0, 0.0, 1.0]] * 8, atol=1e-6)
-    monkeypatch.setattr(body_module, "MAX_SMOOTHED", 7)
-    crowded = Body(tip.vertices_m, tip.triangles, tip.albedo).corner_normals()
-    np.testing.assert_allclose(crowded[:, 0], own, atol=1e-6)
-    np.testing.assert_allclose(crowded[:, 1:], tip.corner_normals()[:, 1:], atol=1e-6)  # fewer faces meet at the rim
+    monkeypatch.setattr(body_module, "MAX_SMOOTHED_CORNERS", 7)
+    centre_normals = Body(tip.vertices_m, tip.triangles, tip.albedo).corner_normals()
+    np.testing.assert_allclose(centre_normals[:, 0], face_normals, atol=1e-6)
+    np.testing.assert_allclose(centre_normals[:, 1:], tip.corner_normals()[:, 1:], atol=1e-6)  # fewer faces meet at the rim
 
 
 def test_many_equal_faces_take_no_pairs(tmp_path):
@@ -84,7 +84,9 @@ def test_duplicate_faces_are_merged(tmp_path):
 @pytest.fixture
 def geojson(tmp_path):
     def write(*geometries: shapely.Geometry, crs: str = "EPSG::32633"):
-        features = [{"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(each)} for each in geometries]
+        features = [
+            {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(geometry)} for geometry in geometries
+        ]
         name = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:{crs}"}}
         path = tmp_path / "a.geojson"
         path.write_text(json.dumps({"type": "FeatureCollection", "crs": name, "features": features}))
@@ -124,14 +126,14 @@ def test_footprints_with_too_many_corners_are_rejected(geojson, make_scene, writ
     round_house = shapely.Polygon(np.column_stack([500040 + 20 * np.cos(angle), 5199950 + 20 * np.sin(angle)]))
     source = geojson(round_house, shapely.box(500010, 5199920, 500020, 5199930))
     scene = make_scene(scene.elevation.name, meshes=[{"source": source, "height": 5}])
-    assert len(scene.objects.placement.seen) == 2
+    assert len(scene.objects.placement.visible) == 2
     monkeypatch.setattr(buildings, name, 150)
     scene = make_scene(scene.elevation.name, meshes=[{"source": source, "height": 5}])
     with pytest.raises(SourceError, match=r"of 20\d corners, more than the limit of 150"):
         _ = scene.objects.placement
 
 
-def gltf(path, accessor: int | None = None, count: object = 3, nodes: list[dict] | None = None) -> str:
+def write_gltf(path, accessor: int | None = None, count: object = 3, nodes: list[dict] | None = None) -> str:
     """Write a triangle as glTF, optionally with another accessor count and other nodes, and return its path."""
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes() + np.array([0, 1, 2, 0], "<u2").tobytes()
     accessors = [
@@ -154,12 +156,12 @@ def gltf(path, accessor: int | None = None, count: object = 3, nodes: list[dict]
 @pytest.mark.parametrize("accessor", [0, 1])
 def test_gltf_with_impossible_counts_is_rejected(tmp_path, accessor, count):
     with pytest.raises(SourceError, match=f"accessor {accessor} has {count} elements"):
-        read_model(gltf(tmp_path / "a.gltf", accessor, count))
+        read_model(write_gltf(tmp_path / "a.gltf", accessor, count))
 
 
 def test_gltf_triangles_without_vertices_are_rejected(tmp_path):
     with pytest.raises(SourceError, match="refer to missing vertices|cannot be read"):
-        read_model(gltf(tmp_path / "a.gltf", 0, 1))
+        read_model(write_gltf(tmp_path / "a.gltf", 0, 1))
 
 
 @pytest.mark.parametrize(
@@ -168,13 +170,13 @@ def test_gltf_triangles_without_vertices_are_rejected(tmp_path):
 )
 def test_gltf_with_cyclic_nodes_ends(tmp_path, nodes):
     try:
-        assert len(read_model(gltf(tmp_path / "a.gltf", nodes=nodes)).triangles) == 1
+        assert len(read_model(write_gltf(tmp_path / "a.gltf", nodes=nodes)).triangles) == 1
     except SourceError as error:
         assert "a.gltf" in str(error)
 
 
 def test_instances_of_a_mesh_count_towards_the_limit(tmp_path, monkeypatch):
-    source = gltf(tmp_path / "a.gltf", nodes=[{"children": [1, 2, 3]}, *({"mesh": 0} for _ in range(3))])
+    source = write_gltf(tmp_path / "a.gltf", nodes=[{"children": [1, 2, 3]}, *({"mesh": 0} for _ in range(3))])
     assert len(read_model(source).triangles) == 3
     monkeypatch.setattr(models, "MAX_MODEL_TRIANGLES", 2)
     with pytest.raises(SourceError, match="3 triangles, more than the limit of 2"):
@@ -193,10 +195,10 @@ def test_large_texture_is_rejected_before_it_is_decoded(tmp_path, monkeypatch, s
         read_model(str(tmp_path / f"a{suffix}"))
 
 
-NO_CELLS = [(float("nan"), 0, 5, 0, -2, 9), (2, 0, float("inf"), 0, -2, 9), (2, 0, 5, 0, 0, 9)]
+INVALID_GEOTRANSFORMS = [(float("nan"), 0, 5, 0, -2, 9), (2, 0, float("inf"), 0, -2, 9), (2, 0, 5, 0, 0, 9)]
 
 
-@pytest.mark.parametrize("cells", NO_CELLS)
+@pytest.mark.parametrize("cells", INVALID_GEOTRANSFORMS)
 @pytest.mark.parametrize("reader", [Imagery, Canopy, Elevation])
 def test_rasters_with_an_invalid_geotransform_are_rejected(write_raster, reader, cells):
     bands = np.zeros((3, 8, 9), np.uint8) if reader is Imagery else np.zeros((8, 9), np.float32)
@@ -215,8 +217,8 @@ def test_rasters_with_huge_cells_are_rejected(write_raster):
 def test_large_raster_needs_overviews(write_raster, monkeypatch):
     path = write_raster(np.ones((1100, 1100), np.float32), UTM, 500e3, 5200e3, 10.0, tiled=True)
     monkeypatch.setattr(overview_module, "MAX_CELLS_READ", 1100 * 1100 // 4)
-    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 1000)
-    monkeypatch.setattr(overview_module, "EXACT_HIGH_CELLS", 1000)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 1000)
+    monkeypatch.setattr(overview_module, "MAX_EXACT_MAXIMA_CELLS", 1000)
     with pytest.raises(SourceError, match="1100 x 1100 cells and no overview.*gdaladdo"):
         Elevation(str(path))
     with rasterio.open(path, "r+") as dataset:

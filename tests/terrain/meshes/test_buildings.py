@@ -26,11 +26,11 @@ from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"
 SQUARE = shapely.box(500100, 5000100, 500120, 5000110)
-COURT = shapely.box(500140, 5000135, 500150, 5000145)
-YARD = shapely.box(500130, 5000130, 500160, 5000150).difference(COURT)
+COURTYARD = shapely.box(500140, 5000135, 500150, 5000145)
+COURTYARD_BLOCK = shapely.box(500130, 5000130, 500160, 5000150).difference(COURTYARD)
 
 
-def written(path: Path, geometry, crs: str = UTM, **attributes) -> Path:
+def write_footprints(path: Path, geometry, crs: str = UTM, **attributes) -> Path:
     """Write geometries to a GeoPackage, and return its path."""
     geometry = np.atleast_1d(np.array(geometry, object))
     kinds = {g.geom_type for g in geometry}
@@ -41,17 +41,17 @@ def written(path: Path, geometry, crs: str = UTM, **attributes) -> Path:
     return path
 
 
-def world_of(tmp_path: Path, terrain: dict, **mesh):
+def load_world(tmp_path: Path, terrain: dict, **mesh):
     path = tmp_path / "level.yaml"
     path.write_text(json.dumps({"version": 1, "terrain": terrain, "meshes": [mesh]}, default=str), encoding="utf-8")
     scene = build_scene(load_level(path))
     return scene.loaded, scene.world, scene.elevation
 
 
-def placed(tmp_path: Path, dem: Path, **mesh):
+def place_footprints(tmp_path: Path, dem: Path, **mesh):
     """Return the bodies of the only mesh of a level over a raster, and the level's world and elevation."""
-    loaded, world, elevation = world_of(tmp_path, {"source": str(dem)}, **mesh)
-    return place_meshes(loaded, world, elevation).seen, world, elevation
+    loaded, world, elevation = load_world(tmp_path, {"source": str(dem)}, **mesh)
+    return place_meshes(loaded, world, elevation).visible, world, elevation
 
 
 def heights(body, world, elevation) -> np.ndarray:
@@ -85,8 +85,8 @@ def test_box_is_closed_with_sharp_edges():
 
 
 def test_cylinder_has_a_smooth_side_and_a_sharp_rim():
-    made = trimesh.creation.cylinder(2.0, 5.0, sections=24)
-    body = Body(np.asarray(made.vertices), np.asarray(made.faces), np.ones(3))
+    cylinder = trimesh.creation.cylinder(2.0, 5.0, sections=24)
+    body = Body(np.asarray(cylinder.vertices), np.asarray(cylinder.faces), np.ones(3))
     assert body.closed
     normal, corner = body.corner_normals(), body.vertices_m[body.triangles]
     side = np.abs(normal[..., 2]) < 0.5
@@ -100,10 +100,10 @@ def test_cylinder_has_a_smooth_side_and_a_sharp_rim():
 def test_open_or_doubled_surface_is_not_closed():
     body = box((1, 1, 1))
     assert not Body(body.vertices_m, body.triangles[1:], body.albedo[1:]).closed
-    flipped = np.vstack([body.triangles[:1, ::-1], body.triangles[1:]])
-    assert not Body(body.vertices_m, flipped, body.albedo).closed
-    twice = np.vstack([body.vertices_m] * 2), np.vstack([body.triangles, body.triangles + len(body.vertices_m)])
-    assert not Body(*twice, np.ones(3)).closed
+    flipped_triangles = np.vstack([body.triangles[:1, ::-1], body.triangles[1:]])
+    assert not Body(body.vertices_m, flipped_triangles, body.albedo).closed
+    doubled_surface = np.vstack([body.vertices_m] * 2), np.vstack([body.triangles, body.triangles + len(body.vertices_m)])
+    assert not Body(*doubled_surface, np.ones(3)).closed
     assert not Body(np.empty((0, 3)), np.empty((0, 3)), np.ones(3)).closed
 
 
@@ -119,7 +119,7 @@ def test_triangles_without_area_are_dropped():
 
 
 def test_transformed_scales_turns_and_shifts():
-    body = transformed(Body([[1, 0, 0], [2, 0, 0], [1, 0, 1]], [[0, 1, 2]], (1, 1, 1)), (10, 20, 30), turn_deg=90, scale=2)
+    body = transformed(Body([[1, 0, 0], [2, 0, 0], [1, 0, 1]], [[0, 1, 2]], (1, 1, 1)), (10, 20, 30), yaw_deg=90, scale=2)
     np.testing.assert_allclose(body.vertices_m, [[10, 22, 30], [10, 24, 30], [10, 22, 32]], atol=1e-12)
 
 
@@ -127,9 +127,9 @@ def test_transformed_scales_turns_and_shifts():
 def town_blocks(draw):
     """Draw rotated right-angled outlines with courtyards and many collinear corners, as people digitize them."""
     cell = st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(1, 6), st.integers(1, 6))
-    whole = shapely.union_all([shapely.box(x, y, x + w, y + h) for x, y, w, h in draw(st.lists(cell, min_size=1, max_size=6))])
+    outline = shapely.union_all([shapely.box(x, y, x + w, y + h) for x, y, w, h in draw(st.lists(cell, min_size=1, max_size=6))])
     cut = shapely.union_all([shapely.box(x, y, x + 1, y + 1) for x, y, _, _ in draw(st.lists(cell, max_size=4))])
-    turned = affinity.rotate(whole.difference(cut), draw(st.sampled_from([0.0, 17.3, 45.0])), origin=(0, 0))
+    turned = affinity.rotate(outline.difference(cut), draw(st.sampled_from([0.0, 17.3, 45.0])), origin=(0, 0))
     parts = [part for part in shapely.get_parts(turned) if part.area > 0.5]
 
     # Rings that touch themselves or each other share a corner, so that the block is not a manifold.
@@ -159,20 +159,20 @@ def test_block_is_closed_and_has_the_roof_of_its_footprint(polygons):
 
 
 def test_building_stands_on_level_ground(tmp_path, level_ground):
-    source = written(tmp_path / "b.gpkg", [SQUARE, YARD], height_m=[8.0, 12.0])
-    bodies, world, elevation = placed(tmp_path, level_ground, source=source)
+    source = write_footprints(tmp_path / "b.gpkg", [SQUARE, COURTYARD_BLOCK], height_m=[8.0, 12.0])
+    bodies, world, elevation = place_footprints(tmp_path, level_ground, source=source)
     assert len(bodies) == 2
-    for body, footprint, tall in zip(bodies, (SQUARE, YARD), (8.0, 12.0), strict=True):
+    for body, footprint, height_m in zip(bodies, (SQUARE, COURTYARD_BLOCK), (8.0, 12.0), strict=True):
         assert body.body.closed
         # The UTM scale here is 0.9996: areas on the ground are larger by its inverse square.
-        assert body.body.volume_m3 == pytest.approx(footprint.area / 0.9996**2 * (tall + FOOTING_M), rel=1e-4)
+        assert body.body.volume_m3 == pytest.approx(footprint.area / 0.9996**2 * (height_m + FOOTING_M), rel=1e-4)
         up = heights(body, world, elevation)
-        assert up.max() == pytest.approx(50 + tall, abs=1e-3) and up.min() == pytest.approx(50 - FOOTING_M, abs=1e-3)
+        assert up.max() == pytest.approx(50 + height_m, abs=1e-3) and up.min() == pytest.approx(50 - FOOTING_M, abs=1e-3)
 
 
 def test_building_on_a_slope_stands_on_its_mean_ground(tmp_path, slope):
-    source = written(tmp_path / "b.gpkg", [SQUARE])
-    (body,), world, elevation = placed(tmp_path, slope, source=source, height=8.0)
+    source = write_footprints(tmp_path / "b.gpkg", [SQUARE])
+    (body,), world, elevation = place_footprints(tmp_path, slope, source=source, height=8.0)
     west, east = (elevation.ground_m(np.float64(x), np.float64(5000105)) for x in (500100, 500120))
     up = heights(body, world, elevation)
     assert body.body.closed and body.body.volume_m3 > 0
@@ -183,50 +183,50 @@ def test_building_on_a_slope_stands_on_its_mean_ground(tmp_path, slope):
 
 def test_redundant_corners_and_orientation_do_not_matter(tmp_path, level_ground):
     ring = np.array(shapely.segmentize(SQUARE, 2.5).exterior.coords)
-    untidy = shapely.Polygon(np.repeat(ring[::-1], 2, axis=0))
-    source = written(tmp_path / "b.gpkg", [SQUARE, untidy])
-    (tidy, other), *_ = placed(tmp_path, level_ground, source=source, height=8.0)
-    assert len(tidy.body.triangles) == len(other.body.triangles) == 12
-    assert other.body.closed and other.body.volume_m3 == pytest.approx(tidy.body.volume_m3)
+    redundant_outline = shapely.Polygon(np.repeat(ring[::-1], 2, axis=0))
+    source = write_footprints(tmp_path / "b.gpkg", [SQUARE, redundant_outline])
+    (body, redundant_body), *_ = place_footprints(tmp_path, level_ground, source=source, height=8.0)
+    assert len(body.body.triangles) == len(redundant_body.body.triangles) == 12
+    assert redundant_body.body.closed and redundant_body.body.volume_m3 == pytest.approx(body.body.volume_m3)
 
 
 def test_multipolygons_and_self_intersections_are_handled(tmp_path, level_ground):
     bow_tie = shapely.Polygon([(500100, 5000100), (500120, 5000120), (500120, 5000100), (500100, 5000120)])
-    both = shapely.MultiPolygon([SQUARE, YARD])
-    source = written(tmp_path / "b.gpkg", [both], height=[5])
-    bodies, *_ = placed(tmp_path, level_ground, source=source)
+    multipolygon = shapely.MultiPolygon([SQUARE, COURTYARD_BLOCK])
+    source = write_footprints(tmp_path / "b.gpkg", [multipolygon], height=[5])
+    bodies, *_ = place_footprints(tmp_path, level_ground, source=source)
     assert [body.body.closed for body in bodies] == [True, True]
-    source = written(tmp_path / "c.gpkg", [bow_tie], height=[5])
-    bodies, *_ = placed(tmp_path, level_ground, source=source)
+    source = write_footprints(tmp_path / "c.gpkg", [bow_tie], height=[5])
+    bodies, *_ = place_footprints(tmp_path, level_ground, source=source)
     assert sum(b.body.volume_m3 for b in bodies) == pytest.approx(200 / 0.9996**2 * 5.5, rel=1e-3)
 
 
 def test_colours_depend_on_the_building(tmp_path, level_ground):
     row = [affinity.translate(SQUARE, 0, 12 * k) for k in range(12)]
-    source = written(tmp_path / "b.gpkg", row)
-    first, *_ = placed(tmp_path, level_ground, source=source, height=8)
-    source = written(tmp_path / "c.gpkg", row[::-1])
-    other, *_ = placed(tmp_path, level_ground, source=source, height=8)
+    source = write_footprints(tmp_path / "b.gpkg", row)
+    first, *_ = place_footprints(tmp_path, level_ground, source=source, height=8)
+    source = write_footprints(tmp_path / "c.gpkg", row[::-1])
+    other, *_ = place_footprints(tmp_path, level_ground, source=source, height=8)
     for a, b in zip(first, other[::-1], strict=True):
         np.testing.assert_array_equal(a.body.albedo, b.body.albedo)
     assert len({tuple(body.body.albedo[0]) for body in first}) > 6
     assert all(0.02 < body.body.albedo.min() < body.body.albedo.max() < 0.75 for body in first)
-    painted, *_ = placed(tmp_path, level_ground, source=source, height=8, color=[1, 0, 0])
-    assert (painted[0].body.albedo == (1, 0, 0)).all()
+    red_bodies, *_ = place_footprints(tmp_path, level_ground, source=source, height=8, color=[1, 0, 0])
+    assert (red_bodies[0].body.albedo == (1, 0, 0)).all()
 
 
 def test_footprints_without_a_positive_height_are_omitted(tmp_path, level_ground):
     row = [affinity.translate(SQUARE, 0, 20 * k) for k in range(4)]
-    source = written(tmp_path / "b.gpkg", row, tall=[np.nan, 0.0, -3.0, 6.0])
-    bodies, *_ = placed(tmp_path, level_ground, source=source, height="tall")
+    source = write_footprints(tmp_path / "b.gpkg", row, tall=[np.nan, 0.0, -3.0, 6.0])
+    bodies, *_ = place_footprints(tmp_path, level_ground, source=source, height="tall")
     assert len(bodies) == 1
 
 
 def test_footprints_mostly_off_the_terrain_are_omitted(tmp_path, write_raster):
     ground = write_raster(np.full((80, 80), 50.0, np.float32), UTM, 500000, 5000400, 5)
     shifts = (0, -107, -113, -130, 5000)  # inside, by 13 m of 20 m, by 7 m, and outside
-    source = written(tmp_path / "b.gpkg", [affinity.translate(SQUARE, dx, 0) for dx in shifts])
-    bodies, world, elevation = placed(tmp_path, ground, source=source, height=4)
+    source = write_footprints(tmp_path / "b.gpkg", [affinity.translate(SQUARE, dx, 0) for dx in shifts])
+    bodies, world, elevation = place_footprints(tmp_path, ground, source=source, height=4)
     assert len(bodies) == 2
     assert all(heights(body, world, elevation).max() == pytest.approx(54.0, abs=1e-3) for body in bodies)
 
@@ -235,13 +235,13 @@ def test_hole_in_the_ground_under_a_building_is_filled(tmp_path, write_raster):
     values = np.full((80, 80), 50.0, np.float32)
     values[50:70, 15:30] = np.nan  # SQUARE and its surroundings
     ground = write_raster(values, UTM, 500000, 5000400, 5)
-    bodies, world, elevation = placed(tmp_path, ground, source=written(tmp_path / "b.gpkg", [SQUARE]), height=4)
+    bodies, world, elevation = place_footprints(tmp_path, ground, source=write_footprints(tmp_path / "b.gpkg", [SQUARE]), height=4)
     assert heights(bodies[0], world, elevation).max() == pytest.approx(54.0, abs=1e-3)
 
 
 def test_heights_from_surface_and_ground_in_other_units(tmp_path, level_ground, write_raster):
     x, y = np.meshgrid(500000.5 + np.arange(400), 5000399.5 - np.arange(400))
-    roofed = shapely.contains_xy(SQUARE, x, y) | shapely.contains_xy(YARD, x, y)
+    roofed = shapely.contains_xy(SQUARE, x, y) | shapely.contains_xy(COURTYARD_BLOCK, x, y)
     top = np.where(roofed, 60.0, 50.0)
     # A chimney on less than a tenth of the roof
     top[shapely.contains_xy(shapely.box(500109, 5000104, 500111, 5000105), x, y)] = 75.0
@@ -251,8 +251,8 @@ def test_heights_from_surface_and_ground_in_other_units(tmp_path, level_ground, 
     west, north = 14.999, 45.157
     ground = write_raster(np.full((200, 200), 50.0, np.float32), "EPSG:4326", west, north, 5e-5, name="dtm.tif")
     shed = shapely.box(500140.2, 5000137.2, 500140.6, 5000137.6)  # smaller than a cell, in the yard
-    source = written(tmp_path / "b.gpkg", [SQUARE, YARD, shed])
-    bodies, world, elevation = placed(tmp_path, level_ground, source=source, surface=str(surface), ground=str(ground))
+    source = write_footprints(tmp_path / "b.gpkg", [SQUARE, COURTYARD_BLOCK, shed])
+    bodies, world, elevation = place_footprints(tmp_path, level_ground, source=source, surface=str(surface), ground=str(ground))
     assert len(bodies) == 2  # the shed has no height above the ground
     for body in bodies:
         assert heights(body, world, elevation).max() == pytest.approx(60.0, abs=0.02)
@@ -272,11 +272,11 @@ def terraced(write_raster):
 
 def test_measured_roof_on_a_slope_equals_the_surface(tmp_path, terraced, slope):
     """The roof is 10 m above the ground downhill and less uphill. A height above each cell's own ground would lift it."""
-    source = written(tmp_path / "b.gpkg", [SQUARE])
-    (body,), world, elevation = placed(tmp_path, terraced["ground"], source=source, **terraced)
+    source = write_footprints(tmp_path / "b.gpkg", [SQUARE])
+    (body,), world, elevation = place_footprints(tmp_path, terraced["ground"], source=source, **terraced)
     assert heights(body, world, elevation).max() == pytest.approx(31.0, abs=0.01)
     # Over other ground, the roof keeps its height above the mean: 31 m - 0.2 * (110 m - 0.5 m). This ground is 0.9 m lower.
-    (body,), world, elevation = placed(tmp_path, slope, source=source, **terraced)
+    (body,), world, elevation = place_footprints(tmp_path, slope, source=source, **terraced)
     assert heights(body, world, elevation).max() == pytest.approx(31.0 - 0.9, abs=0.01)
 
 
@@ -288,15 +288,17 @@ def test_slabs_and_mostly_uncovered_footprints_are_omitted(tmp_path, level_groun
         top[shapely.contains_xy(footprint, x, y)] += height
     # Ends within the last footprint, at 500198
     surface = write_raster(top.astype(np.float32), UTM, 500000, 5000400, 1, name="dsm.tif")
-    source = written(tmp_path / "b.gpkg", row, low=[1.0] * 4)
-    bodies, world, elevation = placed(tmp_path, level_ground, source=source, surface=str(surface), ground=str(level_ground))
+    source = write_footprints(tmp_path / "b.gpkg", row, low=[1.0] * 4)
+    bodies, world, elevation = place_footprints(
+        tmp_path, level_ground, source=source, surface=str(surface), ground=str(level_ground)
+    )
     assert [heights(body, world, elevation).max() for body in bodies] == pytest.approx([58.0, 51.6], abs=0.01)
-    assert len(placed(tmp_path, level_ground, source=source, height="low")[0]) == 4, "a stated height is taken as it is"
+    assert len(place_footprints(tmp_path, level_ground, source=source, height="low")[0]) == 4, "a stated height is taken as it is"
 
 
 def test_real_footprints_get_heights_from_real_rasters(tmp_path, shared_data):
     folder = shared_data / "urban" / "goteborg_1m"
-    bodies, world, elevation = placed(
+    bodies, world, elevation = place_footprints(
         tmp_path, folder / "DEM.tif", source=folder / "buildings.shp", surface=folder / "DSM.tif", ground=folder / "DEM.tif"
     )
     assert 20 < len(bodies) < 137
@@ -306,8 +308,8 @@ def test_real_footprints_get_heights_from_real_rasters(tmp_path, shared_data):
 
 
 def test_building_in_a_flat_world(tmp_path):
-    source = written(tmp_path / "b.gpkg", [shapely.box(-10, -5, 10, 5)], crs=ENGINEERING, height=[6.0])
-    loaded, world, elevation = world_of(tmp_path, {"flat": {"size": [200, 100], "cells": [20, 10]}}, source=source)
+    source = write_footprints(tmp_path / "b.gpkg", [shapely.box(-10, -5, 10, 5)], crs=ENGINEERING, height=[6.0])
+    loaded, world, elevation = load_world(tmp_path, {"flat": {"size": [200, 100], "cells": [20, 10]}}, source=source)
     vertices = solids(place_meshes(loaded, world, elevation), 0.0).vertices_earth_m
     np.testing.assert_allclose(vertices.min(axis=0), [-10, -5, -FOOTING_M], atol=1e-9)
     np.testing.assert_allclose(vertices.max(axis=0), [10, 5, 6], atol=1e-9)
@@ -333,9 +335,9 @@ def test_building_in_a_flat_world(tmp_path):
     ],
 )
 def test_building_error_names_the_key_in_one_line(tmp_path, level_ground, mesh, kind, said):
-    source = written(tmp_path / "b.gpkg", [SQUARE, YARD], tall=[3.0, 1500.0], name=["tower", "yard"])
+    source = write_footprints(tmp_path / "b.gpkg", [SQUARE, COURTYARD_BLOCK], tall=[3.0, 1500.0], name=["tower", "yard"])
     with pytest.raises(kind) as caught:
-        placed(tmp_path, level_ground, source=source, **mesh)
+        place_footprints(tmp_path, level_ground, source=source, **mesh)
     assert all(part in str(caught.value) for part in said), str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -348,15 +350,15 @@ def test_building_error_names_the_key_in_one_line(tmp_path, level_ground, mesh, 
     ],
 )
 def test_invalid_geometry_is_rejected(tmp_path, level_ground, geometry, said):
-    source = written(tmp_path / "b.gpkg", [geometry])
+    source = write_footprints(tmp_path / "b.gpkg", [geometry])
     with pytest.raises(SourceError) as caught:
-        placed(tmp_path, level_ground, source=source, height=5)
+        place_footprints(tmp_path, level_ground, source=source, height=5)
     assert all(part in str(caught.value) for part in said), str(caught.value)
 
 
 def test_no_usable_height_is_a_single_error(tmp_path, level_ground):
-    source = written(tmp_path / "b.gpkg", [SQUARE], tall=[0.0])
+    source = write_footprints(tmp_path / "b.gpkg", [SQUARE], tall=[0.0])
     with pytest.raises(SourceError, match="no footprint with a height above 0 in the attribute 'tall'"):
-        placed(tmp_path, level_ground, source=source, height="tall")
+        place_footprints(tmp_path, level_ground, source=source, height="tall")
     with pytest.raises(SourceError, match="no such file"):
-        placed(tmp_path, level_ground, source=tmp_path / "none.gpkg", height=3)
+        place_footprints(tmp_path, level_ground, source=tmp_path / "none.gpkg", height=3)

@@ -15,7 +15,7 @@ from skugga.terrain.level.parts import MapSpec, MeshGenerator, PerspectiveSpec
 from skugga.terrain.meshes.generators import GENERATORS, shapes
 from skugga.terrain.scene import build_scene
 
-TRIANGLES = {"boxgrid": 12_000, "rocks": 63_000, "street": 400, "room": 19_000, "water_tower": 12_500}
+TRIANGLE_COUNTS = {"boxgrid": 12_000, "rocks": 63_000, "street": 400, "room": 19_000, "water_tower": 12_500}
 """Counts of the thesis, section 7."""
 
 GRAY = (0.5, 0.5, 0.5)
@@ -31,14 +31,14 @@ def test_generators_equal_the_schema():
     assert set(GENERATORS) == set(get_args(MeshGenerator))
 
 
-@pytest.mark.parametrize("name", TRIANGLES)
+@pytest.mark.parametrize("name", TRIANGLE_COUNTS)
 def test_triangle_counts_are_those_of_the_thesis(scenes, name):
-    assert sum(len(body.triangles) for body in scenes[name]) == pytest.approx(TRIANGLES[name], rel=0.02)
+    assert sum(len(body.triangles) for body in scenes[name]) == pytest.approx(TRIANGLE_COUNTS[name], rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["boxgrid", "street"])
 def test_exact_triangle_counts(scenes, name):
-    assert sum(len(body.triangles) for body in scenes[name]) == TRIANGLES[name]
+    assert sum(len(body.triangles) for body in scenes[name]) == TRIANGLE_COUNTS[name]
 
 
 @pytest.mark.parametrize("name", GENERATORS)
@@ -51,10 +51,10 @@ def test_bodies_are_closed_and_face_outwards(scenes, name):
 
 @pytest.mark.parametrize("name", GENERATORS)
 def test_scenes_are_reproducible(scenes, name):
-    for body, again in zip(scenes[name], GENERATORS[name](), strict=True):
-        assert (body.vertices_m == again.vertices_m).all()
-        assert (body.triangles == again.triangles).all()
-        assert (body.albedo == again.albedo).all()
+    for body, repeated_body in zip(scenes[name], GENERATORS[name](), strict=True):
+        assert (body.vertices_m == repeated_body.vertices_m).all()
+        assert (body.triangles == repeated_body.triangles).all()
+        assert (body.albedo == repeated_body.albedo).all()
 
 
 @pytest.mark.parametrize("name", GENERATORS)
@@ -69,9 +69,9 @@ def test_scenes_stand_on_the_ground_or_hover(scenes, name):
 
 
 def test_stones_have_flat_feet(scenes):
-    standing = [body for body in scenes["rocks"] if body.vertices_m[:, 2].min() < 1.0]
-    assert len(standing) == 5 * 21
-    for body in standing:
+    standing_stones = [body for body in scenes["rocks"] if body.vertices_m[:, 2].min() < 1.0]
+    assert len(standing_stones) == 5 * 21
+    for body in standing_stones:
         assert (body.vertices_m[:, 2] == 0).sum() > 9
 
 
@@ -95,8 +95,8 @@ def test_boxes_of_the_grid_do_not_touch(scenes):
     middles = np.array([body.vertices_m.mean(axis=0) for body in scenes["boxgrid"]])
     sides = np.array([np.ptp(body.vertices_m, axis=0) for body in scenes["boxgrid"]])
     assert len(middles) == 1000
-    apart = np.abs(middles[:, None] - middles[None]).max(axis=2) + 100 * np.eye(1000)
-    assert apart.min() > sides.max()
+    distance = np.abs(middles[:, None] - middles[None]).max(axis=2) + 100 * np.eye(1000)
+    assert distance.min() > sides.max()
 
 
 def test_figure_is_two_regular_tetrahedra_on_the_up_axis(scenes):
@@ -113,8 +113,8 @@ def test_wood_hill_is_convex(scenes):
     (body,) = scenes["wood_hill"]
     corner = body.vertices_m[body.triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    ahead = np.einsum("ij,kj->ik", normal, body.vertices_m) - np.einsum("ij,ij->i", normal, corner[:, 0])[:, None]
-    assert ahead.max() < 1e-6
+    plane_distance = np.einsum("ij,kj->ik", normal, body.vertices_m) - np.einsum("ij,ij->i", normal, corner[:, 0])[:, None]
+    assert plane_distance.max() < 1e-6
 
 
 @pytest.mark.parametrize("path", LEVELS, ids=lambda path: path.stem)
@@ -132,27 +132,27 @@ def test_levels_load_and_fit_their_floor(scenes, path: Path):
     assert set(level.views) == {"main", "overview", "close", "map"}
     eyes = [view.eye for view in level.views.values() if isinstance(view, PerspectiveSpec)]
     assert all(view.size == (1280, 1024) for view in level.views.values() if isinstance(view, PerspectiveSpec))
-    for place in [*eyes, *(light.position for light in level.lights.values())]:
-        assert (np.abs(place[:2]) < half).all() and place[2] > 0
+    for position in [*eyes, *(light.position for light in level.lights.values())]:
+        assert (np.abs(position[:2]) < half).all() and position[2] > 0
 
 
 def test_each_thesis_scene_has_a_spot_and_a_sun_level():
-    assert {path.stem for path in LEVELS} == {f"thesis_{name}{light}" for name in TRIANGLES for light in ("", "_sun")}
+    assert {path.stem for path in LEVELS} == {f"thesis_{name}{light}" for name in TRIANGLE_COUNTS for light in ("", "_sun")}
 
 
 @pytest.mark.parametrize("stem", sorted({path.stem.removesuffix("_sun") for path in LEVELS}))
 def test_sun_level_differs_only_in_its_light(stem):
     spot, sun = (load_level(LEVELS_FOLDER / f"{stem}{light}.yaml").level for light in ("", "_sun"))
-    same = ("terrain", "meshes", "views", "attribution", "shadows", "effects")
-    assert all(getattr(spot, key) == getattr(sun, key) for key in same)
+    shared_keys = ("terrain", "meshes", "views", "attribution", "shadows", "effects")
+    assert all(getattr(spot, key) == getattr(sun, key) for key in shared_keys)
 
 
 def test_spatialace_has_ten_thousand_triangles():
     loaded = load_level(LEVELS_FOLDER / "spatialace.yaml")
     assert all(Path(source).is_file() for source in loaded.sources)
     level = loaded.level
-    made = level.terrain.generate
-    assert 2 * np.prod(np.array(made.size) / made.cell) == pytest.approx(10_000, rel=0.03)
+    generated_ground = level.terrain.generate
+    assert 2 * np.prod(np.array(generated_ground.size) / generated_ground.cell) == pytest.approx(10_000, rel=0.03)
     assert loaded.level.moving_keys == ("meshes.1",)
     assert [mesh.motion.spin for mesh in level.meshes if mesh.generate == "tetrahedra"] == [30]
     assert level.views["main"].size == (800, 600)
@@ -161,14 +161,14 @@ def test_spatialace_has_ten_thousand_triangles():
 def test_spatialace_figure_flies_clear_of_trees():
     """The path starts at the position of the static figure, so that pictures of second 0 are unchanged."""
     scene = build_scene(load_level(LEVELS_FOLDER / "spatialace.yaml"))
-    path = scene.objects.placement.seen[-1].motion.path
-    trees = scene.objects.trees_on(scene.elevation.crs)[:, :2]
-    begins = path.at_second(0.0).point_earth_m
-    np.testing.assert_array_equal(begins, scene.place.above_ground((150, -22, 0), "here")[0])
+    path = scene.objects.placement.visible[-1].motion.path
+    trees = scene.objects.trees_in_crs(scene.elevation.crs)[:, :2]
+    start_earth_m = path.at_second(0.0).point_earth_m
+    np.testing.assert_array_equal(start_earth_m, scene.geolocator.above_ground((150, -22, 0), "here")[0])
     for seconds in np.arange(0.0, 40.0, 0.5):
-        at, _, above_m = path.at_second(float(seconds))
-        assert np.linalg.norm(trees - at[:2], axis=1).min() > 20.0 and 0.0 <= above_m <= 20.0
-        np.testing.assert_allclose(path.at_second(float(seconds) + 400.0).point_earth_m, at, atol=1e-6)
+        position_earth_m, _, above_m = path.at_second(float(seconds))
+        assert np.linalg.norm(trees - position_earth_m[:2], axis=1).min() > 20.0 and 0.0 <= above_m <= 20.0
+        np.testing.assert_allclose(path.at_second(float(seconds) + 400.0).point_earth_m, position_earth_m, atol=1e-6)
     assert path.at_second(20.0).above_ground_m == pytest.approx(20.0)
 
 
@@ -206,8 +206,8 @@ def test_wall_stands_left_of_its_line(end):
     assert body.volume_m3 == pytest.approx((12 - 2) * 0.5)
     assert body.vertices_m[:, 2].min() == 0 and body.vertices_m[:, 2].max() == 3
     left = np.array([-end[1], end[0]]) / 4
-    off = body.vertices_m[:, :2] @ left
-    assert off.min() == pytest.approx(0) and off.max() == pytest.approx(0.5)
+    line_distance = body.vertices_m[:, :2] @ left
+    assert line_distance.min() == pytest.approx(0) and line_distance.max() == pytest.approx(0.5)
 
 
 def test_cell_box_is_the_cube():

@@ -9,7 +9,7 @@ from PIL import Image
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.meshes import models
-from skugga.terrain.meshes.body import NEUTRAL, srgb_albedo
+from skugga.terrain.meshes.body import NEUTRAL_GRAY, srgb_albedo
 from skugga.terrain.meshes.models import is_model, read_model
 
 TALL_BOX = (2.0, 4.0, 6.0)
@@ -22,7 +22,7 @@ def tall_box() -> trimesh.Trimesh:
     return mesh
 
 
-def y_up(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def to_y_up(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Return the mesh with the axes of glTF: (east, up, south)."""
     turned = mesh.copy()
     turned.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -32,7 +32,7 @@ def y_up(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb", ".gltf"])
 def test_read_model_is_upright_on_its_base(tmp_path, suffix):
     path = tmp_path / f"box{suffix}"
-    mesh = tall_box() if suffix in (".obj", ".ply") else y_up(tall_box())
+    mesh = tall_box() if suffix in (".obj", ".ply") else to_y_up(tall_box())
     if suffix == ".gltf":
         for name, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh)).items():
             (tmp_path / (name if name != "model.gltf" else path.name)).write_bytes(data)
@@ -90,7 +90,7 @@ def test_colours_follow_the_rules_of_the_format(tmp_path):
     np.testing.assert_allclose(albedo, np.tile([0.5, 0.25, 0.1], (12, 1)), atol=4e-3)
 
     tall_box().export(tmp_path / "plain.obj")
-    np.testing.assert_allclose(read_model(str(tmp_path / "plain.obj")).albedo, np.tile(srgb_albedo(NEUTRAL), (12, 1)))
+    np.testing.assert_allclose(read_model(str(tmp_path / "plain.obj")).albedo, np.tile(srgb_albedo(NEUTRAL_GRAY), (12, 1)))
 
 
 def test_textures_are_sampled_and_tinted(tmp_path):
@@ -114,19 +114,19 @@ def test_changed_file_is_read_again(tmp_path):
     assert len(read_model(str(path)).triangles) == 80
 
 
-def points_alone(path):
+def write_points_only(path):
     trimesh.PointCloud(np.eye(3)).export(path)
 
 
-def without_numbers(path):
+def write_nan_vertex(path):
     path.write_text("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n")
 
 
-def without_area(path):
+def write_degenerate_triangle(path):
     path.write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
 
 
-def broken(path):
+def write_truncated_glb(path):
     path.write_bytes(b"glTF\x02\x00\x00\x00\xff\xff\xff\xffrubbish")
 
 
@@ -134,12 +134,12 @@ def broken(path):
     "name, write, said",
     [
         ("none.glb", lambda path: None, "no such file"),
-        ("broken.glb", broken, "cannot be read"),
+        ("broken.glb", write_truncated_glb, "cannot be read"),
         ("empty.obj", lambda path: path.write_text(""), ""),
         ("rubbish.ply", lambda path: path.write_text("no model"), ""),
-        ("points.ply", points_alone, "no triangle"),
-        ("nan.obj", without_numbers, "vertices that are not finite"),
-        ("line.obj", without_area, "no triangle with an area"),
+        ("points.ply", write_points_only, "no triangle"),
+        ("nan.obj", write_nan_vertex, "vertices that are not finite"),
+        ("line.obj", write_degenerate_triangle, "no triangle with an area"),
     ],
 )
 def test_invalid_model_is_rejected_in_one_line(tmp_path, capfd, name, write, said):

@@ -14,11 +14,11 @@ from skugga.terrain.errors import LevelError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.meshes.assemble import place_meshes
 from skugga.terrain.meshes.buildings import FOOTING_M
-from skugga.terrain.meshes.roofs import MAX_RISE, SLOPE, roof_over
+from skugga.terrain.meshes.roofs import MAX_RISE_SHARE, ROOF_SLOPE, roof_over
 from skugga.terrain.scene import build_scene
 
 UTM = "EPSG:32633"
-SCALE = 0.9996
+UTM_SCALE = 0.9996
 """UTM scale at the central meridian: metres of the map per metre on the ground."""
 
 GROUND_M, WIDTH_M, LENGTH_M, HEIGHT_M = 50.0, 8.0, 14.0, 6.0
@@ -39,7 +39,7 @@ def house(write_raster, tmp_path):
         path = tmp_path / "level.yaml"
         path.write_text(json.dumps({"version": 1, "terrain": {"source": str(ground)}, "meshes": [mesh]}), encoding="utf-8")
         scene = build_scene(load_level(path))
-        (placed,) = place_meshes(scene.loaded, scene.world, scene.elevation).seen
+        (placed,) = place_meshes(scene.loaded, scene.world, scene.elevation).visible
         vertices = placed.origin_earth_m + placed.body.vertices_m @ placed.earth_from_body.T
         return placed.body, scene.world.map_position(scene.elevation.crs, vertices)[2] - GROUND_M
 
@@ -48,12 +48,12 @@ def house(write_raster, tmp_path):
 
 def rectangle(width=WIDTH_M, length=LENGTH_M, turn=0.0):
     """Return a footprint of a width and length on the ground, rotated counter-clockwise."""
-    box = shapely.box(500200.0, 5000200.0, 500200.0 + length * SCALE, 5000200.0 + width * SCALE)
+    box = shapely.box(500200.0, 5000200.0, 500200.0 + length * UTM_SCALE, 5000200.0 + width * UTM_SCALE)
     return affinity.rotate(box, turn)
 
 
-def rise(width=WIDTH_M, height=HEIGHT_M) -> float:
-    return min(SLOPE * width / 2.0, MAX_RISE * height)
+def roof_rise_m(width=WIDTH_M, height=HEIGHT_M) -> float:
+    return min(ROOF_SLOPE * width / 2.0, MAX_RISE_SHARE * height)
 
 
 @pytest.mark.parametrize("turn", [0.0, 33.0, 90.0, 200.0])
@@ -62,18 +62,18 @@ def test_ridge_is_at_the_height_and_the_eaves_below_it(house, form, turn):
     body, height = house(form, rectangle(turn=turn))
     assert body.closed
     levels = np.unique(height.round(4))
-    assert levels == pytest.approx([-FOOTING_M, HEIGHT_M - rise(), HEIGHT_M], abs=2e-3)
+    assert levels == pytest.approx([-FOOTING_M, HEIGHT_M - roof_rise_m(), HEIGHT_M], abs=2e-3)
 
 
 @pytest.mark.parametrize("turn", [0.0, 57.0])
 def test_roof_volumes_are_those_of_prisms_and_pyramids(house, turn):
-    area, block = WIDTH_M * LENGTH_M, HEIGHT_M - rise() + FOOTING_M
+    area, block = WIDTH_M * LENGTH_M, HEIGHT_M - roof_rise_m() + FOOTING_M
     pitched, _ = house("pitched", rectangle(turn=turn))
-    assert pitched.volume_m3 == pytest.approx(area * (block + rise() / 2.0), rel=1e-3)
+    assert pitched.volume_m3 == pytest.approx(area * (block + roof_rise_m() / 2.0), rel=1e-3)
     hipped, _ = house("hipped", rectangle(turn=turn))
-    assert hipped.volume_m3 == pytest.approx(area * block + WIDTH_M * rise() * (3.0 * LENGTH_M - WIDTH_M) / 6.0, rel=1e-3)
+    assert hipped.volume_m3 == pytest.approx(area * block + WIDTH_M * roof_rise_m() * (3.0 * LENGTH_M - WIDTH_M) / 6.0, rel=1e-3)
     tent, _ = house("hipped", rectangle(8.0, 8.0, turn))
-    assert tent.closed and tent.volume_m3 == pytest.approx(64.0 * (block + rise() / 3.0), rel=1e-3)
+    assert tent.closed and tent.volume_m3 == pytest.approx(64.0 * (block + roof_rise_m() / 3.0), rel=1e-3)
     flat, _ = house(None, rectangle(turn=turn))
     assert flat.volume_m3 == pytest.approx(area * (HEIGHT_M + FOOTING_M), rel=1e-3)
 
@@ -91,10 +91,10 @@ def test_roof_slopes_face_up_and_gables_have_wall_colour(house):
 
 def test_low_sheds_keep_walls(house):
     _, height = house("pitched", rectangle(10.0, 14.0), height=2.5)
-    assert np.sort(np.unique(height.round(3)))[1] == pytest.approx(2.5 * (1.0 - MAX_RISE), abs=2e-3)
+    assert np.sort(np.unique(height.round(3)))[1] == pytest.approx(2.5 * (1.0 - MAX_RISE_SHARE), abs=2e-3)
 
 
-def corners(outline) -> np.ndarray:
+def outline_corners(outline) -> np.ndarray:
     xy = np.array(shapely.orient_polygons(outline).exterior.coords)[:-1]
     return np.column_stack([xy - xy[0], np.zeros(len(xy))])
 
@@ -113,8 +113,10 @@ def corners(outline) -> np.ndarray:
     ids=["house", "hall", "tower", "kiosk", "L", "trapezoid", "triangle"],
 )
 def test_roof_over_needs_a_rectangle_and_a_suitable_size(outline, height_m, forms):
-    given = {form for form in ("auto", "flat", "pitched", "hipped") if roof_over(corners(outline), height_m, form) is not None}
-    assert given == forms
+    accepted_forms = {
+        form for form in ("auto", "flat", "pitched", "hipped") if roof_over(outline_corners(outline), height_m, form) is not None
+    }
+    assert accepted_forms == forms
 
 
 def test_unsuitable_roof_is_flat_and_other_meshes_reject_it(house):

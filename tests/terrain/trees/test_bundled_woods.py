@@ -12,14 +12,14 @@ import shapely
 from shapely.geometry import shape
 
 STANDS = "woods", "pines", "between", "hills"
-METRES = np.array([89_500.0, 111_000.0])
+METRES_PER_DEGREE = np.array([89_500.0, 111_000.0])
 """Metres of a degree east and north in this level."""
 
 
-def stand(name: str) -> shapely.Geometry:
+def stand_outline(name: str) -> shapely.Geometry:
     """Return the outline of a stand in metres."""
     features = json.loads((Path("configs") / f"jacksboro_{name}.geojson").read_text())["features"]
-    outlines = [shapely.transform(shape(feature["geometry"]), lambda places: places * METRES) for feature in features]
+    outlines = [shapely.transform(shape(feature["geometry"]), lambda places: places * METRES_PER_DEGREE) for feature in features]
     assert all(shapely.is_valid(outlines))
     return shapely.union_all(outlines)
 
@@ -33,24 +33,24 @@ def longest_along_an_axis(outline: shapely.Geometry) -> float:
         steps = np.diff(shapely.get_coordinates(ring), axis=0)
         length = np.hypot(*steps.T)
         for axis in (0, 1):
-            straight = np.abs(steps[:, 1 - axis]) < np.sin(np.radians(3.0)) * length
-            for is_straight, run in itertools.groupby(range(len(steps)), straight.__getitem__):
+            is_axis_aligned = np.abs(steps[:, 1 - axis]) < np.sin(np.radians(3.0)) * length
+            for is_straight, run in itertools.groupby(range(len(steps)), is_axis_aligned.__getitem__):
                 longest = max(longest, float(length[list(run)].sum()) if is_straight else 0.0)
     return longest
 
 
 @pytest.mark.parametrize("name", ["woods", "between", "hills"])
 def test_wood_has_no_straight_border_along_a_map_axis(name):
-    assert longest_along_an_axis(stand(name)) < 400.0
+    assert longest_along_an_axis(stand_outline(name)) < 400.0
 
 
 def test_adjacent_woods_have_no_gaps_or_overlaps():
-    woods = {name: stand(name) for name in STANDS}
-    for one, other in itertools.combinations(STANDS, 2):
-        assert woods[one].intersection(woods[other]).area < 3e-3 * min(woods[one].area, woods[other].area)
-    whole = shapely.union_all(list(woods.values()))
-    slivers = whole.buffer(8.0).buffer(-8.0).difference(whole)
-    assert slivers.area < 0.004 * whole.area
+    woods = {name: stand_outline(name) for name in STANDS}
+    for first_name, second_name in itertools.combinations(STANDS, 2):
+        assert woods[first_name].intersection(woods[second_name]).area < 3e-3 * min(woods[first_name].area, woods[second_name].area)
+    union = shapely.union_all(list(woods.values()))
+    slivers = union.buffer(8.0).buffer(-8.0).difference(union)
+    assert slivers.area < 0.004 * union.area
 
 
 def test_longest_along_an_axis_measures_straight_runs():

@@ -35,11 +35,11 @@ def source(tmp_path) -> Path:
 
 def test_cached_pictures_are_read(tmp_path, source):
     paint = Painter()
-    first, again = (cached_pictures(paint, (source,), tmp_path / "kept") for _ in range(2))
-    assert paint.times == 1 and len(again) == 2
-    for one, other in zip(first, again, strict=True):
-        assert other.dtype == np.uint8
-        np.testing.assert_array_equal(one, other)
+    first, second = (cached_pictures(paint, (source,), tmp_path / "kept") for _ in range(2))
+    assert paint.times == 1 and len(second) == 2
+    for picture, other_picture in zip(first, second, strict=True):
+        assert other_picture.dtype == np.uint8
+        np.testing.assert_array_equal(picture, other_picture)
 
 
 def test_changed_code_or_packages_repaint_and_replace(tmp_path, source, monkeypatch):
@@ -68,8 +68,8 @@ def test_damaged_file_is_repainted(tmp_path, source, damage):
     cached_pictures(paint, (source,), tmp_path / "kept")
     (path,) = (tmp_path / "kept").iterdir()
     path.write_bytes(damage(path.read_bytes()))
-    found = cached_pictures(paint, (source,), tmp_path / "kept")
-    assert paint.times == 2 and (found[0] == 82).all()
+    repainted = cached_pictures(paint, (source,), tmp_path / "kept")
+    assert paint.times == 2 and (repainted[0] == 82).all()
     cached_pictures(paint, (source,), tmp_path / "kept")
     assert paint.times == 2
 
@@ -83,7 +83,12 @@ def test_unwritable_folder_is_no_error(tmp_path, source):
 
 def test_painter_files_include_all_imported_code():
     """Modules of the project that painters import are part of the cache key, except modules that cannot change a picture."""
-    apart = {"skugga.terrain.cache", "skugga.terrain.compiled", "skugga.terrain.errors", "skugga.terrain.trees.cached_pictures"}
+    excluded_modules = {
+        "skugga.terrain.cache",
+        "skugga.terrain.compiled",
+        "skugga.terrain.errors",
+        "skugga.terrain.trees.cached_pictures",
+    }
     files = {path.resolve() for path in PAINTER_FILES}
     assert len(files) == 3
     for path in files:
@@ -92,6 +97,6 @@ def test_painter_files_include_all_imported_code():
                 isinstance(node, ast.ImportFrom)
                 and node.module
                 and node.module.startswith("skugga.terrain")
-                and node.module not in apart
+                and node.module not in excluded_modules
             ):
                 assert (ROOT / f"{node.module.replace('.', '/')}.py").resolve() in files, node.module

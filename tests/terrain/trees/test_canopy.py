@@ -12,25 +12,25 @@ from scipy.spatial import cKDTree
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.trees import canopy as module
-from skugga.terrain.trees.canopy import CROWN_CELLS, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, room_m
+from skugga.terrain.trees.canopy import HEXAGONAL_PACKING, MIN_CROWN_CELLS, TREETOP_WINDOW_M, Canopy, CellWindow, growing_space_m
 from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32633)
-CELL = 0.5
+CELL_M = 0.5
 
 
-def bumps(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray, width_m: float = 1.2) -> np.ndarray:
+def gaussian_crowns(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray, width_m: float = 1.2) -> np.ndarray:
     """Return Gaussian crowns at (row, col); each cell has the height of the highest crown."""
     row, col = np.mgrid[0:rows, 0:cols]
-    square = ((row[..., None] - tops[:, 0]) ** 2 + (col[..., None] - tops[:, 1]) ** 2) * CELL**2
+    square = ((row[..., None] - tops[:, 0]) ** 2 + (col[..., None] - tops[:, 1]) ** 2) * CELL_M**2
     return (height_m * np.exp(-square / (2 * width_m**2))).max(axis=-1).astype(np.float32)
 
 
 def trees_of(canopy: Canopy, crs: CRS = UTM, species: str = "conifer"):
     window = canopy.window(crs, None)
     pieces = list(canopy.trees(crs, 1.0, window, lambda h: 1.0 + 0.25 * h, TREETOP_WINDOW_M[species], 0))
-    x, y = (np.concatenate([getattr(p.places, axis) for p in pieces]) for axis in "xy")
+    x, y = (np.concatenate([getattr(p.positions, axis) for p in pieces]) for axis in "xy")
     return x, y, np.concatenate([p.height_m for p in pieces])
 
 
@@ -39,49 +39,49 @@ def grove():
     """Return tops with a spacing of at least 5 m, their heights, and a raster of unit crowns."""
     rng, tops = np.random.default_rng(3), []
     for place in rng.integers(4, 196, (4000, 2)):
-        if all(np.hypot(*(place - other)) * CELL >= 5.0 for other in tops):
+        if all(np.hypot(*(place - other)) * CELL_M >= 5.0 for other in tops):
             tops.append(place)
     tops = np.array(tops)
-    return tops, rng.uniform(6.0, 25.0, len(tops)).astype(np.float32), bumps(200, 200, tops, np.float32(1.0))
+    return tops, rng.uniform(6.0, 25.0, len(tops)).astype(np.float32), gaussian_crowns(200, 200, tops, np.float32(1.0))
 
 
 def test_separate_crowns_are_found_one_by_one(write_raster, grove):
     tops, heights, _ = grove
-    raster = bumps(200, 200, tops, heights)
-    x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL))))
+    raster = gaussian_crowns(200, 200, tops, heights)
+    x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL_M))))
     order = np.lexsort(tops.T[::-1])
-    row, col = (5000100 - y) / CELL - 0.5, (x - 500000) / CELL - 0.5
-    found = np.lexsort((col, row))
-    np.testing.assert_allclose(np.column_stack([row, col])[found], tops[order], atol=1e-6)
-    np.testing.assert_allclose(height_m[found], heights[order], rtol=1e-6)
+    row, col = (5000100 - y) / CELL_M - 0.5, (x - 500000) / CELL_M - 0.5
+    tree_order = np.lexsort((col, row))
+    np.testing.assert_allclose(np.column_stack([row, col])[tree_order], tops[order], atol=1e-6)
+    np.testing.assert_allclose(height_m[tree_order], heights[order], rtol=1e-6)
 
 
 def test_blocks_agree_with_the_whole_raster(write_raster, monkeypatch):
     raster = np.random.default_rng(0).integers(0, 12, (120, 150)).astype(np.int16)  # ties everywhere
-    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)))
-    whole = set(zip(*trees_of(canopy), strict=True))
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL_M)))
+    all_trees = set(zip(*trees_of(canopy), strict=True))
     monkeypatch.setattr(module, "_BLOCK", 17)
-    assert set(zip(*trees_of(canopy), strict=True)) == whole
+    assert set(zip(*trees_of(canopy), strict=True)) == all_trees
 
 
 def test_tops_are_the_maxima_of_their_windows(write_raster):
     raster = np.random.default_rng(1).gamma(2.0, 5.0, (80, 90)).astype(np.float32)
-    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)))
-    ((row, col, height_m),) = canopy.tops(np.diag([CELL, -CELL]), CellWindow(0, 0, 80, 90), (0.8, 0.05))
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL_M)))
+    ((row, col, height_m),) = canopy.tops(np.diag([CELL_M, -CELL_M]), CellWindow(0, 0, 80, 90), (0.8, 0.05))
     every_row, every_col = np.mgrid[0:80, 0:90]
     for r, c, h in zip(row, col, height_m, strict=True):
-        distance = np.hypot(every_row - r, every_col - c) * CELL
+        distance = np.hypot(every_row - r, every_col - c) * CELL_M
         assert raster[distance <= 0.8 + 0.05 * h].max() == np.float32(h)
     expected = {
         (r, c) for r, c in np.ndindex(80, 90)
         if TREE_HEIGHT_M <= raster[r, c] <= MAX_HEIGHT_M and raster[r, c] == raster[
-            np.maximum(np.hypot(every_row - r, every_col - c) * CELL - 0.05 * raster[r, c], 0) <= 0.8].max()
+            np.maximum(np.hypot(every_row - r, every_col - c) * CELL_M - 0.05 * raster[r, c], 0) <= 0.8].max()
     }  # fmt: skip
     assert set(zip(row.tolist(), col.tolist(), strict=True)) == expected
 
 
 def test_flat_canopy_has_trees_a_window_apart(write_raster):
-    canopy = Canopy(str(write_raster(np.full((100, 100), 20, np.int16), "EPSG:32633", 500000, 5000000, CELL)))
+    canopy = Canopy(str(write_raster(np.full((100, 100), 20, np.int16), "EPSG:32633", 500000, 5000000, CELL_M)))
     x, y, _ = trees_of(canopy)
     nearest = cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1]
     assert nearest.min() > 0.8 + 0.05 * 20
@@ -92,14 +92,14 @@ def test_invalid_canopy_cells_have_no_trees(write_raster):
     raster = np.zeros((40, 40), np.float32)
     raster[5, 5], raster[5, 20], raster[20, 5], raster[20, 20], raster[30, 30] = np.nan, -9999.0, 1.9, 4000.0, -3.0
     raster[35, 10] = 8.0
-    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL, nodata=-9999.0)))
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL_M, nodata=-9999.0)))
     assert trees_of(canopy)[2].tolist() == [8.0]
 
 
 def test_canopy_heights_in_feet_are_converted(write_raster):
     raster = np.zeros((20, 20), np.float32)
     raster[10, 10] = 100.0
-    path = write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)
+    path = write_raster(raster, "EPSG:32633", 500000, 5000000, CELL_M)
     with rasterio.open(path, "r+") as dataset:
         dataset.units = ["ft"]
     assert trees_of(Canopy(str(path)))[2] == pytest.approx([30.48])
@@ -108,8 +108,8 @@ def test_canopy_heights_in_feet_are_converted(write_raster):
 def test_canopy_in_degrees_has_the_same_trees(write_raster, grove):
     """Windows are circles on the ground: at 60 degrees north, a degree of longitude is half as long as one of latitude."""
     tops, heights, _ = grove
-    step = CELL / 111_412.0  # half a metre in degrees of latitude at 60 degrees
-    raster = bumps(200, 200, tops, heights)
+    step = CELL_M / 111_412.0  # half a metre in degrees of latitude at 60 degrees
+    raster = gaussian_crowns(200, 200, tops, heights)
     x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:4326", 15.0, 60.0, (2 * step, step)))))
     assert sorted(height_m.tolist()) == pytest.approx(sorted(heights.tolist()))
 
@@ -127,7 +127,7 @@ def test_coarse_canopy_is_scattered_with_closed_crowns(write_raster):
     number = np.searchsorted(edges, 15.0) - 1
     crown_m = 1.0 + 0.25 * np.sqrt(edges[number] * edges[number + 1])
     assert 0.8 < crown_m / (1.0 + 0.25 * 15.0) < 1.25
-    assert len(x) == pytest.approx(PACKING * 230_000 / crown_m**2, rel=0.01)
+    assert len(x) == pytest.approx(HEXAGONAL_PACKING * 230_000 / crown_m**2, rel=0.01)
     assert cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1].min() > 0.4 * crown_m
 
 
@@ -136,10 +136,10 @@ def test_wide_cells_show_tall_trees_over_scattered_shrubs(write_raster):
     raster = np.full((120, 120), 3.0, np.float32)
     raster[3::6, 3::6] = 20.0
     x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, 2.502))))
-    tall = height_m == 20.0
-    assert tall.sum() == 400 and set(height_m.tolist()) == {3.0, 20.0}
-    np.testing.assert_allclose((x[tall] - 500000) / 2.502 % 6, 3.5, atol=1e-6)
-    assert len(x) - 400 == pytest.approx(PACKING * (300.24**2 - 400 * 2.502**2) / (1.0 + 0.25 * 3.0) ** 2, rel=0.2)
+    is_tall = height_m == 20.0
+    assert is_tall.sum() == 400 and set(height_m.tolist()) == {3.0, 20.0}
+    np.testing.assert_allclose((x[is_tall] - 500000) / 2.502 % 6, 3.5, atol=1e-6)
+    assert len(x) - 400 == pytest.approx(HEXAGONAL_PACKING * (300.24**2 - 400 * 2.502**2) / (1.0 + 0.25 * 3.0) ** 2, rel=0.2)
 
 
 def test_detection_limit_grows_with_cell_size():
@@ -149,16 +149,16 @@ def test_detection_limit_grows_with_cell_size():
     assert (
         module._detection_limit_m(0.25, crown_of, TREE_HEIGHT_M) == module._detection_limit_m(1.0, crown_of, TREE_HEIGHT_M) == 0.0
     )
-    assert crown_of(module._detection_limit_m(2.5, crown_of, TREE_HEIGHT_M)) == pytest.approx(CROWN_CELLS * 2.5, rel=0.01)
+    assert crown_of(module._detection_limit_m(2.5, crown_of, TREE_HEIGHT_M)) == pytest.approx(MIN_CROWN_CELLS * 2.5, rel=0.01)
     assert np.isinf(module._detection_limit_m(3.01, crown_of, TREE_HEIGHT_M)) and np.isinf(
         module._detection_limit_m(2.5, np.ones_like, TREE_HEIGHT_M)
     )
 
 
 def test_multi_peaked_crown_is_one_broadleaf_or_many_conifers(write_raster):
-    humps = np.array([[100, 100], [100, 105], [105, 100], [96, 97]])  # 2.5 m apart
-    raster = bumps(200, 200, humps, np.array([20.0, 19.0, 18.5, 18.0], np.float32))
-    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL)))
+    peaks = np.array([[100, 100], [100, 105], [105, 100], [96, 97]])  # 2.5 m apart
+    raster = gaussian_crowns(200, 200, peaks, np.array([20.0, 19.0, 18.5, 18.0], np.float32))
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL_M)))
     assert [len(trees_of(canopy, species=species)[0]) for species in ("conifer", "broadleaf")] == [4, 1]
 
 
@@ -190,8 +190,8 @@ def test_height_classes_cover_all_heights_in_root_two_steps():
 
 def test_room_is_the_mean_distance_to_three_neighbours():
     x, y = np.array([0.0, 3.0, 0.0, 0.0]), np.array([0.0, 0.0, 4.0, -5.0])
-    assert room_m(x, y, 0.3048)[0] == pytest.approx(4.0 * 0.3048)
-    assert np.isinf(room_m(x[:3], y[:3], 1.0)).all()
+    assert growing_space_m(x, y, 0.3048)[0] == pytest.approx(4.0 * 0.3048)
+    assert np.isinf(growing_space_m(x[:3], y[:3], 1.0)).all()
 
 
 @pytest.mark.parametrize(
@@ -212,10 +212,10 @@ def test_kootenay_inventory_is_reproduced(shared_data):
     inventory = shapely.get_coordinates(shapely.from_wkb(wkb))
     canopy = Canopy(str(shared_data / "forest" / "kootenay_CHM_025m.tif"))
     x, y, found_m = trees_of(canopy, canopy.crs)
-    found = np.column_stack([x, y])
-    tall = height_m >= TREE_HEIGHT_M
-    missed = cKDTree(found).query(inventory[tall])[0] > 1.5
-    extra = cKDTree(inventory).query(found)[0] > 1.5
-    assert missed.sum() <= 0.04 * tall.sum()
-    assert extra.sum() <= 0.05 * len(found)
+    tree_xy = np.column_stack([x, y])
+    is_tall = height_m >= TREE_HEIGHT_M
+    is_missed = cKDTree(tree_xy).query(inventory[is_tall])[0] > 1.5
+    is_extra = cKDTree(inventory).query(tree_xy)[0] > 1.5
+    assert is_missed.sum() <= 0.04 * is_tall.sum()
+    assert is_extra.sum() <= 0.05 * len(tree_xy)
     assert found_m.max() == pytest.approx(height_m.max(), rel=1e-6)

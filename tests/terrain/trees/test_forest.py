@@ -18,13 +18,13 @@ from skugga.terrain.trees import forest as module
 from skugga.terrain.trees.crown_sizes import CROWN_SPREAD
 from skugga.terrain.trees.foliage import TREE_VARIANTS
 from skugga.terrain.trees.forest import Site, plant_trees
-from skugga.terrain.trees.scatter import MIN_SPACING, join_places, pair_keys, point_keys, scatter_trees, uniform_numbers
+from skugga.terrain.trees.scatter import MIN_SPACING, join_positions, pair_keys, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32632"
 X0, Y0 = 500000.0, 5202000.0
-SIDE = 2000.0
+SIDE_M = 2000.0
 CONIFERS = [n for n, variant in enumerate(TREE_VARIANTS) if variant.species == "conifer"]
 
 
@@ -43,22 +43,22 @@ def hill(write_raster) -> Path:
 def vectors(tmp_path: Path):
     """Return a function that writes geometries, in metres east and north of the terrain's south-west corner."""
 
-    def write(geometries: list, name: str = "stand.gpkg", crs: str = UTM, origin=(X0, Y0 - SIDE), **attributes) -> str:
-        moved = shapely.transform(np.array(geometries, object), lambda p: p + origin)
+    def write(geometries: list, name: str = "stand.gpkg", crs: str = UTM, origin=(X0, Y0 - SIDE_M), **attributes) -> str:
+        shifted_geometries = shapely.transform(np.array(geometries, object), lambda p: p + origin)
         path = tmp_path / name
         path.unlink(missing_ok=True)
         fields = [np.asarray(values) for values in attributes.values()]
-        pyogrio.raw.write(path, shapely.to_wkb(moved), fields, list(attributes), geometry_type="Unknown", crs=crs)
+        pyogrio.raw.write(path, shapely.to_wkb(shifted_geometries), fields, list(attributes), geometry_type="Unknown", crs=crs)
         return str(path)
 
     return write
 
 
-def planted(scene) -> Trees | None:
+def planted_trees(scene) -> Trees | None:
     return plant_trees(scene.loaded, scene.world, scene.elevation).trees
 
 
-def xyh(scene, trees: Trees) -> np.ndarray:
+def base_coordinates(scene, trees: Trees) -> np.ndarray:
     """Return the coordinates of tree bases in the raster's CRS, with heights (n, 3)."""
     return np.column_stack(scene.world.map_position(scene.elevation.crs, trees.base_earth_m))
 
@@ -93,15 +93,20 @@ def test_scattered_trees_keep_a_distance_and_form_no_rows():
 )
 def test_polygon_cut_in_two_keeps_its_trees(cut, angle, density, seed):
     area = shapely.Point(1000.0, -2000.0).buffer(200.0)
-    along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    middle = np.array([1000.0, -2000.0]) + cut * across
+    cut_direction, cut_normal = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    middle = np.array([1000.0, -2000.0]) + cut * cut_normal
     half = shapely.Polygon(
-        [middle - 500 * along, middle + 500 * along, middle + 500 * (along + across), middle + 500 * (across - along)]
+        [
+            middle - 500 * cut_direction,
+            middle + 500 * cut_direction,
+            middle + 500 * (cut_direction + cut_normal),
+            middle + 500 * (cut_normal - cut_direction),
+        ]
     )
-    whole, _ = join_places([scatter_trees(area, density, seed)])
-    parts, _ = join_places([scatter_trees(area & half, density, seed), scatter_trees(area - half, density, seed)])
-    np.testing.assert_array_equal(whole.key, parts.key)
-    np.testing.assert_array_equal(whole.x, parts.x)
+    uncut_trees, _ = join_positions([scatter_trees(area, density, seed)])
+    parts, _ = join_positions([scatter_trees(area & half, density, seed), scatter_trees(area - half, density, seed)])
+    np.testing.assert_array_equal(uncut_trees.key, parts.key)
+    np.testing.assert_array_equal(uncut_trees.x, parts.x)
 
 
 def test_another_seed_gives_another_stand():
@@ -129,33 +134,33 @@ def test_hashes_are_uniform_and_streams_uncorrelated():
 def test_stand_has_its_density_on_the_ground(hill, vectors, make_scene):
     area = shapely.Point(1000, 1000).buffer(600)
     scene = make_scene(hill, forest=[{"source": vectors([area]), "density": 300}])
-    trees = planted(scene)
+    trees = planted_trees(scene)
     stretch = 0.9996**-2  # UTM on its central meridian: map lengths are smaller than ground lengths
     assert len(trees.rank) == pytest.approx(area.area / 1e4 * 300 * stretch, abs=3 * np.sqrt(area.length / np.sqrt(1e4 / 300)))
-    assert shapely.contains_xy(area, *(xyh(scene, trees)[:, :2] - [X0, Y0 - SIDE]).T).all()
+    assert shapely.contains_xy(area, *(base_coordinates(scene, trees)[:, :2] - [X0, Y0 - SIDE_M]).T).all()
 
 
 def test_trees_stand_on_the_ground(hill, vectors, make_scene):
     scene = make_scene(hill, forest=[{"source": vectors([shapely.box(100, 100, 1900, 1900)]), "density": 20}])
-    x, y, height = xyh(scene, planted(scene)).T
+    x, y, height = base_coordinates(scene, planted_trees(scene)).T
     np.testing.assert_allclose(height, plane(x, y), atol=2e-3)
 
 
 def test_tree_does_not_depend_on_other_features(hill, vectors, make_scene):
-    whole, west, east = shapely.box(200, 300, 1700, 900), shapely.box(200, 300, 950, 900), shapely.box(950, 300, 1700, 900)
+    uncut_polygon, west, east = shapely.box(200, 300, 1700, 900), shapely.box(200, 300, 950, 900), shapely.box(950, 300, 1700, 900)
     far = shapely.box(1000, 1500, 1200, 1600)
     spec = {"density": 150, "species": "mixed", "seed": 9}
-    one = planted(make_scene(hill, forest=[{"source": vectors([whole, far]), **spec}]))
-    two = planted(make_scene(hill, forest=[{"source": vectors([east, far, west, far, east], "cut.gpkg"), **spec}]))
+    uncut_trees = planted_trees(make_scene(hill, forest=[{"source": vectors([uncut_polygon, far]), **spec}]))
+    cut_trees = planted_trees(make_scene(hill, forest=[{"source": vectors([east, far, west, far, east], "cut.gpkg"), **spec}]))
     for name in Trees.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+        np.testing.assert_array_equal(getattr(uncut_trees, name), getattr(cut_trees, name))
 
 
 def test_multipolygons_and_holes(hill, vectors, make_scene):
     ring = shapely.box(200, 200, 900, 900) - shapely.box(300, 300, 800, 800)
     scene = make_scene(hill, forest=[{"source": vectors([ring | shapely.box(1200, 1200, 1500, 1500)]), "density": 100}])
-    trees = planted(scene)
-    x, y, _ = (xyh(scene, trees) - [X0, Y0 - SIDE, 0]).T
+    trees = planted_trees(scene)
+    x, y, _ = (base_coordinates(scene, trees) - [X0, Y0 - SIDE_M, 0]).T
     assert not ((x > 300) & (x < 800) & (y > 300) & (y < 800)).any()
     assert len(trees.rank) == pytest.approx(100 * (24 + 9), rel=0.05)
 
@@ -163,13 +168,13 @@ def test_multipolygons_and_holes(hill, vectors, make_scene):
 def test_heights_of_polygons(hill, vectors, make_scene):
     boxes = [shapely.box(100, 100, 600, 600), shapely.box(700, 100, 1200, 600), shapely.box(100, 700, 600, 1200)]
     source = vectors(boxes, tall=[12.0, np.nan, 30.0], height=[1.0, 1.0, 1.0])
-    default = planted(make_scene(hill, forest=[{"source": source, "density": 50}])).height_m
+    default = planted_trees(make_scene(hill, forest=[{"source": source, "density": 50}])).height_m
     assert 8.0 <= default.min() < 8.3 and 17.7 < default.max() <= 18.0 and default.mean() == pytest.approx(13.0, abs=0.3)
-    ranged = planted(make_scene(hill, forest=[{"source": source, "density": 50, "height": [20, 21]}])).height_m
+    ranged = planted_trees(make_scene(hill, forest=[{"source": source, "density": 50, "height": [20, 21]}])).height_m
     assert 20.0 <= ranged.min() and ranged.max() <= 21.0
     scene = make_scene(hill, forest=[{"source": source, "density": 50, "height": "tall"}])
-    trees = planted(scene)
-    x, y, _ = (xyh(scene, trees) - [X0, Y0 - SIDE, 0]).T
+    trees = planted_trees(scene)
+    x, y, _ = (base_coordinates(scene, trees) - [X0, Y0 - SIDE_M, 0]).T
     np.testing.assert_array_equal(trees.height_m, np.where(y > 650, 30.0, 12.0))
     assert not ((x > 650) & (y < 650)).any()  # the polygon without a height
 
@@ -178,17 +183,17 @@ def test_variants_follow_species_and_crowns_follow_height(hill, vectors, make_sc
     source = vectors([shapely.box(100, 100, 1900, 1900)])
     shares_of = {}
     for species in ("conifer", "broadleaf", "mixed"):
-        trees = planted(make_scene(hill, forest=[{"source": source, "density": 40, "species": species, "height": [5, 30]}]))
+        trees = planted_trees(make_scene(hill, forest=[{"source": source, "density": 40, "species": species, "height": [5, 30]}]))
         shares_of[species] = np.isin(trees.variant, CONIFERS).mean()
         base, slope = np.mean([module.CROWN_M[s] for s in (["conifer", "broadleaf"] if species == "mixed" else [species])], axis=0)
-        usual = base + slope * trees.height_m
-        assert (trees.crown_m / usual).mean() == pytest.approx(1.0, abs=0.02)
-        assert ((trees.turn_deg >= 0) & (trees.turn_deg < 180)).all() and trees.turn_deg.std() == pytest.approx(52, abs=1)
+        expected_crown_m = base + slope * trees.height_m
+        assert (trees.crown_m / expected_crown_m).mean() == pytest.approx(1.0, abs=0.02)
+        assert ((trees.yaw_deg >= 0) & (trees.yaw_deg < 180)).all() and trees.yaw_deg.std() == pytest.approx(52, abs=1)
         assert ((trees.rank >= 0) & (trees.rank < 1)).all() and trees.rank.mean() == pytest.approx(0.5, abs=0.01)
     assert shares_of["conifer"] == 1 and shares_of["broadleaf"] == 0
     assert shares_of["mixed"] == pytest.approx(0.5, abs=0.02)
     assert 0 < CROWN_SPREAD < 1
-    crown = planted(make_scene(hill, forest=[{"source": source, "density": 5, "crown": [2, 2.5]}])).crown_m
+    crown = planted_trees(make_scene(hill, forest=[{"source": source, "density": 5, "crown": [2, 2.5]}])).crown_m
     assert 2.0 <= crown.min() and crown.max() <= 2.5
 
 
@@ -202,7 +207,7 @@ def test_density_is_on_the_ground_in_any_crs(crs, write_raster, make_scene, vect
     to_utm = Transformer.from_crs(crs, UTM, always_xy=True)
     east, north = to_utm.transform(x0 + 30 * cell, y0 - 30 * cell)
     source = vectors([shapely.box(0, 0, 800, 800)], origin=(east - 400, north - 400))
-    trees = planted(make_scene(dem, forest=[{"source": source, "density": 200}]))
+    trees = planted_trees(make_scene(dem, forest=[{"source": source, "density": 200}]))
     assert len(trees.rank) == pytest.approx(64 * 200 * 0.9996**-2, rel=0.006)
 
 
@@ -211,16 +216,16 @@ def test_flat_world_in_feet(write_raster, make_scene, vectors):
     dem = write_raster(np.zeros((100, 100), np.float32), feet, 7000, 9000, 10)
     source = vectors([shapely.box(0, 0, 800, 800)], crs=feet, origin=(7100, 8100))
     scene = make_scene(dem, forest=[{"source": source, "density": 400}])
-    trees = planted(scene)
+    trees = planted_trees(scene)
     assert len(trees.rank) == pytest.approx((800 * 0.3048) ** 2 / 1e4 * 400, rel=0.02)
-    x, y, _ = xyh(scene, trees).T
+    x, y, _ = base_coordinates(scene, trees).T
     assert 7100 <= x.min() and x.max() <= 7900 and 8100 <= y.min() and y.max() <= 8900
 
 
 def test_longitudes_wrap_around_the_earth(write_raster, make_scene, vectors):
     dem = write_raster(np.zeros((40, 40), np.float32), "EPSG:4326", 179.98, 0.02, 0.001)  # up to 180.02
     source = vectors([shapely.box(-179.995, -0.005, -179.99, 0.005)], crs="EPSG:4326", origin=(0, 0))
-    assert len(planted(make_scene(dem, forest=[{"source": source, "density": 100}])).rank) == pytest.approx(
+    assert len(planted_trees(make_scene(dem, forest=[{"source": source, "density": 100}])).rank) == pytest.approx(
         0.55 * 1.11 * 100 * 100, rel=0.03
     )
 
@@ -228,14 +233,14 @@ def test_longitudes_wrap_around_the_earth(write_raster, make_scene, vectors):
 def test_trees_off_the_terrain_and_over_holes_are_omitted(hill, vectors, make_scene, write_raster):
     source = vectors([shapely.box(-5000, -5000, 500, 7000)])
     scene = make_scene(hill, forest=[{"source": source, "density": 100}])
-    trees = planted(scene)
-    assert xyh(scene, trees)[:, 0].min() >= X0
+    trees = planted_trees(scene)
+    assert base_coordinates(scene, trees)[:, 0].min() >= X0
     assert len(trees.rank) == pytest.approx(100 * 100, rel=0.02)
     values = np.full((50, 50), 10, np.float32)
     values[:, 20:40] = np.nan
     scene = make_scene(write_raster(values, UTM, X0, Y0, 40, name="holes.tif"), forest=[{"source": source, "density": 10}])
     scene = make_scene(scene.elevation.name, forest=[{"source": vectors([shapely.box(0, 0, 2000, 2000)]), "density": 10}])
-    x = xyh(scene, planted(scene))[:, 0] - X0
+    x = base_coordinates(scene, planted_trees(scene))[:, 0] - X0
     assert not ((x > 840) & (x < 1560)).any() and (x < 800).any() and (x > 1600).any()
 
 
@@ -244,36 +249,38 @@ def test_trees_off_the_terrain_and_over_holes_are_omitted(hill, vectors, make_sc
 
 def test_points_are_trees_with_their_heights(hill, vectors, make_scene):
     rng = np.random.default_rng(2)
-    place, tall, wide = rng.uniform(50, 1950, (200, 2)), rng.uniform(3, 40, 200), rng.uniform(1, 9, 200)
+    place, height_m, crown_m = rng.uniform(50, 1950, (200, 2)), rng.uniform(3, 40, 200), rng.uniform(1, 9, 200)
     order = rng.permutation(200)
-    source = vectors(list(shapely.points(place)), height=tall, w=wide)
-    mixed = vectors(list(shapely.points(place[order])), "mixed.gpkg", height=tall[order].astype(str), w=wide[order])
+    source = vectors(list(shapely.points(place)), height=height_m, w=crown_m)
+    shuffled_source = vectors(
+        list(shapely.points(place[order])), "mixed.gpkg", height=height_m[order].astype(str), w=crown_m[order]
+    )
     scene = make_scene(hill, forest=[{"source": source, "crown": "w"}])
-    trees = planted(scene)
-    found = xyh(scene, trees)[:, :2] - [X0, Y0 - SIDE]
-    distance, row = cKDTree(place).query(found)
+    trees = planted_trees(scene)
+    tree_xy = base_coordinates(scene, trees)[:, :2] - [X0, Y0 - SIDE_M]
+    distance, row = cKDTree(place).query(tree_xy)
     assert len(np.unique(row)) == 200 and distance.max() < 1e-3
-    np.testing.assert_allclose(trees.height_m, tall[row], rtol=1e-6)
-    np.testing.assert_allclose(trees.crown_m, wide[row], rtol=1e-6)
-    again = planted(make_scene(hill, forest=[{"source": mixed, "crown": "w"}]))
+    np.testing.assert_allclose(trees.height_m, height_m[row], rtol=1e-6)
+    np.testing.assert_allclose(trees.crown_m, crown_m[row], rtol=1e-6)
+    replanted = planted_trees(make_scene(hill, forest=[{"source": shuffled_source, "crown": "w"}]))
     for name in Trees.__dataclass_fields__:
-        np.testing.assert_allclose(getattr(again, name), getattr(trees, name), rtol=1e-6)
+        np.testing.assert_allclose(getattr(replanted, name), getattr(trees, name), rtol=1e-6)
 
 
 def test_points_without_heights_draw_them_by_position(hill, vectors, make_scene):
     place = np.random.default_rng(2).uniform(50, 1950, (300, 2))
-    some = vectors([shapely.MultiPoint(place[:150]), *shapely.points(place[150:])])
-    default = planted(make_scene(hill, forest=[{"source": some}])).height_m
+    point_source = vectors([shapely.MultiPoint(place[:150]), *shapely.points(place[150:])])
+    default = planted_trees(make_scene(hill, forest=[{"source": point_source}])).height_m
     assert len(default) == 300 and 8 <= default.min() and default.max() <= 18 and default.std() == pytest.approx(2.9, abs=0.3)
-    fewer = planted(make_scene(hill, forest=[{"source": vectors(list(shapely.points(place[150:])), "fewer.gpkg")}])).height_m
-    assert np.isin(fewer, default).all()
+    subset = planted_trees(make_scene(hill, forest=[{"source": vectors(list(shapely.points(place[150:])), "fewer.gpkg")}])).height_m
+    assert np.isin(subset, default).all()
 
 
 def test_invalid_rows_are_omitted_and_duplicates_merged(hill, vectors, make_scene):
     points = list(shapely.points([[100, 100], [200, 100], [300, 100], [400, 100], [500, 100], [500, 100], [99999, 0]]))
     source = vectors(points, tall=[10.0, -4.0, 0.0, np.nan, 151.0, 7.0, 9.0])
-    assert planted(make_scene(hill, forest=[{"source": source, "height": "tall"}])).height_m.tolist() == [10.0]
-    assert len(planted(make_scene(hill, forest=[{"source": source, "height": [9, 9]}])).rank) == 5
+    assert planted_trees(make_scene(hill, forest=[{"source": source, "height": "tall"}])).height_m.tolist() == [10.0]
+    assert len(planted_trees(make_scene(hill, forest=[{"source": source, "height": [9, 9]}])).rank) == 5
 
 
 def test_point_keys_distinguish_millimetres():
@@ -295,8 +302,8 @@ def test_canopy_in_another_crs_stands_on_the_terrain(hill, make_scene, write_ras
     canopy[20::40, 20::40] = 17.0
     source = write_raster(canopy, "EPSG:4326", west, north, (1.3e-5, 9e-6), name="canopy.tif")
     scene = make_scene(hill, forest=[{"source": str(source), "species": "conifer"}])
-    trees = planted(scene)
-    x, y, height = xyh(scene, trees).T
+    trees = planted_trees(scene)
+    x, y, height = base_coordinates(scene, trees).T
     np.testing.assert_allclose(height, plane(x, y), atol=2e-3)
     assert (trees.height_m == 17.0).all() and np.isin(trees.variant, CONIFERS).all()
     lon, lat = to_degrees.transform(x, y)
@@ -309,33 +316,35 @@ def test_canopy_crowns_end_at_their_neighbours(hill, make_scene, write_raster):
     canopy = np.zeros((100, 100), np.float32)
     canopy[2:60:3, 2:60:3], canopy[90, 90] = 26.0, 26.0
     source = write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
-    trees = planted(make_scene(hill, forest=[{"source": str(source), "species": "conifer"}]))
+    trees = planted_trees(make_scene(hill, forest=[{"source": str(source), "species": "conifer"}]))
     assert np.sort(trees.crown_m)[-2] < 1.2 * (3 + 3 + 18**0.5) / 3 * 1.001 and np.median(trees.crown_m) == pytest.approx(
         3.6, rel=1e-3
     )
-    lone = planted(make_scene(hill, forest=[{"source": str(source), "species": "conifer", "crown": [6, 6]}]))
-    assert lone.crown_m.tolist() == [6.0] * 401
+    trees_with_fixed_crowns = planted_trees(
+        make_scene(hill, forest=[{"source": str(source), "species": "conifer", "crown": [6, 6]}])
+    )
+    assert trees_with_fixed_crowns.crown_m.tolist() == [6.0] * 401
 
 
 def test_broadleaf_canopies_have_fewer_and_wider_crowns(hill, make_scene, write_raster):
     """In a rough canopy of 18 m to 20 m, wider crowns give fewer tops. Mixed stands lie in between."""
     canopy = np.random.default_rng(4).uniform(18, 20, (100, 100)).astype(np.float32)
     source = str(write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif"))
-    stands = {
-        species: planted(make_scene(hill, forest=[{"source": source, "species": species}]))
+    trees_by_species = {
+        species: planted_trees(make_scene(hill, forest=[{"source": source, "species": species}]))
         for species in ("conifer", "mixed", "broadleaf")
     }
-    conifer, mixed, broadleaf = (len(trees.rank) for trees in stands.values())
-    assert 1.3 * broadleaf < mixed < conifer / 1.3
-    assert np.median(stands["broadleaf"].crown_m) > 1.5 * np.median(stands["conifer"].crown_m)
+    conifer_count, mixed_count, broadleaf_count = (len(trees.rank) for trees in trees_by_species.values())
+    assert 1.3 * broadleaf_count < mixed_count < conifer_count / 1.3
+    assert np.median(trees_by_species["broadleaf"].crown_m) > 1.5 * np.median(trees_by_species["conifer"].crown_m)
 
 
 def test_real_canopy_on_its_own_terrain(shared_data, make_scene):
     folder = shared_data / "forest"
     scene = make_scene(folder / "quebec_DTM.tif", forest=[{"source": str(folder / "quebec_CHM.tif")}])
-    trees = planted(scene)
+    trees = planted_trees(scene)
     assert 3000 < len(trees.rank) < 6000 and 20 < trees.height_m.max() < 21
-    x, y, height = xyh(scene, trees).T
+    x, y, height = base_coordinates(scene, trees).T
     np.testing.assert_allclose(height, scene.elevation.ground_m(x, y), atol=2e-3)
 
 
@@ -343,8 +352,8 @@ def test_real_canopy_on_its_own_terrain(shared_data, make_scene):
 
 
 def test_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
-    assert planted(make_scene(hill)) is None
-    assert planted(make_scene(hill, forest=[{"source": vectors([shapely.box(5, 5, 6, 6)]), "density": 0.001}])) is None
+    assert planted_trees(make_scene(hill)) is None
+    assert planted_trees(make_scene(hill, forest=[{"source": vectors([shapely.box(5, 5, 6, 6)]), "density": 0.001}])) is None
 
 
 @pytest.mark.parametrize(
@@ -374,21 +383,21 @@ def test_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
 def test_invalid_stands_are_rejected_in_one_line(hill, make_scene, vectors, geometry, spec, message):
     source = vectors([geometry], kind=["oak"], low=[-1.0])
     with pytest.raises((LevelError, SourceError), match=message) as caught:
-        planted(make_scene(hill, forest=[{"source": source, **spec}]))
+        planted_trees(make_scene(hill, forest=[{"source": source, **spec}]))
     assert "\n" not in str(caught.value)
 
 
 def test_tree_limit_applies_to_all_stands_together(hill, make_scene, vectors, monkeypatch, write_raster):
     monkeypatch.setattr(module, "MAX_TREES", 1000)
-    stand = {"source": vectors([shapely.box(0, 0, 400, 400)]), "density": 50}
+    stand_spec = {"source": vectors([shapely.box(0, 0, 400, 400)]), "density": 50}
     with pytest.raises(LevelError, match=r"forest\.1: 80. trees, .*1,000 trees in a level \((1\d\d|2\d\d) left for this stand\)"):
-        planted(make_scene(hill, forest=[stand, stand]))
+        planted_trees(make_scene(hill, forest=[stand_spec, stand_spec]))
     points = vectors(list(shapely.points(np.random.default_rng(0).uniform(0, 2000, (1001, 2)))), "p.gpkg")
     with pytest.raises(LevelError, match=r"forest\.0: 1,001 trees, more than the limit of 1,000 trees in a level\. "):
-        planted(make_scene(hill, forest=[{"source": points}]))
+        planted_trees(make_scene(hill, forest=[{"source": points}]))
     canopy = write_raster(np.full((200, 200), 10, np.int16), UTM, X0, Y0, 1, name="canopy.tif")
     with pytest.raises(LevelError, match=r"forest\.0: at least [\d,]+ trees, more than the limit"):
-        planted(make_scene(hill, forest=[{"source": str(canopy)}]))
+        planted_trees(make_scene(hill, forest=[{"source": str(canopy)}]))
 
 
 @pytest.mark.parametrize(
@@ -405,20 +414,20 @@ def test_tree_limit_applies_to_all_stands_together(hill, make_scene, vectors, mo
 def test_invalid_canopies_are_rejected(hill, make_scene, write_raster, spec, value, x, message):
     source = write_raster(np.full((20, 20), value, np.float32), UTM, x, Y0, 1, name="canopy.tif", nodata=np.nan)
     with pytest.raises((LevelError, SourceError), match=message):
-        planted(make_scene(hill, forest=[{"source": str(source), **spec}]))
+        planted_trees(make_scene(hill, forest=[{"source": str(source), **spec}]))
 
 
 def test_canopy_without_trees_is_no_error(hill, make_scene, write_raster):
     source = write_raster(np.zeros((20, 20), np.float32), UTM, X0, Y0, 1, name="canopy.tif")
-    assert planted(make_scene(hill, forest=[{"source": str(source)}])) is None
+    assert planted_trees(make_scene(hill, forest=[{"source": str(source)}])) is None
 
 
 def test_missing_and_unreadable_files_are_rejected(hill, make_scene, tmp_path):
     with pytest.raises(SourceError, match=r"none.gpkg: no such file\. "):
-        planted(make_scene(hill, forest=[{"source": "none.gpkg", "density": 3}]))
+        planted_trees(make_scene(hill, forest=[{"source": "none.gpkg", "density": 3}]))
     (tmp_path / "text.geojson").write_text("hello", encoding="utf-8")
     with pytest.raises(SourceError, match=r"text.geojson: .*\. Use polygons, points or a raster of canopy heights"):
-        planted(make_scene(hill, forest=[{"source": "text.geojson", "density": 3}]))
+        planted_trees(make_scene(hill, forest=[{"source": "text.geojson", "density": 3}]))
 
 
 def test_site_of_a_global_level_has_no_outline(write_raster, make_scene, hill):
@@ -426,5 +435,5 @@ def test_site_of_a_global_level_has_no_outline(write_raster, make_scene, hill):
     assert Site(globe.world, globe.elevation).outline is None
     near = make_scene(hill)
     site = Site(near.world, near.elevation)
-    assert site.outline.area == pytest.approx(SIDE**2 / 0.9996**2, rel=0.01)
+    assert site.outline.area == pytest.approx(SIDE_M**2 / 0.9996**2, rel=0.01)
     assert CRS.from_user_input(site.crs).is_projected

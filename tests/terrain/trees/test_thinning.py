@@ -20,8 +20,8 @@ def z_order(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     quarter = (x >= 0.5).astype(int) + 2 * (y >= 0.5).astype(int)
     parts = []
     for number in range(4):
-        its = np.flatnonzero(quarter == number)
-        parts.append(its[z_order(2 * x[its] % 1.0, 2 * y[its] % 1.0)])
+        members = np.flatnonzero(quarter == number)
+        parts.append(members[z_order(2 * x[members] % 1.0, 2 * y[members] % 1.0)])
     return np.concatenate(parts)
 
 
@@ -58,12 +58,12 @@ def test_each_run_of_2_to_the_m_trees_keeps_exactly_one(digits):
     Each position in the run is equally frequent, and so is each difference from the positions in the two runs before.
     """
     col, row = (v.ravel().astype(float) for v in np.meshgrid(np.arange(256), np.arange(256)))
-    kept = (thinning_ranks(col, row)[z_order(col / 256, row / 256)] < 2.0**-digits).reshape(-1, 2**digits)
-    assert (kept.sum(axis=1) == 1).all()
-    which, many = kept.argmax(axis=1), 2**digits
-    for found in (which, (which[1:] - which[:-1]) % many, (which[2:] - which[:-2]) % many):
-        expected = len(found) / many
-        assert ((np.bincount(found, minlength=many) - expected) ** 2 / expected).sum() < chi2.isf(1e-6, many - 1)
+    is_kept = (thinning_ranks(col, row)[z_order(col / 256, row / 256)] < 2.0**-digits).reshape(-1, 2**digits)
+    assert (is_kept.sum(axis=1) == 1).all()
+    kept_index, run_length = is_kept.argmax(axis=1), 2**digits
+    for indices in (kept_index, (kept_index[1:] - kept_index[:-1]) % run_length, (kept_index[2:] - kept_index[:-2]) % run_length):
+        expected = len(indices) / run_length
+        assert ((np.bincount(indices, minlength=run_length) - expected) ** 2 / expected).sum() < chi2.isf(1e-6, run_length - 1)
 
 
 @pytest.mark.parametrize("count", [1000, 20_000])
@@ -73,11 +73,11 @@ def test_any_run_along_the_curve_keeps_its_share(count):
     scale = (1 - 2**-22) / 1000.0
     rank = thinning_ranks(x, y)[z_order(x * scale, y * scale)]
     for share in SHARES:
-        kept = np.concatenate([[0], np.cumsum(rank < share)])
+        kept_before = np.concatenate([[0], np.cumsum(rank < share)])
         for m in (1, 2, 5, 17, 100, 631, count // 2):
-            off = kept[m:] - kept[:-m] - share * m
-            assert np.abs(off).max() <= 2.0 + 0.5 * np.log2(m), (share, m)
-            assert m == 1 or np.abs(off).max() >= 0.2  # the runs are not trivially right
+            error = kept_before[m:] - kept_before[:-m] - share * m
+            assert np.abs(error).max() <= 2.0 + 0.5 * np.log2(m), (share, m)
+            assert m == 1 or np.abs(error).max() >= 0.2  # the runs are not trivially right
 
 
 @pytest.mark.parametrize("clumped", [False, True])
@@ -91,25 +91,25 @@ def test_any_window_keeps_its_share(clumped):
         x, y = scattered(40_000, 3)
     rank = thinning_ranks(x, y)
     for share in (1 / 16, 0.25, 0.5):
-        found, by_chance = [], []
+        errors, random_errors = [], []
         for _ in range(300):
             side = rng.uniform(100, 400)
             west, south = rng.uniform(0, 1000 - side, 2)
             inside = (x >= west) & (x < west + side) & (y >= south) & (y < south + side)
             if inside.sum() > 100:
-                found.append((rank[inside] < share).mean() - share)
-                by_chance.append(np.sqrt(share * (1 - share) / inside.sum()))
-        found, by_chance = np.array(found), np.array(by_chance)
-        assert np.sqrt(np.mean((found / by_chance) ** 2)) < 0.6
-        assert np.abs(found).max() < 0.05 and abs(found.mean()) < 0.004
+                errors.append((rank[inside] < share).mean() - share)
+                random_errors.append(np.sqrt(share * (1 - share) / inside.sum()))
+        errors, random_errors = np.array(errors), np.array(random_errors)
+        assert np.sqrt(np.mean((errors / random_errors) ** 2)) < 0.6
+        assert np.abs(errors).max() < 0.05 and abs(errors.mean()) < 0.004
 
 
 def test_every_small_plot_keeps_a_tree():
     """At a quarter of 10,000 trees, no plot of 6 x 6 trees is empty, which happens in random thinning."""
     col, row = (v.ravel().astype(float) for v in np.meshgrid(np.arange(100), np.arange(100)))
     for share, side in ((0.25, 6), (1 / 16, 12)):
-        kept = (thinning_ranks(col, row) < share).reshape(100, 100)
-        plots = np.lib.stride_tricks.sliding_window_view(kept, (side, side)).sum(axis=(2, 3))
+        is_kept = (thinning_ranks(col, row) < share).reshape(100, 100)
+        plots = np.lib.stride_tricks.sliding_window_view(is_kept, (side, side)).sum(axis=(2, 3))
         assert plots.min() >= 1 and plots.max() <= 2.2 * share * side * side
 
 
@@ -120,7 +120,7 @@ def test_stands_of_no_tree_and_of_one_tree():
 
 def test_row_of_trees_is_thinned_evenly():
     """Trees along a road in any direction: no gap is longer than the spacing of a few kept trees."""
-    along = np.linspace(0.0, 5000.0, 2000)
-    for x, y in ((along, np.zeros(2000)), (np.full(2000, 7.0), -along), (along, along)):
-        kept = np.flatnonzero(thinning_ranks(x, y) < 0.25)
-        assert len(kept) == pytest.approx(500, abs=4) and np.diff(kept).max() <= 12
+    distance = np.linspace(0.0, 5000.0, 2000)
+    for x, y in ((distance, np.zeros(2000)), (np.full(2000, 7.0), -distance), (distance, distance)):
+        kept_indices = np.flatnonzero(thinning_ranks(x, y) < 0.25)
+        assert len(kept_indices) == pytest.approx(500, abs=4) and np.diff(kept_indices).max() <= 12
