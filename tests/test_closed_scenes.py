@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from pyproj import CRS
-from skugga.shadows.point.lon_lat_at import place_at
 
 from skugga.api.compute import compute
 from skugga.api.request import ProductRequest
@@ -19,6 +18,7 @@ from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
 from skugga.shadows.ground_pictures import _ground_between_nodes
 from skugga.shadows.point.horizon import horizon_profile, load_surroundings
+from skugga.shadows.point.place import place_at
 from skugga.shadows.render import render_frame
 from skugga.shadows.sunlit_ground import rim_points
 from skugga.terrain.cache import caches, clear_caches

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.bare_names import PARTS
+from tests.bare_names import PACKAGE_FOLDERS
 from tests.copies import copy_with
 from tests.rasters import write_geotiff
 
@@ -25,7 +25,7 @@ SCRIPTS = Path(sys.executable).parent
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
     """Return a user's folder whose packages have the names of the repository's folders and raise an error on import."""
-    for name in PARTS:
+    for name in PACKAGE_FOLDERS:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f"raise RuntimeError('{name} of the user was imported')\n", encoding="utf-8")
     heights = np.zeros((40, 40), np.float32)
@@ -60,17 +60,17 @@ def test_commands_work_beside_packages_of_the_same_names(project: Path):
     assert process.returncode == 0 and (project / "mask.tif").is_file(), process.stderr
 
 
-@pytest.mark.parametrize("name", sorted(PARTS))
+@pytest.mark.parametrize("name", sorted(PACKAGE_FOLDERS))
 def test_a_bare_name_is_refused_in_tests(name: str):
     with pytest.raises(ImportError, match=rf"second copy of skugga\.{name}"):
         importlib.import_module(name)
 
 
 def test_no_second_copy_was_imported():
-    assert not {name for name in sys.modules if name.partition(".")[0] in PARTS}
+    assert not {name for name in sys.modules if name.partition(".")[0] in PACKAGE_FOLDERS}
 
 
-BARE_IMPORTS = [*(f"import {name}" for name in sorted(PARTS)), "from terrain.geo import sun", "import api.cli as c"]
+BARE_IMPORTS = [*(f"import {name}" for name in sorted(PACKAGE_FOLDERS)), "from terrain.geo import sun", "import api.cli as c"]
 
 
 @pytest.mark.parametrize("line", BARE_IMPORTS)

@@ -84,7 +84,8 @@ def write_plain(path: Path, crs: CRS, lon: float, lat: float, lon_lat_crs: CRS =
     path.write_text(
         f"<VRTDataset rasterXSize='{SIDE}' rasterYSize='{SIDE}'><SRS>{escape(crs.to_wkt())}</SRS>"
         f"<GeoTransform>{', '.join(map(repr, transform.to_gdal()))}</GeoTransform><VRTRasterBand dataType='Float32' band='1'>"
-        f"<SimpleSource><SourceFilename relativeToVRT='1'>{raster_path.name}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+        f"<SimpleSource><SourceFilename relativeToVRT='1'>{raster_path.name}</SourceFilename>"
+        "<SourceBand>1</SourceBand></SimpleSource>"
         "</VRTRasterBand></VRTDataset>"
     )
 

@@ -185,12 +185,14 @@ def test_a_failed_run_keeps_the_old_file(scene, tmp_path, monkeypatch):
 def test_wrong_cells_are_refused(scene, tmp_path):
     rotated_raster = tmp_path / "turned.tif"
     with rasterio.open(
-        rotated_raster, "w", driver="GTiff", width=4, height=4, count=1, dtype="uint8", crs="EPSG:32633", transform=Affine.rotation(30.0),
+        rotated_raster, "w", driver="GTiff", width=4, height=4, count=1, dtype="uint8",
+        crs="EPSG:32633", transform=Affine.rotation(30.0),
     ) as dataset:  # fmt: skip
         dataset.write(np.ones((1, 4, 4), np.uint8))
     for error, view_options in (
         (SourceError, {"like": rotated_raster}), (SourceError, {"like": tmp_path / "none.tif"}),
-        (InputError, {"like": rotated_raster, "resolution": 5.0}), (InputError, {"resolution": -1.0}), (InputError, {"resolution": 1e-9}),
+        (InputError, {"like": rotated_raster, "resolution": 5.0}),
+        (InputError, {"resolution": -1.0}), (InputError, {"resolution": 1e-9}),
         (InputError, {"bounds": (0.0, 0.0, 1.0, 1.0)}),
     ):  # fmt: skip
         with pytest.raises(error):

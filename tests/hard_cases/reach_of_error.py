@@ -222,11 +222,11 @@ def _connected_triangles(
         rim_ends = np.array(NEIGHBOUR_OFFSETS[side]), np.array(NEIGHBOUR_OFFSETS[(side + 2) % 8])
         spoke_ends = np.array((row, col)), np.array((next_row, next_col))
         ends.append(
-            tuple(
+            tuple(  # type: ignore[arg-type]
                 np.where(cut_meets_node[:, None], spoke_end, rim_end)
                 for spoke_end, rim_end in zip(spoke_ends, rim_ends, strict=True)
             )
-        )  # type: ignore[arg-type]
+        )
     middle = surface.position_frame_m[node[:, 0], node[:, 1]]
     corners = np.stack([[middle, *(surface.position_frame_m[tuple((node + end).T)] for end in pair)] for pair in ends])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # shape of corners: (8, 3, n, 3)

@@ -166,7 +166,8 @@ def test_edge_on_to_the_sun(trial: Trial) -> dict[str, float]:
         ]
     views = {"eye": eye((5, 8, 9), (1, -2, 0), fov=60)}
     return max_by_figure([
-        worst_over_views(trial, join_meshes(EDGE_ON_TRIANGLES, house_with_moved_corner(corner)), f"way_{number}", views, sun=(azimuth, altitude))
+        worst_over_views(trial, join_meshes(EDGE_ON_TRIANGLES, house_with_moved_corner(corner)),
+            f"way_{number}", views, sun=(azimuth, altitude))
         for number, (azimuth, altitude, corner) in enumerate(sun_and_corner_cases)
     ])  # fmt: skip
 

@@ -88,7 +88,8 @@ def _evenly_distributed(low: float, high: float, steps: int = 1000) -> st.Search
 _SHARE = _evenly_distributed(0.1, 0.9)
 EYES = st.builds(
     Eye, st.tuples(_SHARE, _SHARE), st.tuples(_SHARE, _SHARE),
-    st.one_of(_evenly_distributed(0.01, 3.0), _evenly_distributed(3.0, 300.0)), st.one_of(_evenly_distributed(20.0, 70.0), _evenly_distributed(0.5, 150.0)),
+    st.one_of(_evenly_distributed(0.01, 3.0), _evenly_distributed(3.0, 300.0)),
+    st.one_of(_evenly_distributed(20.0, 70.0), _evenly_distributed(0.5, 150.0)),
 ).filter(lambda eye: max(abs(a - b) for a, b in zip(eye.at, eye.target, strict=True)) > 0.01)  # fmt: skip
 SITUATIONS = st.builds(
     Situation,

@@ -334,7 +334,8 @@ def test_grids_of_the_earth(trial: Trial) -> dict[str, float]:
         altitude[valid] = np.degrees(np.arcsin(np.clip(up @ scene.sun.to_sun_earth, -1.0, 1.0)))
         trial.record_coverage("missed_shadow", metric_coverage(rendered.dark, rendered.truth, np.abs(altitude) > 1.0))
         worst = larger_figures(worst, {
-            "false_shadow": share_of_mask(rendered.dark, altitude > 1.0), "missed_shadow": share_of_mask(~rendered.dark, altitude < -1.0),
+            "false_shadow": share_of_mask(rendered.dark, altitude > 1.0),
+            "missed_shadow": share_of_mask(~rendered.dark, altitude < -1.0),
             "surface lost or made up": 1.0 - float(valid[1:-1, 1:-1].mean()),
         })  # fmt: skip
     return worst

@@ -72,8 +72,10 @@ def level_file(tmp_path_factory):
         if ground == "earth":
             above_ground = {"position": [*EARTH_POSITION, 900]}
             keys = {
-                "lights": {"spot": {**SPOT, **above_ground, "target": [*EARTH_POSITION, 0]}, "omni": {**OMNI, **above_ground}}, "views": {},
-                "meshes": [{"generate": "tetrahedra", "at": EARTH_POSITION}], "forest": [{"source": "pines.gpkg", "height": [20, 30]}],
+                "lights": {"spot": {**SPOT, **above_ground, "target": [*EARTH_POSITION, 0]}, "omni": {**OMNI, **above_ground}},
+                "views": {},
+                "meshes": [{"generate": "tetrahedra", "at": EARTH_POSITION}],
+                "forest": [{"source": "pines.gpkg", "height": [20, 30]}],
                 "effects": {"alpha_test": "on"},  # the trees are too small to be drawn
                 **keys,
             }  # fmt: skip

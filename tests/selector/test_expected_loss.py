@@ -115,7 +115,8 @@ def test_least_expected_loss_is_minimal(candidates, max_error, max_ms):
 def test_least_expected_loss_ignores_the_unit_of_time(candidates, max_error, factor):
     scaled_candidates = [
         Forecast(
-            CandidateFigures(candidate.figures.name, candidate.figures.ms * factor, candidate.figures.error, candidate.figures.interior),
+            CandidateFigures(candidate.figures.name, candidate.figures.ms * factor,
+                             candidate.figures.error, candidate.figures.interior),
             candidate.error_miss_chance, candidate.time_spread
         )
               for candidate in candidates]  # fmt: skip

@@ -89,7 +89,7 @@ def test_coarse_scales_probe_one_block_and_fine_ones_three(gl, hills_level: Path
     assert len(places) == 3 and places[0] == (0.5, 0.5)
     coarse_probes = probe_blocks(scene, coarse_m, typical_device(), budget_s=1.0)
     fine_probes = probe_blocks(scene, fine_m, typical_device(), budget_s=1.0)
-    assert len(fine_probes.seen["sun"]) >= 3 > 0 < len(coarse_probes.seen["sun"])
+    assert len(fine_probes.observations["sun"]) >= 3 > 0 < len(coarse_probes.observations["sun"])
     assert fine_probes.plan.view == "map"
 
 

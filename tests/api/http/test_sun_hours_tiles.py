@@ -82,8 +82,10 @@ def test_legend_is_a_picture_and_numbers(client: Client):
 @pytest.mark.parametrize(
     ("query", "name"),
     [
-        ("layer=sunhours", "date"), ("layer=sunhours&date=2023-02-29", "date"), (f"{SUN_HOURS_QUERY}&time=2024-12-21T09:00Z", "time"),
-        (f"{SUN_HOURS_QUERY}&algorithm=sweep", "algorithm"), ("date=2024-12-21", "date"), (f"{SUN_HOURS_QUERY}&window=16:00-08:00", "window"),
+        ("layer=sunhours", "date"), ("layer=sunhours&date=2023-02-29", "date"),
+        (f"{SUN_HOURS_QUERY}&time=2024-12-21T09:00Z", "time"),
+        (f"{SUN_HOURS_QUERY}&algorithm=sweep", "algorithm"), ("date=2024-12-21", "date"),
+        (f"{SUN_HOURS_QUERY}&window=16:00-08:00", "window"),
         (f"{SUN_HOURS_QUERY}&quantity=weeks", "quantity"), (f"{SUN_HOURS_QUERY}&height=-1", "height"),
         ("layer=hours", "layer"),
     ],

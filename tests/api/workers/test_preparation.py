@@ -16,7 +16,7 @@ from tests.api.conftest import write_level
 
 
 def test_first_block_lies_in_the_middle_of_the_level(hills_level: Path) -> None:
-    (level,) = ServedLevels([hills_level]).known()
+    (level,) = ServedLevels([hills_level]).cached_levels()
     (block,) = first_blocks(ServedLevels([hills_level]))
     zooms = level.zooms[DEFAULT_MATRIX_SET]
     assert block.zoom == zooms.first and block.level == level.key

@@ -202,7 +202,8 @@ def test_unreachable_targets_are_no_misses_but_have_losses():
 def test_the_time_of_the_selection_counts_as_regret():
     """5 ms are half of the best time of the first view, and a quarter of that of the second."""
     score = score_choices(
-        instances_of([QUICK, SLOW], [THREE_PERCENT]), choices_of("quick", "slow"), choices_of("slow", "slow"), own_ms=lambda instance: 5.0
+        instances_of([QUICK, SLOW], [THREE_PERCENT]), choices_of("quick", "slow"), choices_of("slow", "slow"),
+        own_ms=lambda instance: 5.0
     )  # fmt: skip
     assert score.regret == pytest.approx(0.375) and score.gap_closed == pytest.approx(0.625) and score.single == 2.0
 

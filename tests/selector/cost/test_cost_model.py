@@ -128,7 +128,8 @@ def test_step_work_of_trees_scales_with_the_covered_share():
     assert counts["texels of leaves"] == pytest.approx(counts["texels"] * 500 * tree_m2 / (128.0 * 64.0 / 0.25))
     # Leaves stop the light of half of the visible ground, so the wood around it is that dense.
     dense_wood = LightFacts(area_share=0.25, casts={"forest": {"share": 0.5, "bands": ()}})
-    counts = step_work(make_descriptor(casters=("relief", "forest"), stands=(GROUND, TREES), lights={SUN: dense_wood}), SUN, ("forest",),
+    counts = step_work(make_descriptor(casters=("relief", "forest"), stands=(GROUND, TREES),
+                     lights={SUN: dense_wood}), SUN, ("forest",),
                      "shadow_map", map_settings(1024, 0.25))["shadow_map, perspective"]  # fmt: skip
     assert counts["texels of leaves"] == pytest.approx(counts["texels"] * np.log(2.0))
     assert counts["trees drawn"] == pytest.approx(min(np.log(2.0) * 128.0 * 64.0 / tree_m2, 500.0))

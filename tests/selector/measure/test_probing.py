@@ -177,7 +177,8 @@ def test_expected_gain_of_known_candidates_is_the_time_saved():
 
 
 candidate_lists = st.lists(
-    st.builds(Candidate, st.floats(1, 500), st.floats(0, 0.3), st.floats(1, 500), st.floats(0, 0.3), st.sampled_from([0.0, 0.0, 0.01])),
+    st.builds(Candidate, st.floats(1, 500), st.floats(0, 0.3), st.floats(1, 500),
+              st.floats(0, 0.3), st.sampled_from([0.0, 0.0, 0.01])),
     min_size=1, max_size=8,
 )  # fmt: skip
 

@@ -147,7 +147,8 @@ def hollow_room(window: bool) -> trimesh.Trimesh:
 
 OPEN_MESHES = {
     ("upper half of "
-        "a sphere"): with_ground_pebble(half_sphere(False)), "bowl": with_ground_pebble(half_sphere(True)), "sheet": with_ground_pebble(sheet()),
+        "a sphere"): with_ground_pebble(half_sphere(False)), "bowl": with_ground_pebble(half_sphere(True)),
+    "sheet": with_ground_pebble(sheet()),
     "three walls": three_walls(),
 }  # fmt: skip
 

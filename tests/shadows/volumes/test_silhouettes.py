@@ -8,7 +8,6 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from skugga.terrain.rough_ground.sheet_mesh import sheet_of
 
 from skugga.shadows.volumes.edges import edges_of
 from skugga.shadows.volumes.silhouettes import (
@@ -23,6 +22,7 @@ from skugga.shadows.volumes.silhouettes import (
     silhouette,
 )
 from skugga.terrain.errors import InputError
+from skugga.terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

@@ -152,7 +152,8 @@ def shadow_map_depths(gl) -> list[np.ndarray]:
 
 
 PASSES = [
-    ("depth_pass", {}), ("depth_pass", {"overwrite": True}), ("mark_pass", {}), ("once_pass", {"stencil_value": 0, "clip_distances": 2}),
+    ("depth_pass", {}), ("depth_pass", {"overwrite": True}), ("mark_pass", {}),
+    ("once_pass", {"stencil_value": 0, "clip_distances": 2}),
     *(("count_pass", {"counting": way, "side": side, "marked_only": marked})
       for way in ("z_pass", "z_fail", "faces", "seen") for side in ("both", "front", "back") for marked in (False, True)),
 ]  # fmt: skip

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from pyproj import CRS
 from scipy.ndimage import label
-from skugga.terrain.read_generated_ground.elevation import Elevation
-from skugga.terrain.read_generated_ground.erosion import drainage
-from skugga.terrain.read_generated_ground.generated_ground import _generate, generated_ground
-from skugga.terrain.read_generated_ground.noise import fractal
 
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.erosion import drainage
+from skugga.terrain.ground.generated_ground import _generate, generated_ground
+from skugga.terrain.ground.noise import fractal
 from skugga.terrain.level.parts import Terrain
 
 NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"

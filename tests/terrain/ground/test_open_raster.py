@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rasterio
-from skugga.terrain.raster_heights.elevation import Elevation
 
 from skugga.terrain.errors import SourceError
+from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
 

@@ -156,7 +156,7 @@ def test_service_rejects_levels_with_remote_sources(folder, name):
 
 def test_service_serves_virtual_rasters_of_files(folder):
     served_levels = ServedLevels([folder / "twice.vrt"])
-    assert [level.name for level in served_levels.known()] == ["twice"]
+    assert [level.name for level in served_levels.cached_levels()] == ["twice"]
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,8 @@ def test_gdal_guard_stops_all_requests_of_gdal(folder, guarded):
         files += [f"{address}/plain.tif", f"/vsicurl/{address}/plain.geojson"]
         environment = {name: value for name, value in os.environ.items() if "proxy" not in name.lower()}
         process = subprocess.run(
-            [sys.executable, "-c", READ_ALL_SCRIPT, address, guarded, *files], cwd=folder, capture_output=True, text=True, timeout=120,
+            [sys.executable, "-c", READ_ALL_SCRIPT, address, guarded, *files],
+            cwd=folder, capture_output=True, text=True, timeout=120,
             env={**environment, "PYTHONPATH": os.pathsep.join(sys.path)},
         )  # fmt: skip
     finally:

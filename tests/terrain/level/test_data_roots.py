@@ -146,8 +146,10 @@ def escape_by_url_of_another(level_folder: Path) -> None:
 
 
 ESCAPES = (
-    escape_by_path, escape_by_absolute_path, escape_by_link, escape_by_linked_folder, escape_by_linked_level, escape_by_linked_overview, escape_by_imagery, escape_by_virtual_raster,
-    escape_by_working_folder, escape_by_part_of_a_file, escape_by_metadata, escape_by_header, escape_by_query, escape_by_archive, escape_by_url,
+    escape_by_path, escape_by_absolute_path, escape_by_link, escape_by_linked_folder,
+    escape_by_linked_level, escape_by_linked_overview, escape_by_imagery, escape_by_virtual_raster,
+    escape_by_working_folder, escape_by_part_of_a_file, escape_by_metadata,
+    escape_by_header, escape_by_query, escape_by_archive, escape_by_url,
     escape_by_url_of_another,
 )  # fmt: skip
 

@@ -72,7 +72,8 @@ def test_omitted_height_of_a_path_key_is_on_the_ground(tmp_path):
             "Allowed: the position of the first key, [0.0, 0.0, 5.0]: a loop",
         ),
         (moving_mesh(START_KEY, {**END_KEY, "seconds": 1e300}), "meshes.0.motion.path.1.seconds", "'1e+300' is not allowed"),
-        (moving_mesh(START_KEY, {**END_KEY, "position": [1, 2, 1e8]}), "meshes.0.motion.path.1.position.2", "less than or equal to 1000000"),
+        (moving_mesh(START_KEY, {**END_KEY, "position": [1, 2, 1e8]}), "meshes.0.motion.path.1.position.2",
+         "less than or equal to 1000000"),
         (moving_mesh(START_KEY, {**END_KEY, "position": [1]}), "meshes.0.motion.path.1.position", ("'[1]' is not allowed. "
             "Allowed: two")),
         (moving_mesh(START_KEY, {**END_KEY, "position": [1, 2, 3, 4]}), "meshes.0.motion.path.1.position", "Allowed: two numbers"),
@@ -90,7 +91,8 @@ def test_omitted_height_of_a_path_key_is_on_the_ground(tmp_path):
         ),
         (moving_lamp(START_KEY, END_KEY, lamp_keys={"position": [0, 0, 3]}), "lights.lamp.position", ("Allowed: no value "
             "together with a path")),
-        (moving_lamp(START_KEY, {"seconds": 9, "position": [1, 2]}), "lights.lamp.motion.path.1.position", "'[1, 2]' is not allowed"),
+        (moving_lamp(START_KEY, {"seconds": 9, "position": [1, 2]}), "lights.lamp.motion.path.1.position",
+         "'[1, 2]' is not allowed"),
         (moving_lamp(END_KEY, START_KEY), "lights.lamp.motion.path.1.seconds", ("'0.0' is not allowed. Allowed: "
             "seconds that increase by")),
         (moving_lamp(*TARGET_KEYS, kind="spot"), "lights.lamp.position", "missing. This key is required"),

@@ -157,7 +157,8 @@ def test_footprints_in_a_second_layer_are_found(tmp_path):
     path = write_footprints(tmp_path / "town.gpkg", [shapely.Point(3, 3)], crs=ENGINEERING)
     for name, values in (("parcels", {}), ("houses", {"height": [6.0]})):
         pyogrio.raw.write(
-            path, shapely.to_wkb(np.array(FOOTPRINT_ROW[:1], object)), [np.array(v) for v in values.values()], list(values), crs=ENGINEERING,
+            path, shapely.to_wkb(np.array(FOOTPRINT_ROW[:1], object)), [np.array(v) for v in values.values()], list(values),
+            crs=ENGINEERING,
             geometry_type="Polygon", layer=name, append=True,
         )  # fmt: skip
     placement, up = place_source(tmp_path, path)
