@@ -119,7 +119,8 @@ def cog(
         raw.parent.mkdir()
         with rasterio.open(
             raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,
-            nodata=nodata, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="lzw", bigtiff="if_safer", sparse_ok=True,
+            nodata=nodata, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="lzw", bigtiff="if_safer",
+            sparse_ok=True,
         ) as dataset:  # fmt: skip
             if metadata is not None:
                 metadata.write(dataset)

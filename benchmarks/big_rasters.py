@@ -139,8 +139,8 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
             ElementTree.SubElement(source, "SourceFilename", relativeToVRT="1").text = f"parts/{part.name}"
             ElementTree.SubElement(source, "SourceBand").text = "1"
             ElementTree.SubElement(
-                source, "SourceProperties", RasterXSize=str(SHEET_CELLS), RasterYSize=str(SHEET_CELLS), DataType="Int16", BlockXSize="512",
-                BlockYSize="512",
+                source, "SourceProperties", RasterXSize=str(SHEET_CELLS), RasterYSize=str(SHEET_CELLS), DataType="Int16",
+                BlockXSize="512", BlockYSize="512",
             )  # fmt: skip
             size = {
                 "xSize": str(min(SHEET_CELLS, VRT_CELLS - col * SHEET_CELLS)),

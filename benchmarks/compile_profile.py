@@ -219,8 +219,8 @@ def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
     lines = [
         f"{product}: {own_s:.1f} s of CPU for {len(compilations)} compilations ({profile['cpu_s']:.1f} s with all else); "
         f"yardstick {profile['yardstick_s'] * 1e3:.0f} ms, so {own_s / profile['yardstick_s']:.0f} of it",
-        f"  {len(own_loops)} of {len({compilation.loop for compilation in own_loops})} loops: {sum(e.own_s for e in own_loops):.1f} s; "
-        f"{len(helpers)} of numba's helpers: {sum(e.own_s for e in helpers):.1f} s; "
+        f"  {len(own_loops)} of {len({compilation.loop for compilation in own_loops})} loops: "
+        f"{sum(e.own_s for e in own_loops):.1f} s; {len(helpers)} of numba's helpers: {sum(e.own_s for e in helpers):.1f} s; "
         f"{own_s - front_s:.1f} s for machine code, {front_s:.1f} s before",
         "",
         "  own s   with callees  helpers  loop (a line for each signature)",
@@ -230,7 +230,8 @@ def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
         helped[compilation.cause] += compilation.own_s
     for compilation in sorted(own_loops, key=lambda e: -e.own_s)[:rows]:
         lines.append(
-            f"  {compilation.own_s:6.2f}  {compilation.total_s:12.2f}  {helped[compilation.loop]:7.2f}  {compilation.loop}{_short(compilation.signature)}"
+            f"  {compilation.own_s:6.2f}  {compilation.total_s:12.2f}  {helped[compilation.loop]:7.2f}  "
+            f"{compilation.loop}{_short(compilation.signature)}"
         )
     lines += ["", "   sum s  times  helper of numba, and the loops that cause it"]
     sums, times, causes = Counter[str](), Counter[str](), dict[str, Counter[str]]()

@@ -186,8 +186,8 @@ def levels(args: argparse.Namespace) -> list[Row]:
             rows.append({
                 "level": path.stem, "view": name, "Mpx": view.rows * view.cols / 1e6,
                 "runs": f"{len(planned_frames[0].effects)} of {len(EFFECTS)}",
-                "plan_ms": _median(frame.plan_ms for frame in planned_frames), "planned_ms": _median(frame.ms for frame in planned_frames),
-                "all_on_ms": _median(frame.ms for frame in all_on),
+                "plan_ms": _median(frame.plan_ms for frame in planned_frames),
+                "planned_ms": _median(frame.ms for frame in planned_frames), "all_on_ms": _median(frame.ms for frame in all_on),
                 "planned / all on": _ratio(planned_frames, all_on, "ms"), "wall": _ratio(planned_frames, all_on, "wall_ms"),
                 "effects": sorted(planned_frames[0].effects),
             })  # fmt: skip
@@ -218,7 +218,9 @@ def plain(args: argparse.Namespace) -> list[Row]:
             rows.append({
                 "view": name, "bare_ms": _median(bare), "plan_ms": _median(timed_frame.plan_ms for timed_frame in planned_frames),
                 ("without "
-                    "plan"): _median((timed_frame.ms - timed_frame.plan_ms) / ms for timed_frame, ms in zip(planned_frames, bare, strict=True)),
+                    "plan"): _median(
+                    (timed_frame.ms - timed_frame.plan_ms) / ms for timed_frame, ms in zip(planned_frames, bare, strict=True)
+                ),
                 "with plan": ratio, "at most": MAX_PLAIN, "met": "yes" if ratio <= MAX_PLAIN else "NO", "all on": forced_on,
             })  # fmt: skip
     return rows

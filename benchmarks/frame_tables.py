@@ -146,8 +146,8 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _target_table(targets: Sequence[Target]) -> str:
     rows = [
-        [target.what, f"{target.wall:.2f}{target.unit}", "" if target.cpu is None else f"{target.cpu:.2f}", f"{target.most:g}{target.unit}",
-         "" if not target.counts else "yes" if target.met else "**no**"]
+        [target.what, f"{target.wall:.2f}{target.unit}", "" if target.cpu is None else f"{target.cpu:.2f}",
+         f"{target.most:g}{target.unit}", "" if not target.counts else "yes" if target.met else "**no**"]
         for target in targets
     ]  # fmt: skip
     return _table(["what", "measured", "by CPU time", "at most", "met"], rows)

@@ -288,9 +288,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error(f"--repeats {args.repeats} --scale {args.scale:g}: one turn at least, and a scale up to 1")
     measurements = measure(args)
     result = {
-        "renderer": measurements.renderer, "cpus": os.cpu_count(), "load": measurements.load, "repeats": args.repeats, "now": _commit(ROOT),
-        "base": _commit(args.base) if args.base else None, "plans": measurements.plans, "firsts": measurements.firsts,
-        "frames": [{**key._asdict(), "rows": sides, "differs": measurements.differences.get(key)} for key, sides in measurements.frames.items()],
+        "renderer": measurements.renderer, "cpus": os.cpu_count(), "load": measurements.load, "repeats": args.repeats,
+        "now": _commit(ROOT), "base": _commit(args.base) if args.base else None, "plans": measurements.plans,
+        "firsts": measurements.firsts,
+        "frames": [
+            {**key._asdict(), "rows": sides, "differs": measurements.differences.get(key)}
+            for key, sides in measurements.frames.items()
+        ],
         "targets": [{**target._asdict(), "met": target.met} for target in frame_targets(measurements.frames, measurements.firsts)],
     }  # fmt: skip
     table = as_markdown(result, measurements.frames, measurements.firsts, measurements.differences)

@@ -192,8 +192,8 @@ def measure(data: Path) -> ScaleFigures:
         tasks = [(entry["zoom"], entry["seconds"], counts[entry["task"]], entry["bytes"]) for entry in finished]
         bytes_per_s, tiles_per_s = packing(folder)
         return ScaleFigures(
-            tasks, max(entry["peak_bytes"] for entry in finished), coordinator_per_s(folder, raster), dask_per_s(folder), bytes_per_s,
-            tiles_per_s,
+            tasks, max(entry["peak_bytes"] for entry in finished), coordinator_per_s(folder, raster), dask_per_s(folder),
+            bytes_per_s, tiles_per_s,
         )  # fmt: skip
 
 

@@ -161,10 +161,8 @@ def report(rows: list[SeedRow]) -> None:
             other = by_name[name]
             rate = (two_workers.tiles / two_workers.seconds) / (other.tiles / other.seconds)
             print(
-                
-                    f"{name}: {rate:.2f} times as many tiles a second from two workers, "
-                    f"{other.seconds / two_workers.seconds:.2f} of its time"
-                
+                f"{name}: {rate:.2f} times as many tiles a second from two workers, "
+                f"{other.seconds / two_workers.seconds:.2f} of its time"
             )
 
 

@@ -148,8 +148,8 @@ def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: 
     for step in steps:
         answer = _answers(scene, view, its_day, step)
         yield AccuracyRow(
-            kind, path.stem, step, _wrong_minutes(60.0 * answer.hours[row, col], 60.0 * hours), _wrong_minutes(answer.first[row, col], first),
-            _wrong_minutes(answer.last[row, col], last),
+            kind, path.stem, step, _wrong_minutes(60.0 * answer.hours[row, col], 60.0 * hours),
+            _wrong_minutes(answer.first[row, col], first), _wrong_minutes(answer.last[row, col], last),
         )  # fmt: skip
     scene.close()
 

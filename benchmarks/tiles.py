@@ -389,8 +389,14 @@ def main() -> None:
                 blocks.setdefault(key, []).append(block_cpu(code, level, ZOOMS[-1]))
         result = {
             "versions": versions(args.titiler_python), "tiles": len(tiles), "repeats": args.repeats,
-            "rounds": {service_name: {name: asdict(median_round(samples)) for name, samples in rounds.items()} for service_name, rounds in rounds_by_service.items()},
-            "seconds": {service_name: {name: statistics.median(samples) for name, samples in values.items()} for service_name, values in rest.items()},
+            "rounds": {
+                service_name: {name: asdict(median_round(samples)) for name, samples in rounds.items()}
+                for service_name, rounds in rounds_by_service.items()
+            },
+            "seconds": {
+                service_name: {name: statistics.median(samples) for name, samples in values.items()}
+                for service_name, values in rest.items()
+            },
             "block CPU ms": {key: _medians(values) for key, values in blocks.items()},
         }  # fmt: skip
     if args.json:

@@ -220,7 +220,10 @@ def _film_frame(moment: FrameMoment, draw_picture: Callable[[], Picture], plan: 
 
 
 def _switch(moment: FrameMoment, before: Plan, after: Plan, reason: str | None) -> PlanSwitch | None:
-    """Return the change between two successive plans, or ``None``. ``reason`` is the replanner's reason if it took another choice."""
+    """Return the change between two successive plans, or ``None``.
+
+    ``reason`` is the replanner's reason if it took another choice.
+    """
     names = _choice_text(before), _choice_text(after)
     if names[0] == names[1]:
         return None

@@ -54,7 +54,10 @@ LATITUDE_ROWS = 181
 
 
 def climate_srgb(style_ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
-    """Return the ground's sRGB colours (``LATITUDE_ROWS``, n, 3) in [0, 1] at heights (n,). ``style_ramp`` is the style's own ramp."""
+    """Return the ground's sRGB colours (``LATITUDE_ROWS``, n, 3) in [0, 1] at heights (n,).
+
+    ``style_ramp`` is the style's own ramp.
+    """
     latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDE_ROWS)))[:, None]
     on_land, ground = smoothstep((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(style_ramp, heights_m)[None]
     for ramp, share in (

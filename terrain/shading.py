@@ -115,8 +115,8 @@ def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | N
     )
     return Look(
         tints_of(scene), NO_DIRECTION if frame is None else frame.directions_from_earth(NORTH_EARTH),
-        style.sky_greying * clear_sky_share, style.sky_towards_sun * clear_sky_share, style.terminator, exaggeration, style.slope_limit,
-        veil_table(style.aerial_share if in_map and scene.sun is not None else 0.0, style.aerial_scale_height_m),
+        style.sky_greying * clear_sky_share, style.sky_towards_sun * clear_sky_share, style.terminator, exaggeration,
+        style.slope_limit, veil_table(style.aerial_share if in_map and scene.sun is not None else 0.0, style.aerial_scale_height_m),
         MAP_FOLIAGE_FACTOR if in_map else 1.0,
     )  # fmt: skip
 

@@ -20,7 +20,10 @@ FRAME_TRIES = 5
 
 
 def frame_job(order: FilmOrder, number: int, previous_plans: PlanHandover | None = None) -> FrameJob:
-    """Return the job of a frame of a film. ``number`` counts from 0, and ``previous_plans`` are the plans of the frame before it."""
+    """Return the job of a frame of a film.
+
+    ``number`` counts from 0, and ``previous_plans`` are the plans of the frame before it.
+    """
     film = {name: getattr(order, name) for name in FrameJob.model_fields if name in FilmOrder.model_fields}
     return FrameJob(**film, number=number, previous_plans=previous_plans)
 

@@ -165,8 +165,8 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
         assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
         full_bytes = measured_costs[zoom][1] if zoom in measured_costs else assumed_bytes
         rows.append({
-            "sun": sun, "zoom": zoom, "why": reason, "tasks": count, "seconds": round(seconds, 1), "bytes": int(full_tasks * full_bytes),
-            "measured": zoom in measured_costs,
+            "sun": sun, "zoom": zoom, "why": reason, "tasks": count, "seconds": round(seconds, 1),
+            "bytes": int(full_tasks * full_bytes), "measured": zoom in measured_costs,
         })  # fmt: skip
     workers = options.workers or usable_cores()
     total = {name: sum(float(row[name]) for row in rows) for name in ("tasks", "seconds", "bytes")}

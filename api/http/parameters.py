@@ -204,8 +204,8 @@ def _product_descriptions(names: Iterable[str]) -> str:
 LayerQuery = Annotated[
     str,
     Query(
-        description=f"{_product_descriptions(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is None)}. What passes leave behind, "
-        "as PNG, where the plan's algorithms have it: "
+        description=f"{_product_descriptions(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is None)}. "
+        "What passes leave behind, as PNG, where the plan's algorithms have it: "
         f"{_product_descriptions(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is not None)}.",
         json_schema_extra={"enum": [*VIEW_PRODUCTS]},
         examples=["mask"],

@@ -164,8 +164,8 @@ class _StagedRaster:
         rows, cols = grid.heights.shape
         self._dataset = rasterio.open(
             self.path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype="float32", nodata=float("nan"),
-            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="lzw",
-            bigtiff="if_safer", sparse_ok=True,
+            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS,
+            compress="lzw", bigtiff="if_safer", sparse_ok=True,
         )  # fmt: skip
 
     def __setitem__(self, slices: tuple[slice, slice], chunk: np.ndarray) -> None:

@@ -32,8 +32,8 @@ def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> P
         return encoded_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
 
     return Product(
-        name=name, about=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME, dtype="uint8",
-        bands=3, nodata=None, encoding=encoding, empty=empty,
+        name=name, about=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME,
+        dtype="uint8", bands=3, nodata=None, encoding=encoding, empty=empty,
     )  # fmt: skip
 
 

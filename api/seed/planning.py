@@ -244,8 +244,8 @@ def _renderer_of(table: TaskTable) -> str:
         table.put(renderer=current.encode())
     elif stored_renderer.decode() != current:
         raise RenderError(
-            f"{table.folder}: its tasks are planned for the renderer '{stored_renderer.decode()}', but this machine draws with '{current}'. "
-            f"Use a machine with that renderer, or delete the folder to start again."
+            f"{table.folder}: its tasks are planned for the renderer '{stored_renderer.decode()}', but this machine draws with "
+            f"'{current}'. Use a machine with that renderer, or delete the folder to start again."
         )
     return current
 

@@ -124,6 +124,6 @@ def _report_failed_tasks(table: TaskTable) -> None:
     write_atomically(path, "\n".join(lines) + "\n")
     count = table.counts()
     raise RenderError(
-        f"{len(failed_tasks)} of {sum(count.values())} tasks failed, so nothing was published. See {path}, or use --retry-failed to "
-        f"run them again. First failure: {lines[0]}"
+        f"{len(failed_tasks)} of {sum(count.values())} tasks failed, so nothing was published. See {path}, or use --retry-failed "
+        f"to run them again. First failure: {lines[0]}"
     )

@@ -102,8 +102,8 @@ def _section(name: str, record: Figures) -> str:
         "",
         f"![Error against time: {name}](images/compare-{name}.svg)",
         "",
-        f"[The report](compare/{name}.html), which `{record['command']} --time-limit {record['time_limit_s']:g} -o DIR` makes, too. "
-        f"Data: {record['data']}. Made {record['made']} in {record['took_s']} s; load average before: {record['load']}.",
+        f"[The report](compare/{name}.html), which `{record['command']} --time-limit {record['time_limit_s']:g} -o DIR` makes, "
+        f"too. Data: {record['data']}. Made {record['made']} in {record['took_s']} s; load average before: {record['load']}.",
         "",
         *(f"* {sentence}" for sentence in _coded_sentences(record)),
     ]

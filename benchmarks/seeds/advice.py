@@ -138,8 +138,8 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.1 and 8.2",
                 "in many cases PSM is worse than SM at the same size",
-                f"worse in {len(worse)} of {len(gained) + len(outdoors)} views (held from {MIN_WORSE_VIEWS} on); `wrong_cast` of PSM, of "
-                f"SM's: {listed_by_scene(gained)}, and those above",
+                f"worse in {len(worse)} of {len(gained) + len(outdoors)} views (held from {MIN_WORSE_VIEWS} on); `wrong_cast` of "
+                f"PSM, of SM's: {listed_by_scene(gained)}, and those above",
                 often_worse,
                 reason(
                     often_worse,
@@ -165,9 +165,9 @@ def section(figures: Figures) -> Section:
                 reason(
                     saves_time,
                     "making the volumes was most of it",
-                    f"making the volumes is {whole_percent(min(volume_shares.values()))} to {whole_percent(max(volume_shares.values()))} of the "
-                    "time, drawing them the rest, and that is to be done again whenever the camera moves, as the thesis says "
-                    "itself",
+                    f"making the volumes is {whole_percent(min(volume_shares.values()))} to "
+                    f"{whole_percent(max(volume_shares.values()))} of the time, drawing them the rest, and that is to be done "
+                    "again whenever the camera moves, as the thesis says itself",
                 ),
             ),
             Claim(
@@ -211,8 +211,8 @@ def section(figures: Figures) -> Section:
                 f"{THESIS}, 8.1",
                 "there is no definite winner",
                 f"fastest under the spot: {', '.join(f'{SCENES[scene]} {SHORT[key]}' for scene, key in fastest.items())}; it is "
-                f"also right (at most {percent(MAX_RIGHT_SHARE)} of the cast shadow wrong) in {join_scene_names(best)} (held unless one is both "
-                "everywhere)",
+                f"also right (at most {percent(MAX_RIGHT_SHARE)} of the cast shadow wrong) in {join_scene_names(best)} (held "
+                "unless one is both everywhere)",
                 not definite,
                 reason(
                     not definite,

@@ -244,15 +244,16 @@ def section(figures: Figures) -> Section:
             reason(
                 no_panning,
                 f"nothing is moved, so shadow begins where the back face does: {cull_reason}",
-                f"{cull_reason}. Nothing is moved, so on the ground shadow begins where it should; but bodies that touch or pass into "
-                "one another have back faces on the very faces that they shade, or behind them, and those are lit",
+                f"{cull_reason}. Nothing is moved, so on the ground shadow begins where it should; but bodies that touch or pass "
+                "into one another have back faces on the very faces that they shade, or behind them, and those are lit",
             ),
         ),
         Claim(
             REPORT,
             "2 x 2 and 3 x 3 taps make edges ever softer",
-            f"points in half shadow, by taps a side: {'; '.join(f'{taps}: {shares(tap_values)}' for taps, tap_values in soft.items())} (held "
-            "if none with one, and the more with more)",
+            f"points in half shadow, by taps a side: "
+            f"{'; '.join(f'{taps}: {shares(tap_values)}' for taps, tap_values in soft.items())} "
+            "(held if none with one, and the more with more)",
             softer,
             "a point at an edge is lit by the share of its taps that are; a bias made for one tap does not do for more: at 3 x 3 "
             f"visibility is off by {shares(of('polygon_offset, 3', 'off'))} with `polygon_offset`, with `receiver_plane` by "
@@ -275,7 +276,8 @@ def section(figures: Figures) -> Section:
         f"{SIZE[0]} x {SIZE[1]} pixels, one map of {TEXELS} and 24 bits, one tap or as many a side as named. `x` is the scale of "
         "the bias (0: none). `bodies` are maps of the meshes alone, without the level ground. `partial` is the share of points "
         "facing the sun that are neither lit nor in shadow; `off` is the error of their visibility. The report's formulas use "
-        f"the same maps as drawn, for {len(BIAS_CONSTANTS)} values of b from {BIAS_CONSTANTS[0]:g} to {BIAS_CONSTANTS[-1]:g} of the map's depths.",
+        f"the same maps as drawn, for {len(BIAS_CONSTANTS)} values of b from {BIAS_CONSTANTS[0]:g} to {BIAS_CONSTANTS[-1]:g} of "
+        f"the map's depths.",
         tables,
         claims,
     )

@@ -140,14 +140,15 @@ def section(figures: Figures) -> Section:
                 "of the edge only the part where shadow begins can move, not the one that a far crest throws, and walls and "
                 f"slopes are thicker than a step; with `{OFFSET}` {whole_percent(lit['16'])} of what changes at 16 bits are lit "
                 "points: acne that the larger units hide",
-                f"it is over in: {cases_text}; {whole_percent(_lit_share([row for _, _, row in over]))} of what changes there are lit "
-                "points: acne, which is no edge of a shadow and comes and goes with the offset's unit",
+                f"it is over in: {cases_text}; {whole_percent(_lit_share([row for _, _, row in over]))} of what changes there are "
+                "lit points: acne, which is no edge of a shadow and comes and goes with the offset's unit",
             ),
         ),
         Claim(
             SPATIALACE,
             "16 bits suffice for a landscape under the sun (the thesis calls its shadows a little coarse: so the bits have to "
-            f"cost no more than {percent(MAX_COVERAGE_ERROR)} of the cast shadow, the error that the engine allows unless asked for less)",
+            f"cost no more than {percent(MAX_COVERAGE_ERROR)} of the cast shadow, the error that the engine allows unless asked "
+            f"for less)",
             f"16 bits change the wrong share of the cast shadow by at most {percent(cost[PLANE])} with `{PLANE}`, by "
             f"{percent(cost[OFFSET])} with `{OFFSET}`, up or down, beside 32 bits, over {RELIEF_M} m of relief (held if at most "
             f"{percent(MAX_COVERAGE_ERROR)})",
@@ -155,8 +156,9 @@ def section(figures: Figures) -> Section:
             f"a step of 16 bits is up to {in_texels:.2f} of a texel"
             + reason(
                 suffices,
-                f", since a map of {MAP_SIZE} texels has fewer of them than 65,535: texels are what an edge is off by. Most changes in "
-                f"{dearest[0]} with `{dearest[1]}`, where 16 bits are {'worse' if _cost(cases[dearest]) > 0.0 else 'better'}"
+                f", since a map of {MAP_SIZE} texels has fewer of them than 65,535: texels are what an edge is off by. Most "
+                f"changes in {dearest[0]} with `{dearest[1]}`, where 16 bits are "
+                f"{'worse' if _cost(cases[dearest]) > 0.0 else 'better'}"
                 + (
                     f": their larger units hide acne ({whole_percent(lit['16'])} of what changes are lit points)"
                     if dearest[1] == OFFSET and _cost(cases[dearest]) < 0.0
@@ -197,9 +199,9 @@ def section(figures: Figures) -> Section:
     return Section(
         "The bits of a depth",
         f"Generated mountains of {RELIEF_M} m over {SIDE_M // 1000} km, with thin walls on a slope; the map shows the middle half "
-        f"a side. {SIZE[0]} x {SIZE[1]} pixels, one map of {MAP_SIZE}, one tap. A point that is e behind its caster, along the ray, "
-        f"lies e cos(altitude) from the foot of an upright caster on level ground. `{PLANE}` may be off by one step (half for the "
-        f"rounding of drawn depths, half for the bias), `{OFFSET}` by four units and a half. `shift` is the median over edge "
+        f"a side. {SIZE[0]} x {SIZE[1]} pixels, one map of {MAP_SIZE}, one tap. A point that is e behind its caster, along the "
+        f"ray, lies e cos(altitude) from the foot of an upright caster on level ground. `{PLANE}` may be off by one step (half for "
+        f"the rounding of drawn depths, half for the bias), `{OFFSET}` by four units and a half. `shift` is the median over edge "
         "pixels. `bound` is the length of the edges (times the root of 2, for slanting ones) times the shift at each, over the "
         "cast shadow. `changed` is the difference from 32 bits. `may change` is the share of the cast shadow, by rays, that lies "
         "so little behind the first caster that the sun meets (without acne).",

@@ -280,9 +280,10 @@ def section(figures: Figures) -> Section:
         "The grades (table 2)",
         "The thesis's subjective grades (speed / quality / robustness, 5 is best) beside figures under the same kind of light, "
         f"the spot. Speed: times as above. Quality: errors against ray-traced truth in {ERROR_SIZE[0]} x {ERROR_SIZE[1]}, means "
-        f"over {len(CAMERA_MOVES)} places of the camera within {whole_percent(max(CAMERA_MOVES))} of its distance to either side. Robustness: "
-        "the sum of the largest interior error on the way and the change of `wrong_cast` (largest less least). Correlations are "
-        f"Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {MIN_RANK_CORRELATION} counts as agreement.",
+        f"over {len(CAMERA_MOVES)} places of the camera within {whole_percent(max(CAMERA_MOVES))} of its distance to either side. "
+        "Robustness: the sum of the largest interior error on the way and the change of `wrong_cast` (largest less least). "
+        f"Correlations are Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {MIN_RANK_CORRELATION} "
+        f"counts as agreement.",
         [("Grades and figures", rows)],
         claims,
     )

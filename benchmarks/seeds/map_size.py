@@ -114,8 +114,8 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, figure 52",
             f"jaggedness falls with the map's size, to very nice edges at {FINE_MAP_SIZE} under the smallest cut-off",
-            f"from {percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to {percent(fine_row['wrong_cast'])} at {FINE_MAP_SIZE}, "
-            f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most "
+            f"from {percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to {percent(fine_row['wrong_cast'])} at "
+            f"{FINE_MAP_SIZE}, where {displaced} (held if each size is better than the one before, and `edge_p95` at most "
             f"{SHARP_EDGE_PX:g} px there)",
             nice,
             reason(
@@ -129,14 +129,14 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, figure 53",
             f"a larger cut-off is worse at every size, and not even {FINE_MAP_SIZE} removes its stairs",
-            f"{percent(fine_wide['wrong_cast'])} wrong at {FINE_MAP_SIZE} under {wide_deg:.0f}°, beside {percent(fine_row['wrong_cast'])} "
-            f"under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held if worse at every size, and over "
-            f"{SHARP_EDGE_PX:g} px)",
+            f"{percent(fine_wide['wrong_cast'])} wrong at {FINE_MAP_SIZE} under {wide_deg:.0f}°, beside "
+            f"{percent(fine_row['wrong_cast'])} under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held if worse "
+            f"at every size, and over {SHARP_EDGE_PX:g} px)",
             jagged,
             reason(
                 jagged,
-                f"texels grow with the tangent of the cut-off: they are {fine_wide['texel_px'] / fine_row['texel_px']:.1f} times as "
-                f"large, {fine_wide['texel_px']:.1f} px at {FINE_MAP_SIZE}",
+                f"texels grow with the tangent of the cut-off: they are {fine_wide['texel_px'] / fine_row['texel_px']:.1f} times "
+                f"as large, {fine_wide['texel_px']:.1f} px at {FINE_MAP_SIZE}",
                 f"a texel of the wide cone covers {fine_wide['texel_px']:.1f} px at {FINE_MAP_SIZE}",
             ),
         ),

@@ -359,8 +359,8 @@ def section_bad_case(figures: Figures) -> Section:
         [
             (
                 "seeds-bad-case.webp",
-                f"The spot {SHOWN_CASE[0]:.0f}° off the view's direction at {SHOWN_CASE[1]:g} of the camera's distance; false shadow red, "
-                "missed shadow blue",
+                f"The spot {SHOWN_CASE[0]:.0f}° off the view's direction at {SHOWN_CASE[1]:g} of the camera's distance; false "
+                "shadow red, missed shadow blue",
             )
         ],
     )

@@ -204,7 +204,8 @@ def section(figures: Figures) -> Section:
             REPORT,
             "silhouettes need fewer volumes than one for each polygon (11 instead of 24), for the same shadow",
             f"sides that are drawn, as a share of those without: {span(lambda row: row['sides'] / row['sides_polygons'])}; of "
-            f"the pixels {format_largest(differing_polygons)} differ (held if fewer everywhere, and at most {percent(SAME_PICTURE_SHARE)} differ)",
+            f"the pixels {format_largest(differing_polygons)} differ (held if fewer everywhere, and at most "
+            f"{percent(SAME_PICTURE_SHARE)} differ)",
             fewer,
             reason(
                 fewer,

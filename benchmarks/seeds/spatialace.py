@@ -181,22 +181,23 @@ def section(figures: Figures) -> Section:
         ),
         Claim(
             SPATIALACE,
-            f"keeping the map is what makes a map of {CHOSEN_SIZE} bearable: redrawn frames take {factor(their_gain)} times as long",
+            f"keeping the map is what makes a map of {CHOSEN_SIZE} bearable: redrawn frames take {factor(their_gain)} times as "
+            f"long",
             f"{factor(redrawn_ratio / cached_ratio)} times as long (held from {TWICE:g} on)",
             pays,
             reason(
                 pays,
                 "drawing is most of what the shadow costs",
-                f"the look-up is paid either way: a kept frame takes {factor(cached_ratio)} times as long as one without shadows, a "
-                f"redrawn one {factor(redrawn_ratio)} times",
+                f"the look-up is paid either way: a kept frame takes {factor(cached_ratio)} times as long as one without shadows, "
+                f"a redrawn one {factor(redrawn_ratio)} times",
             ),
         ),
         Claim(
             SPATIALACE,
             f"16 bits of depth and {CHOSEN_SIZE} texels a side suffice: a little coarse, but far better than none",
-            f"blocks' shadow shares are off by {percent(coverage)}, without shadows by {percent(coverage_without)}; 24 bits change that by "
-            f"{format_largest(deeper)} at any size (held if off by at most {percent(MAX_COVERAGE_ERROR)}, by at most half of that without, "
-            f"and if bits change at most {whole_percent(MAX_DEPTH_CHANGE)} of it)",
+            f"blocks' shadow shares are off by {percent(coverage)}, without shadows by {percent(coverage_without)}; 24 bits change "
+            f"that by {format_largest(deeper)} at any size (held if off by at most {percent(MAX_COVERAGE_ERROR)}, by at most half "
+            f"of that without, and if bits change at most {whole_percent(MAX_DEPTH_CHANGE)} of it)",
             suffices,
             f"a texel is {hidden_figures['texel_m']:.1f} m wide, "
             + reason(
@@ -210,9 +211,10 @@ def section(figures: Figures) -> Section:
             SPATIALACE,
             "a map's self-shadow does not reach the edges; giving what is turned away from the sun the shadow's shade hides that",
             f"of the surface turned away a biased map of {CHOSEN_SIZE} alone leaves {percent(hidden_figures['lit'])} lit, and "
-            f"{whole_percent(hidden_figures['lit_near'])} of that lies within {HIDDEN_TEXELS:g} texels, along the rays, of what the sun "
-            f"meets first, where {whole_percent(hidden_figures['near'])} of all that is turned away lies; decided by the normal, none of "
-            f"it is lit (held if at least {percent(MIN_LEAK)} is lit, near there at least {TWICE:g} times as often as elsewhere)",
+            f"{whole_percent(hidden_figures['lit_near'])} of that lies within {HIDDEN_TEXELS:g} texels, along the rays, of what "
+            f"the sun meets first, where {whole_percent(hidden_figures['near'])} of all that is turned away lies; decided by the "
+            f"normal, none of it is lit (held if at least {percent(MIN_LEAK)} is lit, near there at least {TWICE:g} times as often "
+            f"as elsewhere)",
             hides,
             reason(
                 hides,

@@ -116,8 +116,8 @@ def section_stages(figures: Figures) -> Section:
         "the map and drawing the scene from the light. *look-up*: rendering with the map; in the hybrid, finding the silhouette "
         "pixels. *volumes*: finding silhouettes and building volumes. *counting*: drawing volumes into the stencil. *between*: "
         "time outside of all passes; in the hybrid mainly finding which points lie on lit faces of casters. The thesis's times "
-        f"include drawing the scene, ours are the shadow alone. Times within {whole_percent(DRAW_FACTOR - 1.0)} count as the same: a "
-        "draw.",
+        f"include drawing the scene, ours are the shadow alone. Times within {whole_percent(DRAW_FACTOR - 1.0)} count as the same: "
+        "a draw.",
         tables,
         [*claims, *_size_claims(figures["sizes"]), *_frame_claims(figures["frames"])],
     )

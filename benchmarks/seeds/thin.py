@@ -49,9 +49,9 @@ def section(figures: Figures) -> Section:
             f"{THESIS}, figure 56",
             "with a small map the hybrid misses thin casters",
             f"the original mask misses {percent(coarse_row['missed_shadow'])} of the shadow at {coarse_row['map_size']} texels, "
-            f"{percent(fine_row['missed_shadow'])} at {fine_row['map_size']}; connected parts of the picture that are wrong away from "
-            f"edges: {coarse_row['interior_parts']} and {fine_row['interior_parts']} (held if it misses more with the smaller map, and "
-            f"over {percent(MAX_WRONG)} of the cast shadow is wrong there)",
+            f"{percent(fine_row['missed_shadow'])} at {fine_row['map_size']}; connected parts of the picture that are wrong away "
+            f"from edges: {coarse_row['interior_parts']} and {fine_row['interior_parts']} (held if it misses more with the smaller "
+            f"map, and over {percent(MAX_WRONG)} of the cast shadow is wrong there)",
             misses,
             reason(
                 misses,

@@ -153,8 +153,9 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, figure 57",
             "shadow volumes and the hybrid need closed meshes, and fail on the tree",
-            f"wrong at most in {percent(worst_shares[SV])} (volumes) and {percent(worst_shares[HYBRID])} (hybrid) of the cast shadow (held if "
-            f"over {percent(MAX_WRONG)} of either); volumes that are made as of closed meshes in {percent(worst_shares[ASSUMED_CLOSED])}",
+            f"wrong at most in {percent(worst_shares[SV])} (volumes) and {percent(worst_shares[HYBRID])} (hybrid) of the cast "
+            f"shadow (held if over {percent(MAX_WRONG)} of either); volumes that are made as of closed meshes in "
+            f"{percent(worst_shares[ASSUMED_CLOSED])}",
             fail,
             reason(
                 fail,

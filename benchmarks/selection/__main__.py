@@ -5,7 +5,7 @@
     python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
     python -m benchmarks.selection keep [--folder build/selection]            write it all to benchmarks/selection/selection.jsonl
     python -m benchmarks.selection fit                                        write selector/cost/error_model.json and
-                                                                              usual_device.json from there
+                                                                              typical_device.json from there
     python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them,
                                                                               and what accuracy costs into README and docs
 
@@ -35,7 +35,7 @@ WORK_STEPS = {"measure": "rows", "time": "anew", "describe": "plan_ms", "probe":
 
 PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
 MODEL = Path(__file__).parents[2] / "selector" / "cost" / "error_model.json"
-USUAL_DEVICE = MODEL.with_name("usual_device.json")
+TYPICAL_DEVICE = MODEL.with_name("typical_device.json")
 
 
 def _rounded(value: Any) -> Any:
@@ -68,7 +68,7 @@ def main() -> None:
         model = fit_model([case for view in views if not view.get("unseen") for case in cases_of(view)], profile)
         rounded = {key: _rounded(value) for key, value in model.model_dump(mode="json").items()}
         MODEL.write_text(json.dumps(rounded, indent=2) + "\n", encoding="utf-8")
-        USUAL_DEVICE.write_text(profile.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        TYPICAL_DEVICE.write_text(profile.model_dump_json(indent=1) + "\n", encoding="utf-8")
     else:
         views, profile = read_table()
         text = page(views, profile)

@@ -66,8 +66,8 @@ def main() -> None:
         deviation, chance = np.array(values).T
         square, by_chance, third = np.mean(deviation**2), np.mean(chance**2), np.quantile(np.abs(deviation), 2 / 3)
         print(
-            f"{label}: {len(deviation)} differences of logarithms, root mean square {np.sqrt(square):.2f}, by chance (few points, noisy "
-            f"clocks) {np.sqrt(by_chance):.2f}; two in three under {third:.2f}"
+            f"{label}: {len(deviation)} differences of logarithms, root mean square {np.sqrt(square):.2f}, by chance (few points, "
+            f"noisy clocks) {np.sqrt(by_chance):.2f}; two in three under {third:.2f}"
         )
     for (policy, target), rows in outcomes.items():
         met, times = [row[0] for row in rows], [row[1] for row in rows]

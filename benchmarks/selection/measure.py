@@ -78,7 +78,10 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
             "light": light,
             "renderer": device().renderer, "error": error, "boundary": _rounded(comparison.boundary),
             "noise_floor": _rounded(comparison.noise_floor), "remarks": comparison.remarks,
-            "rows": {row: _row(compared_row.figures, light) for row, compared_row in zip(names.values(), comparison.rows, strict=True)},
+            "rows": {
+                row: _row(compared_row.figures, light)
+                for row, compared_row in zip(names.values(), comparison.rows, strict=True)
+            },
             "picks": names,
             "descriptor": descriptor.model_dump(mode="json"),
         }  # fmt: skip

@@ -76,7 +76,8 @@ def _instances_text(views: Sequence[Figures]) -> str:
     text = (
         f"\nEach view counts once with each of {len(GOALS)} targets ({goals}): {len(instances)} instances, measured on\n"
         f"{views[0]['renderer']}. In {len(instances) - len(decidable)} of them the target lies under three noise floors of truth:\n"
-        f"they are a class of their own. Of the other {len(decidable)}, some plan meets {sum(instance.can_be_met for instance in decidable)}.\n\n"
+        f"they are a class of their own. Of the other {len(decidable)}, some plan meets "
+        f"{sum(instance.can_be_met for instance in decidable)}.\n\n"
     )
     return text + markdown_table(["family", "views", "terrains", "plans measured"], [*rows, total_row])
 

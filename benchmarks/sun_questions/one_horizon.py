@@ -174,8 +174,8 @@ def horizon_tools(python: str) -> list[HorizonTool]:
             "Skugga", True,
             lambda dem, out, at: [*SKUGGA, asking, "point", str(dem.path), str(out), *place(at)],
             np.load, true_horizon,
-            full_command=lambda dem, out, at: [*SKUGGA_COMMAND, "point", str(dem.path), "--at", ",".join(place(at)), "--crs", dem.crs,
-                                        "--date", DATE, "--horizon", "pvlib", "-o", str(out.with_suffix(".csv"))],
+            full_command=lambda dem, out, at: [*SKUGGA_COMMAND, "point", str(dem.path), "--at", ",".join(place(at)), "--crs",
+                                        dem.crs, "--date", DATE, "--horizon", "pvlib", "-o", str(out.with_suffix(".csv"))],
         ),
         grass_tool("1"),
         grass_tool("0.5"),
@@ -218,6 +218,7 @@ def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, le
             more_s = compute_s * (1.0 / tool.share - 1.0)
             yield SunAnswer(
                 HORIZON, f"{dem.name}, {place}", tool.name, tool.ours, compute_s + more_s,
-                float(np.median([run.whole_s for run in whole_runs])) + more_s, float(np.median([run.cpu_s for run in whole_runs])) + more_s,
+                float(np.median([run.whole_s for run in whole_runs])) + more_s,
+                float(np.median([run.cpu_s for run in whole_runs])) + more_s,
                 float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(as_is.mean()), tool.share < 1.0,
             )  # fmt: skip

@@ -67,7 +67,8 @@ def question_verdict(comparison: SunComparison, question: str) -> str:
         dominated, over = dominated_rows(case_standings), unmatched_peers(case_standings)
         dominated_text = "; ".join(f"{our_row} by {peer} ({case})" for our_row, peer, case in dominated)
         text = (
-            f"in {len(case_standings)} case{'s' * (len(case_standings) > 1)} no peer is both faster and more accurate than any row of Skugga's."
+            f"in {len(case_standings)} case{'s' * (len(case_standings) > 1)} no peer is both faster and more accurate than any row "
+            f"of Skugga's."
             if not dominated
             else f"beaten in both at once: {dominated_text}. "
             + (
@@ -165,8 +166,8 @@ def sun_page(comparison: SunComparison) -> str:
         "an interpreter that has the others' packages), which writes every number and verdict. Masks of one sun, by more tools:\n"
         "[peers.md](peers.md).",
         f"{versions}. {comparison.where}; {comparison.took_s / 60.0:.0f} minutes. **The machine was shared** with other work (load "
-        f"{comparison.load:.1f} at the end): wall-clock seconds are comparable only with each other, and CPU time of a process and its\n"
-        "children, which suffers less, stands beside them. Every tool runs as a process of its own, one at a time.",
+        f"{comparison.load:.1f} at the end): wall-clock seconds are comparable only with each other, and CPU time of a process and "
+        "its\nchildren, which suffers less, stands beside them. Every tool runs as a process of its own, one at a time.",
     ]
     for question in TITLES:
         if comparison.of(question):

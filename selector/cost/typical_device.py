@@ -24,7 +24,7 @@ UNKNOWN_SHARED = SharedVariance(view=0.85, family=0.08)
 def typical_device() -> DeviceProfile:
     """Return the profile of the device that measured the selector's benchmark."""
     return DeviceProfile.model_validate_json(
-        files("skugga.selector.cost").joinpath("usual_device.json").read_text(encoding="utf-8")
+        files("skugga.selector.cost").joinpath("typical_device.json").read_text(encoding="utf-8")
     )
 
 

@@ -241,8 +241,8 @@ def compare(
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
-        view, light, rows, view_truth.full_truth.valid, view_truth.error, view_truth.full_truth.boundary, view_truth.full_truth.cast, surface,
-        floor, remarks, tuple(left_out), default,
+        view, light, rows, view_truth.full_truth.valid, view_truth.error, view_truth.full_truth.boundary,
+        view_truth.full_truth.cast, surface, floor, remarks, tuple(left_out), default,
     )  # fmt: skip
 
 

@@ -42,8 +42,8 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> n
         margin_m = (MAP_BORDER_TEXELS + (MAX_HALF_DISC_TEXELS if soft else 0)) * texel_m
         is_relevant = np.empty(len(tree_numbers), np.bool_)
         run_in_chunks(
-            len(tree_numbers), _select_relevant, trees.base_frame_m, trees.shape, tree_numbers, rotation, translation, cells, farthest.max(axis=0),
-            margin_m, is_relevant,
+            len(tree_numbers), _select_relevant, trees.base_frame_m, trees.shape, tree_numbers, rotation, translation, cells,
+            farthest.max(axis=0), margin_m, is_relevant,
         )  # fmt: skip
         tree_numbers = tree_numbers[is_relevant]
     return trees.front_to_back(tree_numbers, rotation[2])

@@ -164,7 +164,9 @@ def _walk_to_ground(
                     pages.bound_m, pages.first_row, pages.first_col, pages.number, pages.height_m, pages.high_m,
                     2.0**level, ground.blocks,
                 ),
-                LineArrays(lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first_occluder),
+                LineArrays(
+                    lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first_occluder,
+                ),
                 walks, needed_pages,
             )  # fmt: skip
             ground.read(level, needed_pages)

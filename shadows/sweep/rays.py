@@ -87,8 +87,8 @@ class SunRays:
         """Return t, levels and metres towards the sun (n,) of the points (..., 3) of a frame with flat indices ``which`` (n,)."""
         out = np.empty((3, len(which)))
         run_in_chunks(
-            len(which), _write_ray_coordinates, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m, self.cell_m,
-            self.up_m, out,
+            len(which), _write_ray_coordinates, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m,
+            self.cell_m, self.up_m, out,
         )  # fmt: skip
         return out[0], out[1], out[2]
 
@@ -164,8 +164,9 @@ def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     orientation = orientation_towards(*towards)
     column_right_m = (per_row if orientation.swapped else per_col)[0]
     return SunRays(
-        scene, light, grid, orientation, height_m, float(space[0, 0]), float(-column_right_m if orientation.cols_reversed else column_right_m),
-        float(space[0, 1]), float(light.light_from_earth[1] @ up[0]), float(np.abs(towards).min() / np.abs(towards).max()),
+        scene, light, grid, orientation, height_m, float(space[0, 0]),
+        float(-column_right_m if orientation.cols_reversed else column_right_m), float(space[0, 1]),
+        float(light.light_from_earth[1] @ up[0]), float(np.abs(towards).min() / np.abs(towards).max()),
     )  # fmt: skip
 
 

@@ -392,7 +392,8 @@ def _work(task: Workload, settings: SweepSettings) -> Work:
     strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
     rasterised = task.triangles("relief") * task.decimated
     counts = {
-        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels, "points": task.visible_pixels,
+        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels,
+        "points": task.visible_pixels,
         "answers": task.visible_pixels * strips, "decimated": rasterised, "outside": task.outside_triangles / 2.0,
     }  # fmt: skip
     return {task.by_view("sweep"): counts}

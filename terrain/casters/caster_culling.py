@@ -223,7 +223,8 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
     points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
     right, down = points[0] - points[1], points[2] - points[3]
     constant_term, per_right, per_down = (
-        (np.cross(first_side, second_side) @ to_sun)[:, None] for first_side, second_side in ((down, right), (down, up), (up, right))
+        (np.cross(first_side, second_side) @ to_sun)[:, None]
+        for first_side, second_side in ((down, right), (down, up), (up, right))
     )  # fmt: skip
     right_length, down_length = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
     rise_m = ground.rise_m[:, :, None]

@@ -124,7 +124,10 @@ def _facts(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> Lig
         to_view_deg=to_view, facing_share=facing_share, cast_share=facing_share * float(shaded.mean()) if len(shaded) else 0.0,
         area_share=area_share,
         nearest_edge_m=None if camera is None else nearest_m,
-        casts={kind: _cast_shadows(lit_probes, blocked_rays, facing_share, camera is not None) for kind, blocked_rays in blocked.items()}, **edges,
+        casts={
+            kind: _cast_shadows(lit_probes, blocked_rays, facing_share, camera is not None)
+            for kind, blocked_rays in blocked.items()
+        }, **edges,
     )  # fmt: skip
 
 

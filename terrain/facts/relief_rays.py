@@ -113,8 +113,10 @@ def _is_hidden(
     bend = world.curvature / 2.0
     return _trace_blocked(
         heights, tops, tops.max(), SKIP_BLOCK_CELLS,
-        probe_positions.row + dot(start_offset, probe_positions.row_from_frame), probe_positions.col + dot(start_offset, probe_positions.col_from_frame),
-        probe_positions.height_m + dot(start_offset, probe_positions.up), dot(direction, probe_positions.row_from_frame), dot(direction, probe_positions.col_from_frame), rise,
+        probe_positions.row + dot(start_offset, probe_positions.row_from_frame),
+        probe_positions.col + dot(start_offset, probe_positions.col_from_frame),
+        probe_positions.height_m + dot(start_offset, probe_positions.up), dot(direction, probe_positions.row_from_frame),
+        dot(direction, probe_positions.col_from_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), MIN_OCCLUDER_CELLS,
     )  # fmt: skip
 

@@ -85,8 +85,8 @@ def _probes_with_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstan
     hit_m, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), direction, length)
     is_leaf = np.isfinite(hit_m)
     leaves = Probes(
-        coarse_view.buffer.frame, coarse_view.eye_frame_m + hit_m[is_leaf, None] * direction[is_leaf], normal[is_leaf], hit_m[is_leaf] * pixel,
-        hit_m[is_leaf],
+        coarse_view.buffer.frame, coarse_view.eye_frame_m + hit_m[is_leaf, None] * direction[is_leaf], normal[is_leaf],
+        hit_m[is_leaf] * pixel, hit_m[is_leaf],
         np.full(int(is_leaf.sum()), FOREST, np.uint8), chosen[is_leaf],
     )  # fmt: skip
     return _concatenate_probes(surface_probes.select(point_index[valid[chosen] & ~is_leaf]), leaves)
@@ -165,7 +165,8 @@ def _move_to_roofs(
     length = np.where(is_roof, hit_m, length)
     return replace(
         ground_probes, point_frame_m=np.where(is_roof[:, None], start + length[:, None] * down, ground_probes.point_frame_m),
-        normal_frame=np.where(is_roof[:, None], normal, ground_probes.normal_frame), kind=np.where(is_roof, np.uint8(MESHES), ground_probes.kind),
+        normal_frame=np.where(is_roof[:, None], normal, ground_probes.normal_frame),
+        kind=np.where(is_roof, np.uint8(MESHES), ground_probes.kind),
     ), length  # fmt: skip
 
 

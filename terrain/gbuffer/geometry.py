@@ -188,8 +188,8 @@ def map_geometry(
     lift = None
     if not on_nodes:
         lift = map_lifts(
-            window.position_frame_m, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, window.centre_frame_m, row, col, position, triangle,
-            reach,
+            window.position_frame_m, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, window.centre_frame_m, row, col,
+            position, triangle, reach,
         )  # fmt: skip
     return GeometryBuffer(view, frame, valid, position, height, normal, shading_normal, crease, kind, triangle, window, lift_m=lift)
 

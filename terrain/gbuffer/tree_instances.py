@@ -69,8 +69,8 @@ class TreeInstances:
     def select(self, selection: np.ndarray) -> TreeInstances:
         """Return the trees that indices or a mask select."""
         return TreeInstances(
-            self.number[selection], self.base_frame_m[selection], self.base_height_m[selection], self.shape[selection], self.yaw_cos_sin[selection],
-            self.variant[selection], self.curvature,
+            self.number[selection], self.base_frame_m[selection], self.base_height_m[selection], self.shape[selection],
+            self.yaw_cos_sin[selection], self.variant[selection], self.curvature,
         )  # fmt: skip
 
     def in_box(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -322,8 +322,8 @@ def _check_coordinates(
         coordinates_text = ", ".join(f"{v:.10g}" for v in before[invalid_rows[0]])
         raise SourceError(
             features.name,
-            f"{features.label(index[invalid_rows[0]])}: the coordinates {coordinates_text} of '{file_crs.name}' cannot be transformed "
-            f"into '{crs.name}'",
+            f"{features.label(index[invalid_rows[0]])}: the coordinates {coordinates_text} of '{file_crs.name}' cannot be "
+            f"transformed into '{crs.name}'",
             "Correct the coordinates or the file's CRS",
         )  # fmt: skip
 

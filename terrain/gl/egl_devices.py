@@ -124,8 +124,8 @@ def _function(egl: ctypes.CDLL, name: bytes, result: Any, *arguments: Any) -> Ca
 def no_opengl_error(reason: str) -> NoOpenGLError:
     """Return the error of a machine without OpenGL."""
     return NoOpenGLError(
-        f"OpenGL: no OpenGL 4.3 context through EGL ({reason}). Without it only terrain without objects can be drawn, under the sun. "
-        "Run 'skugga doctor' to see what is missing"
+        f"OpenGL: no OpenGL 4.3 context through EGL ({reason}). Without it only terrain without objects can be drawn, under the "
+        "sun. Run 'skugga doctor' to see what is missing"
     )
 
 

@@ -462,7 +462,8 @@ class Elevation:
         overview = read_overview(_GroundReader(self), self.rows, self.cols)
         fine_maxima_m = None if overview.fine_high_m is None else self._above_water(overview.fine_high_m)
         return replace(
-            overview, heights_m=self._above_water(overview.heights_m), high_m=self._above_water(overview.high_m), fine_high_m=fine_maxima_m
+            overview, heights_m=self._above_water(overview.heights_m), high_m=self._above_water(overview.high_m),
+            fine_high_m=fine_maxima_m
         )  # fmt: skip
 
     def _settle_resampling(self) -> None:

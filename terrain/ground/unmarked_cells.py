@@ -106,9 +106,9 @@ class UndeclaredNodata:
                 else ""
             )
             messages.append(
-                f"{_percent_text(self.implausible_count, self.cells)} of the raster's cells are no heights on earth and left out as holes: "
-                f"{self.implausible_range(axis)}. If they {nodata_advice}are in another unit, {remedy('units', 'UNIT')}. UNIT is one of "
-                f"{', '.join(METRES_PER_UNIT)}"
+                f"{_percent_text(self.implausible_count, self.cells)} of the raster's cells are no heights on earth and left out "
+                f"as holes: {self.implausible_range(axis)}. If they {nodata_advice}are in another unit, {remedy('units', 'UNIT')}. "
+                f"UNIT is one of {', '.join(METRES_PER_UNIT)}"
             )
         return tuple(messages)
 
