@@ -83,7 +83,7 @@ class ExhaustedError(BusyError):
 
 
 class CircuitOpenError(RetryLaterError):
-    """Pictures of this kind keep failing. The service does not try them again for a while."""
+    """Renders with these settings fail repeatedly. The service does not try them again for a while."""
 
 
 class RateLimitError(RetryLaterError):

@@ -115,7 +115,7 @@ class ViewVariants:
         self._moved: dict[int, Scene] = {0: scene}
 
     def with_sun_number(self, number: int) -> Scene:
-        """Return the scene under the sun of a number; 0: its own."""
+        """Return the scene under the numbered sun; 0 is the level's own."""
         if number not in self._moved:
             sun, share = self.scene.sun, number * GOLDEN_RATIO % 1.0
             assert sun is not None
@@ -127,7 +127,7 @@ class ViewVariants:
         return self._moved[number]
 
     def with_camera_number(self, number: int) -> PerspectiveView:
-        """Return the view from the place of a number; 0: its own."""
+        """Return the view from the numbered camera position; 0 is the level's own."""
         if number == 0:
             return self.view
         right = self.view.earth_from_camera[:, 0]

@@ -98,7 +98,7 @@ def main() -> int:
     before = json.loads(args.file.read_text(encoding="utf-8"))
     differ = [name for name in sorted(before.keys() | hashes.keys()) if before.get(name) != hashes.get(name)]
     for name in differ:
-        print(f"differs: {name}: {before.get(name, 'not there')} before, {hashes.get(name, 'not there')} now")
+        print(f"differs: {name}: {before.get(name, 'missing')} before, {hashes.get(name, 'missing')} now")
     print(f"{len(hashes)} hashes, {len(differ)} differ")
     return 1 if differ else 0
 

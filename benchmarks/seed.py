@@ -152,7 +152,7 @@ def report(rows: list[SeedRow]) -> None:
     one_worker, two_workers = by_name["one worker"], by_name["two workers"]
     print(f"\ntwo workers: {one_worker.seconds / two_workers.seconds:.2f} times one (aim 1.8)")
     assert one_worker.task_s is not None and two_workers.publishing_s is not None and two_workers.drawing_s is not None
-    print(f"tiles a second and core, of tasks alone: {one_worker.tiles / one_worker.task_s:.0f} (aim 100, reach for 150)")
+    print(f"tiles a second and core, of tasks alone: {one_worker.tiles / one_worker.task_s:.0f} (target 100, stretch goal 150)")
     print(f"packing: {two_workers.publishing_s / two_workers.seconds:.1%} of the run of two workers (aim 5 %)")
     if (dask := by_name.get("Dask, two workers")) is not None and dask.drawing_s is not None:
         print(f"Dask: drawing takes {dask.drawing_s / two_workers.drawing_s - 1.0:+.1%} beside two workers here (aim 5 %)")

@@ -213,7 +213,7 @@ def main() -> None:
     for kind, names in KINDS.items():
         for path in (args.folder / kind / name for name in names):
             if not path.exists():
-                print(f"{path}: not there")
+                print(f"{path}: missing")
                 continue
             for row in rows_of(kind, path, args.date, steps, args.cells):
                 rows.append(row)

@@ -90,7 +90,7 @@ class PlanState:
     choices
         Its choices by light.
     request
-        The request: it must not change while choices are kept.
+        The request. A changed request discards the current choices.
     patience
         Better plans in a row that the next switch takes.
     better_count

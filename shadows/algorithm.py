@@ -48,7 +48,7 @@ The requirement depends on the zoom, and a level that requests a sweep has all z
 MAX_BEND_PX = 0.25
 """Upper bound, in pixels, of the distance between a map and the camera views of its parts, for algorithms that draw in the view."""
 
-BENT_MAP_REASON = "the map bends: at this scale no affine camera fits it to a quarter of a pixel"
+BENT_MAP_REASON = "the map is not affine: at this scale no affine camera fits it within a quarter of a pixel"
 """The reason with which such an algorithm refuses a ``bent map``."""
 
 
@@ -111,7 +111,7 @@ def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind
 
 
 class NamedReason(BaseModel):
-    """A name with the reason why it is listed."""
+    """A setting, algorithm or layer by name, with the reason for it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -126,7 +126,7 @@ class AlgorithmSettings(BaseModel):
 
     @property
     def as_overrides(self) -> dict[str, Any]:
-        """The settings as keys and values of a level's ``shadows``; fields that are no such keys are left out."""
+        """The settings as a level's ``shadows`` keys, without other fields."""
         return {key: getattr(self, key) for key in Shadows.model_fields if hasattr(self, key)}
 
     @property
@@ -384,7 +384,7 @@ class Algorithm:
         Function of the settings that returns a function for nodes of bare ground, which reads their heights alone; ``None`` where
         the algorithm has none.
     ignores_idle_casters
-        Function of the settings: whether the visibility stays the same to the bit without ground that casts no shadow. A map
+        Function of the settings: whether ground that casts no shadow can be left out without changing one bit of the result. A map
         returns False, since its taps shade a few points by a step where nothing casts.
     passes
         The names of the passes that ``fill`` runs, in order.

@@ -149,7 +149,7 @@ def _make_projection(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tu
         light_m = np.append(scene.sun.in_frame(frame), 0.0)
     else:
         light_m = np.append(scene.lamps[light].in_frame(frame).position_frame_m - origin, 1.0)
-    meshes = caster_meshes(scene, buffer, ("meshes",)) if "meshes" in kinds else []  # level ground casts no shadow
+    meshes = caster_meshes(scene, buffer, ("meshes",)) if "meshes" in kinds else []  # flat ground casts no shadow
     return Projection(
         origin, light_m, [(vertices - origin, triangles) for vertices, triangles in meshes], caster_trees(buffer, kinds)
     )

@@ -43,7 +43,7 @@ MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
 
 REACH_STRIDE_PX = 4
-"""Stride in pixels of the points from which casters are searched, in a perspective view in which nothing casts."""
+"""Stride, pixels, of the points from which casters are searched in a perspective view without casters."""
 
 BAND_PIXELS = 2**21
 """Pixels of a perspective view that are processed at a time: about 0.5 GB."""
@@ -123,7 +123,10 @@ class Frame:
         return self.valid if isinstance(self.view, MapView) else np.ones(self.valid.shape, bool)
 
     def with_light_first(self, light: str | None) -> Frame:
-        """Return the frame with a light's visibility first (``None`` changes nothing). Raises ``InputError``."""
+        """Return the frame with a light's visibility as the first one.
+
+        ``None`` returns the frame unchanged. Raises ``InputError``.
+        """
         if light is None:
             return self
         if light not in self.visibilities:

@@ -166,7 +166,7 @@ class BusyError(SkuggaError):
 
 
 class RenderError(SkuggaError):
-    """The work failed although the input was right."""
+    """Rendering failed although the input was valid."""
 
 
 class GraphicsError(RenderError):

@@ -102,7 +102,7 @@ def daylight_of(scene: Scene) -> Daylight:
 
 
 def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> Look:
-    """Return a scene's look in a view, as the loops need it.
+    """Return the shading parameters of a scene in a view, for the compiled loops.
 
     ``frame`` gives the direction of north, which matters where tints depend on latitude. Clouds remove the sky's colour and its
     bright side. Without a sun the sky has neither, and the veil of air is missing. A perspective view has no veil by height.
@@ -209,7 +209,7 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
 
 
 def slope_sky_view_factor(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
-    """Return the share of the sky (rows, cols) float32 that a slope itself leaves: a half if vertical, all of it if level."""
+    """Return the sky-view factor (rows, cols) float32 of each slope without its surroundings: 0.5 if vertical, 1 if level."""
     out = np.zeros(buffer.valid.shape, np.float32)
     centre = scene.world.up_origin(buffer.frame)
     run_in_chunks(len(out), slope_sky_rows, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)

@@ -79,7 +79,7 @@ class Tints(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A style's parameters, as the loops read them.
+    """Shading parameters of a style, for the compiled loops.
 
     Attributes
     ----------

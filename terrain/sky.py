@@ -6,7 +6,7 @@ path through the air:
 - The colour is white light after the optical air mass of that path (F. Kasten and A. T. Young 1989, "Revised optical air mass
   tables and approximation formula", Applied Optics 28(22)). Rayleigh scattering removes blue first. Depths are those of a clear
   atmosphere (E. Bruneton and F. Neyret 2008, "Precomputed atmospheric scattering") with a little aerosol.
-- That light colours the foot of the sky, most below the sun and a little opposite to it. Multiple scattering makes it paler, so
+- That light colours the horizon, most below the sun and a little opposite to it. Multiple scattering makes it paler, so
   only a share of the optical depth counts.
 - Towards the zenith red fades first, since thinner air scatters less: orange, yellow, a pale green, blue.
 - Round the sun, air and dust scatter forwards in a wide and a narrow lobe (L. G. Henyey and J. L. Greenstein 1941).
@@ -39,13 +39,13 @@ AIR_DEPTH = (0.105, 0.180, 0.325)
 """Optical depth of the air overhead for red, green and blue light: Rayleigh scattering, ozone and 0.05 of aerosol."""
 
 SINGLE_SCATTERING_SHARE = 0.45
-"""Share of that depth that colours the foot of the sky. Multiple scattering compensates the rest."""
+"""Share of that depth that colours the horizon. Multiple scattering compensates the rest."""
 
 MAX_AIR_MASS = 22.0
 """Maximum optical air mass of a path. Light with a larger one (a sun below 1.5 degrees) is lit from above, too."""
 
 LOW_SUN_DEG = (2.0, 16.0)
-"""Altitudes of the sun: up to the first the foot of the sky has the sunlight's full colour, from the second on none."""
+"""Altitudes of the sun: up to the first the horizon has the sunlight's full colour, from the second on none."""
 
 OPPOSITE_SHARE = 0.22
 """Share of that colour opposite to the sun."""
@@ -60,7 +60,7 @@ LOBES = ((0.72, 0.40), (0.965, 0.55))
 """Asymmetry of each lobe of light round the sun, and the share of the sun's colour in its middle."""
 
 TWILIGHT_DEG = 9.0
-"""Depression of the sun below the horizon down to which it colours the foot of the sky."""
+"""Depression of the sun below the horizon down to which it colours the horizon."""
 
 BATCH_PIXELS = 1024
 """Pixels per batch."""
@@ -249,7 +249,7 @@ def _sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, s
 
 
 def _sunlight_color(altitude_deg: float) -> np.ndarray:
-    """Return the colour (3,) of white sunlight after its path through the air, as far as it colours the foot of the sky."""
+    """Return the colour (3,) of white sunlight after its path through the air, as far as it colours the horizon."""
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
     return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(AIR_DEPTH))

@@ -130,7 +130,7 @@ def test_a_new_setting_appears_in_every_interface(probe_output):
         assert parameter["description"] == "How shadows shine."
         assert {"enum": ["dull", "bright"], "type": "string"} in parameter["schema"]["anyOf"]
     for name in ("tile", "snapshot"):
-        assert json.loads(output["http"][name])[0] == {"gloss": "bright"}, "it has crossed to the render process"
+        assert json.loads(output["http"][name])[0] == {"gloss": "bright"}, "the setting reaches the render process"
     assert output["http"]["plan"][0] == {"gloss": "bright"}
     assert output["http"]["tilejson"][0].endswith("?gloss=bright")
     for problem in output["refusals"]:
@@ -150,7 +150,9 @@ def test_a_new_product_appears_in_every_interface(probe_output, tmp_path):
         low, high, share = output[interface]
         assert low == pytest.approx(1.5, abs=1e-3) and high == pytest.approx(1.5, abs=1e-3), (interface, low, high)
         assert share == 1.0, f"{interface}: a seam, or nothing"
-    assert output["colors"] == output["wms"] == output["seeded"], "a picture has the colour of 1.5 by the scale, at every door"
+    assert output["colors"] == output["wms"] == output["seeded"], (
+        "a picture has the colour of 1.5 by the scale, through every interface"
+    )
     assert len(output["colors"]) == 1 and output["colors"][0][3] == 255
     assert (
         "steepness" in output["map_layers"]

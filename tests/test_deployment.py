@@ -34,7 +34,7 @@ def test_sources_of_images_exist_and_are_in_the_build_context():
             copied_paths.update(line.split()[1:-1])
     assert copied_paths <= context_paths and all((ROOT / name).exists() for name in context_paths)
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"benchmarks", "tests"}
-    assert packages <= copied_paths, "a package more is part of the image, too"
+    assert packages <= copied_paths, "the image must contain every package"
 
 
 def test_containers_have_restricted_privileges():
@@ -42,7 +42,7 @@ def test_containers_have_restricted_privileges():
     for name, service in services.items():
         assert service["read_only"] and service["cap_drop"] == ["ALL"] and "no-new-privileges:true" in service["security_opt"], name
         assert service["mem_limit"] and service["cpus"] and service["pids_limit"], name
-    assert "ports" not in services["service"] and "outside" not in services["service"]["networks"], "nginx alone is reached"
+    assert "ports" not in services["service"] and "outside" not in services["service"]["networks"], "only nginx publishes ports"
     dockerfile = (DEPLOYMENT / "Dockerfile").read_text(encoding="utf-8")
     for target in re.split(r"^FROM ", dockerfile, flags=re.MULTILINE)[1:]:
         if "CMD" in target:

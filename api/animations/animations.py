@@ -116,7 +116,7 @@ class Animations:
             return animation
         ended_animation = self._ended_cache.get(name)
         if isinstance(ended_animation, Missing):
-            message = "animation: this animation does not exist, or is no longer kept. Request it again."
+            message = "animation: this animation does not exist, or has expired. Request it again."
             raise NotServedError("animation", message)
         return ended_animation
 

@@ -35,7 +35,10 @@ class FilmFile:
         return FilmReader(self, first, end)
 
     def read_range(self, first: int, end: int) -> bytes:
-        """Return the bytes from ``first`` to before ``end``, for a holder. All clients share one file descriptor."""
+        """Return the bytes from ``first`` to before ``end``, for a reader that has the film open.
+
+        All clients share one file descriptor.
+        """
         return os.pread(self._file.fileno(), end - first, first)
 
     def close(self) -> None:

@@ -252,7 +252,7 @@ TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *PRODUCT_OPTIONS)
 
 
 def with_product_options_query(*excluded: str) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator for a dependency with ``**options``: it declares the options of all products, ``excluded`` some."""
+    """Return a decorator that replaces ``**options`` of a dependency by the options of all products except ``excluded``."""
     parameters = [(name, _product_parameter(name)) for name in PRODUCT_OPTIONS if name not in excluded]
     return with_parameters(parameters)
 

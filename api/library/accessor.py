@@ -20,9 +20,10 @@ import xarray
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
+from skugga.api.library.caller_warnings import warn_caller
 from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, checked
 from skugga.api.library.grids import grid_of_heights
-from skugga.api.library.opened_level import OpenLevel, open_level
+from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, open_level
 from skugga.api.library.upright_grid import UprightGrid, upright_grid
 from skugga.api.raster_file import TILE_CELLS
 from skugga.shadows.registry import ALGORITHMS
@@ -44,7 +45,8 @@ class SkuggaAccessor:
 
     Cells are without ground if their height is NaN, masked, or the array's nodata (``rio.nodata``). The attributes
     ``scale_factor``, ``add_offset``, ``units``, ``positive`` and ``standard_name`` count as those of a file. Rows and columns may
-    run in either direction. Results have the order of the array.
+    run in either direction. Results have the order of the array. Heights that look wrong, for example an undeclared nodata
+    value, cause a ``UserWarning``.
     """
 
     def __init__(self, array: xarray.DataArray) -> None:
@@ -138,6 +140,7 @@ class SkuggaAccessor:
             For a wrong argument, and for an array that is not a grid of heights.
         """
         with upright_grid(self._array).level() as level:
+            _warn_of_heights(level)
             profile = level.horizon(x, y, height=height, crs=level.crs)
         return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
@@ -146,11 +149,18 @@ class SkuggaAccessor:
         grid = upright_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
+                _warn_of_heights(level)
                 values: Any = compute_array(level)
         else:
             values = _compute_by_chunk(grid, compute_array, dtype)
         answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
         return answer.isel(grid.flips).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
+
+
+def _warn_of_heights(level: OpenLevel) -> None:
+    """Issue the level's warnings about its heights, such as an undeclared nodata value."""
+    for text in level.warnings:
+        warn_caller(f"{ARRAY_NAME}: {text}")
 
 
 class _StagedRaster:
@@ -191,6 +201,7 @@ class _StagedRaster:
         opened: OpenLevel | None = getattr(self._levels, "opened", None)
         if opened is None:
             opened = self._levels.opened = open_level(self.path, units="m", positive="up")  # as for arrays in memory
+            _warn_of_heights(opened)
         return opened
 
 

@@ -21,6 +21,7 @@ from skugga.api.catalogue import find_level
 from skugga.api.compute import compute, plan_for, raster_array
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_span import DEFAULT_FPS, film_span
+from skugga.api.library.caller_warnings import warn_caller
 from skugga.api.library.checked import (
     AltitudeDeg,
     AnyCrs,
@@ -45,7 +46,7 @@ from skugga.api.library.tile_service import TileService
 from skugga.api.point.report import point_report, point_surroundings
 from skugga.api.point.values import PointQuery, PointReport
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
-from skugga.api.raster_view import RasterView, raster_view
+from skugga.api.raster_view import RasterView, extent_warning, raster_view
 from skugga.api.request import ProductRequest
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
@@ -543,6 +544,8 @@ class OpenLevel:
         """Return the cells of an array. Raises ``InputError`` for an array that does not fit into memory."""
         if cells is None:
             raster = raster_view(self._scene, bounds, _crs_text(crs), resolution, like)
+            if like is not None and (text := extent_warning(self._scene, raster)) is not None:
+                warn_caller(text)
         else:
             for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution), ("like", like)):
                 if value is not None:

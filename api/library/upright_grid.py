@@ -16,12 +16,10 @@ from rioxarray.exceptions import RioXarrayError
 
 from skugga.api.library.grids import GRID_BYTES, grid_of_heights
 from skugga.api.library.memory import check_memory
-from skugga.api.library.opened_level import OpenLevel, level_of_heights
+from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_heights
 from skugga.terrain.errors import ArrayError, InputError, Problem, SourceError
 from skugga.terrain.ground.vertical import VerticalAxis, axis_of_band
 from skugga.terrain.level.parts import METRES_PER_UNIT
-
-ARRAY_NAME = "the array"
 
 MAX_UNEVEN_CELLS = 0.1
 """Tolerance of evenly spaced coordinates, in cells. Coordinates in float32 are rounded."""

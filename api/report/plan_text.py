@@ -70,7 +70,7 @@ def format_plan(plan: Plan, title: str) -> str:
     parts += [
         _reason_section("Effects that run", plan.effects),
         _reason_section("Effects left out", plan.left_out),
-        _reason_section("Algorithms not taken", _rejected_algorithms(plan)),
+        _reason_section("Rejected algorithms", _rejected_algorithms(plan)),
     ]
     return "\n\n".join("\n".join(_wrapped(line) for line in part) for part in parts if part)
 

@@ -190,7 +190,7 @@ class GroundDependencies:
         return _SunlitChunks(light, tops, object_height_m, is_terrain_only(scene) and not uses_fitted_maps)
 
     def _shading_chunks(self, grid: Grid, x: int, y: int, visible_chunks: np.ndarray, sunlit: _SunlitChunks) -> np.ndarray:
-        """Return the chunks that can cast a shadow on a block whose ground lies in the chunks ``visible_chunks``."""
+        """Return the chunks that can cast a shadow on a block whose ground lies in ``visible_chunks``."""
         scene, with_heights = self._scene, visible_chunks & np.isfinite(self._chunks.low_m)
         if not with_heights.any():
             return np.zeros(visible_chunks.shape, np.bool_)

@@ -104,7 +104,7 @@ def _without_paths(value: Any, contents: dict[str, str]) -> Any:
 
 
 def _files_of(source: str) -> list[Path]:
-    files = [Path(source), *(Path(file) if not is_remote(file) else Path(file) for file in linked_files(source))]
+    files = [Path(source), *map(Path, linked_files(source))]
     sidecars = [file for path in files if not is_remote(str(path)) for file in sidecar_files(path)]
     return [path for path in dict.fromkeys([*files, *sidecars]) if is_remote(str(path)) or path.is_file()]
 

@@ -259,10 +259,10 @@ class Pool:
 
         Raises
         ------
-        LaterError
+        RetryLaterError
             The client has too much in the queue, or the job waited too long.
-        SetAsideError
-            Jobs of this kind keep failing.
+        CircuitOpenError
+            Jobs of this kind fail repeatedly.
         WorkerStartError
             No process gets ready.
         GraphicsError

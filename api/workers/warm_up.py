@@ -63,7 +63,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, repo
 
 
 def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
-    """Return the visibility west (towards the sun) and east of the wall, drawn by the algorithm ``algorithm``."""
+    """Return the visibility west (towards the sun) and east of the wall, drawn by ``algorithm``."""
     heights = np.zeros((CELLS, CELLS), np.float32)
     heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east

@@ -44,7 +44,7 @@ CAMERA_MOVES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 """Small moves of the camera to its right, as a share of the median distance of the visible points."""
 
 MAX_RIGHT_SHARE = 0.001
-"""A share of the cast shadow, or of the decidable pixels, below this counts as no error."""
+"""Shares of the cast shadow, or of the decidable pixels, below this count as zero error."""
 
 MIN_RANK_CORRELATION = 0.5
 """The least rank correlation that counts as agreement."""

@@ -95,7 +95,7 @@ def _policies(split: Split) -> str:
         "policy", "targets met (95 % interval)", "gap closed", "relative regret: mean (95 % interval)", "median", "p95",
         "mean where met", "interior error though a clean row met the target", "aims: met, gap closed, mean, p95",
     ]  # fmt: skip
-    text = f"\n**{split.name[0].upper()}{split.name[1:]}.** {len(decidable)} instances whose targets can be told.\n\n"
+    text = f"\n**{split.name[0].upper()}{split.name[1:]}.** {len(decidable)} instances with decidable targets.\n\n"
     return text + markdown_table(heads, rows) + "\n" + _alternative_scores(split) + _singles(split)
 
 
@@ -215,7 +215,7 @@ def _probes(all_splits: Sequence[Split]) -> str:
 
 
 def _format_gap(score: PolicyScore) -> str:
-    return "no gap to speak of" if score.gap_closed is None else f"{score.gap_closed:.2f}"
+    return "gap too small to report" if score.gap_closed is None else f"{score.gap_closed:.2f}"
 
 
 def _worst(all_splits: Sequence[Split]) -> str:

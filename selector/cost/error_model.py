@@ -118,7 +118,10 @@ class SharedErrors(BaseModel):
 
 
 class HillCurve(BaseModel):
-    """The wrong part of the differing pixels: ``most / (1 + (half_px / texel_px) ** steepness)``."""
+    """Share of the pixels with differing look-ups that are wrong, by texel size.
+
+    It is ``most / (1 + (half_px / texel_px) ** steepness)``.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -128,7 +128,7 @@ class LightProbe:
     options
         The options, corrected by the observations.
     drawn
-        Milliseconds and proofs of the drawn options by number, in order.
+        Milliseconds and error measurements of the drawn options by number, in order.
     initial_leader
         Number of the leader before the probe.
     seconds

@@ -35,7 +35,7 @@ it.
 
 
 class ProbedPictures:
-    """The geometry of a view for all lights. Of a map it is the block that covers most of the view."""
+    """The geometry of a view for all lights. A map is represented by the block that covers most of the view."""
 
     def __init__(self, scene: Scene, view: View, effects: Collection[str]) -> None:
         self.scene, self.view = with_apparent_sun(scene, effects), probed_part(view)

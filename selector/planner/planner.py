@@ -392,7 +392,7 @@ def _algorithm(
     if requested is not None:
         return requested, request.reason_for("algorithm"), False
     if caster == "relief" and descriptor.relief_m <= 0.0:
-        return NO_SHADOWS, "level ground casts no shadow", False
+        return NO_SHADOWS, "flat ground casts no shadow", False
     if light == SUN and not needed_effects & set(forced) and not sun_caster_verdict(descriptor, caster).is_needed:
         return NO_SHADOWS, sun_caster_verdict(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:

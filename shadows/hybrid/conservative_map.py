@@ -31,7 +31,7 @@ class ConservativeMap:
     Attributes
     ----------
     nearest
-        Points in front of it are lit.
+        Near bound of the nearest run: points in front of it are lit.
     nearest_other_depth
         Points on a casting triangle in front of it are lit.
     shadow_depth

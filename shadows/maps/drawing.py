@@ -124,7 +124,7 @@ def read_depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndar
 
 
 def _rounded_texture_side(side: int) -> int:
-    """Return a side of the texture in which a map is drawn.
+    """Return a texture side that has room for a map; larger ones are rounded up to a multiple of ``TEXTURE_STEP``.
 
     The sizes of maps that follow a camera or the sun differ a little. Rounding lets them share a texture.
     """
@@ -159,13 +159,13 @@ def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh],
 
 
 def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
-    """Return a map's trees, without those that shade no visible point."""
+    """Return the trees to draw into a map: those that may shade a visible point."""
     if depth_map.trees is None or depth_map.reach is None:
         return depth_map.trees
     return depth_map.trees.select(relevant_trees(depth_map, buffer, soft))
 
 
 def _face_uniforms(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:
-    """Return a lamp's rotation and offset, turned to one of its faces."""
+    """Return the uniforms of one cube face: a lamp's rotation and offset, rotated to the face."""
     rotation = face @ np.array(uniforms["light_from_frame"]).reshape(3, 3).T
     return {"light_from_frame": tuple(rotation.T.ravel()), "light_offset_m": tuple(face @ np.array(uniforms["light_offset_m"]))}

@@ -161,7 +161,7 @@ def _translate_to_light(sun, rotated):
 
 @internal
 def _move_off_surface(sun, comparison, p, n, crease):
-    """Return a point moved clear of every surface that passes through it."""
+    """Return a point moved along its normal, off every surface that passes through it."""
     if not comparison.uses_offset:
         return p
     side = np.float32(-1.0) if n[2] > np.float32(0.0) else np.float32(1.0)  # foliage is lit from either side

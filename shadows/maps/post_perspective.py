@@ -181,7 +181,7 @@ def post_perspectives(
 
     off_axis_deg = _off_axis_deg(camera, light, _centre(points))
     if off_axis_deg <= UNIFORM_MAP_CONE_DEG:
-        reason = f"the light stands {off_axis_deg:.1f} degrees off the view's axis, within {UNIFORM_MAP_CONE_DEG:g}"
+        reason = f"the light is {off_axis_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}"
         return [make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")]
     near, far = float(camera_points[:, 2].min()), float(camera_points[:, 2].max())
     far = max(far, near * (1.0 + MIN_EXTENT))  # a wall that faces the camera
@@ -195,7 +195,11 @@ def post_perspectives(
         matrix = light_matrix(clip_light, _centre(project_points(view, points))) @ view
         if is_clear_of_horizon(horizon_distance(matrix, required_points) / uniform_distance):
             candidates.append(make_candidate(matrix, kind_of(clip_light), float(slide_m)))
-    reason = "every slide-back has larger texels" if candidates else "no slide-back keeps all that is seen off the map's horizon"
+    reason = (
+        "a uniform map has smaller texels than the perspective map at every slide-back distance"
+        if candidates
+        else "no slide-back keeps all receivers in front of the map's horizon"
+    )
     uniform_map = make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")
     return [
         *sorted(

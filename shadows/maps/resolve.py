@@ -29,7 +29,10 @@ Of the numbers of cascades (up to 4) and automatic sizes that keep to it, the co
 """
 
 MAX_FOLIAGE_TEXEL_PX = 3.0
-"""The same bound where trees cast. Their many layers of alpha-tested texels make the cost of a map proportional to its texels."""
+"""Upper bound of a texel's footprint in a perspective view, in pixels, where trees cast.
+
+Their many layers of alpha-tested texels make the cost of a map proportional to its texels.
+"""
 
 MAX_DEPTH_SHIFT_PX = 0.25
 """Upper bound of a shadow's shift on level ground by one depth step, in pixels, for an automatic depth of 16 bits."""
@@ -92,7 +95,7 @@ def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
 
 
 def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[NamedReason]]:
-    """Do as ``resolve_shadow_map`` for maps outside of post-perspective space, without the reason for hard edges."""
+    """Return the settings of a map with uniform texels, and the reasons for automatic values, except for hard edges."""
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)

@@ -33,7 +33,10 @@ def shadow_map_texel_px(
 def perspective_map_texel_px(
     descriptor: Descriptor, light: str, settings: PerspectiveMapSettings, band: CastBand, perspective: float
 ) -> float:
-    """Return the same for a perspective map. ``perspective`` is the number of its texels per pixel's side."""
+    """Return a texel's side of a perspective map in a band, in pixels, across the light.
+
+    ``perspective`` is the number of its texels per pixel's side.
+    """
     map_px = perspective * sqrt(descriptor.rows * descriptor.cols)
     return min(map_px, _uniform_px(descriptor, light, band)) / settings.map_size
 

@@ -202,7 +202,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
 
 @compiled
 def _depth_range(points, mask, position, faces, tangent):
-    """Return the smallest and largest depth, metres, of the points (rows, cols, 3) that are ``mask``, in a lamp's faces (n, 3, 3).
+    """Return the smallest and largest depth, metres, of the masked points (rows, cols, 3) in a lamp's faces (n, 3, 3).
 
     Each face reaches as far as ``tangent`` from its axis. The result is infinity and 0 where no face contains a point.
     """
@@ -240,9 +240,9 @@ def _distances(first, last, points, eye, out):
 def _depth_margin_m(
     normal: np.ndarray, corners: np.ndarray, position: np.ndarray, mask: np.ndarray, rotation: np.ndarray, tap_reach_m: np.ndarray
 ) -> float:
-    """Return how much nearer to the sun than a point the map may hold the point's triangle, in metres.
+    """Return the largest depth, metres, by which the map may store a point's own triangle in front of the point.
 
-    The result is the maximum over the points (rows, cols) that are ``mask``. The map samples the triangle at texel centres up to
+    The maximum is over the points (rows, cols) in ``mask``. The map samples the triangle at texel centres up to
     ``tap_reach_m`` (2,) right and up of the point. It clamps depths in front of its first depth, and a triangle that starts there
     could not be distinguished from its casters.
     """
@@ -273,7 +273,7 @@ def _write_depth_margins(first, last, normal, corners, position, mask, rotation,
 
 
 def _extent_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
-    """Return the largest coordinate of the points that are ``mask`` and of their triangles, whose corners may lie out of sight."""
+    """Return the largest coordinate of the points in ``mask`` and of their triangles, whose corners may be outside of the view."""
     extent_m = float(np.abs(light_bounds(buffer.position_frame_m, mask, np.eye(3), np.zeros(3))).max())
     if buffer.corners_frame_m is None:
         return extent_m
@@ -284,7 +284,7 @@ def _extent_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
 
 @compiled
 def _farthest_corners(first, last, corners, mask, out):
-    """Write the largest coordinate, in each row, of the corners (rows, cols, 9) that are ``mask``."""
+    """Write the largest corner coordinate of each row of masked pixels (rows, cols, 9)."""
     for i in range(first, last):
         largest = np.float32(0.0)
         for j in range(mask.shape[1]):

@@ -78,6 +78,8 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
 class Spokes:
     """Trigonometric polynomials in the azimuth for rows and columns at k distances.
 
+    Lines of sight are interpolated between the exact ones at a few azimuths (spokes).
+
     Attributes
     ----------
     real, imaginary

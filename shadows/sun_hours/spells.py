@@ -50,7 +50,7 @@ BAND_ROWS = 128
 
 
 class SunSpells(NamedTuple):
-    """The sun of cells so far, float32 (n, m).
+    """Spells of direct sun of cells so far, float32 (n, m).
 
     Attributes
     ----------

@@ -8,10 +8,10 @@ cell's flat top. A ray that passes a corner or runs along a border meets the cel
 **Bands.** For ``BAND_CELLS`` rows at a time, a ray is compared with the highest column of each block of cells that it passes. It
 skips blocks that lie below it. It has reached the sun where no higher column lies ahead.
 
-**A curved earth.** A ray has one t and one level (``skugga.shadows.sweep.lines``). Along each border between rows, cubics in t give
-the column of ground at a reference height, its shift per metre of height, the level of height 0, and the level per metre of height.
-The ray's column and height above sea level follow from them. Nothing is interpolated between lines. So the results are those of
-the columns themselves; in a flat world they are exact to the rounding of float64.
+**A curved earth.** A ray has one t and one ray height (``skugga.shadows.sweep.lines``). Along each border between rows, cubics in t
+give the column of ground at a reference height, its shift per metre of height, the ray height of height 0, and the ray height per
+metre of height. The ray's column and height above sea level follow from them. Nothing is interpolated between lines. So the results
+are those of the columns themselves; in a flat world they are exact to the rounding of float64.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ class TurnedColumns(NamedTuple):
     column_per_metre
         (n + 1, 4): its shift in columns per metre of height.
     ray_height_at_zero
-        (n + 1, 4), metres: the level of height 0.
+        (n + 1, 4), metres: the ray height of height 0.
     ray_height_per_metre
-        (n + 1, 4): the change of the level per metre of height.
+        (n + 1, 4): the change of the ray height per metre of height.
     reference_height_m
         Metres: the reference height of ``column_of_t``.
     side
@@ -99,9 +99,9 @@ class ColumnGround:
     columns
         The turned columns.
     towards_at_zero
-        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.ray_height_at_zero`` is for levels.
+        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.ray_height_at_zero`` is for ray heights.
     towards_per_metre
-        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.ray_height_per_metre`` is for levels.
+        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.ray_height_per_metre`` is for ray heights.
     """
 
     detail: int
@@ -142,7 +142,7 @@ class ColumnSweep:
     height_m
         (n,): heights.
     ray_height_m
-        (n,): levels; NaN for columns, whose tops give it.
+        (n,): ray heights; NaN for columns, whose tops give it.
     towards_m
         (n,): metres towards the sun.
     """
@@ -320,7 +320,7 @@ def _coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
 
 @compiled
 def _ray_heights(columns, row, t, height):
-    """Return the levels (n,) of points on columns of the given heights, at turned rows."""
+    """Return the ray heights (n,) of points on columns of the given heights, at turned rows."""
     out = np.empty(row.size)
     borders = len(columns.ray_height_at_zero)
     for n in range(row.size):

@@ -121,9 +121,9 @@ class SweepPoints:
     t
         float64 (n,): coordinates across the lines, in cells.
     ray_height
-        float64 (n,), metres: levels; NaN: on the ground at their position.
+        float64 (n,), metres: ray heights; NaN: on the ground at their position.
     rounding
-        Metres by which a level must exceed a point's to shade it.
+        Metres by which a ray height must exceed a point's to shade it.
     """
 
     row: np.ndarray
@@ -135,14 +135,14 @@ class SweepPoints:
 
 @dataclass(frozen=True, eq=False)
 class LineState:
-    """The levels that lines have met.
+    """The ray heights that lines have met.
 
     Attributes
     ----------
     first_cell
         Cell of the first column of ``line_max``.
     line_max
-        float32 (lines, cells), metres: the highest level that each line has met.
+        float32 (lines, cells), metres: the highest ray height that each line has met.
     """
 
     first_cell: int
@@ -161,7 +161,7 @@ class LineState:
 def position_cubics(
     t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cubics ``place`` and ``at`` (rows, 4) of a turned grid with its borders.
+    """Return the cubics ``column_of_t`` and ``t_of_column`` (rows, 4) of a turned grid with its borders.
 
     ``t_of`` is a smooth function that gives t at turned rows and columns. Raises ``UnsupportedError``, which names the grid's CRS,
     where cubics cannot follow it.
@@ -258,7 +258,7 @@ def sweep_nodes(
     t_range
         Range of t to sweep, in cells.
     entry
-        The levels that the lines of a coarser grid have met.
+        The ray heights that the lines of a coarser grid have met.
     factor
         Cell size of that coarser grid, in cells of this one.
     rows
@@ -268,7 +268,7 @@ def sweep_nodes(
     points
         Points to evaluate besides nodes.
     shade
-        float32 (n, m + 2) output, if not empty: the level above which each evaluated node sees the sun.
+        float32 (n, m + 2) output, if not empty: the ray height above which each evaluated node sees the sun.
     cores
         Number of threads.
     begin
@@ -281,7 +281,7 @@ def sweep_nodes(
     points_lit
         bool (k,): whether the points see the sun.
     points_above_m
-        float32 (k,): metres by which the highest level on their way exceeds their own.
+        float32 (k,): metres by which the highest ray height on their way exceeds their own.
     """
     n, columns = turned_grid.ray_height.shape
     first, last = rows
@@ -333,7 +333,7 @@ def state_after(
     factor: float = 2.0,
     begin: int = 0,
 ) -> LineState:
-    """Return the levels that lines in a range of t have met after all rows of a grid; no ground lies before row ``begin``."""
+    """Return the ray heights that lines in a range of t have met after all rows of a grid; no ground lies before row ``begin``."""
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
     state = LineState(low, np.full((lines, high - low), NO_GROUND_RAY_HEIGHT, np.float32))
     if entry is not None:

@@ -4,10 +4,10 @@ The horizon of a point is where its tangent touches that hull (Timonen and Weste
 Each line keeps its hull as a stack. A new piece of ground pops all vertices that it leaves below the hull, then is pushed itself.
 Each is pushed and popped at most once, so the work is linear in the number of nodes.
 
-A position has two coordinates in the vertical plane of the sun. Its *level* is measured at right angles to a reference direction,
-its distance *towards* the sun along it. The horizon is the angle above that direction. Lines, positions and turned grids are those
-of ``skugga.shadows.sweep.lines``. As there, ground near a point is exact on the point's own line, and the rest is interpolated
-between two lines.
+A position has two coordinates in the vertical plane of the sun. Its *ray height* is measured at right angles to a reference
+direction, its distance *towards* the sun along it. The horizon is the angle above that direction. Lines, positions and turned grids
+are those of ``skugga.shadows.sweep.lines``. As there, ground near a point is exact on the point's own line, and the rest is
+interpolated between two lines.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Section(NamedTuple):
     Attributes
     ----------
     ray_height
-        float32 (n, m), metres: the nodes' levels; NaN without ground.
+        float32 (n, m), metres: the nodes' ray heights; NaN without ground.
     towards
         float32 (n, m), metres: the nodes' distances towards the sun.
     column_of_t
@@ -63,7 +63,7 @@ class HorizonQuery(NamedTuple):
     row_before
         int64 (k,): the row before each point.
     position
-        float64 (k, 2), metres: each point's level and distance towards the sun.
+        float64 (k, 2), metres: each point's ray height and distance towards the sun.
     line_tangents
         float64 (k, 2), output: the horizon's tangent on the line to the left of each point and on the next one.
     """
@@ -124,9 +124,9 @@ def horizon_tangents(
 ) -> np.ndarray:
     """Return the tangents (k,) of the horizon's angle above the reference direction, seen from points.
 
-    ``row``, ``t``, ``point_ray_height`` and ``point_towards`` (k,) float64 are the points' positions. Where a level is NaN, the
-    ground at the position replaces both it and the distance towards the sun. The tangent is ``NO_HORIZON_SLOPE`` where no ground
-    lies ahead.
+    ``row``, ``t``, ``point_ray_height`` and ``point_towards`` (k,) float64 are the points' positions. Where a ray height is NaN,
+    the ground at the position replaces both it and the distance towards the sun. The tangent is ``NO_HORIZON_SLOPE`` where no
+    ground lies ahead.
     """
     ray_height, towards, column_of_t, is_cut_nw_se = section
     if not len(row) or len(ray_height) < 2:
@@ -275,7 +275,7 @@ def _tangent(hull, size, point):
 def _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, row, t, position, near_tangents):
     """Write the slopes up to the ground between points and the row before them.
 
-    Points without a level get the position of the ground below them.
+    Points without a ray height get the position of the ground below them.
     """
     cols = ray_height.shape[1]
     for n in range(len(row)):

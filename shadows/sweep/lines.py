@@ -1,15 +1,15 @@
-"""The line sweep: compute the shadow level at every node of a grid, in time linear in its nodes.
+"""The line sweep: compute the shadow height at every node of a grid, in time linear in its nodes.
 
 **Space.** ``skugga.shadows.sweep.grid`` turns and mirrors the grid: the sun stands before row 0, and a ray that leaves the sun
-moves by 0 to 1 columns to the right per row. The *level* of a node is its coordinate along light space's second axis ("up": at
-right angles to the rays, in the vertical plane of the sun). The level is constant along a ray. So a point sees the sun exactly if
-nothing between it and the sun has a higher level. No slopes and no distances are needed, and the earth's curvature bends the
-nodes, not the rays.
+moves by 0 to 1 columns to the right per row. The *ray height* of a node is its coordinate along light space's up axis: at right
+angles to the rays, in the vertical plane of the sun. It is constant along a ray. The *shadow height* of a node is the ray height
+above which it would see the sun. So a point sees the sun exactly if nothing between it and the sun has a higher ray height. No
+slopes and no distances are needed, and the earth's curvature bends the nodes, not the rays.
 
 **Lines.** Seen from above, rays are lines, ``lines`` of them per column. Line number k of cell j has ``t = j + k / lines``. It
 crosses row i at a column that is a cubic in t; without the convergence of meridians it would be t plus a shift. Each line carries
-the highest level that it has met. Between two rows it crosses the sides and the diagonals of quads. The surface's level along the
-line has its kinks at these crossings and on the rows, and is linear between them. So the maximum of a line over the drawn
+the highest ray height that it has met. Between two rows it crosses the sides and the diagonals of quads. The surface's ray height
+along the line has its kinks at these crossings and on the rows, and is linear between them. So the maximum of a line over the drawn
 triangles is exact. A quad is cut along the higher of its diagonals (``skugga.terrain.ground.sheet``). Both diagonals can therefore
 be tested, since the other one lies below the surface. Only for the decimated ground of a camera does each quad state its cut.
 
@@ -34,7 +34,7 @@ from skugga.shadows.sweep.points import cubic, cubic_of, evaluate_points, snap_t
 from skugga.terrain.compiled import compiled, internal
 
 NO_GROUND_RAY_HEIGHT = np.float32(-1e30)
-"""Level of a line that has met nothing: finite, not -infinity, so that it can be interpolated."""
+"""Ray height of a line that has met nothing: finite, not -infinity, so that it can be interpolated."""
 
 NO_CUTS = np.zeros(0, np.bool_)
 
@@ -54,7 +54,7 @@ class TurnedGrid(NamedTuple):
     Attributes
     ----------
     ray_height
-        float32 (n, m), metres: the levels of the nodes; NaN without ground.
+        float32 (n, m), metres: the ray heights of the nodes; NaN without ground.
     column_of_t
         float64 (n, 4): for each row, the cubic that gives the column at t.
     t_of_column
@@ -71,7 +71,7 @@ class TurnedGrid(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """A strip of adjacent lines, and the levels that they have met before a row.
+    """A strip of adjacent lines, and the ray heights that they have met before a row.
 
     A strip is responsible for nodes and points from the start of its second cell to the end of its last cell but two.
 
@@ -82,10 +82,10 @@ class Strip(NamedTuple):
     first_cell
         Cell of the first column of ``line_max``.
     line_max
-        float32 (lines, cells), metres: the highest level that each line has met.
+        float32 (lines, cells), metres: the highest ray height that each line has met.
     peaks
-        float32 (2, lines, cells): the level of the highest node between each line and the next, and its share of the way between
-        them.
+        float32 (2, lines, cells): the ray height of the highest node between each line and the next, and its share of the way
+        between them.
     """
 
     lines: int
@@ -98,8 +98,8 @@ class Strip(NamedTuple):
 def sweep_rows(turned_grid, strip, first, last, shade, lit, points):
     """Advance a strip of lines from before row ``first`` of a grid to before row ``last``; evaluate nodes and points on the way.
 
-    For the nodes of rows (first, last], write the arrays that are not empty: ``shade`` (n, m) float32, the level above which a node
-    sees the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
+    For the nodes of rows (first, last], write the arrays that are not empty: ``shade`` (n, m) float32, the ray height above which a
+    node sees the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, peaks = strip
@@ -188,7 +188,7 @@ def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, li
 
 @internal
 def _raise_run(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1, crosses):
-    """Raise ``count`` lines to the levels that they meet from a row on and before the next one.
+    """Raise ``count`` lines to the ray heights that they meet from a row on and before the next one.
 
     The run starts at ``column`` of the row and at ``cell`` of ``line_max``. Within their cells the lines' positions go from ``f0``
     to ``f1``; their shifts until the next row go from ``s0`` to ``s1``.
@@ -225,7 +225,7 @@ def _even_steps(ends, count):
 
 @internal
 def _cross_one_quad(above, below, column, line_max, cell, count, row, rising, falling):
-    """Raise a run of lines to the levels that they meet in one quad each: on its first row and on both of its diagonals."""
+    """Raise a run of lines to the ray heights that they meet in one quad each: on its first row and on both of its diagonals."""
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)
     r, dr = _even_steps(falling, count)
@@ -243,7 +243,7 @@ def _cross_one_quad(above, below, column, line_max, cell, count, row, rising, fa
 
 @internal
 def _cross_two_quads(above, below, column, line_max, cell, count, row, rising, side, far):
-    """Raise a run of lines to the levels that they meet in two quads each.
+    """Raise a run of lines to the ray heights that they meet in two quads each.
 
     They are compared on the first row, on the rising diagonals of both quads, and on the side between the quads.
     """
@@ -307,7 +307,7 @@ def _cross_two_cut_quads(above, below, cuts, line_max, row, rising, side, far):
 
 @internal
 def _raise_to_segments(row, a, b, other_row, c, line_max, cell, count, p, q):
-    """Raise a run of levels to those on two segments between nodes.
+    """Raise a run of ray heights to those on two segments between nodes.
 
     Both segments start in column ``a`` of a row. The first ends in column ``b`` of the same row and is sampled at shares ``p``. The
     second ends in column ``c`` of another row and is sampled at shares ``q``.
@@ -462,10 +462,10 @@ def _first_column_at(column_of_t, t_of_column, t, cols):
 
 @internal
 def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, between, count, out):
-    """Compute the shadow levels over a run of nodes as far as the row before them, into ``out`` (count,) float32.
+    """Compute the shadow heights over a run of nodes as far as the row before them, into ``out`` (count,) float32.
 
-    They are interpolated from the levels of the lines of number ``k`` from a ``cell`` on, of the lines to their right, and of the
-    peaks between. ``between`` holds the shares of the first and the last node on the way between their lines.
+    They are interpolated from the ray heights of the lines of number ``k`` from a ``cell`` on, of the lines to their right, and of
+    the peaks between. ``between`` holds the shares of the first and the last node on the way between their lines.
     """
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
@@ -486,7 +486,7 @@ def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, betw
 
 @internal
 def _raise_to_near_ground(above, below, cuts, first, column_shifts, count, out):
-    """Raise the shadow levels over a run of nodes from column ``first`` on to the levels that their rays meet from the row before.
+    """Raise the shadow heights over a run of nodes from column ``first`` on to those that their rays meet from the row before.
 
     ``column_shifts`` holds how many columns to the left the rays of the first and the last node cross the row before.
     """

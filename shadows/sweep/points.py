@@ -29,13 +29,13 @@ class StripPoints(NamedTuple):
     row, col, t
         float64 (n,): positions; columns count the left border.
     ray_height
-        float64 (n,), metres: the points' levels; NaN: on the ground at their position.
+        float64 (n,), metres: the points' ray heights; NaN: on the ground at their position.
     rounding
-        Metres by which a level must exceed a point's to shade it.
+        Metres by which a ray height must exceed a point's to shade it.
     lit
-        bool (n,), output: True unless the highest level on the way exceeds the point's by more than ``rounding``.
+        bool (n,), output: True unless the highest ray height on the way exceeds the point's by more than ``rounding``.
     above_m
-        float32 (n,), output: metres by which the highest level on the way exceeds the point's.
+        float32 (n,), output: metres by which the highest ray height on the way exceeds the point's.
     """
 
     begins: np.ndarray
@@ -162,7 +162,7 @@ def snap_to_column(x):
 
 @internal
 def _raise_level(highest, a, b, share):
-    """Return the maximum of a level and of the level at a share of the way from ``a`` to ``b``; without ground the first."""
+    """Return the maximum of a ray height and of that at a share of the way from ``a`` to ``b``; without ground the first."""
     value = np.float64(a)
     if share > 0.0:  # otherwise b may be NaN
         value += share * (np.float64(b) - value)
@@ -177,7 +177,7 @@ def is_cut(is_cut_nw_se, i, c, falling):
 
 @internal
 def ground_at(above, below, c, u, v, is_cut_nw_se, i):
-    """Return the ground's level ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN without ground."""
+    """Return the ground's ray height ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN without ground."""
     c += int(np.floor(u))
     u -= np.floor(u)
     if c < 0 or c + 1 >= len(above):

@@ -63,9 +63,9 @@ class SunRays:
     cell_m
         Metres of light space's right axis per unit of t; negative where columns of the turned grid run to the left.
     up_m
-        Metres: light space's up coordinate at level 0.
+        Metres: light space's up coordinate at ray height 0.
     ray_height_per_metre
-        Change of the level per metre of height.
+        Change of the ray height per metre of height.
     columns_per_row
         Columns of the turned grid by which rays shift to the right per row, at the reference position.
     """
@@ -84,7 +84,7 @@ class SunRays:
     def ray_coordinates(
         self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return t, levels and metres towards the sun (n,) of the points (..., 3) of a frame with flat indices ``which`` (n,)."""
+        """Return t, ray heights and metres towards the sun (n,) of a frame's points (..., 3) with flat indices ``which`` (n,)."""
         out = np.empty((3, len(which)))
         run_in_chunks(
             len(which), _write_ray_coordinates, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m,
@@ -138,7 +138,7 @@ class SunRays:
         return position_cubics(t_of, *((cols, rows) if self.orientation.swapped else (rows, cols)), self.grid.crs.name)
 
     def write_ray_heights(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
-        """Write the levels of the nodes of windows into arrays (rows, cols) float32."""
+        """Write the ray heights of the nodes of windows into arrays (rows, cols) float32."""
         up = self.light.light_from_earth[1]
         self.scene.surface(self.grid.coarser(detail)).write_axis_coordinates(
             up, self.light.origin_earth_m + self.up_m * up, windows, out
@@ -171,7 +171,9 @@ def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
 
 
 def with_upright_axes(light: LightSpace, up: np.ndarray) -> LightSpace:
-    """Return the light space turned about the sun's direction: right is horizontal, and up does not point down, where ``up`` is up.
+    """Return the light space, rotated about the sun's direction until its right axis is horizontal where the vertical is ``up``.
+
+    Its up axis does not point down.
 
     The level's own light space has this property at its anchor only. Elsewhere higher ground would be shifted beside the rays that
     pass over its foot.
@@ -238,7 +240,7 @@ def grounds_of_block(
         casting = [patch for patch in detail_patches if patch not in culled and not _lies_behind(rays, patch, block)]
         windows = [surface.height_window(*window, rim=True) for window in patch_windows(casting)]
         if detail and not windows and not grounds:
-            continue  # no levels to pass on
+            continue  # no ray heights to pass on
         grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, detail_patches))
     return grounds
 
@@ -269,10 +271,10 @@ def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
 
 
 def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
-    """Return whether the lines pass a patch beside a block only after the block, if at all.
+    """Return whether a patch lies behind a block, as seen from the sun, so that it casts no shadow on the block.
 
     On the turned grid lines run down and to the right. Where all of them run almost straight down, some may run to the left. For a
-    coarse patch these are ignored: it must lie towards the sun to pass on its levels.
+    coarse patch these are ignored: it must lie towards the sun to pass on its ray heights.
     """
     side = PATCH_QUADS * 2**patch.lod
     rows, cols = block.shape
@@ -414,7 +416,7 @@ def _sum_of_terms(first, last, points, which, middle, scale, factors, out):
 
 @compiled
 def _write_ray_coordinates(first, last, points, which, rotation, translation, right0_m, cell_m, up0_m, out):
-    """Write t, level and metres towards the sun of the points (m, 3) with indices ``which`` (n,)."""
+    """Write t, ray height and metres towards the sun of the points (m, 3) with indices ``which`` (n,)."""
     for n in range(first, last):
         p = points[which[n]]
         right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]

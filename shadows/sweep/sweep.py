@@ -5,7 +5,7 @@ does not depend on the azimuth. Only ground casts shadows, but anything that sta
 gives the height above which the sun is visible.
 
 **Windows.** Ground towards the sun comes in patches, with a coarser level of detail farther away
-(``skugga.terrain.casters.reach``). Each level of detail is swept separately, the coarsest first. It passes the levels that its
+(``skugga.terrain.casters.reach``). Each level of detail is swept separately, the coarsest first. It passes the ray heights that its
 lines have met to the next one. This is valid since a maximum does not depend on the order along a line, if all of that ground lies
 towards the sun. Within a level of detail, strips of lines are independent, and run on several cores.
 
@@ -14,11 +14,11 @@ positions on a grid are computed for ground of mean height. The vertical leans b
 that is higher by h is shifted sideways by that share of h, which is metres at the far corners of a wide block.
 
 **The sun's disc** (``filter`` sun) is cut into horizontal strips of equal area. Each is swept for its centre. Suns of one azimuth
-share lines and points; only the levels are tilted. The horizon is assumed level over the half degree of the disc.
+share lines and points; only the ray heights are tilted. The horizon is assumed level over the half degree of the disc.
 
 **Points.** A map's nodes are evaluated at their positions. Other points are sorted into the row intervals that contain them. Points
-of the ground take their level from the triangles that cast shadows. In perspective these are the triangles of the drawn ground,
-decimated or not.
+of the ground take their ray height from the triangles that cast shadows. In perspective these are the triangles of the drawn
+ground, decimated or not.
 
 **Columns.** Over ground of upright columns each point has its own ray (``skugga.shadows.sweep.columns``).
 """
@@ -53,7 +53,7 @@ from skugga.terrain.scene import Scene
 PASSES = ("sweep",)
 
 RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
-"""float32 rounding of a level, as a share of the largest level: ground that is higher by less shades no point."""
+"""float32 rounding of a ray height, as a share of the largest ray height: ground that is higher by less shades no point."""
 
 SUN_DISC_STRIPS = 16
 """Horizontal strips of the sun's disc for its penumbra."""
@@ -167,7 +167,7 @@ def fill_nodes(
 
 @dataclass(frozen=True, eq=False)
 class NodeClearance:
-    """The levels that decide whether nodes see the sun, in the order of the turned grid.
+    """The ray heights that decide whether nodes see the sun, in the order of the turned grid.
 
     The sign of ``ray_height_m - shade_m`` changes when the sun disappears or appears.
 
@@ -176,12 +176,12 @@ class NodeClearance:
     orientation
         Orientation that leads from the nodes' order to the turned grid.
     ray_height_m
-        float32 (n, m), metres: the nodes' levels.
+        float32 (n, m), metres: the nodes' ray heights.
     shade_m
-        float32 (n, m), metres: the levels above which the sun is visible; about ``NO_GROUND_RAY_HEIGHT`` where nothing lies on the
-        way.
+        float32 (n, m), metres: the ray heights above which the sun is visible; about ``NO_GROUND_RAY_HEIGHT`` where nothing lies on
+        the way.
     ray_height_per_metre
-        Change of a level per metre of height.
+        Change of a ray height per metre of height.
     """
 
     orientation: GridOrientation
@@ -191,7 +191,7 @@ class NodeClearance:
 
 
 def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int) -> NodeClearance:
-    """Return the levels of nodes of bare ground, and the levels above which they see the sun. Raises as ``fill_nodes``."""
+    """Return ray heights and shadow heights of nodes of bare ground. Raises as ``fill_nodes``."""
     rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
     grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
     ground = grounds[-1]
@@ -238,7 +238,7 @@ class _Targets:
     row, col, t
         (n,): turned positions of these points.
     ray_height_m
-        (n,), metres: levels of these points; NaN for points of the ground.
+        (n,), metres: ray heights of these points; NaN for points of the ground.
     towards_m
         (n,), metres: distances of these points towards the sun.
     """
@@ -352,7 +352,7 @@ def _sweep_grounds(
 
 
 def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
-    """Return the largest absolute level (n, m) around the points. Ground that stops a ray narrowly has a level of this size."""
+    """Return the largest absolute ray height (n, m) around the points: that of ground that stops a ray narrowly."""
     if not targets.row.size:
         return 0.0
     (i, end_i), (j, end_j) = (

@@ -54,8 +54,8 @@ class ErrorMetrics:
         Share of D that is wrong and farther from truth's boundary than 2 px and two texel footprints, and the number of its
         connected parts of 8 px or more.
     interior_sees
-        Share of the true cast shadow that lies that far inside (``MetricCoverage``). If all shadow were missed, ``interior`` would
-        count this share. Coarse texels make it small; then only ``wrong_cast`` is conclusive.
+        Share of the true cast shadow that ``interior`` detects if missed (``MetricCoverage``): it lies that far inside. Coarse
+        texels make it small; then only ``wrong_cast`` is conclusive.
     boundary
         Share of the surface that is not decidable.
     soft_error
@@ -110,7 +110,7 @@ class MetricCoverage:
 
 
 def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> MetricCoverage:
-    """Return the shadow that a metric covers which counts wrong pixels in a mask.
+    """Return how much cast shadow lies in a metric's mask ``region``, and how many pixels are wrong.
 
     ``dark`` is the algorithm's class (rows, cols), True in shadow; ``region`` the metric's mask (rows, cols).
     """

@@ -65,8 +65,8 @@ def count(
 ) -> np.ndarray:
     """Return the number of volumes that contain each point of a buffer, uint8 (rows, cols), at most 127.
 
-    It is 0 where a point is not ``receiver_mask``. If ``uses_mark_bit`` is true, a bit of the stencil rejects all other pixels of
-    the view. Pixels of the samples' view that are no samples are always rejected.
+    It is 0 outside of ``receiver_mask``. If ``uses_mark_bit`` is true, a stencil bit rejects all other pixels of the view. Pixels
+    of the samples' view that are no samples are always rejected.
     """
     counts = np.zeros(receiver_mask.shape, np.uint8)
     if not any(len(volume_set.faces) for volume_set in volumes):

@@ -67,7 +67,7 @@ def has_too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
 
 
 VOLUME_REFUSALS: dict[Requirement, str] = {
-    "forest": "a shadow volume knows no texture: every picture of leaves would cast a full rectangle",
+    "forest": "shadow volumes ignore textures: every tree picture would cast a full rectangle",
     "bent map": BENT_MAP_REASON,
 }
 """Requirements that no volume can serve, and the reasons."""

@@ -87,7 +87,7 @@ def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np
 
 
 def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
-    """Return how triangles cast, int8 (m,): +1 as they are, -1 flipped, 0 not at all.
+    """Return the orientations in which triangles cast, int8 (m,): +1 as given, -1 flipped, 0 not at all.
 
     ``rule`` is one for all, or a number for each triangle: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles
     that cast nothing. All triangles of a part of a mesh have the same number. Raises ``InputError`` for any other rule.

@@ -245,7 +245,7 @@ def _cull(points, triangles, counts_behind, rectangles, depths, near_plane):
 
 @internal
 def _classify_triangle(lines, left, top, right, bottom):
-    """Return the position of a triangle, given the lines of its sides, relative to a rectangle."""
+    """Classify a triangle's position relative to a rectangle, given the lines of its sides."""
     relation = COVERS
     for n in range(3):
         low, high = _range(lines[n], left, top, right, bottom)

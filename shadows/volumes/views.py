@@ -82,7 +82,7 @@ class VisiblePoints:
 
 
 def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the wanted ones of a view's own points, part by part. ``near_m`` is the distance of the near plane.
+    """Yield the points in ``mask`` of a view's own points, part by part. ``near_m`` is the distance of the near plane.
 
     Each column is drawn at the middle of its top, in a view whose pixels are the cells.
     """
@@ -93,7 +93,7 @@ def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: f
 
 
 def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the wanted points that lie at their pixels, part by part."""
+    """Yield the points in ``mask`` that lie at their pixels, part by part."""
     view = buffer.view
     for part, top, left in affine_parts(scene.world, view):
         row, col = np.nonzero(mask[top : top + part.rows, left : left + part.cols])
@@ -113,7 +113,7 @@ def _top_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: 
 
 
 def sample_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the wanted ones of a view's samples, if it has any."""
+    """Yield the points in ``mask`` of a view's samples, if it has any."""
     view = buffer.view
     if buffer.sample_pixels is None or not isinstance(view, PerspectiveView):
         return

@@ -133,7 +133,10 @@ def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...
 
 
 def block_ground_casts_no_shadow(scene: Scene, receivers: Receivers) -> bool:
-    """Return whether the ground of a map's block shades none of it: it faces the whole sun, and has no gaps."""
+    """Return whether the ground of a map's block casts no shadow on itself.
+
+    All of it must face the whole sun, and no height may be missing.
+    """
     if not block_ground_faces_sun(scene, receivers):
         return False
     ground = patch_ground(scene.world, scene.elevation, _grid_of(receivers), block_patches(receivers))

@@ -81,8 +81,8 @@ class RayScene:
     alpha
         Alpha-tested meshes.
     traverse_sheets
-        Trace rays through the sheets themselves (``skugga.terrain.casters.sheet_rays``), for few rays in one direction. Otherwise
-        Embree takes the sheets, too: it copies and sorts them first.
+        Whether rays traverse the sheets themselves (``skugga.terrain.casters.sheet_rays``), for few rays in one direction.
+        Otherwise Embree builds a BVH that includes the sheets.
 
     Attributes
     ----------

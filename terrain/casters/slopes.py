@@ -45,7 +45,8 @@ class SlopeSupport(NamedTuple):
 def facing_range_of_slopes(support: SlopeSupport | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
     """Return the minimum of u - (a e + b n) over all casting facets, and its maximum over all visible ones.
 
-    Facets with a positive value face the sun. ``None`` where the slopes are unknown.
+    ``to_sun_enu`` is the direction to the sun (e, n, u). A facet rises by a per metre to the east and b to the north. It faces the
+    sun if its value is positive. ``None`` where the slopes are unknown.
     """
     if support is None:
         return None, None
@@ -72,8 +73,8 @@ def facing_range_of_mesh(
 ) -> tuple[float | None, float | None]:
     """Return minimum and maximum of u - (a e + b n) over facets of a perspective view's ground that intersect a corridor.
 
-    The mesh and the corridor are in the view's frame. Both values are infinite without facets, and ``None`` where a facet is too
-    steep.
+    The symbols are those of ``facing_range_of_slopes``. The mesh and the corridor are in the view's frame. Both values are infinite
+    without facets, and ``None`` where a facet is too steep.
     """
     rows, offsets, bounds = corridor
     to_frame = frame.frame_from_earth @ world.earth_from_anchor

@@ -95,7 +95,7 @@ def sun_caster_verdict(descriptor: Descriptor, kind: str) -> Verdict:
             return Verdict(True, f"{kind} can cast shadows into the view")
         return Verdict(False, f"{kind} cannot cast shadows into the view")
     if descriptor.relief_m <= 0.0:
-        return Verdict(False, "level ground casts no shadow")
+        return Verdict(False, "flat ground casts no shadow")
     min_excess, max_excess = numeric_fact(facts.get("least_slope")), numeric_fact(facts.get("most_slope"))
     tolerance = _facing_tolerance(descriptor.sun_altitude_deg or 0.0)
     if min_excess == np.inf:

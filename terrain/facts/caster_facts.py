@@ -97,7 +97,7 @@ def _forest_facts(trees: TreeInstances) -> CasterFacts:
 
 @cached("process", MIB)
 def leaf_gaps() -> np.ndarray:
-    """Return the mean width of leaves and gaps in each texture of a tree, shape (2 * looks,), as a share of the texture's side.
+    """Return the mean width of leaves and gaps in each texture of a tree, shape (2 * variants,), as a share of the texture's side.
 
     The width is the mean length of runs of leaf texels and of gap texels along the rows, within the outline of the tree.
     """

@@ -62,7 +62,7 @@ class LeafPictures(NamedTuple):
     base_frame_m, shape, yaw_cos_sin, variant
         Position, size, rotation and texture of each tree, as in ``TreeInstances``.
     leaf_mask
-        Leaf masks of the textures (2 * looks, side, side), bool.
+        Leaf masks of the textures (2 * variants, side, side), bool.
     """
 
     base_frame_m: np.ndarray
@@ -115,7 +115,7 @@ def _build_grid(base, shape, reach, low, cell, rows, cols):
 
 @cached("process", 64 * MIB)
 def leaf_masks() -> np.ndarray:
-    """Return the leaf mask of each texture of a tree, shape (2 * looks, side, side), bool."""
+    """Return the leaf mask of each texture of a tree, shape (2 * variants, side, side), bool."""
     return foliage().mip_levels[0][..., 3] >= ALPHA_THRESHOLD * 255
 
 

@@ -44,7 +44,7 @@ CROSS_OFFSETS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
 
 @dataclass(frozen=True, eq=False)
 class MultisampledBuffer:
-    """A picture's buffer with samples below it.
+    """A picture's geometry buffer, with rows of extra anti-aliasing samples below its own rows.
 
     Attributes
     ----------

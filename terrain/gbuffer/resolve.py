@@ -200,7 +200,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
     last_triangle, has_smooth_normals = (
         np.int64(-1),
         False,
-    )  # the triangle of p, face and smooth: neighbouring pixels mostly show the same one
+    )  # the triangle that p, face and has_smooth_normals belong to: neighbouring pixels mostly show the same one
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1

@@ -52,7 +52,7 @@ class TreeInstances:
     variant
         int32 (n,), index in ``TREE_VARIANTS``.
     curvature
-        How much "up" leans per metre from the frame's origin.
+        Tilt of the vertical, radians, per metre from the frame's origin: 1 / radius of the earth; 0 in a flat world.
     """
 
     number: np.ndarray
@@ -92,7 +92,7 @@ class TreeInstances:
         return np.flatnonzero(is_inside)
 
     def front_to_back(self, indices: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Return the indices ``indices`` sorted front to back along a direction (3,).
+        """Return indices of trees, sorted front to back along a direction (3,).
 
         A rasteriser need not colour what earlier trees hide.
         """

@@ -249,6 +249,7 @@ def create_egl_context(index: int) -> moderngl.Context:
 
 @contextmanager
 def _unset_variable(variable: str) -> Iterator[None]:
+    """Remove an environment variable within the block."""
     value = os.environ.pop(variable, None)
     try:
         yield

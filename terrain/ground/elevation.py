@@ -43,7 +43,7 @@ from skugga.terrain.level.level_source import remedy
 from skugga.terrain.level.parts import GroundSurface, Positive, Units
 
 FILL_CELLS = 64
-"""Maximum distance from their rims to which holes are filled, in cells of the level read."""
+"""Maximum distance from their rims to which holes are filled, in cells of the level of detail read."""
 
 PLAUSIBLE_M = (-11500.0, 9500.0)
 """Lowest and highest height on earth, metres; anything else (infinities, undeclared sentinels such as -32768) is a hole."""
@@ -73,7 +73,7 @@ class Elevation:
         Factor of the heights.
     resolution_m
         Finest detail that is drawn, metres; ``None`` for the raster's own.
-    made
+    raster_in_memory
         A raster in memory that replaces the file ``source``.
     water_m
         Height of standing water, metres; ``None``: no water. Water is the surface wherever the exaggerated ground lies below it.
@@ -289,9 +289,9 @@ class Elevation:
         return float(np.sqrt(abs(self._transform.determinant))) * metres_per_unit
 
     def heights_at(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights in metres (float32) at (fractional) cells of level 0, and the valid mask (bool).
+        """Return heights in metres (float32) at (fractional) cells of the raster, and the valid mask (bool).
 
-        Heights are bilinear between cells of ``lod`` (2**level raster cells a side), or those of the cells themselves if
+        Heights are bilinear between cells of ``lod`` (2**lod raster cells a side), or those of the cells themselves if
         ``surface`` is blocks. NaN means no data nearby.
         """
         row, col, ends = self._positions_at_lod(lod, row, col)
@@ -321,23 +321,26 @@ class Elevation:
         return height[1:-1, 1:-1].copy(), valid[1:-1, 1:-1].copy(), rim[1:-1, 1:-1].copy()
 
     def covers_cells(self, lod: int, row: np.ndarray, col: np.ndarray) -> bool:
-        """Return whether all (fractional) cells of level 0 lie on the cells of a level."""
+        """Return whether all (fractional) cells of the raster lie on the cells of a level of detail."""
         rows, cols = (count * 2**lod for count in self._lod_shape(lod))
         inside = (row >= -0.5) & (row <= rows - 0.5) & np.isfinite(col)
         return bool((inside if self._wrap_period else inside & (col >= -0.5) & (col <= cols - 0.5)).all())
 
     def _positions_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rows and columns on a level for those of level 0, NaN off it, and the minimum and maximum of both (2, 2)."""
-        from skugga.terrain.ground.elevation_loops import to_lod  # here: who asks for no height needs no compiler
+        """Return rows and columns at a level of detail for those of the raster, NaN off it, and both ranges (2, 2)."""
+        from skugga.terrain.ground.elevation_loops import to_lod  # imported here: only heights need numba
 
         rows, cols = self._lod_shape(lod)
-        row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # what is broadcast numba does not take
+        row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # numba rejects broadcast arrays
         if self._wrap_period:
             return to_lod(row, self._columns_at_lod(lod, col), 2.0**lod, rows, np.inf)
         return to_lod(row, col, 2.0**lod, rows, np.float64(cols))
 
     def _clamped_positions(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest rows and columns between a level's outermost centres for those (n,) of level 0; NaN beyond a pole."""
+        """Return the nearest rows and columns between a level of detail's outermost centres for those (n,) of the raster.
+
+        They are NaN beyond a pole.
+        """
         rows, cols = self._lod_shape(lod)
         on_row = np.clip((row + 0.5) / 2**lod - 0.5, 0.0, rows - 1.0)
         on_col = self._columns_at_lod(lod, col) if self._wrap_period else np.clip((col + 0.5) / 2**lod - 0.5, 0.0, cols - 1.0)
@@ -347,7 +350,7 @@ class Elevation:
         return np.where(is_position, on_row, np.nan), np.where(is_position, on_col, np.nan)
 
     def _heights_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``heights_at`` for rows and columns on a level whose minima and maxima are known."""
+        """Return ``heights_at`` for rows and columns at a level of detail; ``ends`` (2, 2) are their minima and maxima."""
         from skugga.terrain.ground.cells import cell_heights
         from skugga.terrain.ground.elevation_loops import bilinear
 
@@ -391,7 +394,7 @@ class Elevation:
         return padded_values[row0 - top : row1 - top, col0 - left : col1 - left], valid
 
     def _read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        """Return heights in metres of a window of cells of a level, float32, NaN in holes."""
+        """Return heights in metres of a window of cells of a level of detail, float32, NaN in holes."""
         if not self._wrap_period:
             return self._read_inside(lod, row0, row1, col0, col1)
         period, (_, cols) = self._columns_per_turn(lod), self._lod_shape(lod)
@@ -431,13 +434,13 @@ class Elevation:
         return data.data, height_m, np.ma.getmaskarray(data), plausible
 
     def _columns_per_turn(self, lod: int) -> int:
-        """Return the number of cells of a level in one turn round the earth, for a raster that wraps."""
+        """Return the number of cells of a level of detail in one turn round the earth, for a raster that wraps."""
         return max(self._wrap_period // 2**lod, 1)
 
     def _columns_at_lod(self, lod: int, col: np.ndarray) -> np.ndarray:
-        """Return (fractional) columns of a level from columns of level 0, for a raster that wraps round the earth.
+        """Return (fractional) columns at a level of detail from columns of the raster, which wraps round the earth.
 
-        Less than one cell of the level may be left over at the end of a turn. Columns between the last cell's centre and the first
+        Less than one cell may be left over at the end of a turn. Columns between the last cell's centre and the first
         one's are stretched over that remainder. So a position has the same column, up to whole turns, from whichever side it is
         reached.
         """

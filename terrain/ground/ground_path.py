@@ -27,7 +27,7 @@ TimedPosition = tuple[float, tuple[float, float, float]]
 
 
 class GroundPosition(NamedTuple):
-    """Position of an object that stands still.
+    """Position over the ground, with the local up vector.
 
     Attributes
     ----------

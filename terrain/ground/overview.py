@@ -28,9 +28,9 @@ MAX_OVERVIEW_RATIO = 4
 """Maximum ratio between successive overviews of a file: a coarse window then reads 16 cells for one."""
 
 FINE_LOD, MAX_FINE_CELLS = 5, 16_000_000
-"""Level whose maxima are kept besides those of a coarser overview, and the maximum cells of these.
+"""Level of detail whose maxima are cached too if the overview is coarser, and the maximum number of its cells.
 
-The level is a coarser one if ``FINE_LOD`` itself has more cells.
+It is a coarser one if ``FINE_LOD`` itself has more cells.
 """
 
 MEAN_ROWS_PER_READ = 64
@@ -77,7 +77,7 @@ class LodReader(Protocol):
         ...
 
     def read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        """Return heights of a window of a level's cells, metres, NaN in holes: single cells until ``settle``, means afterwards."""
+        """Return heights, metres, of a window of cells, NaN in holes: single cells before ``settle``, averages after it."""
         ...
 
     def settle(self) -> None:

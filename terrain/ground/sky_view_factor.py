@@ -231,10 +231,10 @@ def _sector_light(tangent, rise):
 def _sweep_lines(
     height, slope, forward_spacing_m, sideways_spacing_m, by_row, sector, half_rows_per_col, direction, curvature, out
 ):
-    """Add the light that the ground passed hides, along all lines that go ``half_rows_per_col`` half-rows for each column.
+    """Add the sky light that earlier ground occludes, along all lines that go ``half_rows_per_col`` half-rows for each column.
 
-    ``direction`` is the direction, 1 or -1. ``by_row`` is whether the distances, which are per raster row, belong to this array's
-    rows or to its columns.
+    ``direction`` is 1 for increasing columns, else -1. ``by_row`` is whether the distances, which are per raster row, belong to
+    this array's rows or to its columns.
     """
     rows, cols = height.shape
     low, high = min(0, -half_rows_per_col * (cols - 1)), 2 * (rows - 1) + max(0, -half_rows_per_col * (cols - 1))
@@ -430,7 +430,7 @@ def cell_in_square(corners, u, v):
 
 
 class MipPair(NamedTuple):
-    """The two levels of a pyramid between which a footprint interpolates.
+    """Two adjacent mip levels and the weight between them (trilinear filtering).
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ MIN_NEAR_DISTANCE_M = 50.0
 
 @dataclass
 class UndeclaredNodata:
-    """Counts of implausible and sentinel cells of a raster, each cell read once.
+    """Counts of cells that look like nodata but are not declared as such, each cell read once.
 
     Attributes
     ----------

@@ -140,7 +140,8 @@ def load_camera_path(path: Path) -> CameraPathSpec:
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         location = f"{path}: line {mark.line + 1}" if mark else str(path)
-        raise LevelError(location, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
+        problem = Problem(getattr(error, "problem", None) or "malformed YAML")
+        raise LevelError(location, problem, "Use well-formed YAML 1.2") from None
     except (ValueError, RecursionError) as error:  # an impossible date, or too deeply nested brackets
         raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):

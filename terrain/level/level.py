@@ -492,7 +492,8 @@ def _load(source: LevelSource) -> LoadedLevel:
             raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
         mark = getattr(error, "problem_mark", None)
         location = f"{path}: line {mark.line + 1}" if mark else str(path)
-        raise LevelError(location, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
+        problem = Problem(getattr(error, "problem", None) or "malformed YAML")
+        raise LevelError(location, problem, "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):
         if path.suffix.lower() not in TEXT_SUFFIXES:
             raise LevelError(str(path), Problem(_NOT_A_LEVEL), _LEVEL_REMEDY)

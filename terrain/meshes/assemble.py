@@ -155,7 +155,7 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
 
 
 def _place_bodies(bodies: list[Body], spec: MeshSpec, poses: list[_Pose], motion: BodyMotion | None) -> list[PlacedBody]:
-    """Return the bodies placed at every spot. All copies of a body share one ``Body``."""
+    """Return the bodies placed at every pose. All copies of a body share one ``Body``."""
     rotated_bodies = [transformed(body, yaw_deg=spec.turn, scale=spec.scale) for body in bodies]
     return [PlacedBody(body, pose.point_earth_m, pose.earth_from_enu, motion) for pose in poses for body in rotated_bodies]
 
@@ -176,7 +176,7 @@ def _motion(spec: MeshSpec, key_path: str, geolocator: Geolocator) -> BodyMotion
 
 
 def _poses(spec: MeshSpec, motion: BodyMotion | None, key_path: str, geolocator: Geolocator) -> list[_Pose]:
-    """Return the spots of a level's mesh before it moves; for a mesh on a path, that of its first key."""
+    """Return the poses of a level's mesh before it moves; for a mesh on a path, that of its first key."""
     if motion is None or motion.path is None:
         positions: Sequence[MapPosition | None] = spec.positions or [None]
         return [_ground_pose(position, key_path, geolocator) for position in positions]

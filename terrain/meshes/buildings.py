@@ -121,7 +121,8 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
 
     Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else those
     of the attributes that ``height_attributes`` recognises. Omits a footprint whose height is unknown, not above 0, not above its
-    floor, or measured and below ``MIN_MEASURED_HEIGHT_M``, and one without ground under most of it. ``key_path`` is the key's path.
+    floor, or measured and below ``MIN_MEASURED_HEIGHT_M``, and one without ground under most of it. ``key_path`` is the
+    path of the mesh's key in the level file, for messages.
 
     Raises ``SourceError`` for an unusable file, ``LevelError`` if no source of heights exists.
     """

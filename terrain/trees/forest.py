@@ -78,7 +78,7 @@ MAX_OUTLINE_DISTANCE_M = 5e6
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """The map in which stands are laid out before they are planted on the ground.
+    """The map in which tree positions are computed before they are projected onto the ground.
 
     On the globe it is an equal-area map about the anchor, so that a density means the same everywhere. A flat world uses the CRS of
     its elevation.
@@ -175,7 +175,7 @@ class Stems:
 
 @dataclass(frozen=True, eq=False)
 class Planting:
-    """Result of planting.
+    """The planted trees of a level, with notes and warnings.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ from tests.rasters import ENGINEERING
 
 ZOOM = 12
 CORNER = 2144, 1432
-"""A tile at ``ZOOM``, near 8.4 degrees east and 47.5 north, whose north-western corner is one of four blocks."""
+"""Column and row of the tile at the corner of four blocks: its north-west corner, near 8.4 degrees east and 47.5 north."""
 
 CELL_M, CELLS = 30.0, 400
 SUN = {"azimuth": 250, "altitude": 18}

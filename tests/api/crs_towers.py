@@ -106,7 +106,10 @@ def mask_of(source: Path, output: Path, azimuth: float, altitude: float = ALTITU
 def shadow_deviation(
     mask: np.ndarray, source: Path, crs: CRS, azimuth: float, lon_lat_crs: CRS = LON_LAT_CRS, geod: Geod = WGS84
 ) -> ShadowDeviation:
-    """Return the deviation of the tower's shadow in a mask of the cells of a raster, in GDAL's order of the axes of a CRS."""
+    """Return how far the tower's shadow deviates from its expected bearing and length.
+
+    ``mask`` classifies the cells of the raster ``source``. ``crs`` has its axes in GDAL's order.
+    """
     with rasterio.open(source) as dataset:
         transform = dataset.transform
     row, col = np.mgrid[:SIDE, :SIDE]

@@ -60,7 +60,7 @@ def test_a_published_report_is_one_small_file(name: str) -> None:
     text, stored_record = report.read_text(encoding="utf-8"), reports.stored_records()[name]
     assert report.stat().st_size < MAX_BYTES
     assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "nothing but itself"
-    assert f"<dd>{stored_record['made']}</dd>" in text, "the page tells of the run that the report is of"
+    assert f"<dd>{stored_record['made']}</dd>" in text, "the page names the run of the report"
     assert all(row in text for row in stored_record["rows"])
 
 

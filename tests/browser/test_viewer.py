@@ -48,7 +48,7 @@ def test_time_of_day_moves_the_shadows(viewer: Viewer):
     time_of_day.fill("17:45")
     evening_again = viewer.shown()
     assert np.array_equal(evening_again.pixels, evening.pixels), "and back again"
-    assert not evening_again.queries, "what has been seen is kept"
+    assert not evening_again.queries, "cached tiles are not requested again"
 
 
 def test_time_slider_moves_the_shadows(viewer: Viewer):

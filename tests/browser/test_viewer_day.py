@@ -125,7 +125,7 @@ def test_played_day_has_no_blank_frame(day: FakeDay):
     day.viewer.page.wait_for_function("() => Number(document.getElementById('minutes').value) < 600")
     day.wait_until_later(9 * 60)
     request_count = len(day.requested_urls)
-    assert len(set(day.requested_urls)) == request_count, "nothing is asked for twice"
+    assert len(set(day.requested_urls)) == request_count, "no tile is requested twice"
     day.wait_until_later(12 * 60)
     assert len(day.requested_urls) == request_count
 

@@ -103,7 +103,7 @@ def test_sky_drawing_equals_the_sky_of_the_service(viewer: Viewer, service: Clie
     assert (x, y) == pytest.approx((horizon_distance, 0.0), abs=0.01), "the 180th of 720 directions is east"
     point_count = sum(len((line.get_attribute("points") or "").split()) // 2 for line in drawing.locator("polyline").all())
     changes = sum(a["lit"] != b["lit"] for a, b in zip(sky["path"], sky["path"][1:], strict=False))
-    assert point_count == len(sky["path"]) + changes, "each run reaches to where the next begins"
+    assert point_count == len(sky["path"]) + changes, "adjacent runs share their end point"
 
 
 def test_point_by_keyboard_follows_the_time(viewer: Viewer, service: Client):

@@ -185,7 +185,7 @@ def test_second_walk_is_answered_by_the_cache(deployment: Deployment):
     counter_changes = deployment.read_counters() - before
     assert counter_changes["200"] == len(walk), "the second walk never reached the service"
     service_ms = [deployment.direct.get(address).elapsed.total_seconds() * 1000 for address in walk]
-    figures = {**{name.lower(): times for name, times in took_ms.items()}, "kept by the service, without nginx": service_ms}
+    figures = {**{name.lower(): times for name, times in took_ms.items()}, "cached by the service, without nginx": service_ms}
     for name, times in figures.items():
         print(f"{name}: {len(times)} tiles, median {statistics.median(times):.2f} ms, longest {max(times):.1f} ms")
 

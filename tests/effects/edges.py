@@ -80,7 +80,7 @@ class EffectChange:
 
 
 class EffectComparison:
-    """Builder of levels in a folder, which also draws them."""
+    """Compare pictures of levels with an effect forced on and forced off."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -61,13 +61,13 @@ def errors(rendered: RenderedView, truth: Truth | None = None) -> ErrorMetrics:
 
 
 def interior_coverage(rendered: RenderedView, truth: Truth | None = None) -> MetricCoverage:
-    """Return the coverage of the cast shadow by the interior of these errors."""
+    """Return the coverage of the cast shadow by ``errors(...).interior``."""
     truth = _applicable_truth(rendered, truth)
     return metric_coverage(rendered.dark, truth, interior_region(truth, rendered.texels_px))
 
 
 def decidable_coverage(rendered: RenderedView, truth: Truth | None = None) -> MetricCoverage:
-    """Return the coverage of a figure that counts every decidable pixel."""
+    """Return the coverage of the cast shadow by all decidable pixels."""
     truth = _applicable_truth(rendered, truth)
     return metric_coverage(rendered.dark, truth, truth.decidable)
 

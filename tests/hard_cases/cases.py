@@ -162,10 +162,10 @@ class Trial:
         return write_geotiff(self.folder / f"{name}.tif", heights, crs, x0, y0, cell, **options)
 
     def render_view(self, scene: Scene, view: View | None = None, light: str | None = None, **settings: Any) -> RenderedView:
-        """Draw a view (of one block) with this trial's algorithm; ``settings`` are further settings, as in a level's ``shadows``.
+        """Draw a view (of one block) with this trial's algorithm.
 
-        While the sun shines the algorithm runs even if the plan finds no casters: its output must show that there are none. Raises
-        ``UnsupportedError`` if the algorithm cannot serve the view.
+        ``settings`` are those of a level's ``shadows``, besides the algorithm. While the sun shines, the algorithm runs even if the
+        plan finds no casters: its output must show that there are none. Raises ``UnsupportedError`` if the algorithm cannot serve the view.
         """
         view = view or scene.view()
         level = scene.loaded.level
@@ -211,7 +211,7 @@ class Case:
         assert figures.keys() == self.bounds.keys(), f"{self.id}: figures {list(figures)} for bounds {list(self.bounds)}"
         shadow_figures = {name for name in figures if SHADOW_FIGURE_PATTERN.search(name)}
         assert shadow_figures <= trial.coverages.keys(), (
-            f"{self.id}: {shadow_figures} judge the shadow, {set(trial.coverages)} say what they see"
+            f"{self.id}: {shadow_figures} judge shadow, but coverage is recorded for {set(trial.coverages)} only"
         )
         return {
             **record,
@@ -221,7 +221,7 @@ class Case:
 
 
 def coverage_summary(coverages: list[MetricCoverage]) -> dict[str, float]:
-    """Return ``wrong_cast`` of the worst picture and ``covered_share`` of all pictures.
+    """Summarise coverages: ``wrong_cast`` of the worst picture, ``covered_share`` of all.
 
     If no picture has much cast shadow, ``wrong_cast`` is that of all pictures together. Without any cast shadow the result is
     empty.

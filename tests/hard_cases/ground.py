@@ -30,8 +30,9 @@ def view_from_above(trial: Trial, scene: Scene, pixels: int) -> View:
 
 
 def close_view(trial: Trial, scene: Scene, at: tuple[float, float], height_m: float, extent_m: float, pixels: int) -> View:
-    """Return a square of a level from above, as ``view_from_above`` does: ``extent_m`` a side,
-    round a place in its raster's CRS.
+    """Return a square of a level from above, like ``view_from_above``.
+
+    Its sides are ``extent_m`` long; its centre is at (x, y) in the raster's CRS.
     """
     if trial.algorithm != "perspective_shadow_map":
         (x, y), half_m = at, extent_m / 2.0

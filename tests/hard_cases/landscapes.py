@@ -36,7 +36,7 @@ def tilted_plane(trial: Trial, slope_deg: float, aspect_deg: float) -> Path:
 
 
 def plane_normal(slope_deg: float, aspect_deg: float) -> np.ndarray:
-    """Return the unit normal (3,) of such a plane, east, north, up."""
+    """Return the unit normal (3,) of a plane by slope and aspect: east, north, up."""
     slope, aspect_rad = np.radians(slope_deg), np.radians(aspect_deg)
     return np.array([np.sin(slope) * np.sin(aspect_rad), np.sin(slope) * np.cos(aspect_rad), np.cos(slope)])
 

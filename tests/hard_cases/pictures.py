@@ -83,7 +83,7 @@ def holes(trial: Trial) -> Image.Image:
 
 
 def masks(trial: Trial) -> Image.Image:
-    """Return wires of half a texel by both masks of the hybrid."""
+    """Return wires of half a texel, drawn with the original and the conservative mask of the hybrid."""
     anchor = block((0.02, 0.02, 0.02), (SIDE_M, SIDE_M))
     meshes = [trimesh.util.concatenate([*wires(0.5 * SIDE_M / 61), anchor])]
     scene, halves = trial.scene(flat_terrain(), SUN, meshes, "wires"), []

@@ -41,7 +41,7 @@ between.
 """
 
 ROUNDING_DIRECTIONS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-"""A place, and the places right and up of it by the rounding error."""
+"""Offsets right and up of a position, as multiples of the rounding error: none, and the four diagonals."""
 
 NEIGHBOUR_OFFSETS = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
 """Rows and columns from a node to its neighbours, counter-clockwise."""

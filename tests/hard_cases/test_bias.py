@@ -165,7 +165,10 @@ def test_a_cube_touches_its_shadow(trial: Trial) -> dict[str, float]:
 
 
 def gap_texels(rendered: RenderedView, from_sun: np.ndarray, foot_m: float, length_m: float) -> float:
-    """Return how far lit ground reaches from a wall's foot into its shadow, in texels or pixels; ``from_sun`` (2,) from the sun."""
+    """Return how far lit ground reaches from a wall's foot into its shadow, in texels or pixels.
+
+    ``from_sun`` (2,) is the horizontal direction away from the sun.
+    """
     point = rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m
     distance_m, lateral_m = point[..., :2] @ from_sun - foot_m, point[..., :2] @ (from_sun[::-1] * [1, -1])
     pixel_m = describe(rendered.scene, rendered.view).pixel_m

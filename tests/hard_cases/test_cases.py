@@ -59,5 +59,5 @@ def test_a_figure_that_sees_no_shadow_is_marked_in_the_table(tmp_path):
 
 
 def test_who_judges_shadow_says_what_it_sees(tmp_path):
-    with pytest.raises(AssertionError, match="interior.*judge the shadow"):
+    with pytest.raises(AssertionError, match="interior.*judge shadow, but coverage is recorded for"):
         case_record(tmp_path, MetricCoverage(1, 1, 0, 1), figure="another")

@@ -22,10 +22,10 @@ from tests.rasters import ENGINEERING
 from tests.shadows.boxes import box
 
 AZIMUTH = 77.0
-"""Altitude of the sun over a cliff; it faces the cliff."""
+"""Azimuth of the sun, degrees; the cliff faces it."""
 
 CLIFF_EAST_M = -5.0, 5.0
-"""Start and end of the cliff, from west to east: one cell."""
+"""East coordinates of the cliff's two edges, metres: one cell apart."""
 
 
 def cliff(trial: Trial, height_m: float, altitude: float, meshes: list[trimesh.Trimesh] | None = None) -> Scene:

@@ -178,7 +178,7 @@ def test_no_teeth_in_maps(trial: Trial) -> dict[str, float]:
 
 
 def _terminators(thorough: bool) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Yield azimuths; the point of the terminator nearest to the dome's top, and the horizontal direction to the sun."""
+    """Return for each azimuth the terminator's point nearest to the dome's top, and the horizontal direction to the sun."""
     result = []
     for azimuth in (237.0, 90.0, 18.0, 315.0) if thorough else (237.0, 90.0):
         to_sun = np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])

@@ -134,7 +134,7 @@ def worst_outline_error(
 
 
 def relative_outline_error(trial: Trial, scene: Scene, place: Place, sun: tuple[float, float], tolerance_m: float) -> float:
-    """Return the same for a scene whose sun should be the one given."""
+    """Return the distance of one scene's shadow from its outline, in units of the tolerance or a texel."""
     px, size = (320, 2048) if trial.thorough else (160, 1024)
     rendered = trial.render_view(scene, view_of(trial, scene, px), map_size=size, filter=1)
     return outline_error_m(rendered, place, *sun) / max(tolerance_m, texel_m(rendered), resampled_m(rendered))

@@ -27,7 +27,7 @@ def pictures(algorithm: str, folder: Path, px: int) -> list[np.ndarray]:
 
 
 def pictures_of_new_process(algorithm: str, folder: Path, px: int, **environment: str) -> tuple[str, list[np.ndarray]]:
-    """Return the same from a fresh process, and the name of its renderer."""
+    """Return the renderer's name and ``pictures`` of a new process."""
     code = (
         "import sys; import numpy as np; from pathlib import Path; from skugga.terrain.gl.device import device;"
         "from tests.hard_cases.test_repeatable import pictures;"

@@ -32,7 +32,7 @@ from tests.metrics import flicker
 
 
 def frame_flickers(frames: list[RenderedView]) -> list[float]:
-    """Return FK of each pair of frames: over the points that both show, at the nearest pixel of the next frame."""
+    """Return the flicker of each pair of frames: over the points that both show, at the nearest pixel of the next frame."""
     shares = []
     for frame, next_frame in zip(frames, frames[1:], strict=False):
         visible, row, col = _pixels_of(frame, next_frame)
@@ -80,7 +80,7 @@ def move_camera(kind: str, scene: Scene, view: PerspectiveView, frame: int) -> P
 
 
 def steadiness(trial: Trial, kind: str) -> dict[str, float]:
-    """Return mean FK over the frames of a move, all drawn by the first one's plan.
+    """Return the mean flicker over the frames of a move, all drawn by the first one's plan.
 
     Where truth must be computed, only a few frames are compared.
     """
@@ -96,9 +96,9 @@ def steadiness(trial: Trial, kind: str) -> dict[str, float]:
 
 
 def map_flickers(trial: Trial, scene: Scene, views: list[PerspectiveView], **options: object) -> list[float]:
-    """Return FK of each pair of frames of an algorithm with one map, with the frame's own points looked up in both maps.
+    """Return the flicker of each pair of frames of an algorithm with one map.
 
-    Truth cannot change, since the points are the same.
+    The frame's own points are looked up in both maps. Truth cannot change, since the points are the same.
     """
     shares = []
     frames = [trial.render_view(scene, view, cascades=1, **options) for view in views]
@@ -192,7 +192,7 @@ def test_whole_pixel_shifts_without_texels(trial: Trial) -> dict[str, float]:
 
 
 def _whole_pixel_flicker(trial: Trial) -> float:
-    """Return the largest FK of whole-pixel shifts: the overlap has the same points, and each frame has a plan of its own.
+    """Return the largest flicker of whole-pixel shifts: the overlap has the same points, and each frame has a plan of its own.
 
     Algorithms without texels get 60 shifts only.
     """

@@ -47,7 +47,7 @@ HOUSES_AND_WOOD = ((-160.0, -150.0, 60.0), (100.0, 100.0, 0.0))
 """Houses, and the wood beyond them."""
 
 GLIDE_FRAMES, DIVE_FRAMES, COMPARED_FRAMES = 20, 12, 8
-"""Frames of a glide, frames of the dive, and drawn frames of a switch."""
+"""Frame counts: of each glide, of the dive, and of the switch whose first frames are compared."""
 
 RATES_NS = {
     "shadow_map, perspective": {
@@ -343,7 +343,7 @@ def test_replanner_keeps_the_choice_of_returning_casters(scene, level):
 def count_tie_switches(descriptor: Descriptor, level: Level, time_gain: float, frames: int, runs: int) -> int:
     """Return the switches of a camera that crosses a tie of two plans again and again.
 
-    For ``frames`` frames one plan takes less time by the share ``time_gain``, then the other one does.
+    The cheaper plan alternates every ``frames`` frames; it saves the share ``time_gain`` of the time.
     """
     policy, plans = SwitchablePolicy(COARSE_MAP, CASCADED_MAP, min_ms=1.0 - time_gain, other_ms=1.0), []
     replanner = Replanner(plans=policy)

@@ -165,8 +165,8 @@ def test_registry_lists_passes_of_every_fill():
     [
         ("shadow_map", {}),
         ("perspective_shadow_map", {"map": "perspective", "bent map": "perspective", "omni": "does not fit one"}),
-        ("shadow_volume", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
-        ("hybrid", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
+        ("shadow_volume", {"forest": "ignore textures", "bent map": "a quarter of a pixel"}),
+        ("hybrid", {"forest": "ignore textures", "bent map": "a quarter of a pixel"}),
         ("planar", {"uneven": "the ground is not flat: planar projects casters onto one plane"}),
         ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per position", "forest": "heightfield"}),
     ],
@@ -328,7 +328,7 @@ def test_plan_refuses_volumes_in_maps_of_small_scale(gl, tmp_path):
 
 REFUSAL_CASES = [
     ("planar", "uneven", "the ground is not flat"), ("sweep", "level", "trees are not a heightfield"),
-    ("shadow_volume", "level", "knows no texture"), ("hybrid", "uneven", "knows no texture"),
+    ("shadow_volume", "level", "ignore textures"), ("hybrid", "uneven", "ignore textures"),
     ("perspective_shadow_map", "level", "a map view has no perspective"),
 ]  # fmt: skip
 

@@ -220,7 +220,7 @@ def test_predict_chooses_for_kinds_without_an_override(measured_views, measured_
     reasons = {item.name: item.reason for item in plan.reasons}
     assert reasons["sun/meshes: shadow_volume"] == "set by the request"
     assert "expected" in reasons[f"sun/relief: {plan.algorithm[SUN]['relief']}"]
-    with pytest.raises(UnsupportedError, match="a shadow volume knows no texture"):
+    with pytest.raises(UnsupportedError, match="shadow volumes ignore textures"):
         plan_view(village, measured_device, {"algorithm": {"forest": "shadow_volume"}}, None)
 
 

@@ -26,7 +26,7 @@ ALL_GOLDENS_FILTER = " and ".join(f"not {name}" for name in UNSUPPORTED_LEVELS)
 )
 def test_goldens_on_softpipe(gl, those, count):
     if not gl.renderer.startswith(RENDERER):
-        pytest.skip(f"Mesa's {RENDERER} says that softpipe is there, too; this is {gl.renderer}")
+        pytest.skip(f"softpipe needs a Mesa with {RENDERER}. The renderer is {gl.renderer}.")
     command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "tests.softpipe", "tests/shadows/test_snapshots.py", "-k", those]
     process = subprocess.run(command, cwd=ROOT, env={**os.environ, **SOFTPIPE}, capture_output=True, text=True, timeout=600)
     assert process.returncode == 0, process.stdout

@@ -185,7 +185,7 @@ def test_plan_lists_the_present_caster_kinds(build):
         assert all(list(per_kind) == kinds for per_kind in plan.algorithm.values())
     level = build(ground="level", meshes=[HOUSE])
     plan = plan_of(level, level.view("eye"))
-    assert plan.algorithm[SUN] == {"relief": "none", "meshes": "shadow_volume"}  # level ground casts no shadow
+    assert plan.algorithm[SUN] == {"relief": "none", "meshes": "shadow_volume"}  # flat ground casts no shadow
 
 
 # -- stand-ins and the clock
@@ -285,7 +285,7 @@ def test_forced_shadows_without_lights_are_all_dark(gl, build, kind, algorithm):
     scene = build(sun="none", effects={"cast_shadows": "on"}, meshes=[HOUSE])
     frame = render(scene, view_of(scene, kind), algorithm=algorithm)
     if np.nan_to_num(frame.visibility).any():
-        raise RuntimeError("what no light reaches is lit")
+        raise RuntimeError("pixels are lit although no light exists")
 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])

@@ -94,7 +94,7 @@ def resident_mib(pid: int) -> float:
 
 
 def new_sun_paths() -> Iterator[str]:
-    """Addresses of one tile under suns that nobody has asked for."""
+    """Yield paths of one tile, each with a sun that was not requested before."""
     return (f"{TILE}?azimuth={number % 3600 / 10}&altitude={5 + number / 3600:.3f}" for number in itertools.count())
 
 
@@ -125,7 +125,7 @@ def test_four_times_the_load(tmp_path: Path, capsys: pytest.CaptureFixture):
         print(f"log: {size} bytes")
     assert set(new_sun_answers.statuses) <= EXPECTED_STATUSES
     assert new_sun_answers.retry_after_count == new_sun_answers.count(503), "a refusal says when to come back"
-    assert new_sun_answers.count(200) > 0.5 * rate * SECONDS, "what it can do, it does"
+    assert new_sun_answers.count(200) > 0.5 * rate * SECONDS, "throughput holds under overload"
     for answers, status in ((cached_answers, 200), (health, 200), (unchanged, 304)):
         assert set(answers.statuses) == {status}
     assert size < 1_000_000

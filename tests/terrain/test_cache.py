@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class FakeElevation:
-    """Compares by identity, like scenes and their parts."""
+    """A stand-in for an elevation, compared by identity like scenes and their parts."""
 
 
 class FakeObject:

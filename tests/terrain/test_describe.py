@@ -264,7 +264,7 @@ def test_bands_contain_the_visible_points_and_little_more(tmp_path):
     assert bands[0].far_m <= 2.0 and bands[-1].far_m >= 16_384.0
     for band in bands:
         sides_m = np.subtract(band.high_light_m, band.low_light_m)
-        assert (sides_m <= 2.2 * band.far_m).all(), f"{sides_m} m of what is seen at {band.far_m} m"
+        assert (sides_m <= 2.2 * band.far_m).all(), f"the band of {band.far_m} m spans {sides_m} m in light space"
     buffer = geometry_buffer(scene, view)
     rotation, translation = scene.light.from_frame(buffer.frame)
     points = buffer.position_frame_m[buffer.valid]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import Literal
 
 from fastapi import Request, Response
 
@@ -28,8 +27,6 @@ GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
 
 RESERVED_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME", "DATE", "I", "J"})
 """Keys that WMS and WMTS define. They are no options of products, although some options have the same names."""
-
-DocumentKind = Literal["WMTS", "WMS"]
 
 
 class KeyValuePairs:

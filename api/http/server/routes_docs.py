@@ -31,7 +31,7 @@ _START = """SwaggerUIBundle({
   dom_id: '#swagger-ui',
   presets: [SwaggerUIBundle.presets.apis],
   deepLinking: true,
-  validatorUrl: null, // no service elsewhere is asked what it thinks of the document
+  validatorUrl: null, // no external validator gets the document
 });
 """
 """A separate file, since the content security policy forbids inline scripts."""

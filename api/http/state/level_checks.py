@@ -122,7 +122,7 @@ class LevelCheck(Generic[Value]):
                 started.future.set_result(self.value)
 
         try:
-            threading.Thread(target=run, name=f"look at {self.name}", daemon=True).start()
+            threading.Thread(target=run, name=f"check {self.name}", daemon=True).start()
         except (RuntimeError, MemoryError) as error:
             self._running = running
             self._log_exhausted(error)

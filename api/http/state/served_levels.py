@@ -354,7 +354,7 @@ def _named_files(source: LevelSource) -> list[Path]:
 def _level_files(folder: Path, reserved_names: Collection[str]) -> dict[str, Path]:
     """Return the level files of a folder by name, without hidden files.
 
-    Raises ``InputError`` for a folder that cannot be read, and for a name that is ``reserved_names`` or appears twice.
+    Raises ``InputError`` for a folder that cannot be read, for a name in ``reserved_names``, or for a name that appears twice.
     """
     try:
         files = sorted(

@@ -87,7 +87,7 @@ class Service:
 
         Raises
         ------
-        TooManySunsError
+        RateLimitError
             The client asks for too many new suns.
         ClientGoneError
             The client has disconnected.

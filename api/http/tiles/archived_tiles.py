@@ -25,9 +25,9 @@ async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | 
 
 
 def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *request_parts: object, **extra_headers: str) -> EncodedTile:
-    """Return a tile of an archive with ``extra_headers`` headers.
+    """Return a tile of an archive with ``extra_headers``.
 
-    Its entity tag depends on its bytes and on the request's parts ``request_parts``. All services with this tile therefore have the
+    Its entity tag depends on its bytes and on ``request_parts``. All services with this tile therefore have the
     same tag, and it stays the same if an archive is replaced by another one with the same tile.
     """
     tag = entity_tag("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *request_parts)

@@ -8,7 +8,9 @@ from skugga.api.products.product import MEDIA_TYPES
 from skugga.selector.formatting import format_list
 
 PICTURE_DOCS: ResponseDocs = {
-    **file_docs("The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.", MEDIA_TYPES.values()),
+    **file_docs(
+        "The picture. `X-Skugga-Caster-Reach` is the distance towards the sun in which casters were searched.", MEDIA_TYPES.values()
+    ),
     **problem_docs(*WORK_ERRORS),
 }
 

@@ -40,7 +40,7 @@ STATE_DOCS: ResponseDocs = {200: {"description": "Its state.", "model": Animatio
     response_model=AnimationState,
     responses=problem_docs(*WORK_ERRORS, 413)
     | {
-        200: {"description": "The same was asked for before, and its film is there.", "model": AnimationState},
+        200: {"description": "The same animation was requested before, and its film is ready.", "model": AnimationState},
         202: {"description": "It is drawn, or waits for its turn. `Location` is its address.", "model": AnimationState},
     },
     dependencies=[Depends(allow_only())],

@@ -155,7 +155,9 @@ def _noise_band(y: Scale, exact_to: float) -> Iterator[str]:
             height=f"{bottom - top:.1f}",
             class_="floor",
         )
-        yield _text(SCATTER_WIDTH - MARGIN_RIGHT - 6, min(top + 15, bottom - 5), "truth cannot tell", "end", "remark")
+        yield _text(
+            SCATTER_WIDTH - MARGIN_RIGHT - 6, min(top + 15, bottom - 5), "within the noise of the reference", "end", "remark"
+        )
 
 
 def _staircase(front: list[ScatterPoint]) -> list[tuple[float, float]]:

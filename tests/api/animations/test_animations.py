@@ -37,7 +37,7 @@ def request(animations: Animations, asked: FilmOrder) -> Animation:
 
 
 class FakeBackend:
-    """Draws frames that are their numbers, each when it is let go, and writes them as text."""
+    """Draw frames filled with their number, one per permit, and encode them as text."""
 
     def __init__(self) -> None:
         self.frame_permits, self.drawing, self.closed = asyncio.Semaphore(0), 0, 0
@@ -78,7 +78,7 @@ Scenario = Callable[[Animations, FakeBackend], Awaitable[None]]
 
 
 def run_with_animations(scenario: Scenario, **settings) -> None:
-    """Run a scenario, and make sure that nothing of it is left."""
+    """Run a scenario, and check that it leaves no task, file or thread."""
     gc.collect()  # files that earlier tests left to the garbage collector
     before = set(os.listdir("/proc/self/fd")), threading.active_count()
 
@@ -156,7 +156,7 @@ def test_the_same_order_is_the_same_animation_while_it_is_drawn_and_kept():
     run_with_animations(scenario)
 
 
-def test_they_are_drawn_in_the_order_in_which_they_came():
+def test_animations_are_drawn_in_order_of_arrival():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         first, second, third = (request(animations, order(number)) for number in range(3))
         for done in range(1, 3 * FRAMES + 1):
@@ -236,7 +236,7 @@ def test_a_dismissed_film_is_gone_but_for_those_who_read_it():
     run_with_animations(scenario)
 
 
-def test_what_nobody_asks_about_is_given_up():
+def test_unpolled_animation_is_abandoned():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         animation = request(animations, order())
         await wait_until(lambda: animation.ended)
@@ -247,7 +247,7 @@ def test_what_nobody_asks_about_is_given_up():
     run_with_animations(scenario, animation_abandoned_s=0.05)
 
 
-def test_what_is_asked_about_goes_on():
+def test_polled_animation_is_kept():
     """Each question puts off the end: it is the timer of the last one that counts."""
 
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
@@ -263,7 +263,7 @@ def test_what_is_asked_about_goes_on():
     run_with_animations(scenario)
 
 
-def test_films_go_after_an_age():
+def test_films_expire():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         animation = request(animations, order())
         backend.release(FRAMES)
@@ -276,7 +276,7 @@ def test_films_go_after_an_age():
     run_with_animations(scenario, animation_age_s=0.05)
 
 
-def test_a_film_that_is_larger_than_all_may_be_is_none():
+def test_film_over_the_byte_limit_is_not_kept():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         original_encode = backend.encode
 
@@ -396,7 +396,7 @@ def test_names_are_long_and_never_the_same():
 
 
 class FlakyPool:
-    """A pool no process of which starts for the first few jobs."""
+    """Pool whose process fails to start for the first jobs."""
 
     def __init__(self, failures: int) -> None:
         self.failures, self.jobs = failures, []

@@ -27,7 +27,7 @@ from skugga.terrain.scene import build_scene
 
 @pytest.fixture
 def probe_rows(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
-    """Return the rows that the command prints for a level whose probes it has saved."""
+    """Return the rows of ``select --all-scales --write``."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(3, 5))
     status, out, err = run("select", str(hills_level), "--all-scales", "--budget", "1s", "--write", "--json")

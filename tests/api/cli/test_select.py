@@ -57,7 +57,7 @@ def test_each_bundled_level_has_a_plan_as_text(gl, run, path):
     assert (status, err) == (0, "")
     assert all(len(line) <= 100 for line in out.splitlines())
     body = " ".join(out.split())
-    assert f"View {name}, " in body and "Effects left out" in body and "Algorithms not taken" in body
+    assert f"View {name}, " in body and "Effects left out" in body and "Rejected algorithms" in body
     assert "_" not in re.sub(r"\S+/\S+", "", body), "names are read aloud"
     paragraphs = [part for part in out.split("\n\n") if part]
     assert all(part.rstrip().endswith(".") for part in paragraphs)

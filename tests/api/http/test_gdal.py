@@ -50,7 +50,7 @@ with rasterio.Env() as environment:
 
 @dataclass(frozen=True)
 class GdalDataset:
-    """What GDAL reads: pixels (rows, cols, bands), CRS, bounds and cell size of the data set, or its subdatasets."""
+    """Data set as GDAL reads it: pixels (rows, cols, bands), CRS, bounds, cell size, subdatasets."""
 
     pixels: np.ndarray | None
     crs: int | None

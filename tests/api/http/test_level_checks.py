@@ -22,7 +22,7 @@ from tests.api.workers import fake_workers
 
 
 class GatedCheck:
-    """A check of a level's files that blocks until the test sets ``may_finish``."""
+    """Check of a level's files that blocks until ``may_finish`` is set."""
 
     def __init__(self, outcome: object = "new") -> None:
         self.outcome, self.started_count, self.may_finish = outcome, 0, threading.Event()

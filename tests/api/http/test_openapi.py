@@ -107,7 +107,7 @@ def test_operation_example_is_answered(client: Client, document: dict[str, Any],
 
 
 def companion_parameters(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, Any]:
-    """Return the parameters without which a parameter has no meaning."""
+    """Return the parameters that a parameter requires."""
     name = parameter["name"]
     if name.lower() in ("azimuth", "altitude"):
         other, degrees = ("altitude", 22) if name.lower() == "azimuth" else ("azimuth", 235)

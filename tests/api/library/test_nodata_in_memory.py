@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 import rasterio
@@ -72,6 +76,14 @@ def heights(values: np.ndarray) -> xarray.DataArray:
     return xarray.DataArray(values, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")
 
 
+@contextmanager
+def caught_warnings() -> Iterator[list[warnings.WarningMessage]]:
+    """Record the warnings for users. Warnings of other kinds remain errors."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield caught
+
+
 def test_nodata_attributes_of_an_array_are_respected(height_m):
     right = heights(height_m).skugga.shadow(**SUN)
     sentinel_heights = heights(np.where(np.isnan(height_m), -9999.0, height_m).astype(np.float32))
@@ -81,7 +93,9 @@ def test_nodata_attributes_of_an_array_are_respected(height_m):
         sentinel_heights.assign_attrs(missing_value=-9999.0),
     ):
         xarray.testing.assert_equal(array.skugga.shadow(**SUN), right)
-    assert sentinel_heights.skugga.shadow(**SUN)[MASKED_CELLS].sum() > 0, "a pit, where nobody says that it is none"
+    with caught_warnings() as caught:
+        assert sentinel_heights.skugga.shadow(**SUN)[MASKED_CELLS].sum() > 0, "a pit, where nobody says that it is none"
+    assert ["are -9999, far from all other heights" in str(warning.message) for warning in caught] == [True]
 
 
 def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
@@ -128,3 +142,23 @@ def test_nodata_outside_the_dtype_is_ignored(height_m):
     array = heights(np.nan_to_num(height_m, nan=900.0).astype(np.int16))
     array_with_nodata = array.assign_attrs(_FillValue=np.nan)
     xarray.testing.assert_equal(array_with_nodata.skugga.shadow(**SUN), array.skugga.shadow(**SUN))
+
+
+@pytest.mark.parametrize("chunks", [None, 32])
+def test_a_collar_of_undeclared_nodata_warns_the_caller(height_m, chunks):
+    heights = np.nan_to_num(height_m, nan=900.0)
+    heights[:, :20] = -9999.0
+    array = xarray.DataArray(heights, dims=("y", "x")).rio.write_crs("EPSG:32633").rio.write_transform(TRANSFORM)
+    lazy_or_not = array if chunks is None else array.chunk(chunks)
+    with caught_warnings() as caught:
+        lazy_or_not.skugga.shadow(azimuth=250.0, altitude=12.0).compute(scheduler="synchronous")
+    assert ["the array: " in (text := str(warning.message)) and "border is -9999" in text for warning in caught] == [True]
+    if chunks is None:
+        assert caught[0].filename == __file__
+
+
+def test_a_like_raster_beyond_the_level_warns_the_caller(height_m, tmp_path):
+    like = write_geotiff(tmp_path / "like.tif", np.zeros((90, 240), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
+    with skugga.open_heights(height_m, TRANSFORM, "EPSG:32633") as level, caught_warnings() as caught:
+        level.shade("mask", **SUN, like=like)
+    assert [("extends beyond the level" in str(warning.message), warning.filename) for warning in caught] == [(True, __file__)]

@@ -63,7 +63,7 @@ async def wait_until(condition: Callable[[], bool]) -> None:
 
 
 class Gate:
-    """Gate that holds the jobs of a process: ``job_started`` waits for a job to begin, ``open`` lets it go on."""
+    """Gate that blocks a worker's jobs: ``job_started`` waits for a job, ``open`` releases it."""
 
     def __init__(self) -> None:
         spawn = get_context("spawn")

@@ -34,7 +34,7 @@ def test_unreachable_goals_have_no_price():
 def test_prices_respect_interior_errors_and_noise_of_truth():
     assert cheapest_ms(view("a", (10.0, 0.0), (20.0, 0.0), interior=0.01)) == {}
     noisy = view("a", (10.0, 0.008), (20.0, 0.002)) | {"noise_floor": 0.003}
-    assert cheapest_ms(noisy) == dict.fromkeys(("10 %", "3 %", "1 %"), 10.0), "of 0.3 % truth cannot tell"
+    assert cheapest_ms(noisy) == dict.fromkeys(("10 %", "3 %", "1 %"), 10.0), "0.3 % is within the noise of the reference"
 
 
 def test_sentence_and_table_have_median_and_90th_percentile():

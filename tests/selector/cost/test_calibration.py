@@ -109,7 +109,7 @@ def test_load_profile_ignores_a_folder_at_its_path():
 
 
 def test_calibrate_profiles_the_device_that_draws(gl, monkeypatch):
-    """Calibrate on one small stage. The profile names the device, and its rates explain the times of every algorithm that ran."""
+    """Calibrate on one small level. The profile names the device, and its rates explain the times of every algorithm that ran."""
 
     def yield_smallest_view(folder):
         yield replace(next(view for view in calibration_views(folder) if view.name == "few_balls_small"), grid="few")

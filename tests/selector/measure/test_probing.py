@@ -39,7 +39,7 @@ class Candidate:
 
 @dataclass
 class FakeProber:
-    """A prober that knows all true figures and counts its calls."""
+    """A prober that returns prescribed figures and records its calls."""
 
     candidates: list[Candidate]
     points: int = 1000

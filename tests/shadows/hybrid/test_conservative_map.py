@@ -187,7 +187,7 @@ def test_depths_at_texel_centres_miss_thin_casters() -> None:
 
 
 def roof_triangles(turn_deg: float) -> np.ndarray:
-    """Return a roof (2, 3, 3) of 60 by 40 texels, 10 deep, in the middle of a map of 128."""
+    """Return two triangles (2, 3, 3): a rectangle of 60 x 40 texels at depth 10, in the middle of a map of 128."""
     rotation_rad = np.radians(turn_deg)
     corners = np.array([[-30.0, -20.0], [30.0, -20.0], [30.0, 20.0], [-30.0, 20.0]])
     corners = (

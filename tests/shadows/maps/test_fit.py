@@ -51,7 +51,7 @@ def plan_for(scene: Scene, view: MapView | PerspectiveView, **overrides) -> Plan
 
 
 def shadow_and_ground(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels of a view, drawn as one block, are in shadow, and which show ground."""
+    """Return masks of a view drawn as one block: pixels in shadow, and pixels with ground."""
     buffer = geometry_buffer(scene, view)
     (step,) = plan.steps
     receivers = receivers_of(buffer, scene, step.light)

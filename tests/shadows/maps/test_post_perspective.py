@@ -232,7 +232,7 @@ def test_post_perspectives_are_uniform_around_the_view_axis(away):
         maps = post_perspectives(camera, make_sun_light(away * turned_camera.axis), points, INNER_EXTENT)
         if off_deg < UNIFORM_MAP_CONE_DEG:
             assert len(maps) == 1 and maps[0].kind is None
-            assert f"{off_deg:.1f} degrees off the view's axis, within {UNIFORM_MAP_CONE_DEG:g}" in maps[0].note
+            assert f"{off_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}" in maps[0].note
             w = horizon_distance(maps[0].clip_from_frame, points)
             np.testing.assert_allclose(w, w[0])
         else:

@@ -22,7 +22,7 @@ DAY = date(2024, 10, 21)
 
 @pytest.fixture
 def surroundings_at(write_raster, make_scene):
-    """Return ``surroundings_at(heights, north)``: the middle of ground of 50 m cells in UTM zone 33, at a northing."""
+    """Return ``surroundings_at(heights, north)``: the surroundings of the middle of a raster of 50 m cells in UTM zone 33."""
 
     def place(heights: np.ndarray, north: float = 5_300_000.0, height_m: float = 0.0):
         side = len(heights)

@@ -127,7 +127,7 @@ def test_sun_hours_in_a_bowl(open_scene):
     assert answer.first[100, 100] == pytest.approx(minutes_above_rim[0], abs=0.5)
 
 
-def test_sun_hours_of_a_slope_count_the_sun_before_it(open_scene):
+def test_sun_hours_of_a_slope_follow_its_incidence_angle(open_scene):
     tilt_deg = 30.0
     heights = np.arange(80)[:, None] * CELL_M * np.tan(np.radians(tilt_deg)) * np.ones((1, 60))  # falls towards grid north
     scene = open_scene(heights)

@@ -74,8 +74,9 @@ CAST_SHAPES = {"house": HOUSE, "tree": TREE, "pole": POLE}
 
 @cache
 def _shadow_shares(*shapes: ShadowShape, shift_right_px: float = 0.0, texel_size_px: int = 1) -> np.ndarray:
-    """Return the share of each pixel (rows, cols) in any of some shadows, moved right, by the centres of texels of
-    ``texel_size_px``.
+    """Return the shadowed share of each pixel (rows, cols), sampled at centres of texels of ``texel_size_px``.
+
+    The shadows are moved right by ``shift_right_px``.
     """
     positions = (np.arange(SIDE_PX * SAMPLES_PER_SIDE) + 0.5) / SAMPLES_PER_SIDE
     positions = positions if texel_size_px == 1 else (np.floor(positions / texel_size_px) + 0.5) * texel_size_px

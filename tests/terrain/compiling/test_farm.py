@@ -77,7 +77,9 @@ def test_callees_are_compiled_before_their_callers(tmp_path: Path) -> None:
 def test_a_killed_child_loses_only_the_loop_it_compiled(tmp_path: Path) -> None:
     (*order, missing), log_text = run(tmp_path, processes=2, deadly=True)
     assert sorted(order) == ["leaf", "middle", "other", "top"]
-    assert log_text.count("was killed") == 2 and str(tmp_path / "store") in log_text, "top compiles middle, too, in the other child"
+    assert log_text.count("was killed") == 2 and str(tmp_path / "store") in log_text, (
+        "the other child compiles middle again, as a callee of top"
+    )
     assert "leaf" not in missing and "other" not in missing
 
 
@@ -161,7 +163,7 @@ compile_ahead(PRODUCTS, 2, lambda task, done, total: print(farms[0], flush=True)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")
 def test_compiling_processes_end_with_a_killed_command(tmp_path: Path) -> None:
-    """Without this, the process and its children compiled on for most of a minute, with nobody to wait for the result."""
+    """A killed command must not leave compiling processes behind."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path), "SKUGGA_TEST_RUN": str(tmp_path)}
     with subprocess.Popen(
         [sys.executable, "-c", KILLED_COMMAND_SCRIPT], env=environment, stdout=subprocess.PIPE, text=True

@@ -57,7 +57,7 @@ if __name__ == "__main__":
 
 
 class ModulePair:
-    """Two modules in a folder. ``run`` returns what a new process prints that uses their shared store of loops."""
+    """Two modules that share a loop store. ``run`` executes them in a new process and returns its output."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -118,7 +118,7 @@ def test_lamps_too_dim_alone_are_seen_together(gl, dim_scene):
     assert np.abs(color_with_lamps - color_without_lamps).max() >= 5, "all of them together are seen"
     assert np.abs(color_with_lamps - auto_color).max() <= 1
     left_out = [lamp for lamp in descriptor.lamps if not lamp.reaches]
-    assert 0 < len(left_out) < 5, "some are left out, those alone that are not missed"
+    assert 0 < len(left_out) < 5, "the plan omits only a few lamps, whose sum is invisible"
 
 
 def test_negligible_lamps_are_the_dimmest_within_the_limit():
@@ -141,4 +141,6 @@ def test_negligible_lamps_sum_to_the_limit_at_most(most, least):
     total_light = sum(most[name] for name in negligible)
     assert negligible <= most.keys() and total_light <= least
     assert all(most[dim] <= most[bright] for dim in negligible for bright in kept_lamps)
-    assert not kept_lamps or total_light + min(most[name] for name in kept_lamps) > least, "one more would show"
+    assert not kept_lamps or total_light + min(most[name] for name in kept_lamps) > least, (
+        "adding the dimmest kept lamp would exceed the limit"
+    )

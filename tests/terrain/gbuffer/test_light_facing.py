@@ -72,7 +72,7 @@ def casting_facets(buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
 
 
 def without_rim(buffer: GeometryBuffer) -> GeometryBuffer:
-    """Return the same ground without its continuation beyond the outermost nodes: it ends there, as at a pole."""
+    """Return the same ground without its rim, the extra ring of nodes beyond the data, as at a pole."""
     assert buffer.surface is not None
     return replace(buffer, surface=replace(buffer.surface, rim=None))
 

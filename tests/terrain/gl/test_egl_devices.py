@@ -44,7 +44,7 @@ def tried_device_numbers(setting: str, kinds: list[ProbedDevice], process_number
 
 
 def fail_on_probe(index: int) -> ProbedDevice:
-    raise AssertionError("no other device is asked: that takes time, and would for every command")
+    raise AssertionError("only the selected device may be probed: a probe is slow")
 
 
 @pytest.mark.parametrize(

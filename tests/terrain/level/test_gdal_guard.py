@@ -14,7 +14,7 @@ from skugga.terrain.level.gdal_guard import CACHE_LIMITS
 WORKER_SCRIPT = """
 import json, multiprocessing, os, sys
 
-def told():
+def print_limits():
     import rasterio
     from rasterio._env import get_gdal_config
     names = json.loads(sys.argv[1])
@@ -22,7 +22,7 @@ def told():
 
 if __name__ == "__main__":
     PARENT
-    process = multiprocessing.get_context("spawn").Process(target=told)
+    process = multiprocessing.get_context("spawn").Process(target=print_limits)
     process.start()
     process.join()
 """

@@ -31,7 +31,7 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     html('details', { class: 'algorithms' }, html('summary', {}, 'Algorithms'), taken, cost,
       html('label', { class: 'row', for: 'plan-algorithm' }, 'Draw shadows by', algorithm),
       html('details', {}, html('summary', {}, 'Settings that were chosen'), chosen),
-      html('details', {}, html('summary', {}, 'Algorithms not taken'), rejected)));
+      html('details', {}, html('summary', {}, 'Rejected algorithms'), rejected)));
   const layers = html('details', { class: 'layers-between' }, html('summary', {}, 'Layers in between'));
   container.append(failed, body, layers);
 

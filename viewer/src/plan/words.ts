@@ -47,7 +47,7 @@ export function effectsInWords(list: readonly Named[]): Named[] {
   return together(list.map(({ name, reason }) => ({ name: EFFECTS[name] ?? capital(aloud(name)), reason })));
 }
 
-/** Algorithms that were not taken; equal reasons go together. */
+/** Rejected algorithms; equal reasons go together. */
 export function rejectedInWords(list: readonly Named[]): Named[] {
   return together(list.map(({ name, reason }) => ({ name: name === 'none' ? 'No shadows' : capital(aloud(name)), reason })));
 }

@@ -1,0 +1,21 @@
+"""Warnings of the library, attributed to the line that called it."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from itertools import count
+
+PACKAGE = __name__.partition(".")[0]
+
+
+def warn_caller(text: str) -> None:
+    """Issue a ``UserWarning`` at the nearest caller outside of the package, so that Python shows and filters its line."""
+    for stack_level in count(2):
+        try:
+            module = sys._getframe(stack_level - 1).f_globals.get("__name__", "")
+        except ValueError:  # the package alone is on the stack, as in a thread
+            break
+        if module.partition(".")[0] != PACKAGE:
+            break
+    warnings.warn(text, stacklevel=stack_level)
