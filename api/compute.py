@@ -1,4 +1,4 @@
-"""Computation of products, block by block, from a request to an array or a file. All front ends use this module."""
+"""Compute products block by block, from a request to an array or a file. All front ends use this module."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class ComputedProduct:
 
     @property
     def reach(self) -> Reach | None:
-        """The distance up to which casters were considered."""
+        """The distance from the view up to which shadow casters were considered."""
         return None if self.picture is None else self.picture.reach
 
 
@@ -178,7 +178,7 @@ def _compute_block(
 
 
 def _picture_block(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
-    """Compute a block of a product that needs a picture, without the reach of casters."""
+    """Compute a block of a product from a drawn picture. The picture does not record how far away casters were considered."""
     padded = _padded(block, product.reach_px)
     picture = draw(scene, padded, plan, product.needs - {"reach"})
     return _cropped(product.compute(Part(scene, padded, options, picture)), product.reach_px)
@@ -186,7 +186,7 @@ def _picture_block(scene: Scene, block: MapView, product: Product, options: Any,
 
 @cached("scene", BLOCK_CACHE_BYTES)
 def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOptions) -> np.ndarray:
-    """Compute a block, with a cache: many small maps, as of clients that tile themselves, lie in one block."""
+    """Compute a block, or return it from the cache. Clients that tile maps themselves request many small maps of one block."""
     return _compute_block(scene, block, PRODUCTS[product], options)
 
 
@@ -195,14 +195,14 @@ def _blocks(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView
 
 
 def _padded(view: ViewT, pixels: int) -> ViewT:
-    """Return a view extended by some pixels on each side."""
+    """Return a view extended by ``pixels`` on each side."""
     if not pixels:
         return view
     return view.part(-pixels, -pixels, view.rows + 2 * pixels, view.cols + 2 * pixels)  # type: ignore[return-value]
 
 
 def _cropped(array: np.ndarray, pixels: int) -> np.ndarray:
-    """Return an array cropped by some pixels on each side."""
+    """Return an array without its outermost ``pixels`` on each side."""
     return array[pixels : array.shape[0] - pixels, pixels : array.shape[1] - pixels]
 
 
@@ -233,10 +233,11 @@ def raster_parts(
     overrides: dict[str, Any] | None = None,
     on_step: OnBlock | None = None,
 ) -> Iterator[RasterPart]:
-    """Return an iterator over the parts of a raster for each of several requests for one product.
+    """Return an iterator over the parts of a raster, for each of several requests for one product.
 
-    Only one block is in memory at a time. Parts of one block follow each other, so work that is independent of the sun is done
-    once. ``overrides`` replace settings of the level's ``shadows``. Raises ``SkuggaError`` immediately if a request is wrong.
+    Only one block is in memory at a time. The parts of one block follow each other, one for each request. Work that is independent
+    of the sun is thus done once for each block. ``overrides`` replace settings of the level's ``shadows``. Raises ``SkuggaError``
+    immediately if a request is wrong.
     """
     product, view = requests[0].product_record, raster.view
     check_view(product, view)
@@ -272,7 +273,7 @@ def raster_parts(
 
 
 def _plans(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
-    """Return the plan of each scene, made for the middle block; ``None`` if the product needs no picture."""
+    """Return one plan for each scene, made for the middle block; ``None`` if the product needs no picture."""
     if not product.needs:
         return [None] * len(scenes)
     blocks = blocks_of(view)

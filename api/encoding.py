@@ -30,14 +30,14 @@ def check_format(product: Product, format: str) -> None:
 
 
 def colored(array: np.ndarray, product: Product, options: ProductOptions, world: World, format: str) -> np.ndarray:
-    """Return a product's array for a format: its numbers, or the colours of its scale for picture formats."""
+    """Return a product's array in the form that a format stores: numbers, or colours of its colour scale for picture formats."""
     if format in ARRAY_FORMATS or product.color_scale is None:
         return array
     return product.color_scale(options, world).colored(array)
 
 
 def as_picture(array: np.ndarray, product: Product, picture: Picture | None) -> np.ndarray:
-    """Return a view's array as a picture for PNG. Most arrays are pictures already; others are drawn over the view's colours."""
+    """Return a view's array as a picture for PNG. Arrays that are no pictures are drawn over the view's colours."""
     if product.to_picture is None:
         return array
     assert picture is not None and picture.frame is not None
@@ -45,10 +45,10 @@ def as_picture(array: np.ndarray, product: Product, picture: Picture | None) -> 
 
 
 def encode(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
-    """Return an array of a product, ``colored`` for the format, as a file.
+    """Return an array of a product as a file. The array must be ``colored`` for the format.
 
-    Only display products are compressed lossily. They have no alpha channel if all pixels are opaque. JPEG shows pixels without a
-    surface as white. A GeoTIFF keeps all channels and is georeferenced by the map ``view``.
+    Only display products (shaded pictures) are compressed lossily. They have no alpha channel if all pixels are opaque. JPEG shows
+    pixels without a surface as white. A GeoTIFF keeps all channels and is georeferenced by the map ``view``.
     """
     if product.is_display and format not in ARRAY_FORMATS and array.shape[2] == 4 and (array[..., 3] == 255).all():
         array = array[..., :3]
@@ -64,7 +64,7 @@ def encode(array: np.ndarray, product: Product, format: str, view: object = None
 
 
 def encode_exactly(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
-    """Return an array of a product, ``colored`` for the format, as a file with all channels. Only JPEG is lossy."""
+    """Return an array of a product, ``colored`` for the format, as a file with all channels. Only JPEG loses information."""
     if format == "tif":
         return geotiff(array, view, product.nodata)
     if format == "npy":

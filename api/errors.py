@@ -1,6 +1,6 @@
 """Mapping from domain errors to HTTP statuses and exit statuses.
 
-Modules below ``api`` know no status. No other module of ``api`` maps an error to one.
+Modules below ``api`` know no status codes. No other module of ``api`` maps an error to one.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class WorkerStartError(BusyError):
 
 
 class BrokenShardError(RenderError):
-    """The bytes of a shard do not match its index; ``number`` is its position among the shards that are read."""
+    """The bytes of a shard (the tiles of one seeding task) do not match its index. ``number`` counts the shards that are read."""
 
     def __init__(self, message: str, number: int | None = None) -> None:
         self.number = number
@@ -62,7 +62,7 @@ class BrokenShardError(RenderError):
 class NotReadyError(BusyError):
     """No render process has warmed up yet.
 
-    ``preparing`` is its progress: the ``task`` in words, steps ``done``, ``total``, and ``elapsed_s``.
+    ``preparing`` is the progress: ``task`` in words, the steps ``done`` and in ``total``, and ``elapsed_s``.
     """
 
     def __init__(self, message: str, preparing: dict[str, Any] | None = None) -> None:
@@ -87,7 +87,7 @@ class CircuitOpenError(RetryLaterError):
 
 
 class RateLimitError(RetryLaterError):
-    """A client requests more new suns than the settings allow."""
+    """A client requests more suns that are not cached than the settings allow."""
 
 
 class UnfinishedError(RetryLaterError):
@@ -123,8 +123,8 @@ class ErrorReport:
     code
         Stable code of HTTP problem documents.
     public
-        Message for HTTP clients; ``None`` sends the error's own message. Failures and errors in the operator's files have messages
-        with paths and drivers' texts. Those only go to the log.
+        Message for HTTP clients; ``None`` sends the error's own message. Some messages contain paths of the operator's files or
+        texts of drivers. They only go to the log, and clients get this message.
     retry_after_s
         Seconds after which the client may retry.
     in_http

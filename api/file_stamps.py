@@ -1,4 +1,4 @@
-"""Files that a level depends on, and their versions. They include the sources of a VRT and side-car files."""
+"""Files that a level depends on, and the level's version. The files include the sources of a VRT and side-car files."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ ctime changes even when a tool restores the mtime."""
 
 
 def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
-    """Return the files that a level depends on, existing or not.
+    """Return the files that a level depends on, whether or not they exist.
 
-    They are the level file, the files that it names, the files that those refer to, and possible side-car files of all of them.
+    They are the level file, the files that it names, the files to which those refer, and possible side-car files of all of them.
     """
     files = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
     return tuple(dict.fromkeys([*files, *(sidecar for path in files for sidecar in sidecar_files(path))]))
 
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
-    """Return the stamp of each file."""
+    """Return the stamp (times, size and inode) of each file; ``None`` for a file that does not exist."""
     return tuple(_stamp(path) for path in files)
 
 
 def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
-    """Return a level's version, which changes with its text and its watched files. ``stamps`` are those of ``watched_files``."""
+    """Return a level's version, a digest that changes with its text and its files. ``stamps`` are those of ``watched_files``."""
     is_raster = str(loaded.path) in loaded.sources  # a raster used as a level; the digest covers a level file's text
     text = repr((loaded.digest, tuple(stamps if is_raster else stamps[1:])))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

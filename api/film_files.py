@@ -46,8 +46,8 @@ _NUMBER = re.compile(r"%(?:0([1-9]))?d")
 def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
     """Check the output path of a film before any frame is drawn. ``size`` is (width, height) in pixels.
 
-    Raises ``InputError`` for an unsuitable name or size, for a folder with later frames of another film, and for a missing encoder.
-    Raises ``FileNotFoundError`` for a missing folder.
+    Raises ``InputError`` for an unsuitable name or size, and for a missing encoder. Also raises it for a folder that contains
+    higher-numbered frames of another film. Raises ``FileNotFoundError`` for a missing folder.
     """
     suffix, is_sequence = path.suffix.lower(), "%" in path.name
     if suffix not in (*FILM_SUFFIXES, SEQUENCE_SUFFIX):
@@ -135,7 +135,7 @@ class _Progress:
 
 
 def _map_in_order(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Yield the results of ``work`` for all items, in order. About one item per core is in progress and in memory at a time."""
+    """Yield the results of ``work`` for all items, in the items' order. About one item per core is in memory at a time."""
     from skugga.terrain.compiled import CORES
 
     with ThreadPoolExecutor(CORES, "skugga-encode") as threads:
@@ -183,7 +183,7 @@ def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float, progress: _
 
 
 def _mux(container: Any, packets: list[Any], progress: _Progress) -> None:
-    """Write packets; each is one frame. x264 buffers some dozens of frames before it returns the first packet."""
+    """Write the packets of an encoder; each holds one frame. x264 buffers some dozens of frames before its first packet."""
     for packet in packets:
         size = packet.size  # muxing empties the packet
         container.mux(packet)
@@ -191,7 +191,7 @@ def _mux(container: Any, packets: list[Any], progress: _Progress) -> None:
 
 
 def _later_frames(path: Path, frames: int) -> list[Path]:
-    """Return files in a sequence's folder whose names continue it beyond its last frame."""
+    """Return the files in a film's folder that are numbered beyond the film's last frame."""
     prefix, suffix = _NUMBER.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
     pattern = re.compile(re.escape(prefix) + "([0-9]+)" + re.escape(suffix))
     matches = ((pattern.fullmatch(file.name), file) for file in path.parent.glob("*"))

@@ -32,8 +32,8 @@ def film_span(
 ) -> FilmSpan:
     """Return the time span of a film.
 
-    Both ends are dates, and the sun moves; or both are readings of the level's clock, and the sun is fixed. Missing ends follow
-    from the camera path: its dates, or its duration from the first frame on.
+    If both ends are dates, the sun moves. If both are readings of the level's clock, the sun is fixed. Missing ends follow from the
+    camera path: its dates, or its duration from the first frame on.
 
     Parameters
     ----------

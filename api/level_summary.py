@@ -16,7 +16,7 @@ from skugga.terrain.scene import Scene, build_scene
 
 
 def _soft_lamp_remarks(scene: Scene) -> list[str]:
-    """Return a remark on the expected time of a map block under spherical lamps, and on the key that makes it cheaper."""
+    """Return a remark on the expected time of a map block under spherical lamps, and on the level key that reduces it."""
     from skugga.api.device_calibration import calibration_for
     from skugga.api.picture_cost import remedy
     from skugga.selector.select import plan_of_view
@@ -42,8 +42,7 @@ def summary(source: Path | LevelSource) -> dict[str, Any]:
 def remarks(source: Path | LevelSource) -> list[str]:
     """Validate a level, and return remarks for its author.
 
-    Reads all files that the level names, places its views and lights, and plans each view with the requested algorithms.
-
+    Reads all files that the level names. Places its views and lights. Plans each view with the algorithms that the level requests.
     Raises ``SkuggaError``. One error lists everything that cannot be read or placed.
     """
     from skugga.selector.select import plan_of_view
@@ -84,7 +83,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
 
 
 def _views_to_plan(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Yield views and scenes, each under a sun, whose plans show whether a level's shadow settings are supported."""
+    """Yield view names with scenes under a sun. Plans of these show whether the level's shadow settings are supported."""
     level = scene.loaded.level
     for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
         yield name, scene

@@ -1,4 +1,7 @@
-"""Probes of a level's maps at each scale. Plans of its tiles use them (``skugga.selector.map_probes``)."""
+"""Probe a level's maps at each scale. Plans of the level's tiles use the results (``skugga.selector.map_probes``).
+
+A probe renders a few candidate algorithms on a block of the map, and compares them with ray-traced truth.
+"""
 
 from __future__ import annotations
 
@@ -32,16 +35,17 @@ MIN_BLOCKS_FOR_SEVERAL_PROBES = 2.0
 
 
 def probed_scales(scene: Scene) -> range:
-    """Return the scales of a level's tiles (``skugga.selector.map_probes.MapClass``)."""
+    """Return the scales of a level's tiles, finest first. A pixel is about ``2 ** scale`` metres wide."""
     view, finest = _level_map(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST_OCTAVES
     longest_m = max(view.rows, view.cols) * map_pixel_m(scene.world, view)
     return range(finest, max(round(log2(longest_m / COARSEST_PX)), finest) + 1)
 
 
 def under_class_sun(scene: Scene, sun: int) -> Scene:
-    """Return a scene under a representative sun of a class of suns.
+    """Return a scene with a sun that represents a class of suns of similar altitude (``skugga.selector.map_probes.MapClass``).
 
-    The scene's own sun is kept if it belongs to the class. Otherwise the sun has the class's middle altitude and the same azimuth.
+    ``sun`` is the number of the class. The scene's own sun is kept if it belongs to the class. Otherwise the sun has the class's
+    middle altitude and the same azimuth.
     """
     scene_sun = scene.sun
     if scene_sun is not None and (own_class := map_class(1.0, scene_sun.altitude_deg)) is not None and own_class.sun == sun:
@@ -57,9 +61,9 @@ def probe_blocks(
     overrides: dict[str, Any] | None = None,
     budget_s: float = DEFAULT_BUDGET_S,
 ) -> ProbedView:
-    """Probe blocks of a level's map with pixels of ``pixel_m`` metres.
+    """Probe some blocks of a level's map with pixels of ``pixel_m`` metres.
 
-    Returns the plan of the first block and the observations of all. Raises ``SkuggaError``.
+    Returns the plan of the first block and the measurements of all blocks. Raises ``SkuggaError``.
     """
     centers = probe_centers(scene, pixel_m)
     probed = [
@@ -77,7 +81,7 @@ def probe_blocks(
 
 
 def probe_centers(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
-    """Return the centres of probed blocks for ``map_block``: only one if a block shows much of the level."""
+    """Return the centres of the blocks to probe, in the units of ``map_block``. A level of few blocks has only one."""
     level_map = _level_map(scene)
     longest_px = max(level_map.rows, level_map.cols) * map_pixel_m(scene.world, level_map) / pixel_m
     return PROBE_CENTERS if longest_px > MIN_BLOCKS_FOR_SEVERAL_PROBES * BLOCK_PX else PROBE_CENTERS[:1]
@@ -90,7 +94,7 @@ def probe_maps(
     budget_s: float = DEFAULT_BUDGET_S,
     on_scale: Callable[[int, ProbedView], None] = lambda scale, probed: None,
 ) -> MapProbes:
-    """Probe a level's maps of all scales under its sun. ``on_scale(scale, probed)`` is called after each scale.
+    """Probe a level's maps at all scales under its sun. ``on_scale(scale, probed)`` is called after each scale.
 
     Raises ``InputError`` if no sun is above the horizon, and ``SkuggaError``.
     """

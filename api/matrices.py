@@ -1,4 +1,4 @@
-"""Tile matrix sets: the served ones, the zoom range of a level, and tiles without data."""
+"""Tile matrix sets: which ones are served, the zoom range of a level, and tiles without data."""
 
 from __future__ import annotations
 
@@ -76,8 +76,9 @@ def detail_m(scene: Scene) -> float:
 def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBounds, cell_m: float) -> ZoomRange | None:
     """Return the zooms at which a level is served; ``None`` if it lies outside the tile matrix set's area.
 
-    At the first zoom the level's longest side is closest to ``FIRST_ZOOM_TILES``, so that one or two tiles show it. The last zoom
-    is ``OVERZOOMS`` beyond the one whose ground pixel size at the anchor is closest to ``cell_m`` (``detail_m``).
+    At the first zoom the level's longest side is closest to ``FIRST_ZOOM_TILES`` tiles, so that one or two tiles show it. The last
+    zoom is ``OVERZOOMS`` beyond the zoom whose pixels are closest to ``cell_m`` (``detail_m``). Pixels are measured on the ground
+    at the level's anchor, its point of reference.
     """
     if not _intersects_area(matrix_set, bounds_lon_lat):
         return None
@@ -102,7 +103,7 @@ def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y
 
 
 def is_quadtree_level(matrix_set: TileMatrixSet, zoom: int) -> bool:
-    """Return whether a tile of a zoom covers exactly four tiles of the next zoom."""
+    """Return whether each tile of a zoom covers exactly four tiles of the next zoom."""
     if zoom >= matrix_set.maxzoom:
         return False
     current, next_ = matrix_set.matrix(zoom), matrix_set.matrix(zoom + 1)
@@ -177,7 +178,10 @@ def _intersects_area(matrix_set: TileMatrixSet, bounds: LonLatBounds) -> bool:
 
 
 def _longest_side_m(bounds: LonLatBounds) -> float:
-    """Return the longer of two lengths, metres: along the middle parallel, in steps short enough for geodesics, and a meridian."""
+    """Return the longer side of some bounds, metres: along the middle parallel or along a meridian.
+
+    The parallel is measured in steps that are short enough for geodesics to follow it.
+    """
     west, south, east, north = bounds
     lon, lat = np.linspace(west, east, 9), np.full(9, (south + north) / 2)
     _, _, width = WGS84.inv(lon[:-1], lat[:-1], lon[1:], lat[1:])

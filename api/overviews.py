@@ -40,7 +40,7 @@ GDALADDO_REMEDY = "Use gdaladdo for such a raster"
 
 
 def reason_without_overviews(raster: Path) -> str | None:
-    """Return why a raster needs no further overviews, in words; ``None`` if it lacks some.
+    """Return why a raster needs no further overviews, as text; ``None`` if it needs some.
 
     Raises ``SourceError``.
     """
@@ -169,7 +169,7 @@ def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, posit
 
 
 def _nodata_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | None) -> float | None:
-    """Return the overviews' nodata value, which no height has; ``None`` if all values are plausible heights."""
+    """Return the overviews' nodata value, which no valid height has; ``None`` if all values of the type are plausible heights."""
     if nodata is not None:
         return nodata
     if dtype.kind == "f":
@@ -189,7 +189,7 @@ def _tile_windows(rows: int, cols: int) -> Iterator[Window]:
 def _first_overview(
     dataset: rasterio.DatasetReader, window: Window, limits: tuple[float, float], nodata: float | None, empty: float | None
 ) -> np.ndarray:
-    """Return cells of the first overview, computed from twice as many rows and columns of the raster."""
+    """Return a window of the first overview, computed from twice as many rows and columns of the raster."""
     row, col = 2 * window.row_off, 2 * window.col_off
     source_window = Window(col, row, min(2 * window.width, dataset.width - col), min(2 * window.height, dataset.height - row))
     try:
@@ -204,7 +204,7 @@ def _first_overview(
 
 @compiled
 def _means(values, low, high, nodata, other_nodata, empty):
-    """Return means of the valid cells among 2 x 2, fewer at the border; ``empty`` if none is valid."""
+    """Return the means of the valid cells of each 2 x 2 cells, of fewer at the border; ``empty`` where none is valid."""
     rows, cols = values.shape
     out = np.empty(((rows + 1) // 2, (cols + 1) // 2))
     for i in range(out.shape[0]):

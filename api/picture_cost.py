@@ -1,4 +1,4 @@
-"""Expected cost of a picture by its plan: the limit above which it is refused, and keys that make it cheaper."""
+"""Expected cost of a picture by its plan: the limit above which the picture is refused, and level keys that reduce the cost."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def time_limit_ms() -> float:
 
 
 def soft_lamps(plan: Plan) -> dict[str, int]:
-    """Return the lamps that a plan renders as spheres, with the number of sample points of each."""
+    """Return the lamps that a plan renders as spheres: name, and number of sample points on the sphere."""
     return {
         light: max(getattr(settings, "light_points", 1) for settings in kinds.values())
         for light, kinds in plan.settings.items()
@@ -27,7 +27,7 @@ def soft_lamps(plan: Plan) -> dict[str, int]:
 
 
 def remedy(plan: Plan) -> str | None:
-    """Return a text on the level keys that make a plan cheaper; ``None`` if none is known."""
+    """Return a text on level keys that make a plan cheaper; ``None`` if no such key is known."""
     lamps = soft_lamps(plan)
     if not lamps:
         return None
@@ -36,9 +36,9 @@ def remedy(plan: Plan) -> str | None:
 
 
 def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str) -> None:
-    """Raise ``TooCostlyError`` if a calibrated device is expected to take longer than ``limit_ms`` for a picture.
+    """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms`` on a calibrated device.
 
-    ``subject`` names the picture and ``bound`` the setting of the limit in the message.
+    The message calls the picture ``subject``, and the setting of the limit ``bound``.
     """
     expected_ms = None if plan.predicted is None else plan.predicted.ms
     if limit_ms is None or expected_ms is None or expected_ms <= limit_ms:

@@ -110,8 +110,8 @@ def cog(
 ) -> Iterator[RasterFile]:
     """Open a cloud-optimised GeoTIFF for writing.
 
-    ``is_smooth`` makes its overviews of means; otherwise they take the nearest cell. The file replaces ``path`` when it is written
-    and has been read back. A failure leaves the previous file in place. Raises ``OSError``.
+    If ``is_smooth``, overviews are means; otherwise they take the nearest cell. The file replaces ``path`` after it has been
+    written and read back. A failure leaves the previous file in place. Raises ``OSError``.
     """
     rows, cols = shape
     with rasterio.Env(), atomic_path(path) as target:
@@ -136,7 +136,7 @@ def cog(
 
 
 def check_raster(path: Path) -> None:
-    """Read every block of a written raster, since GDAL may close a file on a full disk without an error. Raises ``OSError``."""
+    """Read every block of a written raster, because GDAL may close a file on a full disk without an error. Raises ``OSError``."""
     try:
         with rasterio.open(path) as dataset:
             for _, window in dataset.block_windows(1):

@@ -32,7 +32,7 @@ MAX_CELLS = 2.0**40
 
 @dataclass(frozen=True)
 class CellOrder:
-    """Order of a raster's cells relative to a view of them. The view's rows run from west to east, the northern row first.
+    """Order of a raster's cells relative to a map view of them. The view's rows run from west to east, the northern row first.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class RasterView:
         return shape[::-1] if self.order.transposed else shape
 
     def in_raster_order_at(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
-        """Return an array of the view in the raster's order, after its first row and column in the raster.
+        """Return the first row and column of a window in the raster, and the window's cells in the raster's order.
 
         ``row`` and ``col`` are the first cell of ``array`` (rows, cols, ...) in the view.
         """
@@ -92,13 +92,13 @@ class RasterView:
         return first_row, first_col, cells
 
     def part(self, row: int, col: int, rows: int, cols: int) -> RasterView:
-        """Return a part by its first row and column in the view, which may be negative, and its size."""
+        """Return a part of the raster, given its first row and column in the view, which may be negative, and its size."""
         first_row, first_col, _ = self.in_raster_order_at(row, col, np.empty((rows, cols), np.bool_))
         transform = self.transform @ Affine.translation(first_col, first_row)
         return RasterView(self.view.part(row, col, rows, cols), self.order, self.crs, transform)
 
     def cells(self, top: int, left: int, rows: int, cols: int) -> RasterView:
-        """Return a part by its first row and column in the raster, and its size."""
+        """Return a part of the raster, given its first row and column in the raster, and its size."""
         all_rows, all_cols = self.shape
         if self.order.rows_reversed:
             top = all_rows - top - rows
@@ -223,7 +223,7 @@ def _extents(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
 
 
 def _view_of(cells: RasterCells) -> RasterView | None:
-    """Return the cells of a raster with their map view; ``None`` if its rows and columns do not run along the axes."""
+    """Return a raster's cells and their map view; ``None`` if rows and columns do not run along the axes of the CRS."""
     gt = axes_of(cells.crs).affine @ cells.transform
     if gt.b == 0.0 == gt.d and gt.a and gt.e:
         order, shape = CellOrder(False, gt.e > 0.0, gt.a < 0.0), (cells.rows, cells.cols)
@@ -240,9 +240,9 @@ def _view_of(cells: RasterCells) -> RasterView | None:
 
 
 def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:
-    """Return cells as nodes of a grid, so that shade is computed at the cells' own heights.
+    """Return a map view whose nodes are the centres of cells. Shade is then computed at the cells' own heights.
 
-    ``x0`` and ``y0`` are the centre of the first cell; the steps are the sides of a cell.
+    ``x0`` and ``y0`` are the centre of the first cell. The steps are the sides of a cell.
     """
     stretch = row_step / col_step
     grid = Grid(crs, x0, y0, col_step, 1.0 if abs(stretch - 1.0) <= ASPECT_TOLERANCE else stretch)

@@ -1,4 +1,4 @@
-"""Requests of all front ends: the sun, the look and the shadows, and the product with its options."""
+"""Requests of all front ends: the sun, the look (style) and the shadows, and the product with its options."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ class _RequestModel(BaseModel):
 
 
 class RequestedSettings(_RequestModel):
-    """Shadow settings of a request: keys of a level's ``shadows`` and their values, in the order of the model's fields.
+    """Shadow settings of a request: keys of a level's ``shadows`` and their values, in the order of the fields of ``Shadows``.
 
-    ``algorithm`` is spelt as in the query. Keys that are not requested are absent and keep the level's values. All other parts of a
-    request are fields of ``PictureRequest``.
+    ``algorithm`` is spelt as in the query. Keys that are not requested are absent, so the level's values apply. All other parts of
+    a request are fields of ``PictureRequest``.
     """
 
     asked: tuple[tuple[str, Any], ...] = ()
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> RequestedSettings:
-        """Return the settings of keys and values, without values that are ``None``. Raises ``InputError``."""
+        """Build requested settings from keys and values. Values that are ``None`` are omitted. Raises ``InputError``."""
         ordered = {**dict.fromkeys(Shadows.model_fields), **settings}
         return cls(asked=tuple((key, value) for key, value in ordered.items() if value is not None))
 
@@ -52,9 +52,9 @@ def _parsed(settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class PictureRequest(_RequestModel):
-    """The part of a request that is independent of the view: the sun, the look and the shadows.
+    """The part of a request that is independent of the view: the sun, the look (style) and the shadows.
 
-    ``None`` takes the level's own value. Jobs carry the whole model, and entity tags and plan caches include all of it. A new field
+    ``None`` keeps the level's own value. Jobs carry the whole model, and entity tags and plan caches include all of it. A new field
     only needs a line in ``applied_to``.
     """
 
@@ -64,7 +64,7 @@ class PictureRequest(_RequestModel):
     overrides: RequestedSettings = RequestedSettings()
 
     def query(self, **parameters: str) -> str:
-        """Return the request as a query string after further parameters; empty if nothing is requested."""
+        """Return the request as a query string, which begins with ``parameters``; empty if nothing is requested."""
         fields = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})
         return urlencode({**parameters, **fields.pop("sun", {}), **fields, **dict(self.overrides.asked)})
 
@@ -76,8 +76,8 @@ class PictureRequest(_RequestModel):
 class ProductRequest(PictureRequest):
     """A product with its options, under a sun. Requests for the same picture are equal.
 
-    Fields on which the product does not depend are dropped: the style if the product is not for display, and the sun and the
-    shadows if it does not depend on a moment.
+    Fields that do not affect the product are dropped. These are the style, if the product is not for display. They are also the sun
+    and the shadows, if the product does not depend on a moment.
     """
 
     product: str = "color"
@@ -100,12 +100,12 @@ class ProductRequest(PictureRequest):
 
     @property
     def product_record(self) -> Product:
-        """The product."""
+        """The record of the product."""
         return PRODUCTS[self.product]
 
     @property
     def picture(self) -> PictureRequest:
-        """The fields of ``PictureRequest``."""
+        """The part of the request that is independent of the product."""
         return PictureRequest(**{name: getattr(self, name) for name in PictureRequest.model_fields})
 
     def with_sun(self, sun: SunSpec | None) -> ProductRequest:
@@ -113,10 +113,10 @@ class ProductRequest(PictureRequest):
         return ProductRequest(**{**dict(self), "sun": sun})
 
     def product_query(self) -> str:
-        """Return the request without the product's name as a query string."""
+        """Return the request as a query string without the product's name."""
         return "&".join(part for part in (self.options.query(), self.picture.query()) if part)
 
     def query(self, **parameters: str) -> str:
-        """Return the request as a query string; empty if it is for the level's own colours."""
+        """Return the request as a query string; empty for the level's own colours."""
         product = {} if self.product == "color" else {"layer": self.product}
         return "&".join(part for part in (urlencode({**parameters, **product}), self.product_query()) if part)

@@ -1,6 +1,7 @@
 """Recognition of exhausted threads, file descriptors and memory.
 
-The failure is temporary and loses nothing: whoever reserved a slot for the work releases it, and clients are told to retry.
+Such a failure is temporary and loses no data. The caller releases any slot that it had reserved for the work, and clients are told
+to retry.
 """
 
 from __future__ import annotations

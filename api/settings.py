@@ -18,9 +18,9 @@ MAX_DEFAULT_WORKERS = 4
 
 
 def default_workers() -> int:
-    """Return the default number of render processes: one per core.
+    """Return the default number of render processes: one per core, at most ``MAX_DEFAULT_WORKERS``.
 
-    Answering requests takes little time, and processes draw more blocks than a rasteriser's threads.
+    Answering requests takes little time. Several processes draw more blocks than the threads of one software rasteriser.
     """
     return min(usable_cores(), MAX_DEFAULT_WORKERS)
 

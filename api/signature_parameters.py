@@ -1,4 +1,4 @@
-"""Decorators that replace a function's ``**shadow_settings`` by declared parameters in the signature that frameworks read."""
+"""Decorators that replace the ``**`` parameter of a function by declared ones, in the signature that frameworks read."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def with_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = None) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator that replaces ``**shadow_settings`` in a function's signature by parameters (names and annotations).
+    """Return a decorator that replaces the ``**`` parameter in a function's signature by declared ones (names and annotations).
 
-    Their default is ``None``. They come last, or ``after`` the parameter of that name.
+    Their default is ``None``. They come last, or after the parameter named ``after``.
     """
     added = [
         inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
@@ -35,5 +35,5 @@ def with_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = N
 def with_shadow_settings(
     front_end: FrontEnd, annotation: Callable[[Setting], Any], after: str | None = None
 ) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator that replaces ``**shadow_settings`` in a function's signature by a front end's shadow settings."""
+    """Return a decorator that replaces the ``**`` parameter in a function's signature by a front end's shadow settings."""
     return with_parameters([(setting.name, annotation(setting)) for setting in settings_of(Shadows, front_end)], after)

@@ -45,7 +45,7 @@ class StacItem:
 
 
 def read_stac_item(path: Path) -> StacItem:
-    """Read an item. Its sun has the stated angles if the item has both; otherwise it follows from the acquisition time.
+    """Read a STAC item. If it states both angles, its sun has these; otherwise the sun follows from the acquisition time.
 
     Raises ``InputError`` for a file that is not an item, or that has neither angles nor a time. Raises ``OSError`` if it cannot be
     read.
@@ -96,7 +96,7 @@ def _moment(path: Path, name: str, text: Any) -> SunSpec:
 
 
 def _finest_cells(path: Path, item: Mapping[str, Any]) -> RasterCells | None:
-    """Return the grid with the smallest cells of an item and its assets, the first of equal ones."""
+    """Return the grid with the smallest cells among those of an item and its assets; ``None`` if they state none."""
     grids = list(_all_cells(path, item))
     return min(grids, key=lambda cells: abs(cells.transform.determinant), default=None)
 

@@ -1,6 +1,7 @@
 """Encodings of heights as colours for 3D clients: Mapbox Terrain-RGB and Terrarium.
 
-Heights are rounded once, half to even, to the nearest code. Such pictures must not be resampled, because their bytes are digits.
+Heights are rounded once, half to even, to the nearest code. Resampling such a picture would corrupt it, because the colour bytes
+are the digits of a number.
 """
 
 from __future__ import annotations

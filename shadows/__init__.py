@@ -1,6 +1,8 @@
-"""Plan -> Frame: the shadow algorithms. Each fills the visibility of one light for the points of a geometry buffer.
+"""Compute cast shadows: the shadow algorithms, and the code that runs them by a plan to render a frame.
 
-- The folders hold one algorithm, or one family of algorithms, each.
+Each algorithm fills the visibility of one light (1: lit, 0: in shadow) at the points of a geometry buffer.
+
+- Each folder holds one algorithm, or one family of algorithms.
 - ``algorithm`` defines the record that declares an algorithm; ``passes``, ``work``, ``attached`` and ``area_light`` hold code that
   all algorithms share.
 - ``planar`` and ``none`` are the smallest algorithms.

@@ -46,14 +46,20 @@ The requirement depends on the zoom, and a level that requests a sweep has all z
 """
 
 MAX_BEND_PX = 0.25
-"""Upper bound, in pixels, of the distance between a map and the camera views of its parts, for algorithms that draw in the view."""
+"""Upper bound, in pixels, of the error of an affine camera that stands for a part of a map.
+
+Algorithms that draw casters in the view itself need such cameras. Above the bound the map is a ``bent map``.
+"""
 
 BENT_MAP_REASON = "the map is not affine: at this scale no affine camera fits it within a quarter of a pixel"
-"""The reason with which such an algorithm refuses a ``bent map``."""
+"""The reason with which an algorithm that draws casters in the view itself refuses a ``bent map``."""
 
 
 COMPANION_MAP_SIZES = (1024, 2048, 4096)
-"""Sizes of maps that are tried beside an algorithm without maps. A short list limits the number of candidates."""
+"""Sizes, in texels a side, of shadow maps that are tried where an algorithm without maps serves the other kinds of casters.
+
+A short list limits the number of candidates.
+"""
 
 
 def is_area(descriptor: Descriptor, light: str, shadows: Shadows) -> bool:
@@ -126,12 +132,15 @@ class AlgorithmSettings(BaseModel):
 
     @property
     def as_overrides(self) -> dict[str, Any]:
-        """The settings as a level's ``shadows`` keys, without other fields."""
+        """The settings as keys and values of a level's ``shadows``, without fields that are no such keys."""
         return {key: getattr(self, key) for key in Shadows.model_fields if hasattr(self, key)}
 
     @property
     def label(self) -> list[str]:
-        """The words that distinguish these settings from others, for the name of a candidate."""
+        """The values that distinguish these settings from others, as text: a part of a candidate's name.
+
+        They are the values of all required fields, then those that differ from their defaults.
+        """
         required = [str(getattr(self, name)) for name, field in type(self).model_fields.items() if field.is_required()]
         return [*required, *self.changed()]
 
@@ -209,7 +218,7 @@ class SettingsRequest:
 
         Returns
         -------
-        list of Reasoned
+        list of NamedReason
             One entry; empty if the algorithm has the requested filter.
         """
         requested_filter = self.effective_shadows.filter
@@ -238,13 +247,14 @@ class Search:
     search_space
         Fields of ``Shadows`` that policies vary, each with its values in the order in which they are tried.
     is_tunable
-        Function of a descriptor, a light's name, a field and a value: whether the value makes sense there. If it does not, the
-        algorithm resolves the field itself.
+        Function of a descriptor, a light's name, a field and a value of it. It returns whether the value makes sense for the view
+        and the light. If it does not, the algorithm resolves the field itself.
     companion_map_sizes
-        Sizes of maps that are tried where this algorithm takes some kinds of casters and a map takes the others; ``None``: all
-        sizes.
+        Sizes of shadow maps that are tried where this algorithm serves some kinds of casters and a shadow map serves the others.
+        ``None``: all sizes.
     is_excluded
-        Function of a descriptor and a kind of casters: whether the algorithm is no candidate there, although it could serve it.
+        Function of a descriptor and a kind of casters. It returns whether the selector shall not consider the algorithm for them,
+        although the algorithm could serve them.
     compared_overrides
         Overrides that vary the resolution, for the accuracy report.
     variants
@@ -266,10 +276,11 @@ class Cost:
     Attributes
     ----------
     work
-        Function that counts the work of a step by part, from the descriptor alone (``skugga.shadows.work``). ``None``: all pixels
-        and triangles, in one part with the algorithm's name.
+        Function that returns the work of a step (one call of the algorithm) as counts by part, from the descriptor alone
+        (``skugga.shadows.work``). ``None``: all pixels and triangles, in one part with the algorithm's name.
     passes
-        Parts (without the kind of view or light) whose pass is recorded separately. The last part takes the rest of a step's time.
+        Names of parts of the work (without the kind of view or light), each with the pass whose recorded time measures it. The
+        last part takes the rest of a step's time.
     calibration_settings
         Function of a descriptor, a light's name and the extent of the calibration, that returns the settings to measure on a
         synthetic scene. The extent is ``full`` (all settings), ``some`` (fewer) or ``few`` (only those that need the scene).
@@ -292,7 +303,7 @@ class ErrorConstants:
     interior
         Share of the wrong area that lies inside of shadows and lit areas.
     spread, interior_spread
-        Scales by which the logarithms of both scatter about their expected values.
+        Scales by which the logarithms of the wrong share and of the interior share scatter about their expected values.
     """
 
     floor: float
@@ -308,19 +319,19 @@ class Accuracy:
     Attributes
     ----------
     texel_px
-        Function that returns a texel's side across the light, in pixels, in a band of distances
+        Function that returns a texel's side perpendicular to the light, in pixels, in a band of distances from the eye
         (``skugga.selector.cost.error_model``). Its arguments are a descriptor, a light's name, settings, a band, and the fitted
         number of a perspective map's texels per pixel. ``None``: the algorithm has no texels.
     texel_m
-        Function that returns a texel's larger side on level ground, in metres, at the points of a buffer (rows, cols) or
-        everywhere. Its arguments are a scene, a light's name, kinds of casters, settings and a buffer. ``None``: the algorithm has
-        no texels.
+        Function that returns a texel's larger side on level ground, in metres: an array (rows, cols) for the points of a buffer, or
+        one number for all. Its arguments are a scene, a light's name, kinds of casters, settings and a buffer. ``None``: the
+        algorithm has no texels.
     wrong_share
         Function that returns the share of the picture on which the algorithm's shadow of one kind of casters is wrong by design.
     groups
-        Names under which errors are fitted, if there are more than one.
+        Names of the groups of views whose errors are fitted separately; empty: one group with the algorithm's name.
     group_of
-        Function that returns the group of a view.
+        Function of a descriptor that returns the group of its view.
     constants
         Fitted constants by group, for an algorithm that is missing in ``selector/cost/error_model.json``.
     """
@@ -354,7 +365,7 @@ class Mark:
 
 
 Fill = Callable[..., np.ndarray]
-"""Function that returns the visibility of one light at a buffer's points, past some kinds of casters.
+"""Function that returns the visibility of one light at a buffer's points, where only the given kinds of casters block it.
 
 The result is float32 (rows, cols) in [0, 1]. The arguments are a ``GeometryBuffer``, a ``Scene``, the light's name, the kinds of
 casters, ``Casters``, the settings and the ``PassLog``.
@@ -362,9 +373,10 @@ casters, ``Casters``, the settings and the ``PassLog``.
 
 
 FillNodes = Callable[..., np.ndarray]
-"""Function that returns whether each of a map's ``BareNodes`` is lit: bool (rows, cols), with attached shadow.
+"""Function that returns which nodes of bare ground in a map (``BareNodes``) are lit: bool (rows, cols).
 
-The ground alone casts. It takes the nodes in place of the buffer, and the other arguments of ``Fill``.
+Only the ground casts. Nodes whose ground faces away from the light are not lit. The nodes are the first argument, in place of the
+buffer; the others are those of ``Fill``.
 """
 
 
@@ -381,11 +393,11 @@ class Algorithm:
     fill
         Function that fills the visibility; ``None``: all points are lit.
     node_fill
-        Function of the settings that returns a function for nodes of bare ground, which reads their heights alone; ``None`` where
-        the algorithm has none.
+        Function of the settings that returns a ``FillNodes`` function, which reads only the heights of bare ground. It returns
+        ``None`` where the algorithm has no such function.
     ignores_idle_casters
-        Function of the settings: whether ground that casts no shadow can be left out without changing one bit of the result. A map
-        returns False, since its taps shade a few points by a step where nothing casts.
+        Function of the settings. It returns whether ground that casts no shadow can be left out without changing one bit of the
+        result. Shadow maps return False: their filter darkens a few points slightly even where nothing casts.
     passes
         The names of the passes that ``fill`` runs, in order.
     plural
@@ -449,7 +461,7 @@ class Algorithm:
         return next((self.refusals[requirement] for requirement in requirements if requirement in self.refusals), None)
 
     def work(self, task: Workload, settings: AlgorithmSettings | None) -> Work:
-        """Return the work of one step, as counts by part.
+        """Return the work of one step (one call of the algorithm), as counts by part.
 
         Parameters
         ----------

@@ -27,14 +27,17 @@ GOLDEN_ANGLE = float(np.pi * (3.0 - 5.0**0.5))
 
 
 def disc_points(samples: int) -> np.ndarray:
-    """Return points (samples, 2) of the unit disc, of equal areas: Vogel's spiral (1979)."""
+    """Return points (samples, 2) of the unit disc, each for an equal area: Vogel's spiral (1979)."""
     number = np.arange(samples)
     angle, radius = number * GOLDEN_ANGLE, np.sqrt((number + 0.5) / samples)
     return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
-    """Return unit directions (samples, 3) over the sun's disc, of equal areas."""
+    """Return unit directions (samples, 3) to points of the sun's disc, each for an equal area of it.
+
+    ``to_sun`` (3,) is the unit direction to the disc's centre.
+    """
     right = np.cross(to_sun, [0.0, 0.0, 1.0] if abs(to_sun[2]) < 0.9 else [1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     places = np.tan(np.radians(radius_deg)) * disc_points(samples)
@@ -45,8 +48,9 @@ def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DE
 def ball_points(samples: int) -> np.ndarray:
     """Return points (samples, 3) in the unit ball that cover its visible disc evenly from every direction.
 
-    The directions are even, along a spiral. The density at radius r is 1 / sqrt(1 - r^2), whose integrals along parallel lines are
-    all equal. With r = sin t, the share within t is (2 t - sin 2t) / pi. Consecutive directions have radii that lie far apart.
+    The points' directions from the centre are spread evenly along a spiral. The density at radius r is 1 / sqrt(1 - r^2): its
+    integrals along parallel lines are all equal. With r = sin t, the share of points within radius r is (2 t - sin 2t) / pi.
+    Consecutive points of the spiral have radii that lie far apart.
     """
     number = np.arange(samples)
     up, angle = 1.0 - (2.0 * number + 1.0) / samples, number * GOLDEN_ANGLE
@@ -58,7 +62,10 @@ def ball_points(samples: int) -> np.ndarray:
 
 
 def point_light_scenes(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
-    """Yield the scene with a light at each of its points: the sun in a direction of its disc, a lamp at a position in its ball."""
+    """Yield copies of a scene with a point light in place of an area light, one for each of its ``samples`` points.
+
+    The sun gets a direction of its disc, a lamp a position in its ball.
+    """
     if light == SUN:
         assert scene.sun is not None
         for direction in sun_disc(scene.sun.to_sun_earth, samples):
@@ -70,7 +77,7 @@ def point_light_scenes(scene: Scene, light: str, samples: int) -> Iterator[Scene
 
 
 def scaled_by_points(work: Work, points: int) -> Work:
-    """Return the work for all points of a light, given the work for one."""
+    """Return the work for all ``points`` of an area light, given the work for one."""
     return {part: {name: points * count for name, count in counts.items()} for part, counts in work.items()}
 
 
@@ -87,8 +94,9 @@ def mean_over_light(
 ) -> np.ndarray:
     """Return the mean visibility (rows, cols) float32 over the points of an area light.
 
-    ``settings.light_points`` is the number of points. Each point is filled with the settings updated by ``changes``. A surface that
-    faces away from a point of the light gets 0 from that point. Layers are kept for the first point alone.
+    ``settings.light_points`` is the number of points. For each of them ``fill`` runs with the settings updated by ``changes``. A
+    surface that faces away from a point of the light gets 0 from that point. Intermediate pictures are kept for the first point
+    alone.
     """
     passes = log.named(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.valid.shape, np.float32), settings.model_copy(update=changes)

@@ -13,7 +13,7 @@ from skugga.terrain.scene import Scene
 
 
 def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
-    """Return where a light cannot reach a surface, bool (rows, cols); True off the surface, too.
+    """Return where a surface faces away from a light or lies outside its cone, bool (rows, cols); True off the surface, too.
 
     A surface is in attached shadow in these cases:
 
@@ -37,7 +37,10 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
 
 
 def faces_away(normal: np.ndarray, leaves: np.ndarray, to_light: np.ndarray) -> np.ndarray:
-    """Return where unit normals (rows, cols, 3) do not face a direction (3,), bool (rows, cols); True where a normal is NaN."""
+    """Return where unit normals (rows, cols, 3) do not face a direction (3,), bool (rows, cols); True where a normal is NaN.
+
+    Where ``leaves`` (rows, cols) is true, either side of a surface may face it.
+    """
     out = np.empty(leaves.shape, np.bool_)
     run_in_chunks(len(out), _turned_away, normal, leaves, to_light, out)
     return out

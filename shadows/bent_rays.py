@@ -1,4 +1,4 @@
-"""The width of the round earth across which the sun's rays count as straight lines of a map."""
+"""Decide whether the sun's rays count as straight lines of a map across the area that is drawn at once."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from skugga.terrain.level.level import SUN
 MAX_STRAIGHT_M = 200e3
 """Largest extent of the round earth in metres across which the sun's rays count as parallel lines.
 
-In Web Mercator the lines of a sweep follow the rays across 250 km at 84 degrees of latitude and across 1,000 km at 65, in windows
-of 1,024 nodes a side.
+In Web Mercator, the straight lines that the algorithm ``sweep`` follows match the rays across 250 km at 84 degrees of latitude and
+across 1,000 km at 65, in windows of 1,024 nodes a side.
 """
 
 
@@ -23,10 +23,10 @@ def rays_bend(descriptor: Descriptor) -> bool:
 
 
 def sun_extent_m(descriptor: Descriptor) -> float | None:
-    """Return the extent of the ground, in metres, that the sun's rays cross at once; ``None`` if it is unknown.
+    """Return the side, in metres, of the ground over which the sun's shadows are computed at once; ``None`` if it is unknown.
 
-    A perspective view crosses the whole level. A map crosses at most one block and the length of its longest shadow. A flat world
-    has extent 0, since it bends no rays.
+    A perspective view covers the level's whole ground. A map covers at most one block and the length of its longest shadow. A flat
+    world has extent 0, since it bends no rays.
     """
     if descriptor.sun_altitude_deg is None:
         return None
@@ -40,7 +40,10 @@ def sun_extent_m(descriptor: Descriptor) -> float | None:
 
 
 def _level_extent_m(descriptor: Descriptor) -> float | None:
-    """Return the side, in metres, of a square of the level's area, which follows from the share of it that is seen."""
+    """Return the side, in metres, of a square with the area of the level's ground; ``None`` if it is unknown.
+
+    The area follows from the visible ground's area and its share of the whole.
+    """
     sun_facts = descriptor.lights.get(SUN)
     if (
         descriptor.sun_altitude_deg is None

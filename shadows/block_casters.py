@@ -1,6 +1,6 @@
-"""The casters that a map's block needs: ground beside it that may cast a shadow on it, and whether anything casts at all.
+"""Find the casters that a block of a map needs: the ground beside it that may shade it, and whether any ground casts at all.
 
-A plan is shared by a level, a zoom and a sun. A block leaves out the casters and steps that it provably does not need
+All blocks of a level, a zoom and a sun share one plan. A block leaves out the casters and steps that it provably does not need
 (``skugga.terrain.casters.caster_culling``), and records that. The picture stays the same to the bit.
 """
 
@@ -21,14 +21,17 @@ NOTHING_CASTS = "no ground throws a shadow in the block"
 
 
 def caster_pass(plan: Plan) -> str:
-    """Return the pass in which casters beside a part of a map are searched: a pass that the plan has."""
+    """Return the name of the plan's pass in which casters beside a part of a map are searched."""
     return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
 
 
 def find_outside_casters(
     scene: Scene, plan: Plan, receivers: Receivers, find_casters: Callable[[], Casters], log: PassLog
 ) -> Casters:
-    """Return the ground beside a part of a map that may block the sun, as ``find_casters`` returns it, with its idle patches."""
+    """Return the ground beside a part of a map that may shade its ``receivers``, found by ``find_casters``, and record the pass.
+
+    If no step needs casters without a shadow, patches of ground that provably shade no receiver are marked as culled.
+    """
     name = caster_pass(plan)
     with log.run(name) as record:
         casters = find_casters()
@@ -42,8 +45,8 @@ def find_outside_casters(
 def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, casters: Casters, log: PassLog) -> list[Step]:
     """Return the steps of a light that have to run for a map's block.
 
-    The ground's shadow under the sun is left out, and recorded as such, where all ground is provably clear. It is never left out
-    where intermediate pictures are requested.
+    The step for the ground's shadow under the sun is left out, and recorded as such, where provably no ground shades the block. It
+    is never left out where intermediate pictures are requested.
     """
     idle = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _ignores_idle_casters(step)]
     if (

@@ -1,7 +1,7 @@
-"""``draw``: execute a plan for the arrays that a caller needs of a view, on the fastest path that shows them.
+"""Draw the arrays of a view that a caller needs, on the fastest path that shows them (``draw``).
 
-This module alone decides whether the heights of bare ground suffice. If they do, no geometry buffer is made for each sun. If they
-do not, ``render_frame`` draws. Both paths show the same pixels, so tiles, maps, films and rasters agree.
+This module alone decides whether the heights of bare ground suffice. If they do, no geometry buffer is made for each position of
+the sun. If they do not, ``render_frame`` draws. Both paths show the same pixels, so tiles, maps, films and rasters agree.
 """
 
 from __future__ import annotations
@@ -71,7 +71,10 @@ def draw(
 
 
 def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs) -> bool:
-    """Return whether loops over heights draw the needed arrays of a view. Any thread can run these; other views need OpenGL."""
+    """Return whether the heights of bare ground suffice to draw the needed arrays of a view.
+
+    Loops over heights run in any thread. Other views need OpenGL.
+    """
     if not isinstance(view, MapView):
         return False
     scene = with_apparent_sun(scene, plan.runs)
@@ -79,7 +82,7 @@ def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, n
 
 
 def picture_of(frame: Frame, needs: Needs) -> Picture:
-    """Return the needed arrays of a frame."""
+    """Return the needed arrays of a frame as a ``Picture``."""
     return Picture(
         frame.valid,
         frame.passes,
@@ -93,13 +96,13 @@ def picture_of(frame: Frame, needs: Needs) -> Picture:
 
 
 def _draw_block(scene: Scene, block: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture:
-    """Draw a block of a map. Fall back to ``render_block`` where triangles are needed, and on wide blocks."""
+    """Draw a block of a map from heights alone, or by ``render_block`` where triangles are needed or the block is very wide."""
     of_heights = sunlit_picture if needs <= LIT else ground_picture
     return of_heights(scene, block, plan, needs, log) or picture_of(render_block(scene, block, plan, log), needs)
 
 
 def _empty(view: MapView, needs: Needs) -> Picture:
-    """Return the picture of a view before any block is drawn."""
+    """Return the picture of a view before any block is drawn: arrays of 0 or NaN."""
     size = view.rows, view.cols
     return Picture(
         np.zeros(size, np.bool_),
@@ -111,7 +114,10 @@ def _empty(view: MapView, needs: Needs) -> Picture:
 
 
 def _copy_window(picture: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
-    """Copy a window of a part into the whole picture, and keep the worse reach of both."""
+    """Copy the window ``of_part`` of a part into the window ``inside`` of the whole picture; return the picture.
+
+    Its reach is the worse of both (``worse_reach``).
+    """
     for name in ("valid", "color", "opacity", "visibility"):
         target, array = getattr(picture, name), getattr(part, name)
         if target is not None:

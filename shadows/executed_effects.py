@@ -1,4 +1,4 @@
-"""The effects that ran in a frame, derived from its record alone: the passes, and the programs they drew with."""
+"""Find the effects that ran in a frame from its record alone: the passes, and the shader programs that drew in them."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""Shaded pictures of bare ground in maps, without a geometry buffer for each sun. The map service and films draw mostly these.
+"""Draw shaded pictures of bare ground in maps, without a geometry buffer for each position of the sun.
 
-Where heights alone determine visibility and shading, a block's colour and the opacity of its shadow need no triangles. Shadows are
-swept over nodes (``skugga.shadows.supersampling``, as in any picture). The ground is cached across suns and shaded in one pass
-(``skugga.terrain.gbuffer.bare_ground``). The pictures equal those of ``render_frame``; ``skugga.shadows.draw`` chooses the path.
+The map service and films draw mostly such pictures. Where heights alone determine visibility and shading, a block's colour and the
+opacity of its shadow need no triangles. Shadows are computed at the nodes of the ground's grid (``skugga.shadows.supersampling``),
+as in any picture. The ground is cached across positions of the sun and shaded in one pass (``skugga.terrain.gbuffer.bare_ground``).
+The pictures equal those of ``render_frame``; ``skugga.shadows.draw`` chooses the path.
 
-Pixels that are no nodes, as in most pictures, take their ground from one geometry buffer for all suns.
+Most pictures have pixels between the nodes. Their ground comes from one geometry buffer for all positions of the sun.
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ def is_shaded_by_heights(scene: Scene, plan: Plan) -> bool:
 
 
 def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
-    """Draw a block by a plan, or return ``None`` where its triangles are needed. Raises as ``render_frame``."""
+    """Draw a block of bare ground by a plan from heights alone; return ``None`` where its triangles are needed.
+
+    Raises the errors of ``render_frame``.
+    """
     with log.run(GEOMETRY_PASS):
         sky = sky_view(scene.elevation, scene.world) if SKY_PASS in plan.runs else None
         ground = bare_ground(scene, view, sky) if view.on_nodes else _ground_between_nodes(scene, view, sky)
@@ -79,7 +83,7 @@ def _cache_key(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object
 
 @cached("scene", 448 * MIB, key=_cache_key)
 def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround:
-    """Return the bare ground at pixels of a map that are no nodes.
+    """Return the bare ground at pixels of a map that lie between nodes.
 
     Its sky view accounts for the ground's own horizon if ``sky`` is given.
     """
@@ -96,7 +100,7 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
 
 
 def _nodes_under(view: MapView) -> MapView:
-    """Return the nodes of a map's grid between which its pixels lie."""
+    """Return the nodes of a map's grid between which its pixels lie, as a map view with one node in each pixel."""
     if view.on_nodes:
         return view
     ends = []
@@ -108,14 +112,17 @@ def _nodes_under(view: MapView) -> MapView:
 
 
 def _faces_sun(ground: BareGround, scene: Scene) -> bool:
-    """Return whether all ground faces the sun by a margin that holds for its triangles: then none is in attached shadow."""
+    """Return whether all ground faces the sun by the margin ``MIN_SUN_COSINE``.
+
+    The ground's triangles then face the sun, too, so none is in attached shadow.
+    """
     assert scene.sun is not None
     facing = ground.normal_frame @ scene.sun.in_frame(ground.frame).astype(np.float32)
     return float(facing[ground.valid[ground.window]].min(initial=1.0)) > MIN_SUN_COSINE
 
 
 def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> np.ndarray | None:
-    """Return the lit share (rows, cols) float32 of each pixel; ``None`` where heights do not suffice."""
+    """Return the share of each pixel that the sun lights, float32 (rows, cols); ``None`` where heights do not suffice."""
     if not scene.sun_is_up:
         with log.run(ATTACHED_PASS):
             return np.zeros(ground.valid.shape, np.float32)

@@ -1,4 +1,4 @@
-"""Intermediate pictures of a frame, assembled from the layers that the passes of its blocks kept."""
+"""Assemble the intermediate pictures of a frame from the layers that the passes of its blocks kept."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.grid import PixelWindow
 
 MAX_TEXELS = 64_000_000
-"""Upper bound of the texels of a layer with a size of its own."""
+"""Upper bound of the texels of a layer that has a size of its own, such as a depth map."""
 
 
 class LayerCollector:
-    """Intermediate pictures by layer and light.
+    """Collector of a frame's intermediate pictures, by layer and light.
 
-    Layers of pixels are placed at their blocks' windows in a frame of ``size`` (rows, cols). Pictures of other layers are tiled.
+    Layers with one value for each pixel (``PIXEL_LAYERS``) are placed at their blocks' windows in a frame of ``size`` (rows, cols).
+    Pictures of other layers, such as depth maps, are tiled.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -26,7 +27,7 @@ class LayerCollector:
     def add(
         self, layers: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
     ) -> None:
-        """Add the layers of a block, whose pixels ``block_window`` are the frame's pixels ``frame_window``.
+        """Add the layers of a block: its pixels in ``block_window`` become the frame's pixels in ``frame_window``.
 
         Raises ``InputError`` for too many texels.
         """
@@ -59,7 +60,10 @@ class LayerCollector:
 
 
 def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
-    """Return pictures (rows, cols) of one dtype tiled row by row, in a grid about as wide as high, with NaN (or 0) between them."""
+    """Return pictures (rows, cols) of one dtype as one picture, tiled row by row.
+
+    The tiles form a grid with about as many columns as rows. Gaps between them are NaN, or 0 for integers.
+    """
     rows, cols = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
     tile_cols = int(np.ceil(np.sqrt(len(pictures))))
     out = _empty((-(-len(pictures) // tile_cols) * rows, tile_cols * cols), pictures[0].dtype)

@@ -1,12 +1,12 @@
-"""Anti-aliased edges in maps: a pixel that an edge crosses shows the mean over its samples.
+"""Anti-alias edges in maps: a pixel that an edge crosses shows the mean over its samples.
 
-Masks and measures of accuracy keep to the pixels' own points. Where heights alone suffice, all pixels show means over nodes half a
+Masks and measures of accuracy use each pixel's own point only. Where heights alone suffice, all pixels show means over nodes half a
 pixel apart, as in coarse maps (``skugga.shadows.supersampling``). Elsewhere only pixels that an edge crosses get more samples. The
-samples are the points of a finer view of the same ground. The plan's own steps fill them, and they are shaded one by one. A pixel
-whose samples all agree with its own point keeps that point.
+samples are the points of a finer view of the same ground. The plan's steps compute the visibility at each sample, and each sample
+is shaded. A pixel whose samples all agree with its own point keeps that point.
 
-An edge crosses a pixel where a light's visibility, or the kind of surface, changes from the pixel to a neighbour. The test ends at
-the block's border, so all pixels along its sides get more samples.
+An edge crosses a pixel where a light's visibility, or the kind of surface, changes from the pixel to a neighbour. Pixels beyond the
+block's border are unknown, so all pixels along its sides get more samples.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ EDGE_CHANGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
 
 PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
-"""Side in pixels of a part whose finer view is made at a time: as many points as in a block."""
+"""Side, in pixels, of the parts of a block that are sampled one at a time. A part has as many samples as a block has pixels."""
 
 SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
 
@@ -51,10 +51,11 @@ SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame
 def anti_aliased(
     scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: Arrays, log: PassLog
 ) -> tuple[MultisampledBuffer, Arrays]:
-    """Return a map's block with its samples, and each light's visibility as it is shown.
+    """Return a map's block with samples at its edges, and each light's visibility at its pixels and samples.
 
-    Samples lie below the block's own rows, and have only the arrays that shading reads. ``visibilities`` are those at the pixels'
-    own points.
+    Samples lie in extra rows below the block's own rows. They have only the arrays that shading reads (``SHADING_ARRAYS``).
+    ``visibilities`` are the lights' visibilities at the pixels' own points. Where heights suffice, the block has no samples, and
+    the visibilities are means over its pixels.
     """
     view = block_buffer.view
     assert isinstance(view, MapView)
@@ -111,7 +112,7 @@ def _edge_sampled(
 def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: Arrays) -> bool:
     """Return whether no edge can cross a block or its sides.
 
-    That is where the block has bare ground, nothing casts, and all ground faces the sun.
+    That holds where the block has bare ground, nothing casts, and all ground faces the sun.
     """
     if plan.casts or not is_terrain_only(scene) or not scene.sun_is_up:
         return False
@@ -123,9 +124,9 @@ def _casters(scene: Scene, finer: GeometryBuffer, search_outside: bool) -> Caste
 
 
 def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.ndarray:
-    """Return the pixels (rows, cols) of a map's block at an edge, bool: those on both sides of it.
+    """Return which pixels (rows, cols) of a map's block lie on either side of an edge, bool.
 
-    All pixels along the block's sides belong to them.
+    They include all pixels along the block's sides, unless ``visibilities`` is empty.
     """
     edges = np.zeros(buffer.valid.shape, np.bool_)
     _mark_changes(buffer.kind, 0.0, edges)
@@ -138,7 +139,7 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
 
 
 def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
-    """Yield the parts of a block that contain edge pixels."""
+    """Yield the parts of a block that contain edge pixels, as slices of its rows and columns."""
     for top in range(0, edges.shape[0], PART_PX):
         for left in range(0, edges.shape[1], PART_PX):
             down = slice(top, min(top + PART_PX, edges.shape[0]))
@@ -148,14 +149,14 @@ def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
 
 
 def _sample_buffer(scene: Scene, block_buffer: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
-    """Return the samples of the ``edges`` pixels of a part."""
+    """Return the geometry buffer of the samples of a part's pixels in the mask ``edges``."""
     with log.run(GEOMETRY_PASS):
         pixel_mask = np.repeat(np.repeat(edges, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
         return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
 
 
 def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) -> Arrays:
-    """Return the arrays for shading and each light's visibility at the samples of some pixels of a part.
+    """Return the arrays for shading and each light's visibility at the samples of the pixels in the mask ``edges`` of a part.
 
     Each array is (pixels, ``SAMPLES_PER_PIXEL``, ...).
     """
@@ -172,8 +173,10 @@ def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) ->
 def _with_samples(
     pixel_values: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray
 ) -> np.ndarray:
-    """Return a buffer's array with samples (n, ``SAMPLES_PER_PIXEL``, ...) in rows below it. Missing samples take the pixel's own
-    value.
+    """Return a buffer's array (rows, cols, ...) with samples as extra rows below it.
+
+    ``samples`` (n, ``SAMPLES_PER_PIXEL``, ...) belong to the pixels ``row``, ``col`` (n,). Samples in the mask ``missing`` take
+    their pixel's own value.
     """
     of_pixels = pixel_values[row, col][:, None]
     is_missing = missing.reshape(missing.shape + (1,) * (samples.ndim - 2))
@@ -185,7 +188,10 @@ def _with_samples(
 
 @compiled
 def _mark_changes(values, threshold, edges):
-    """Mark the pixels (rows, cols) whose values differ by more than ``threshold`` from one of their eight neighbours."""
+    """Mark in ``edges`` both pixels of each pair of neighbours whose values (rows, cols) differ by more than ``threshold``.
+
+    A pixel has eight neighbours.
+    """
     rows, cols = values.shape
     for i in range(rows):
         for j in range(cols):

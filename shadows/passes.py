@@ -44,31 +44,31 @@ class PassRecord:
     ms
         Wall-clock time, milliseconds.
     draws, triangles
-        Draw calls and triangles.
+        Number of draw calls and of triangles.
     map_texels
-        Texels of shadow maps.
+        Number of texels of shadow maps.
     bytes
         Largest size of textures and buffers held at a time, bytes.
     kept
-        Maps or volumes taken from a cache.
+        Number of maps or volumes that were taken from a cache.
     edges
-        Silhouette edges.
+        Number of silhouette edges.
     marked, tiles
-        Marked pixels, and tiles with a marked pixel.
+        Number of pixels that the map of ``hybrid`` leaves to shadow volumes, and of tiles with such a pixel.
     light_points
-        Points of the light over which the result is averaged.
+        Number of points of the light over which the result is averaged.
     note
         A remark, such as the reason for ``left_out``.
     parts
-        Blocks, or parts of them, for which the plan has the pass.
+        Number of blocks, or parts of blocks, for which the plan has the pass.
     left_out
-        Those of ``parts`` that provably need none of its work, and left it out.
+        Number of ``parts`` that left the pass out, since they provably need none of its work.
     programs
-        Labels of the programs that drew, in the order of their first use.
+        Labels of the shader programs that drew, in the order of their first use.
     textures
-        Names of the textures that these can read, sorted (``skugga.terrain.gl.programs``).
+        Names of the textures that these programs can read, sorted (``skugga.terrain.gl.programs``).
     loops
-        Labels of the loops on the processor that did such work instead.
+        Labels of the CPU loops that did the work of a shader program.
     """
 
     name: str
@@ -90,7 +90,7 @@ class PassRecord:
     loops: tuple[str, ...] = ()
 
     def add_loop(self, loop: str, taps: int) -> None:
-        """Record that a loop on the processor sampled a map at points by ``taps`` taps along a side."""
+        """Record that the CPU loop ``loop`` sampled a depth map with ``taps`` x ``taps`` texels around each point."""
         self.loops = tuple(dict.fromkeys([*self.loops, f"{loop} taps={taps}"]))
 
     @property
@@ -101,12 +101,12 @@ class PassRecord:
 
 @dataclass
 class PassLog:
-    """The passes of a frame in the order of their first run. The blocks of one frame add up.
+    """The log of a frame's passes, in the order of their first run. Records add up over the blocks of a frame.
 
     Attributes
     ----------
     records
-        The records by name.
+        The records by name of the pass.
     requested_layers
         The layers that passes shall keep.
     layers
@@ -119,7 +119,7 @@ class PassLog:
 
     @contextmanager
     def run(self, name: str) -> Iterator[PassRecord]:
-        """Time a pass and record it, with all that is drawn in it."""
+        """Time a pass within the block, and record its time and all draw calls."""
         record = self.records.setdefault(name, PassRecord(name))
         record.parts += 1
         start = time.perf_counter()
@@ -140,7 +140,7 @@ class PassLog:
             record.parts, record.left_out, record.note = record.parts + 1, record.left_out + 1, reason
 
     def keep(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
-        """Keep the picture ``make(*args)`` of a layer and a light. ``make`` is called only if the layer is wanted.
+        """Keep the picture ``make(*args)`` of a layer and a light. ``make`` is called only if the layer is requested.
 
         A layer of ``PIXEL_LAYERS`` has the rows and columns of the geometry buffer, without the rows of samples below them. In any
         other layer, row 0 is the upper row.
@@ -155,10 +155,13 @@ class PassLog:
 
     @property
     def names(self) -> list[str]:
-        """The names of the passes that ran, in order."""
+        """The names of the passes that ran or were left out, in order."""
         return list(self.records)
 
     @staticmethod
     def named(light: str, kinds: tuple[str, ...], passes: tuple[str, ...]) -> list[str]:
-        """Return the names of an algorithm's passes for a light and the kinds of casters that it serves together."""
+        """Return the names of an algorithm's passes for a light and the kinds of casters that it serves together.
+
+        An example is ``sun/relief+meshes: depth map``.
+        """
         return [f"{light}/{'+'.join(kinds)}: {name}" for name in passes]

@@ -1,4 +1,4 @@
-"""The penumbra's width of a lamp's ball in a picture, and the number of points of the ball that show it.
+"""Estimate the width of a lamp's penumbrae in a picture, and the number of points of the lamp's ball that show them.
 
 A ball of radius R casts a penumbra of width 2 R t / (d - t) at a distance d from the lamp, from a caster at the distance t in front
 of the receiver. The facts of a view contain d and the median of t, by kind of caster.
@@ -14,7 +14,7 @@ MAX_POINTS, MIN_POINTS = 32, 4
 """Numbers of points of a light over which algorithms with hard edges are averaged. A penumbra has as many steps."""
 
 POINTS_PER_PX = 4.0
-"""Steps of a penumbra per pixel of its width. A step is then at most a quarter of the step at a pixel's own edge."""
+"""Steps of a penumbra per pixel of its width. From pixel to pixel, visibility then changes by several small steps."""
 
 MAX_CASTER_SHARE = 0.8
 """Upper bound of a caster's position, as a share of the way from a receiver to the lamp. It is used where the position is unknown.
@@ -41,7 +41,7 @@ def penumbra_px(descriptor: Descriptor, light: str) -> float | None:
 
 
 def light_points(descriptor: Descriptor, light: str) -> int:
-    """Return the number of points of a light that show its penumbrae; 1 where a lamp's are narrower than a pixel."""
+    """Return the number of points of a light that show its penumbrae; 1 for a lamp with penumbrae narrower than a pixel."""
     if light == SUN:
         return MAX_POINTS
     width_px = penumbra_px(descriptor, light)

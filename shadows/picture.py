@@ -55,7 +55,7 @@ class Picture:
 
     @property
     def opaque(self) -> np.ndarray:
-        """bool (rows, cols): where the colour is valid: on the surface, and in the sky of a perspective view."""
+        """Where the colour is valid, bool (rows, cols): on the surface, and in the sky of a perspective view."""
         return np.ones(self.valid.shape, np.bool_) if self.shows_sky else self.valid
 
     def part(self, window: PixelWindow) -> Picture:

@@ -111,7 +111,10 @@ class Plan(_Value):
 
     @property
     def casts(self) -> bool:
-        """Whether anything fills a light's visibility. If not, nothing casts, and no ground beside the picture is searched."""
+        """Whether any step computes cast shadows, by another algorithm than ``none``.
+
+        If not, nothing casts, and no ground beside the picture is searched for casters.
+        """
         return any(step.algorithm != NO_SHADOWS for step in self.steps)
 
     def steps_under(self, light: str) -> list[Step]:
@@ -138,7 +141,7 @@ def plan_steps(
 ) -> list[Step]:
     """Return the steps for algorithms and settings by light and kind of casters.
 
-    Kinds of one light that share both form one step.
+    Kinds of casters under one light with the same algorithm and settings form one step.
     """
     steps: list[Step] = []
     for light, per_kind in algorithm.items():

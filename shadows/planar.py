@@ -70,7 +70,7 @@ class Projection:
     origin_frame_m
         A point of the plane (3,), in the frame.
     light_m
-        The light (4,), homogeneous.
+        The light (4,), homogeneous: the sun's direction and 0, or a lamp's position and 1.
     meshes
         Vertices (n, 3) and triangles (m, 3) of each mesh.
     trees
@@ -126,9 +126,9 @@ def plane_projection(light_m: np.ndarray) -> np.ndarray:
 
 
 def clip_from_plane(world: World, frame: LocalFrame, view: MapView | PerspectiveView, origin_frame_m: np.ndarray) -> np.ndarray:
-    """Return the matrix (4, 4) to clip coordinates, from homogeneous points in metres from a point of the plane.
+    """Return the matrix (4, 4) to clip coordinates from homogeneous points, in metres from ``origin_frame_m``.
 
-    It is affine for the map of a flat world.
+    ``origin_frame_m`` (3,) is a point of the plane. The matrix is affine for the map of a flat world.
     """
     if isinstance(view, PerspectiveView):
         return camera_clip(view, frame, origin_frame_m, NEAR_M)
@@ -136,7 +136,10 @@ def clip_from_plane(world: World, frame: LocalFrame, view: MapView | Perspective
 
 
 def _make_projection(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...]) -> Projection:
-    """Return the casters, relative to the point of the plane below the eye, or in the middle of a map."""
+    """Return the casters and the light, relative to a point of the plane.
+
+    The point lies below the eye, or in the middle of a map.
+    """
     view, frame = buffer.view, buffer.frame
     if isinstance(view, MapView):
         middle, _ = scene.world.ground(view.grid.crs, *view.centre)
@@ -164,7 +167,7 @@ def _stencil(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Return the stencil (rows, cols) uint8 of a view that shows the ground at ``receivers``."""
+    """Return the stencil (rows, cols) uint8 of a view after casters are projected onto its ground pixels ``receivers`` (mask)."""
     if not (receivers.any() and projection.reaches_ground):
         for name in passes:
             with log.run(name):
@@ -222,7 +225,10 @@ def _work(task: Workload, settings: None) -> Work:
 
 
 def _wrong_share(casting: Casting) -> float:
-    """Return the share of receivers on meshes and trees in shadow, which get none; the whole shadow's share if unknown."""
+    """Return the share of visible surfaces in shadow that are meshes or trees: this algorithm leaves them lit.
+
+    If it is unknown, return the share of the whole cast shadow.
+    """
     return casting.share if casting.on_bodies is None else max(casting.on_bodies, MIN_CAST_SHARE)
 
 

@@ -34,7 +34,7 @@ from skugga.terrain.shading import albedo_of, shade, slope_sky_view_factor, srgb
 from skugga.terrain.sky import sky
 
 RENDERER_VERSION = 4
-"""Version of the renderer. Increment it by hand with every change of any picture: older pyramids are then redrawn."""
+"""Version of the renderer. Increment it by hand with every change of any picture: older tile pyramids are redrawn."""
 
 SHADING_PASS = "shading"
 REFRACTION_PASS = "refraction"
@@ -62,7 +62,7 @@ class Frame:
     visibilities
         Light -> float32 (rows, cols) in [0, 1], NaN off the surface.
     shown_visibilities
-        The same with a map's edges anti-aliased, as in ``color``.
+        Light -> the same visibility with a map's edges anti-aliased, as ``color`` shows it.
     height_m
         float32 (rows, cols), metres, NaN off the surface.
     position_frame_m
@@ -123,9 +123,9 @@ class Frame:
         return self.valid if isinstance(self.view, MapView) else np.ones(self.valid.shape, bool)
 
     def with_light_first(self, light: str | None) -> Frame:
-        """Return the frame with a light's visibility as the first one.
+        """Return the frame with a light's visibility as the first one. ``None`` returns the frame unchanged.
 
-        ``None`` returns the frame unchanged. Raises ``InputError``.
+        Raises ``InputError`` for a light that does not reach the view.
         """
         if light is None:
             return self
@@ -144,7 +144,7 @@ def check_pixels(view: MapView | PerspectiveView) -> None:
 
 
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
-    """Return the passes of a frame in which these effects run, in order."""
+    """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms."""
 
     def parts(stage: Stage) -> list[str]:
         return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
@@ -187,7 +187,7 @@ def render_frame(
     layers
         The intermediate pictures to keep.
     pixel_sampling
-        ``means``, or the pixels' own points, by which accuracy is measured.
+        ``means`` over the ground that a pixel covers, or ``points``: the pixels' own points, by which accuracy is measured.
 
     Returns
     -------
@@ -243,7 +243,7 @@ def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
 
 
 def _empty_frame(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Frame:
-    """Return the frame of a view before any part is drawn, with arrays like those of a part."""
+    """Return the frame of a view before any part is drawn. It has the same arrays as the frame of a part."""
     size = view.rows, view.cols
     visibilities, shown_visibilities = ({light: np.full(size, np.nan, np.float32) for light in plan.lights} for _ in range(2))
     position = None if part.position_frame_m is None else np.full((*size, 3), np.nan)
@@ -259,13 +259,16 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
-    """Return a perspective view in bands of whole rows, each with its first row and column. Bands bound the memory."""
+    """Cut a perspective view into bands of whole rows, each with its first row and column. Bands bound the memory."""
     rows = max(BAND_PIXELS // view.cols, 1)
     return [(view.part(row, 0, min(rows, view.rows - row), view.cols), row, 0) for row in range(0, view.rows, rows)]
 
 
 def apply_refraction(scene: Scene, plan: Plan, log: PassLog) -> Scene:
-    """Return the scene with the sun as a plan's effects show it. Refraction is a pass of its own."""
+    """Return the scene with the sun's apparent position if the plan has refraction, or with its true one.
+
+    Refraction is recorded as a pass of its own.
+    """
     if REFRACTION_PASS not in plan.runs:
         return with_apparent_sun(scene, plan.runs)
     with log.run(REFRACTION_PASS):
@@ -275,7 +278,10 @@ def apply_refraction(scene: Scene, plan: Plan, log: PassLog) -> Scene:
 def render_block(
     scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixel_sampling: PixelSampling = "means"
 ) -> Frame:
-    """Render a part of a view, or a block of a map, of a scene from ``apply_refraction``. Raises as ``render_frame``."""
+    """Render a block of a map, or a band of a perspective view. The scene is one that ``apply_refraction`` returned.
+
+    Raises the errors of ``render_frame``.
+    """
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.pixel_buffer
@@ -333,7 +339,7 @@ def _initial_values(block: ShadingBlock, stage: Stage) -> np.ndarray:
 
 
 def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBlock, plan: Plan, log: PassLog) -> None:
-    """Run the parts of a stage's effects, each as a pass of its own."""
+    """Run the plan's effects of one stage on the array ``values[stage]``, each as a pass of its own."""
     for name, effect in EFFECTS.items():
         if effect.stage == stage and effect.apply is not None and name in plan.runs:
             with log.run(name):
@@ -343,7 +349,7 @@ def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBloc
 
 
 def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
-    """Colour the pixels and samples without a surface."""
+    """Write the sky's colour to the pixels and samples without a surface."""
     row, col = np.nonzero(~picture.buffer.valid)
     pixel_row, pixel_col = picture.pixels_of(row, col)
     linear[row, col] = sky(scene, view, pixel_row, pixel_col)

@@ -32,7 +32,10 @@ def is_lit_by_heights(scene: Scene, view: MapView, plan: Plan) -> bool:
 
 
 def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
-    """Draw the masks of a block by a plan, or return ``None`` where its triangles are needed. Raises as ``render_frame``."""
+    """Draw the sun's visibility in a block of bare ground by a plan; return ``None`` where its triangles are needed.
+
+    Raises the errors of ``render_frame``.
+    """
     with log.run(GEOMETRY_PASS):
         ground = bare_ground(scene, view, None)
         if ground is None:
@@ -56,7 +59,10 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
 
 @cached("scene", 448 * MIB, key=lambda scene, view: (scene.world, scene.elevation, view), max_entries=1)
 def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
-    """Return the points of a map on the rim of its ground, or ``None``. They are cached for many suns in sequence."""
+    """Return the geometry buffer of a map's points on the rim of its ground; ``None`` without any.
+
+    It is cached for many positions of the sun in sequence.
+    """
     ground = bare_ground(scene, view, None)
     rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim(scene, view) & ground.valid
     if ground is None or not rim.any():
@@ -65,9 +71,10 @@ def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
 
 
 def _rim(scene: Scene, view: MapView) -> np.ndarray:
-    """Return the nodes (rows, cols), bool, that lack one of their eight neighbours.
+    """Return which nodes (rows, cols) lack one of their eight neighbours, bool.
 
-    Elsewhere the facet on a node's way to the sun shades it if all its facets face away. At the rim this facet may be missing.
+    Other nodes need no test of their facets: if all of these face away, the one on the way to the sun shades the node. At the rim
+    this facet may be missing.
     """
     valid = bare_nodes(scene, view, 1).surface.valid
     rows, cols = valid.shape

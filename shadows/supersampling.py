@@ -1,8 +1,9 @@
-"""Supersampling of maps whose pixels are larger than the data's cells: a pixel shows the mean visibility of the ground it covers.
+"""Supersample maps whose pixels are larger than the data's cells: a pixel shows the mean visibility of the ground it covers.
 
 The share of shadow therefore does not depend on the zoom. ``skugga.terrain.gbuffer.supersampling`` gives the nodes that a pixel
-covers. The plan's own steps draw these sub-pixel nodes like the pixels of any finer map. A box filter averages them, with attached
-shadow. Colours, heights and normals remain those of the pixel's own point. Bare ground under the sweep needs its heights alone.
+covers. The plan's own steps draw these sub-pixel nodes like the pixels of any finer map. A box filter averages their visibilities,
+with attached shadow. Colours, heights and normals remain those of the pixel's own point. With the algorithm ``sweep``, bare ground
+needs only its heights.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ MAX_BARE_AT_ONCE = 18 * BLOCK_PX**2
 """Upper bound of the nodes of bare ground in one part: about half a gigabyte."""
 
 MAX_POINTS_AT_ONCE = 5 * BLOCK_PX**2 // 4
-"""Upper bound of the nodes in one part of which a geometry buffer is made: about those of a block, half a gigabyte."""
+"""Upper bound of the nodes in one part with a geometry buffer: about as many as in a block, half a gigabyte."""
 
 Visibilities = dict[str, np.ndarray]
 
@@ -70,11 +71,11 @@ class Supersampling:
     heights_only: bool
 
     def nodes(self, view: MapView) -> MapView:
-        """Return the nodes that some pixels cover."""
+        """Return the nodes that the pixels of a map cover, as a map view with one node in each pixel."""
         return covered_nodes(view, self.grid)
 
     def max_nodes(self, nodes: MapView) -> tuple[int, int]:
-        """Return the upper bounds of the nodes in one part: in all, and along a side."""
+        """Return two upper bounds of the nodes in one part: of their number in all, and of the number along a side."""
         if not self.heights_only:
             return MAX_POINTS_AT_ONCE, BLOCK_PX * 8
         max_side = BLOCK_PX * 8
@@ -100,7 +101,8 @@ def supersampling(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
 def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling | None:
     """Return the supersampling that anti-aliases the edges of a map that is not coarse.
 
-    Its nodes are half a pixel apart and include the pixels' own points. It is ``None`` where the heights alone do not suffice.
+    Its nodes are half a pixel apart and include the pixels' own points. It is ``None`` where heights alone do not suffice, and
+    where a block is too wide for parallel rays.
     """
     narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
     if not (narrow and plan.steps and needs_heights_only(scene, plan)):
@@ -109,7 +111,7 @@ def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling
 
 
 def needs_heights_only(scene: Scene, plan: Plan) -> bool:
-    """Return whether the steps of a plan need the heights of bare ground alone."""
+    """Return whether the steps of a plan need only the heights of bare ground, with the sun up."""
     fills = (ALGORITHMS[step.algorithm].node_fill(step.settings) for step in plan.steps)
     return is_terrain_only(scene) and scene.sun_is_up and all(fills)
 
@@ -117,7 +119,8 @@ def needs_heights_only(scene: Scene, plan: Plan) -> bool:
 def mean_visibilities(pixels: Supersampling, block_buffer: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
     """Return each light's mean visibility (rows, cols) float32 in the pixels of a map's block.
 
-    It is 1 in pixels whose nodes show no ground. Layers are means over the nodes, too; layers of counts and marks are the maximum.
+    It is 1 in pixels whose nodes show no ground. Intermediate pictures of floats are means over the nodes, too. Those of integers
+    (counts and marks) are the maximum.
     """
     view = block_buffer.view
     assert isinstance(view, MapView)
@@ -155,7 +158,10 @@ def _part(view: MapView, window: PixelWindow) -> MapView:
 
 
 def _parts(pixels: Supersampling, block_buffer: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
-    """Yield the pixels of a block that show a surface, in rectangles whose nodes are processed at a time."""
+    """Yield windows of a block that hold all of its pixels with a surface.
+
+    Each window is small enough to process its nodes at once (``Supersampling.max_nodes``).
+    """
     view = block_buffer.view
     assert isinstance(view, MapView)
     rows, cols = np.flatnonzero(block_buffer.valid.any(axis=1)), np.flatnonzero(block_buffer.valid.any(axis=0))
@@ -187,7 +193,7 @@ def needs_outside_casters(plan: Plan, block_buffer: GeometryBuffer | BareGround,
 
 
 def lit_nodes(pixels: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
-    """Return the valid mask of the nodes and the sun's visibility at them, from heights alone."""
+    """Return the valid mask of the nodes and the sun's visibility at them, bool (rows, cols), from heights alone."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, pixels.per_pixel)

@@ -1,4 +1,4 @@
-"""Fill a light's visibility: the only place that runs a plan's steps, for pictures, comparisons, measurements and benchmarks."""
+"""Fill a light's visibility. Pictures, comparisons, measurements and benchmarks all run a plan's steps through this module."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def fill_steps(
     """Return a light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of its steps.
 
     ``steps`` belong to one light (``Plan.steps_under``). ``effects`` are those that run (``Plan.runs``). The visibility is 1 at
-    hidden points (``without_hidden_points``). It has no meaning off the surface and where the surface faces away. Raises as the
-    algorithms do.
+    hidden points (``without_hidden_points``). It has no meaning off the surface and where the surface faces away. Raises the errors
+    of the algorithms.
     """
     steps = list(steps)
     visibility = np.ones(buffer.valid.shape, np.float32)
@@ -44,7 +44,10 @@ def fill_steps(
 
 
 def receivers_of(buffer: GeometryBuffer, scene: Scene, light: str) -> GeometryBuffer:
-    """Return a buffer whose points are the receivers: the points at which algorithms fill a light's visibility."""
+    """Return a buffer whose points are the receivers: the points at which algorithms fill a light's visibility.
+
+    They lie on the smooth ground where only this, and not its triangle, faces the light (``move_to_smooth_ground``).
+    """
     if light == SUN and not scene.sun_is_up:
         return buffer
     return move_to_smooth_ground(buffer, scene.light_position(light, buffer.frame))
@@ -63,9 +66,9 @@ def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: C
 
 
 def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:
-    """Return a buffer without points whose visibility nobody sees.
+    """Return a buffer without the points whose visibility cannot be seen in the picture.
 
-    In a perspective view those are points so far away that haze hides whether the sun shines on them.
+    In a perspective view, haze hides at far points whether the sun shines on them.
     """
     if "haze" not in effects or light != SUN or isinstance(buffer.view, MapView):
         return buffer

@@ -1,9 +1,9 @@
-"""The work of a plan's step, counted from the descriptor alone: pixels, texels, triangles, trees, faces of volumes.
+"""Count the work of a plan's step from the descriptor alone: pixels, texels, triangles, trees, faces of volumes.
 
-A part of an algorithm is named after the algorithm, or after the code that several share; where the kind of view or light changes
-the work, the name includes it. The counts of a part are of things that take the same time in every scene, as far as possible. A
-device's time is the sum of counts times rates (``skugga.selector.cost.cost_model``). Counts of a map view are those of one block.
-Each algorithm counts its own parts; this module has the quantities that several of them share.
+The counts are grouped in parts. A part is named after its algorithm, or after the code that several algorithms share. The name
+includes the kind of view or light where this changes the work. As far as possible, each count is of things that take the same time
+in every scene. A device's time is the sum of counts times rates (``skugga.selector.cost.cost_model``). Counts of a map view are
+those of one block. Each algorithm counts its own parts. This module has the quantities that several of them share.
 """
 
 from __future__ import annotations
@@ -72,35 +72,36 @@ class Workload:
 
     @property
     def pixels(self) -> float:
-        """Pixels, and their further samples at edges."""
+        """Number of pixels, and of their further samples at edges."""
         return self.descriptor.pixels * (1.0 + samples_per_pixel(self.descriptor.edge_share))
 
     @property
     def pictures(self) -> float:
-        """Number of pictures into which casters are drawn: that of the pixels, and the finer one of the samples."""
+        """Number of pictures into which casters are drawn: one for the pixels, and a finer one for samples at edges, if any."""
         return 2.0 if self.descriptor.edge_share > 0.0 else 1.0
 
     @property
     def picture_pixels(self) -> float:
-        """Pixels of these pictures."""
+        """Number of pixels in all ``pictures``."""
         return self.descriptor.pixels * (1.0 + (SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
     def visible_pixels(self) -> float:
-        """Pixels and samples that show a surface."""
+        """Number of pixels and samples that show a surface."""
         return self.pixels * self.descriptor.seen_share
 
     @property
     def facing(self) -> float:
-        """Pixels and samples that show a surface that faces the light."""
+        """Number of pixels and samples that show a surface that faces the light."""
         return self.visible_pixels * self.facts.facing_share
 
     @cached_property
     def facing_away_share(self) -> float:
         """The share of the ground that faces away from the light.
 
-        The visible share underestimates it, since an eye sees few far sides. Under the sun, gradients are assumed to be normally
-        distributed with the level's mean slope, in every direction alike; their lengths then have a Rayleigh distribution.
+        The share of the visible ground underestimates it, since slopes that face away are often hidden. Under the sun, gradients
+        are assumed to be normally distributed with the level's mean slope, in every direction alike; their lengths then have a
+        Rayleigh distribution.
         """
         away_share = 1.0 - self.facts.facing_share
         mean = np.tan(np.radians(min(self.descriptor.mean_slope_deg, 89.0)))
@@ -129,7 +130,7 @@ class Workload:
 
     @property
     def ground_triangles(self) -> float:
-        """Triangles of the casting ground."""
+        """Number of triangles of the casting ground."""
         return self.triangles("relief") + self.outside_triangles
 
     @property
@@ -138,12 +139,12 @@ class Workload:
 
     @property
     def nodes(self) -> float:
-        """Nodes of a map's block, whatever the number of its pixels."""
+        """Number of nodes of the ground under a map's block."""
         return self.pixels * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
 
     @property
     def seen_light_m2(self) -> float:
-        """The visible area across the light, square metres."""
+        """The visible ground's area, projected onto a plane perpendicular to the light, square metres."""
         return self.level_light_m2 * self.facts.area_share
 
     def by_view(self, part: str) -> str:
@@ -157,7 +158,10 @@ class Workload:
 
     @cached_property
     def level_light_m2(self) -> float:
-        """The level's area across the sun's light, square metres; for a lamp, the area that it lights at its reference distance."""
+        """The area of the level's ground, projected onto a plane perpendicular to the sun's light, square metres.
+
+        For a lamp it is the area that the lamp lights at its reference distance.
+        """
         extent_m = self.descriptor.receivers_light_m
         if self.light == SUN and extent_m is not None:
             return max(extent_m[0] * extent_m[1] / max(self.facts.area_share, 1e-6), 1e-6)
@@ -167,10 +171,10 @@ class Workload:
 
     @cached_property
     def tree_layers(self) -> float:
-        """The mean number of layers of trees, as boxes seen from the light, around the view.
+        """The mean number of trees, as boxes, that a ray from the light crosses in or around the view.
 
-        It follows from the share of rays that leaves block, if that is known: e to the power of minus the layers is let through (J.
-        Ross 1981, "The radiation regime and architecture of plant stands"). Otherwise it is the mean over the level.
+        It follows from the share of rays that leaves block, if that is known. The share let through is e to the power of minus this
+        number (J. Ross 1981, "The radiation regime and architecture of plant stands"). Otherwise it is the mean over the level.
         """
         cast = self.facts.casts.get("forest")
         if cast is not None and self.facts.facing_share > 0.0:
@@ -187,5 +191,5 @@ class Workload:
         return facts.width_m * (facts.height_m * cos(rise) + facts.width_m * sin(rise))
 
     def trees_within(self, light_m2: float) -> float:
-        """Return the number of trees that are drawn for an area across the light."""
+        """Return the number of trees that are drawn for an area of ``light_m2`` square metres perpendicular to the light."""
         return min(self.trees, self.tree_layers * light_m2 / max(self.tree_light_m2, 1e-9))

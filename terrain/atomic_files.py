@@ -20,9 +20,9 @@ _NAME_LENGTH = 60
 """Characters of a file's name in its temporary folder's name. Names have at most 255 bytes."""
 
 _PROBE_BYTES = 2**20
-"""Size of the file with which ``disk_error`` tests for free space.
+"""Size of the test file with which ``disk_error`` looks for free space.
 
-Larger than the buffers of the libraries whose errors it explains.
+Larger than the write buffers of the libraries whose errors it explains.
 """
 
 
@@ -37,10 +37,11 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path whose file replaces ``path`` atomically when the block ends.
 
     The temporary file has the same name, in a folder of its own beside the target. When the block ends it is synced to the disk and
-    takes the target's place and permissions. A symbolic link stays; the file that it points to is replaced. A target that is no
-    regular file (a pipe, ``/dev/stdout``) is written into.
+    takes the target's place and permissions. A symbolic link stays; the file that it points to is replaced. If the target is no
+    regular file (a pipe, ``/dev/stdout``), the bytes are copied into it.
 
-    Raises ``OSError`` with the path, also where the block raises one or writes no file.
+    Raises ``OSError`` with ``path`` as its file name if writing fails, or if the block writes no file. An ``OSError`` of the block
+    about another file is raised unchanged.
     """
     target = path.resolve()
     # Named before it is created, so that an interrupt at any moment finds the folder to remove.
@@ -66,7 +67,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
             _sync(target.parent)
     except OSError as error:
         if error.filename is not None and temp_name not in str(error.filename) and Path(str(error.filename)) != target:
-            raise  # of another file
+            raise  # an error of another file
         number = error.errno or errno.EIO
         raise OSError(number, error.strerror or str(error) or os.strerror(number), str(path)) from error
     finally:
@@ -78,8 +79,10 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files replace those in ``folder`` together when the block ends.
 
     When the block ends the files are synced to the disk and moved, either all of them or none. ``folder`` is created if it does not
-    exist; the temporary folder is in it, or beside it if it is new. Raises ``OSError`` with the path, also where the block raises
-    one.
+    exist; the temporary folder is in it, or beside it if it is new.
+
+    Raises ``OSError`` with ``folder`` as its file name if writing fails. An ``OSError`` of the block about another file is raised
+    unchanged.
     """
     target = folder.resolve()
     temp_name = f"{_temp_prefix(target)}{secrets.token_hex(4)}"
@@ -98,7 +101,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
             _sync(target)
     except OSError as error:
         if error.filename is not None and temp_name not in str(error.filename):
-            raise  # of another file
+            raise  # an error of another file
         number = error.errno or errno.EIO
         raise OSError(number, error.strerror or str(error) or os.strerror(number), str(folder)) from error
     finally:
@@ -137,16 +140,20 @@ def _remove_folder(folder: Path) -> None:
 
 
 def remove_partial_files(path: Path) -> None:
-    """Delete the partial files that killed processes left while they wrote a file. No process may be writing it."""
+    """Delete the temporary folders that killed processes left while they wrote a file.
+
+    Call it only while no process writes the file.
+    """
     target = path.resolve()
     for folder in target.parent.glob(f"{glob.escape(_temp_prefix(target))}????????"):
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
-    """Return the error of writing ``size`` bytes beside ``path`` now, or ``None``.
+    """Write ``size`` bytes to a test file beside ``path`` and return the error, or ``None`` without one.
 
-    Libraries report that a write failed, but not why.
+    It finds the cause of a failed write, such as a full disk. Libraries report that a write failed, but not why. The test file is
+    removed.
     """
     probe = path.parent / f"{_temp_prefix(path)}{secrets.token_hex(4)}"
     try:
@@ -164,7 +171,10 @@ def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
 
 
 def write_error(path: Path, content_name: str, error: Exception) -> OSError:
-    """Return the error of a failed write of ``content_name`` to ``path``: the disk's own error, else the library's."""
+    """Return an ``OSError`` that explains why a write of ``content_name`` to ``path`` failed.
+
+    It is the disk's error, if writing still fails (``disk_error``). Otherwise it quotes the library's ``error``.
+    """
     disk_failure = disk_error(path)
     return disk_failure or OSError(
         errno.EIO, f"{content_name} could not be written completely ({error.__cause__ or error})", str(path)
@@ -177,7 +187,10 @@ def _temp_prefix(target: Path) -> str:
 
 
 def _writable_mode(target: Path) -> int | None:
-    """Return the mode of a writable file; ``None`` if it does not exist. Raises ``OSError``."""
+    """Return the mode bits (``st_mode``) of a file; ``None`` if it does not exist.
+
+    Raises ``OSError`` for a folder, and for a file without write permission.
+    """
     try:
         mode = target.stat().st_mode
     except FileNotFoundError:

@@ -25,7 +25,7 @@ V = TypeVar("V")
 CacheLifetime = Literal["light", "scene", "process"]
 """How long the entries of a cache stay valid.
 
-- ``light``: until the light moves, or anything else that the value depends on and that changes from frame to frame.
+- ``light``: until the sun or a lamp moves, or until another input that changes from frame to frame does.
 - ``scene``: as long as the scene that the value was computed for.
 - ``process``: until the process ends, since the value belongs to no scene.
 """
@@ -64,12 +64,15 @@ _Function = type(lambda: None)
 
 
 def _key_of(parts: Iterable[object], on_collected: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
-    """Return the cache key of some parts. ``on_collected`` is called when a part that is compared by identity is collected."""
+    """Return the cache key of some parts.
+
+    ``on_collected`` is called when a part that is compared by identity is garbage-collected.
+    """
     return tuple(IdentityKey(part, on_collected) if _is_compared_by_identity(part) else part for part in parts)
 
 
 class Missing:
-    """The type of ``MISSING``, which ``Cache.get`` returns where the cache holds no entry. A cached value may be ``None``."""
+    """The type of ``MISSING``, which ``Cache.get`` returns where the cache holds no entry. ``None`` is a valid value."""
 
 
 MISSING = Missing()
@@ -85,11 +88,11 @@ class Cache(Generic[V]):
     lifetime
         How long its entries stay valid.
     limit_bytes
-        Upper bound of the size of all values together. A larger value is not stored, unless the cache has a ``release``.
+        Upper bound of the size of all values together. A single larger value is stored only if the cache has a ``release``.
     size_of
-        Returns the bytes of a value. Default: ``bytes_of``.
+        Function that returns the size of a value in bytes. Default: ``bytes_of``.
     release
-        Called with each evicted value. The newest value is never evicted to make room, because its caller uses it.
+        Function that is called with each evicted value. The newest value is never evicted to make room, because its caller uses it.
     max_entries
         Upper bound of the number of entries.
     """
@@ -120,7 +123,7 @@ class Cache(Generic[V]):
             return [value for value, _ in self._values.values()]
 
     def get(self, *parts: object) -> V | Missing:
-        """Return the value of a key, or ``MISSING``."""
+        """Return the value of a key, or ``MISSING``. ``parts`` are the objects that make up the key."""
         key = _key_of(parts)
         with _lock:
             entry = self._values.get(key)
@@ -162,7 +165,7 @@ class Cache(Generic[V]):
                 self._drop(next(iter(self._values)))
 
     def evict_owned_by(self, owner: object) -> None:
-        """Evict the entries that were computed from an object, or from one whose ``elevation`` it is (as a scene's)."""
+        """Evict the entries whose key contains ``owner``, or contains an object whose attribute ``elevation`` is ``owner``."""
         with _lock:
             for key in list(self._values):
                 sources = [part() for part in key if isinstance(part, IdentityKey)]
@@ -170,7 +173,10 @@ class Cache(Generic[V]):
                     self._drop(key)
 
     def _key(self, parts: Iterable[object]) -> tuple[Hashable, ...]:
-        """Return a key whose entry is evicted as soon as one of its parts is collected."""
+        """Return the cache key of some parts.
+
+        Its entry is evicted when a part that is compared by identity is garbage-collected.
+        """
         key_holder: list[tuple[Hashable, ...]] = []
         cache_ref = weakref.ref(self)
 
@@ -237,9 +243,9 @@ def cached(
 
 
 def register_cache(cache: Any) -> None:
-    """Register an object of another class with the caches of this process.
+    """Register a cache of another class, so that ``caches`` and ``clear_caches`` include it.
 
-    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``evict_owned_by`` as ``Cache`` has
+    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``evict_owned_by``, as ``Cache`` has
     them.
     """
     with _lock:
@@ -255,15 +261,18 @@ def caches(*lifetime: CacheLifetime) -> list[Cache[Any]]:
 def clear_caches(*lifetime: CacheLifetime) -> None:
     """Empty the caches with one of some lifetimes (default: all caches).
 
-    ``clear_caches("light")`` makes the next frame pay all costs of a moving sun. ``clear_caches("light", "scene")`` discards
-    everything that was computed from a level's files.
+    After ``clear_caches("light")`` the next frame recomputes all that a moving sun changes. ``clear_caches("light", "scene")``
+    discards everything that was computed from a level's files.
     """
     for cache in caches(*lifetime):
         cache.clear()
 
 
 def clear_scene_caches(elevation: object) -> None:
-    """Evict the entries that were computed from an elevation or from an object that has it. Other scenes' entries stay."""
+    """Evict the entries computed from an ``Elevation``, or from an object that holds it, such as a scene.
+
+    Entries of other scenes stay.
+    """
     for cache in caches("light", "scene"):
         cache.evict_owned_by(elevation)
 

@@ -1,7 +1,7 @@
 """The path of a camera through keyframes.
 
-The path is smooth, does not overshoot the keyframes, and rests between two keyframes at one position. Positions, heights and fields
-of view follow ``skugga.terrain.geo.keyed_curve``, as moving objects of a level do:
+The path is smooth and does not overshoot the keyframes. Between two keyframes at the same position the camera stands still.
+Positions, heights and fields of view follow ``skugga.terrain.geo.keyed_curve``, as a level's moving objects do:
 
 - The path does not depend on the orientation of the axes.
 - A camera whose keyframes are high stays high.
@@ -47,11 +47,10 @@ class CameraPath:
     fov_deg: np.ndarray
 
     def view_at(self, time_s: float, rows: int, cols: int) -> PerspectiveView:
-        """Return the view at a time in seconds.
+        """Return the view at a time in seconds, with ``rows`` x ``cols`` pixels.
 
-        The camera rests before the first keyframe and after the last one.
-
-        Raises ``InputError`` where the eye is outside of the ground's data or not above it, or where it coincides with the target.
+        The camera stands still before the first keyframe and after the last one. Raises ``InputError`` where the eye is outside of
+        the ground's data or not above it, or where it coincides with the target.
         """
         eye, target = (
             np.concatenate([position_curve.at(time_s), height_curve.at(time_s)]) for position_curve, height_curve in self._curves
@@ -81,10 +80,10 @@ class CameraPath:
 
 
 def camera_path(spec: CameraPathSpec, geolocator: Geolocator, start: datetime | None) -> CameraPath:
-    """Return a camera's path over a ground.
+    """Return a camera's path over the ground of a level.
 
-    ``start`` is the date at which the film begins, if it has one. Raises ``InputError`` for keyframes outside of the ground's data,
-    which it names, and for keyframes with dates if the film has none.
+    ``start`` is the date and time of the film's first frame, or ``None`` for a film without a date. Raises ``InputError`` that
+    names a keyframe outside of the ground's data. Raises it also for keyframes with dates if ``start`` is ``None``.
     """
     try:
         times_s = spec.times_s(start)

@@ -5,7 +5,7 @@ Latitude and height alone decide, so that a place has the same colour in every m
 - **Ice** lies above the snow line. The snow line is at sea level in Antarctica and highest in the dry subtropics.
 - **Vegetation** thins out in the subtropics, where air sinks and dries, and towards the poles, where it is cold.
 
-The model ignores rain from mountains and coasts: Florida is as dry as the Sahara here, up to the share ``MAX_ARID``.
+The model ignores rain from mountains and coasts: Florida and the Sahara get the same share of desert colours, at most ``MAX_ARID``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Rounded from the lower ends of glaciers in the Alps, Scandinavia, Svalbard, the 
 """
 
 ICE_BLEND_M = 250.0
-"""Ground blends into ice from this far below the snow line to this far above it."""
+"""Half the range of heights, centred on the snow line, over which ground blends into ice."""
 
 MAX_ARID, ARID_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
 """Share of the desert's colours in the middle of the dry belt, and the latitudes over which that share rises and falls."""
@@ -54,9 +54,9 @@ LATITUDE_ROWS = 181
 
 
 def climate_srgb(style_ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
-    """Return the ground's sRGB colours (``LATITUDE_ROWS``, n, 3) in [0, 1] at heights (n,).
+    """Return the ground's sRGB colours (``LATITUDE_ROWS``, n, 3) in [0, 1] by latitude and height.
 
-    ``style_ramp`` is the style's own ramp.
+    Heights (n,) are in metres. ``style_ramp`` is the style's own colour ramp, for land that is neither ice, desert nor tundra.
     """
     latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDE_ROWS)))[:, None]
     on_land, ground = smoothstep((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(style_ramp, heights_m)[None]
@@ -70,13 +70,13 @@ def climate_srgb(style_ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
 
 
 def ramp_srgb(ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
-    """Return the sRGB colours (n, 3) in [0, 1] of a ramp at heights (n,)."""
+    """Return the sRGB colours (n, 3) in [0, 1] of a colour ramp at heights (n,) in metres."""
     colors = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in ramp])
     return np.stack([np.interp(heights_m, [height for height, _ in ramp], colors[:, k]) for k in range(3)], axis=-1)
 
 
 def snow_line_m(latitude_deg: np.ndarray) -> np.ndarray:
-    """Return the height of the snow line in metres."""
+    """Return the height of the snow line in metres at latitudes in degrees."""
     return np.asarray(np.interp(latitude_deg, [latitude for latitude, _ in SNOW_LINE_M], [height for _, height in SNOW_LINE_M]))
 
 
@@ -85,7 +85,7 @@ def _ice_share(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
 
 
 def _arid_share(latitude_deg: np.ndarray) -> np.ndarray:
-    """Return the share of desert colours at latitudes."""
+    """Return the share of desert colours at latitudes in degrees."""
     (rise_start, rise_end), (fall_start_deg, fade_end) = ARID_DEG
     abs_latitude = np.abs(latitude_deg)
     return (
@@ -96,6 +96,6 @@ def _arid_share(latitude_deg: np.ndarray) -> np.ndarray:
 
 
 def _tundra_share(latitude_deg: np.ndarray) -> np.ndarray:
-    """Return the share of tundra colours at latitudes."""
+    """Return the share of tundra colours at latitudes in degrees."""
     shares = [smoothstep((latitude_deg - begin_deg) / (end_deg - begin_deg)) for begin_deg, end_deg in TUNDRA_DEG]
     return np.maximum(*shares)

@@ -19,7 +19,7 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 CORES = int(os.environ.get("NUMBA_NUM_THREADS", "0")) or usable_cores()
-"""Threads that this process shares its loops out to."""
+"""Number of threads among which this process divides its loops."""
 
 CHUNKS_PER_CORE = 3
 """Chunks of rows per thread. More than one balances the load, since some rows take longer than others."""
@@ -32,9 +32,9 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": F
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` with numba.
 
-    ``skugga.terrain.compiling`` stores the machine code for other processes, and notices any change that it depends on. Pass values
-    that belong together as a ``NamedTuple``. Make a value that may be ``None`` a parameter of its own. Each variant is then
-    compiled without the code of the others.
+    ``skugga.terrain.compiling`` stores the machine code on disk for other processes. It compiles again after any change that the
+    code depends on. Pass values that belong together as a ``NamedTuple``. Make a value that may be ``None`` a parameter of its own:
+    numba then compiles one variant for ``None`` and one for a value.
     """
     loop = numba.njit(**_OPTIONS)(function)
     if isinstance(loop, Dispatcher):  # else NUMBA_DISABLE_JIT is set and ``loop`` is the plain function
@@ -45,7 +45,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 def internal(function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` as a part of the compiled loops that call it. Python cannot call it.
 
-    Use it for every loop that only loops call. Numba optimises it in its callers only, and stores it with them.
+    Use it for every function that only compiled loops call. Numba optimises and stores its machine code as a part of theirs.
     """
     options = {**_OPTIONS, "no_cpython_wrapper": True, "pipeline_class": InternalCompiler}
     loop = numba.njit(**options)(function)
@@ -56,9 +56,10 @@ def internal(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def run_in_chunks(rows: int, loop: Callable[..., Any], *args: Any) -> None:
-    """Call ``loop(first, last, *args)`` for chunks of rows on all cores. A compiled loop releases the GIL while it runs.
+    """Call ``loop(first, last, *args)`` for chunks [``first``, ``last``) of all rows, on all cores.
 
-    The loop itself must not call this function: it would deadlock, waiting for the threads that it occupies.
+    A compiled loop releases the GIL while it runs. The loop itself must not call this function: it would wait for the threads that
+    it occupies, and so deadlock.
     """
     if CORES == 1 or rows < 2 * CORES:
         loop(0, rows, *args)
@@ -72,8 +73,8 @@ def run_in_chunks(rows: int, loop: Callable[..., Any], *args: Any) -> None:
 def map_on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
     """Return ``work(part)`` of all parts, computed on several cores. With one core it runs in this thread.
 
-    Use ``run_in_chunks`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call. ``work`` itself
-    may call ``run_in_chunks``.
+    Use ``run_in_chunks`` for the rows of a loop. Here the caller divides the work into parts. The call creates its own threads, so
+    ``work`` itself may call ``run_in_chunks``.
     """
     if cores == 1:
         return [work(part) for part in parts]

@@ -2,8 +2,8 @@
 
 - Its azimuth and altitude are those of a real afternoon at the equinox. Beyond 60 degrees of latitude, where that sun stays low or
   below the horizon, they are those of midsummer.
-- Its altitude is the slope angle of the level's steeper slopes that face away from it. Still steeper slopes lie in shadow, and cast
-  shadows.
+- Its altitude is the slope angle that the share ``STEEP_SHARE`` of the ground exceeds, facing away from the sun. These steepest
+  slopes lie in shadow, and cast shadows.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
 
 STEEP_SHARE = 0.05
-"""Share of the ground that falls away from the sun more steeply than its rays."""
+"""Share of the ground whose slopes away from the sun are steeper than the sun's rays."""
 
 MIN_DEG, MAX_DEG = 4.0, 35.0
 """Bounds of the sun's altitude. A lower sun at the level's far side covers the map in shadow; a higher one casts little."""
@@ -24,7 +24,10 @@ METRES_PER_DEGREE = 111_195.0
 """Metres per degree of a great circle. The sun's altitude falls by a degree over this distance away from it."""
 
 LEVEL_GROUND_DEG, OVER_LEVEL_GROUND_DEG = 0.5, 30.0
-"""On ground with hardly a slope steeper than the first value, the sun's altitude is the second: only objects cast shadows there."""
+"""Slope angle below which ground counts as level, and the sun's altitude over level ground.
+
+Only objects cast shadows on level ground.
+"""
 
 HIGH_LATITUDE_DEG, OBLIQUITY_DEG = 60.0, 23.44
 
@@ -36,7 +39,7 @@ FLAT_WORLD_AZIMUTH_DEG = 240.0
 
 
 def default_sun(world: World, elevation: Elevation) -> SunSpec:
-    """Return the default sun of a level, in whole degrees."""
+    """Return the default sun of a level, with azimuth and altitude in whole degrees."""
     azimuth = FLAT_WORLD_AZIMUTH_DEG
     altitude = OVER_LEVEL_GROUND_DEG
     min_deg = MIN_DEG
@@ -50,10 +53,10 @@ def default_sun(world: World, elevation: Elevation) -> SunSpec:
 
 
 def _afternoon_position(lat_deg: float, altitude_deg: float) -> tuple[float, float]:
-    """Return the azimuth and altitude at which the sun reaches an altitude in the afternoon.
+    """Return the azimuth and altitude in degrees of the afternoon sun as it passes an altitude.
 
-    The returned altitude is lower where the sun stays lower. From sin(declination) = sin(lat) sin(alt) + cos(lat) cos(alt)
-    cos(azimuth).
+    The day is the equinox, or midsummer beyond ``HIGH_LATITUDE_DEG``. The returned altitude is at most ``MAX_NOON_SHARE`` of that
+    day's altitude at noon. The azimuth follows from sin(declination) = sin(lat) sin(alt) + cos(lat) cos(alt) cos(azimuth).
     """
     declination_deg = OBLIQUITY_DEG * np.sign(lat_deg) if abs(lat_deg) > HIGH_LATITUDE_DEG else 0.0
     altitude_deg = min(altitude_deg, MAX_NOON_SHARE * (90.0 - abs(lat_deg - declination_deg)))

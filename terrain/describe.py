@@ -1,6 +1,6 @@
 """Build the descriptor of a scene and a view: the facts that the selector decides from.
 
-This module decides nothing, and computes nothing per tile.
+This module decides nothing. The facts of a map hold for all its tiles, so none is computed for each tile.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def describe(
 ) -> Descriptor:
     """Return the descriptor of a view of a scene.
 
-    A coarse map has the descriptor of the finer map whose pixels it averages.
+    ``name`` is the view's name. ``pixel_sampling`` says whether a map's pixels show means of the nodes that they cover (``means``),
+    or single points (``points``). With means, a coarse map has the descriptor of the finer map whose pixels it averages.
     """
     pieces = 1 if pixel_sampling == "points" or not isinstance(view, MapView) else 2 ** subdivision_level(scene, view)
     sampled_view = supersampled_view(scene, view, pixel_sampling)
@@ -85,7 +86,11 @@ def _nan_to_none(facts: dict[str, Fact]) -> dict[str, Fact]:
 
 
 def _area_share(scene: Scene, visible_extent_m: tuple[float, float, float] | None) -> float:
-    """Return the share of the level's area that one block or view shows, as seen from the sun."""
+    """Return the share of the level's area that a map's block or a perspective view shows, as seen from the sun.
+
+    ``visible_extent_m`` is the extent of what it shows in light space (right, up, along the light), in metres; ``None`` without a
+    sun, which gives 1.
+    """
     if visible_extent_m is None or scene.light is None:
         return 1.0
     ground_light = scene.light.from_earth(ground_points(scene.world, scene.elevation).point_earth_m)
@@ -139,7 +144,7 @@ class _VisiblePointsInLight:
     eye_m
         (3,), the eye in metres.
     low, high
-        (3,), bounds of the offset from the eye of anything visible at distance 1.
+        (3,), lower and upper bounds of the offset of a visible point from the eye, per unit of distance.
     """
 
     points_m: np.ndarray
@@ -149,9 +154,9 @@ class _VisiblePointsInLight:
 
 
 def _bounds_at_unit_distance(view: PerspectiveView, light_from_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return bounds (3,), (3,) of the offsets from the eye along the light's axes of anything that a view shows up to distance 1.
+    """Return lower and upper bounds (3,) of the offset from the eye of any point that a view shows up to distance 1.
 
-    They bound the cone that encloses the view's corners.
+    Offsets are along the axes of light space. The bounds enclose the cone round the view's corners.
     """
     last = np.array([view.cols - 1, view.rows - 1])
     (left, top), (right, bottom) = (
@@ -167,10 +172,10 @@ def _bounds_at_unit_distance(view: PerspectiveView, light_from_earth: np.ndarray
 
 
 def _bands(distance_m: np.ndarray, visible: _VisiblePointsInLight, tallest_m: float, spacing_share: float) -> tuple[Band, ...]:
-    """Return the distance bands of the visible points, by their distances (n,).
+    """Return the visible surfaces by distance: one ``Band`` for each power of two in the points' distances (n,).
 
-    ``spacing_share`` is the spacing of the points as a share of their distance. Objects on the ground may rise by ``tallest_m``,
-    within the view's extent at that distance.
+    ``spacing_share`` is the distance between neighbouring points as a share of their distance from the eye. It widens each band's
+    bounds. The bounds also leave room for objects of height ``tallest_m``, as far as the view shows them.
     """
     light_m = visible.points_m
     octave = np.ceil(np.log2(np.maximum(distance_m, MIN_DISTANCE_M))).astype(int)
@@ -191,9 +196,10 @@ def _bands(distance_m: np.ndarray, visible: _VisiblePointsInLight, tallest_m: fl
 
 
 def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:
-    """Return the largest extent (x, y, z) of a block in light space, in metres.
+    """Return the largest extent of a block's visible surfaces in light space: right, up, along the light, metres.
 
-    Blocks are sampled over the level: 3 x 3 blocks with 17 x 17 points each, plus relief.
+    ``None`` without a sun. Nine blocks (3 x 3) over the level are sampled, with 17 x 17 points each. ``relief_m``, the range of
+    heights in a block, is added.
     """
     if scene.light is None:
         return None
@@ -222,7 +228,7 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
 
 @cached("scene", MIB)
 def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float) -> float:
-    """Return the largest range of heights within a block's side anywhere on the level, in metres, from the overview."""
+    """Return the largest range of heights in metres within a square of side ``block_m`` on the level, from its overview."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     overview = elevation.overview

@@ -9,7 +9,7 @@ SkuggaError
 ├── NotFoundError         an unknown level, tile matrix set, tile or view
 ├── BusyError             the render queue is full
 └── RenderError           the work itself failed
-    ├── GraphicsError     OpenGL is broken or left an error behind
+    ├── GraphicsError     OpenGL does not work or reported an error
     │   └── NoOpenGLError   no OpenGL on this machine; pictures that need no OpenGL still work
     └── RenderTimeoutError  a render exceeded its time limit
 """
@@ -37,7 +37,7 @@ CONFLICT_REMEDY = "Use one of them"
 
 
 class Problem(str):
-    """A description of an input error, used in place of a wrong value: ``unknown key``."""
+    """A description of an input error, such as ``unknown key``. ``InputError`` takes it in place of the wrong value."""
 
 
 MISSING_VALUE = Problem("missing")
@@ -79,7 +79,7 @@ class InputError(SkuggaError):
 
     @classmethod
     def missing(cls, name: str, remedy: str) -> Self:
-        """Return the error of a value that has to be given."""
+        """Return the error of a required value that is missing."""
         return cls(name, MISSING_VALUE, remedy)
 
     @classmethod
@@ -91,7 +91,7 @@ class InputError(SkuggaError):
 
     @classmethod
     def over_limit(cls, name: str, amount: str, limit: str, remedy: str) -> Self:
-        """Return the error of an amount, with its unit in words, over a limit."""
+        """Return the error of an amount that exceeds a limit. Both are texts with a unit."""
         return cls(name, Problem(f"{amount}, more than the limit of {limit}"), remedy)
 
     def renamed(self, name: str) -> Self:
@@ -127,7 +127,7 @@ class SourceError(InputError):
 
 
 class ArrayError(InputError, ValueError):
-    """An array in memory is no grid of heights."""
+    """An array in memory cannot be used as a grid of heights."""
 
 
 class UnsupportedError(InputError):
@@ -149,7 +149,10 @@ class UnsupportedError(InputError):
 
 
 def combined_error(errors: Sequence[InputErrorT]) -> InputErrorT:
-    """Return the first of some errors (at least one), with a message that lists them all, a line each."""
+    """Return the first of some errors, with a message that has a line for each of them.
+
+    ``errors`` has at least one. Of more than ``MAX_ERRORS`` errors the message lists that many and counts the rest.
+    """
     first, *further_errors = errors[:MAX_ERRORS]
     first.further_errors = tuple(further_errors)
     overflow_lines = [f"{len(errors) - MAX_ERRORS} more are wrong"] if len(errors) > MAX_ERRORS else []
@@ -170,7 +173,7 @@ class RenderError(SkuggaError):
 
 
 class GraphicsError(RenderError):
-    """OpenGL is broken, or a call left an error behind."""
+    """OpenGL does not work, or an OpenGL call has reported an error."""
 
 
 class NoOpenGLError(GraphicsError):

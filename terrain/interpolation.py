@@ -22,7 +22,7 @@ def bilinear(values: np.ndarray, row: np.ndarray, col: np.ndarray, layer: np.nda
     values
         A grid (rows, cols), or one per layer (layers, rows, cols).
     row, col
-        Fractional rows and columns (n,), from 0 to the last one.
+        Fractional rows and columns (n,), from 0 to the index of the last cell.
     layer
         The number (n,) of each point's layer, if ``values`` has layers.
 

@@ -24,7 +24,10 @@ def cell_interval(position, count):
 
 @internal
 def blend_corners(north_west, north_east, south_west, south_east, row_fraction, col_fraction):
-    """Return the bilinear mean of four corners for fractions down and across. Exact at every corner."""
+    """Return the bilinear mean of four corners. Exact at every corner.
+
+    ``row_fraction`` and ``col_fraction`` run from 0 to 1 southwards and eastwards.
+    """
     north = north_west * (1.0 - col_fraction) + north_east * col_fraction
     south = south_west * (1.0 - col_fraction) + south_east * col_fraction
     return north * (1.0 - row_fraction) + south * row_fraction
@@ -32,7 +35,10 @@ def blend_corners(north_west, north_east, south_west, south_east, row_fraction, 
 
 @internal
 def lerp_corners(north_west, north_east, south_west, south_east, row_fraction, col_fraction):
-    """Return the same mean as ``blend_corners`` by differences. Cheaper, but exact at the north-western corner only."""
+    """Return the bilinear mean of four corners, as ``blend_corners``, by differences.
+
+    It is cheaper, but exact at the north-western corner only.
+    """
     north = north_west + col_fraction * (north_east - north_west)
     south = south_west + col_fraction * (south_east - south_west)
     return north + row_fraction * (south - north)

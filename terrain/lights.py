@@ -21,11 +21,14 @@ MIN_TARGET_DISTANCE_M = 1e-6
 """Minimum distance between a static spot and its static target."""
 
 MIN_MOVING_DISTANCE_M = 0.1
-"""Minimum distance between a spot and its target where either moves. If they were nearer, the spot would turn about at once."""
+"""Minimum distance between a spot and its target where either moves.
+
+If they came nearer, the spot's direction could reverse from one frame to the next.
+"""
 
 
 class LightPosition(NamedTuple):
-    """A light's homogeneous position in a frame: a lamp's position with w = 1, or a unit direction to the sun with w = 0."""
+    """A light's homogeneous position in a local frame: a lamp's position with w = 1, or a unit direction to the sun with w = 0."""
 
     x: float
     y: float
@@ -34,13 +37,13 @@ class LightPosition(NamedTuple):
 
 
 def light_position(vector: np.ndarray, w: float) -> LightPosition:
-    """Return the homogeneous position of a light: of a position (3,) with w = 1, or of a direction (3,) with w = 0."""
+    """Return a homogeneous position from a vector (3,): a lamp's position with w = 1, or a direction with w = 0."""
     x, y, z = (float(v) for v in vector)
     return LightPosition(x, y, z, w)
 
 
 class LampInFrame(NamedTuple):
-    """A lamp in a frame.
+    """A lamp in the coordinates of a local frame.
 
     Attributes
     ----------
@@ -90,7 +93,7 @@ class Lamp:
     radius_m: float = 0.0
 
     def in_frame(self, frame: LocalFrame) -> LampInFrame:
-        """Return the lamp's position and orientation in a frame."""
+        """Return the lamp's position and orientation in a local frame."""
         return LampInFrame(
             frame.points_from_earth(self.position_earth_m),
             frame.directions_from_earth(self.earth_from_lamp[:, 2]),
@@ -105,9 +108,9 @@ class LampRig:
     Attributes
     ----------
     position
-        A moving lamp has a path, a static one a standpoint.
+        The lamp's position: a ``GroundPath`` if it moves, a ``GroundPosition`` if it is static.
     target
-        A spot's target; ``None`` for an omni light.
+        A spot's target, of the same types; ``None`` for an omni light.
     reference_m
         Distance in metres at which the light has the level's intensity. A moving lamp keeps the strength of its first keyframe.
     """
@@ -138,10 +141,10 @@ class LampRig:
 
 
 def lamp_rig(name: str, spec: LightSpec, geolocator: Geolocator, key_path: str) -> LampRig:
-    """Return the rig of a level's lamp.
+    """Return a level's lamp at all times of the level's clock (``LampRig``).
 
-    Raises ``LevelError`` for a position outside of the ground's data. Raises it also for a path that leaves the terrain or goes
-    under the ground, and for a spot that meets its target.
+    ``key_path`` is the path of the lamp's key in the level file, for messages. Raises ``LevelError`` for a position outside of the
+    ground's data. Raises it also for a path that leaves the terrain or goes under the ground, and for a spot that meets its target.
     """
     first_s = 0.0 if spec.motion is None else spec.motion.path[0].seconds
     position = _ground_position_or_path(spec, "position", geolocator, key_path)
@@ -159,7 +162,7 @@ def lamp_rig(name: str, spec: LightSpec, geolocator: Geolocator, key_path: str) 
 def _ground_position_or_path(
     spec: LightSpec, key: Literal["position", "target"], geolocator: Geolocator, key_path: str
 ) -> GroundPosition | GroundPath:
-    """Return the standpoint or the path of a light's position or target."""
+    """Return a light's position or target: a ``GroundPosition`` if it is static, a ``GroundPath`` if it moves."""
     position: tuple[float, float, float] | None = getattr(spec, key)
     if position is not None:
         return GroundPosition(*geolocator.above_ground(position, f"{key_path}.{key}"), position[2])
@@ -189,9 +192,9 @@ def _ground_position_at(position: GroundPosition | GroundPath, seconds: float) -
 
 
 def axes_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Return the axes right, down and forward (3, 3, as columns) of a direction.
+    """Return the axes right, down and forward (3, 3, as columns) of a light that points ``forward``.
 
-    The axes are upright, unless the direction is vertical.
+    The right axis is horizontal for the vertical ``up`` (3,). If ``forward`` is vertical, the right axis is arbitrary.
     """
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-6:

@@ -70,7 +70,7 @@ class Scene:
     loaded
         The level and its file.
     world
-        The space of the level.
+        The level's CRS, its anchor and its earth-fixed coordinates.
     elevation
         The level's raster.
     sun
@@ -78,7 +78,7 @@ class Scene:
     objects
         Trees, meshes and lamps.
     seconds
-        The time of the level's clock. Meshes, lamps and clouds have their positions of this time.
+        The time of the level's clock in seconds. Meshes, lamps and clouds have their positions of this time.
     lamp_overrides
         Lamps by name that replace the level's; empty for the level's own.
     style_spec
@@ -123,7 +123,7 @@ class Scene:
     def light_position(self, light: str, frame: LocalFrame) -> LightPosition:
         """Return the homogeneous position of a light in a frame.
 
-        For the sun, which the scene must have, it is the direction to the sun.
+        For the sun it is the direction to the sun. The scene must then have a sun.
         """
         if light != SUN:
             return light_position(self.lamps[light].in_frame(frame).position_frame_m, 1.0)
@@ -141,7 +141,7 @@ class Scene:
         return self if self.sun is None or not self.sun.lift_deg else replace(self, sun=self.sun.without_refraction(self.world))
 
     def close(self) -> None:
-        """Close the level's raster and release its objects. Evict all cache entries of either, under any sun."""
+        """Close the level's raster and release its objects. Evict the cache entries computed from either, for all suns."""
         clear_scene_caches(self.elevation)
         self.objects.close()
         self.elevation.close()
@@ -149,7 +149,7 @@ class Scene:
     def at_second(self, seconds: float | None) -> Scene:
         """Return the scene at another second of the level's clock (``None``: the level's).
 
-        Returns the scene itself where the clock moves nothing.
+        Returns the scene itself if nothing in it depends on the clock.
         """
         if seconds is None or seconds == self.seconds or not self.loaded.level.moving_keys:
             return self
@@ -162,7 +162,7 @@ class Scene:
     def with_style(self, name: str | None, slope_exaggeration: float | None = None) -> Scene:
         """Return the same scene in another style or with another exaggeration of slopes in shading (``None``: the level's).
 
-        A style given by name does not use the level's ramp. Raises ``InputError``.
+        A style given by name does not use the level's colour ramp. Raises ``InputError``.
         """
         level_spec = self.loaded.level.style
         spec = style_spec(level_spec, name, slope_exaggeration)
@@ -174,14 +174,14 @@ class Scene:
 
     @cached_property
     def light(self) -> LightSpace | None:
-        """The sun's light space."""
+        """The sun's light space (axes right, up and away from the sun); ``None`` without a sun."""
         from skugga.terrain.geo.light_space import light_space
 
         return None if self.sun is None else light_space(self.world, self.sun)
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Probable mistakes in a level that can be drawn: sentences that say what to write."""
+        """Sentences on probable mistakes in the level's raster, each with its remedy. The level can still be drawn."""
         source = self.loaded.level.terrain.source
         if source is None or source in BUNDLED:
             return ()
@@ -195,7 +195,10 @@ class Scene:
 
     @cached_property
     def bounds_lon_lat(self) -> tuple[float, float, float, float] | None:
-        """Bounds of the level's part in use: west, south, east, north in degrees. ``None`` in a flat world."""
+        """Bounds of the part of the raster that the level uses: west, south, east, north in degrees.
+
+        ``None`` in a flat world. The east is above 180 if the part crosses the antimeridian.
+        """
         if self.world.flat:
             return None
         level_bounds = self.loaded.level.terrain.bounds
@@ -233,10 +236,12 @@ class Scene:
 
     @cached_property
     def map_crs(self) -> CRS:
-        """The CRS of map views that name none: the source's if it is projected or engineering, else the level's UTM zone.
+        """The CRS of map views that name none.
 
-        Longitude and latitude serve a level wider than ``MAX_UTM_WIDTH_DEG``, which fits no zone, and a level of another celestial
-        body. The source's CRS does not serve if its axes do not run east and north.
+        - The raster's CRS, if it is projected, with axes that run east and north, or if it is an engineering CRS.
+        - Else the UTM zone of the anchor, or a polar stereographic CRS where UTM does not reach.
+        - Longitude and latitude for a level wider than ``MAX_UTM_WIDTH_DEG``, which fits no zone.
+        - On another celestial body the raster's CRS, or the body's longitude and latitude if the axes run in other directions.
         """
         source_crs = self.elevation.crs
         if self.world.flat or (source_crs.is_projected and axes_of(source_crs).are_standard):
@@ -327,7 +332,10 @@ class Scene:
         return map_view(self.world, target, extent, rows=size[1], cols=size[0])
 
     def overlaps(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
-        """Return whether an extent in a CRS meets the raster. Checks lattice points of each in the other."""
+        """Return whether an extent (west, south, east, north) in a CRS overlaps the raster.
+
+        Both are sampled at lattice points. They overlap if a point of one lies in the other.
+        """
         west, south, east, north = extent
         x, y = np.meshgrid(np.linspace(west, east, SAMPLES_PER_SIDE), np.linspace(south, north, SAMPLES_PER_SIDE))
         with np.errstate(invalid="ignore"):
@@ -356,9 +364,10 @@ class Scene:
         return crs
 
     def check_crs(self, name: str, crs: CRS, text: str | None = None) -> None:
-        """Raise ``InputError``, which names a parameter, for a CRS that cannot serve the level.
+        """Raise ``InputError`` for a CRS in which the level cannot be drawn.
 
-        That is a CRS of another celestial body, or one into which PROJ cannot transform the level's.
+        That is a CRS of another celestial body, or one into which PROJ cannot transform the level's. For the message, ``name`` is
+        the parameter and ``text`` is the CRS as the user wrote it.
         """
         source_crs = self.elevation.crs
         if crs == source_crs:
@@ -372,7 +381,10 @@ class Scene:
         raise InputError(name, text or crs.name, f"a CRS into which PROJ can transform the level's CRS '{source_crs.name}'")
 
     def default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
-        """Return the bounds of the level's part in use in a CRS: west, south, east, north. Raises ``InputError``."""
+        """Return the bounds in a CRS of the part of the raster that the level uses: west, south, east, north.
+
+        Raises ``InputError``.
+        """
         if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
             west, south, east, north = self.elevation.bounds
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
@@ -388,7 +400,10 @@ class Scene:
         return bounds
 
     def _bounds_across_antimeridian(self, crs: CRS, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-        """Return the bounds in a CRS of a level across the antimeridian. Raises ``InputError`` where the CRS ends there."""
+        """Return the bounds (west, south, east, north) in a CRS of a level that crosses the antimeridian.
+
+        ``bounds`` are those in degrees. Raises ``InputError`` if the CRS ends at the antimeridian.
+        """
         lon, lat = np.meshgrid(
             np.linspace(bounds[0], bounds[2], SAMPLES_PER_SIDE), np.linspace(bounds[1], bounds[3], SAMPLES_PER_SIDE)
         )
@@ -404,7 +419,7 @@ class Scene:
 
 
 def build_scene(loaded: LoadedLevel) -> Scene:
-    """Open a level's elevation and place its anchor and sun.
+    """Return the scene of a level: open its elevation, and place its anchor and sun.
 
     Trees and meshes are read on first use. Raises ``LevelError``, ``SourceError`` or ``InputError``.
     """
@@ -444,7 +459,8 @@ def with_default_sun(loaded: LoadedLevel, world: World, elevation: Elevation) ->
 def _utm_zone(lon_deg: float, lat_deg: float) -> CRS:
     """Return the UTM zone of a position.
 
-    Cached: a look-up in PROJ's database takes tens of milliseconds, and each sun has a scene of its own.
+    Cached, since a look-up in PROJ's database takes tens of milliseconds. Scenes of the same level under other suns ask for it
+    again.
     """
     zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg))
     return CRS.from_epsg(int(zones[0].code))
@@ -459,7 +475,10 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
 
 
 def _survives_round_trip(crs: CRS, lon: float, lat: float) -> bool:
-    """Return whether a round trip into a CRS and back keeps a position. For a few CRSs PROJ forgets the prime meridian one way."""
+    """Return whether a position is unchanged after a transformation into a CRS and back.
+
+    For a few CRSs PROJ applies the prime meridian in one direction only.
+    """
     if is_longitude_latitude(crs):
         return True
     projected = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)

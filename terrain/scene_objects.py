@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from skugga.terrain.trees.forest import Planting
 
 CREASE_DISTANCE = 0.8
-"""Distance of unit normals (47 degrees) from which an edge between two faces is sharp, not part of one smooth surface."""
+"""Minimum distance of the unit normals of two faces at a sharp edge: 47 degrees. Below it the surface counts as smooth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,9 @@ class SceneObjects:
                 self.__dict__.pop(name, None)
 
     def at_second(self, seconds: float) -> SceneObjects:
-        """Return the objects at another second, or these objects where no mesh moves.
+        """Return the objects at another second of the level's clock, or these objects where no mesh moves.
 
-        Properties that do not depend on the clock are shared, so that no file is read twice.
+        Both share the properties that do not depend on the clock, so that no file is read twice.
         """
         if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
@@ -60,9 +60,8 @@ class SceneObjects:
         """The level's forest on its ground, or ``None``."""
         if not self.loaded.level.forest:
             return None
-        from skugga.terrain.trees.forest import (
-            plant_trees,
-        )  # imported here: its libraries take half a second, and only levels with trees need them
+        # Imported here, since its libraries take half a second to load, and only levels with trees need them.
+        from skugga.terrain.trees.forest import plant_trees
 
         return plant_trees(self.loaded, self.world, self.elevation)
 
@@ -78,7 +77,7 @@ class SceneObjects:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Statements on parts of these files that may not be as intended."""
+        """Statements on probable mistakes in the files of trees and footprints."""
         return tuple(text for part in (self.placement, self.planting) if part is not None for text in part.warnings)
 
     @cached_property
@@ -92,7 +91,7 @@ class SceneObjects:
 
     @cached_property
     def lamp_rigs(self) -> dict[str, LampRig]:
-        """The rigs of the level's lamps by name, independent of the clock."""
+        """The level's lamps by name, each with its positions at all times of the clock."""
         key_path, geolocator = f"{self.loaded.path}: lights", Geolocator(self.world, self.elevation)
         return {name: lamp_rig(name, spec, geolocator, f"{key_path}.{name}") for name, spec in self.loaded.level.lights.items()}
 
@@ -108,9 +107,10 @@ class SceneObjects:
 
     @cached_property
     def solid_crease(self) -> np.ndarray:
-        """The bend of the facets round each triangle of the meshes, without sharp edges. float32 (n,), as ``GroundMesh.crease``.
+        """How far the smooth surface round each triangle of the meshes bends upwards, float32 (n,).
 
-        The same at every second, since bodies are rigid and share no vertices.
+        The measure is that of ``skugga.terrain.meshes.facets.creases``. Sharp edges (``CREASE_DISTANCE``) do not count. It is the
+        same at every second of the clock, since bodies are rigid and share no vertices.
         """
         if self.solids is None:
             return np.zeros(0, np.float32)

@@ -31,13 +31,13 @@ class Animation:
     id
         The unguessable identifier.
     order
-        The film that it shows.
+        The film to draw: level, view, times, file format and frames per second.
     frame_s
         Expected seconds for each frame.
     created, started, updated, finished
         Times in UTC.
     status
-        The status.
+        The status, in the terms of OGC API - Processes.
     expires
         The time at which the film is deleted at the latest.
     frames_done
@@ -80,11 +80,11 @@ class Animation:
 
     @property
     def ended(self) -> bool:
-        """Whether it is successful, failed or dismissed."""
+        """Whether the animation has succeeded, failed or been dismissed."""
         return self.status not in ("accepted", "running")
 
     def begin(self, loop_s: float) -> None:
-        """Record that drawing begins, at a time of the event loop in seconds."""
+        """Record that drawing begins. ``loop_s`` is the time of the event loop in seconds."""
         self.status, self.started, self.running_since_s = "running", now(), loop_s
 
     def advance(self, frames_done: int) -> None:
@@ -92,7 +92,7 @@ class Animation:
         self.frames_done, self.updated = frames_done, now()
 
     def end(self, status: AnimationStatus, age_s: float, message: str | None = None, error: SkuggaError | None = None) -> None:
-        """Record its end with a final status. It expires after ``age_s`` seconds."""
+        """Record the animation's end with a final status. The animation expires after ``age_s`` seconds."""
         self.status, self.message, self.error, self.finished = status, message, error, now()
         self.updated, self.expires = self.finished, self.finished + timedelta(seconds=age_s)
 

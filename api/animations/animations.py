@@ -39,11 +39,14 @@ log = logging.getLogger("skugga")
 
 
 class Animations:
-    """The animations of a service, drawn by ``draw`` and written by ``encode``. Use it from one event loop.
+    """Queue of a service's animations, which ``draw`` draws and ``encode`` writes to files.
 
-    The settings bound it. ``animations_at_a_time`` animations are drawn at once, first come first served. An animation that no
-    client asks about for ``animation_abandoned_s`` seconds is dismissed. Ended animations are kept for ``animation_age_s`` seconds.
-    Their cache has up to ``animations_kept`` entries and ``animation_bytes`` bytes, and evicts the least recently used.
+    Use it from one event loop. The settings bound it:
+
+    * ``animations_at_a_time`` animations are drawn at once, in the order of their requests.
+    * An animation that no client asks about for ``animation_abandoned_s`` seconds is dismissed.
+    * Ended animations are cached for ``animation_age_s`` seconds.
+    * The cache has up to ``animations_kept`` entries and ``animation_bytes`` bytes. It evicts the least recently used entry.
     """
 
     def __init__(self, settings: Settings, draw: Draw, encode: Encode) -> None:
@@ -143,7 +146,7 @@ class Animations:
         return queue_s + self._drawing_seconds_left(animation)
 
     async def close(self) -> None:
-        """Dismiss all animations, delete all films, and wait for the threads."""
+        """Dismiss all animations, delete all films, and wait until the threads that encode films have ended."""
         self._closed = True
         for animation in list(self._active.values()):
             self.dismiss(animation, "The service was stopped.")
@@ -182,7 +185,10 @@ class Animations:
             self._end(animation, "successful")
 
     async def _draw_film(self, animation: Animation) -> FilmFile:
-        """Return the finished film. On every exit, drawing has stopped and the thread has released the file."""
+        """Draw and encode an animation, and return its film.
+
+        When this returns or raises, drawing has stopped and the encoding thread has released the file.
+        """
         loop, order = asyncio.get_running_loop(), animation.order
         frames = FrameHandover(self._draw(order), loop, animation.advance)
         try:
@@ -199,7 +205,7 @@ class Animations:
             await frames.stop()
 
     def _write_film(self, frames: Iterable[np.ndarray], order: FilmOrder) -> FilmFile:
-        """Return the film in an unlinked file, which the system deletes even if this process crashes."""
+        """Write the frames to an unlinked file, and return the film. The system deletes the file even if this process crashes."""
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
             path = Path(folder) / f"film.{order.format}"
             self._encode(path, frames, order)
@@ -218,7 +224,7 @@ class Animations:
     def _end(
         self, animation: Animation, status: AnimationStatus, message: str | None = None, error: SkuggaError | None = None
     ) -> None:
-        """Record the end of an animation and cache it. Without a film, its order no longer refers to it."""
+        """Record the end of an animation and cache it. If it has no film, the next request for the same order draws it anew."""
         if not animation.ended:
             self.ended[status] += 1
         animation.end(status, self._settings.animation_age_s, message, error)
@@ -241,9 +247,9 @@ class Animations:
 
 
 def _film_error(animation: Animation, error: Exception) -> SkuggaError:
-    """Return the ``SkuggaError`` for an error of writing a film, and log it.
+    """Return the ``SkuggaError`` that reports an exception raised while a film is written, and log the exception.
 
-    The cause is a lack of threads or memory, a lack of disk space, or a bug or an exception of the encoder.
+    Possible causes are exhausted threads or memory, a full disk, and a bug or an exception of the encoder.
     """
     if (exhausted := exhausted_error(error)) is not None:
         return exhausted

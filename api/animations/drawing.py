@@ -20,20 +20,20 @@ FRAME_TRIES = 5
 
 
 def frame_job(order: FilmOrder, number: int, previous_plans: PlanHandover | None = None) -> FrameJob:
-    """Return the job of a frame of a film.
+    """Return the job that draws one frame of a film.
 
-    ``number`` counts from 0, and ``previous_plans`` are the plans of the frame before it.
+    ``number`` counts frames from 0. ``previous_plans`` is the planning state of the previous frame, which this frame continues.
     """
     film = {name: getattr(order, name) for name in FrameJob.model_fields if name in FilmOrder.model_fields}
     return FrameJob(**film, number=number, previous_plans=previous_plans)
 
 
 def frame_renderer(pool: Pool, current_level: Callable[[str], Awaitable[LevelKey]]) -> Draw:
-    """Return a function that draws the frames of a film on a pool.
+    """Return a function that draws the frames of a film on a worker pool.
 
-    Each frame is a job, so other requests run between two frames. The pool repeats a frame whose worker crashes, from the same
-    plans. ``current_level`` returns the current key of a level by its name. The function raises ``LevelChangedError`` if that key
-    has changed, and the errors of ``current_level`` and ``Pool.run``.
+    Each frame is a job, so other requests run between two frames. If a worker crashes, the pool draws the frame again from the same
+    planning state. ``current_level`` returns the current key of a level, given the level's name. The returned function raises
+    ``LevelChangedError`` if that key has changed, and the errors of ``current_level`` and ``Pool.run``.
     """
 
     async def draw(order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:
@@ -49,8 +49,10 @@ def frame_renderer(pool: Pool, current_level: Callable[[str], Awaitable[LevelKey
 
 
 async def _frame(pool: Pool, job: FrameJob) -> FilmPicture:
-    """Draw a frame. Try it again where no render process could start: a single picture's client is told to come back, but an
-    animation is a job that waits by itself. Raises what ``Pool.run`` raises.
+    """Draw a frame, and retry if no render process could start or the machine lacks resources.
+
+    An animation is a background job, so it waits here. The client of a single picture gets the error and retries by itself. Raises
+    the errors of ``Pool.run``.
     """
     for number_of_try in range(1, FRAME_TRIES + 1):
         try:

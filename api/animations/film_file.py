@@ -11,7 +11,7 @@ CHUNK_BYTES = 2**18
 
 
 class FilmFile:
-    """A film in an open file, which may be unlinked from now on.
+    """A film in an open file. The caller may unlink the file from now on.
 
     The file stays open until the film and every ``FilmReader`` of it are closed. The class is thread-safe.
     """
@@ -25,7 +25,7 @@ class FilmFile:
 
     @property
     def is_file_closed(self) -> bool:
-        """Whether the file is closed, because nothing holds it any more."""
+        """Whether the file is closed, because the film and all its readers are closed."""
         return self._file.closed
 
     def open_reader(self, first: int, end: int) -> FilmReader:
@@ -35,7 +35,7 @@ class FilmFile:
         return FilmReader(self, first, end)
 
     def read_range(self, first: int, end: int) -> bytes:
-        """Return the bytes from ``first`` to before ``end``, for a reader that has the film open.
+        """Return the bytes from ``first`` to before ``end``, for a ``FilmReader`` that is not closed.
 
         All clients share one file descriptor.
         """
@@ -48,7 +48,7 @@ class FilmFile:
             self.release()
 
     def release(self) -> None:
-        """Release one hold of the file. The last one closes it."""
+        """Drop one reference to the open file. The last one closes the file."""
         with self._lock:
             self._hold_count -= 1
             if not self._hold_count:
@@ -56,7 +56,7 @@ class FilmFile:
 
 
 class FilmReader:
-    """A range of bytes of a film that one client reads, with a position of its own. It holds the film until it is closed."""
+    """Reader of a range of a film's bytes for one client, with its own position. The film's file stays open until ``close``."""
 
     def __init__(self, film: FilmFile, first: int, end: int) -> None:
         self._film: FilmFile | None = film
@@ -65,7 +65,7 @@ class FilmReader:
         self._lock = threading.Lock()
 
     def chunk(self) -> bytes:
-        """Return the next bytes; none at the end, or after ``close``."""
+        """Return the next bytes of the range; empty at its end, or after ``close``."""
         with self._lock:
             if self._film is None:
                 return b""
@@ -74,7 +74,7 @@ class FilmReader:
             return content
 
     def close(self) -> None:
-        """Release the film. Further calls do nothing."""
+        """Release the film's file. Further calls do nothing."""
         with self._lock:
             film, self._film = self._film, None
         if film is not None:

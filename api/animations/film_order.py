@@ -10,7 +10,7 @@ FilmFormat = Literal["webp", "mp4"]
 
 
 class FilmOrder(Film):
-    """A film to draw, with the format of its file and its frames per second. ``level_name`` is the level's name in addresses."""
+    """A film to draw, its file format and its frames per second. ``level_name`` is the level's name in the service's URLs."""
 
     level_name: str
     format: FilmFormat = "webp"

@@ -22,9 +22,9 @@ _END = _End()
 
 
 class FrameHandover(Generic[T]):
-    """Iterator in a thread over the items of an async generator in an event loop.
+    """Iterator for a thread over the items of an async generator, which runs in an event loop.
 
-    It holds at most two items: the current one and the next one. The event loop calls ``on_frame`` with the count of items so far.
+    It holds at most two items: the current one and the next one. The event loop calls ``on_frame`` with the number of items so far.
     """
 
     def __init__(self, frames: AsyncGenerator[T, None], loop: asyncio.AbstractEventLoop, on_frame: Callable[[int], None]) -> None:

@@ -1,4 +1,8 @@
-"""Probe a level's maps at all scales: print one table, and save the probes that services on this device plan tiles with."""
+"""Probe a level's maps at all scales: print one table, and optionally save the probes.
+
+A probe renders a few candidate algorithms and compares them with ray-traced truth. Services on this device use saved probes to plan
+tiles.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +32,10 @@ from skugga.terrain.scene import build_scene
 def probe_all_scales(
     level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, write: bool
 ) -> tuple[list[tuple[int, Plan]], str | None]:
-    """Return the plans of a level's maps by scale, and a message on the file of saved probes (``None`` unless ``write``).
+    """Return the plans of a level's maps by scale, and a message about the file of saved probes.
 
-    A pixel has a side of ``2 ** scale`` metres. ``budget`` is the time of each probe as text, such as 3s. Raises ``SkuggaError``.
+    A pixel has a side of ``2 ** scale`` metres. ``budget`` is the time of each probe as text, such as 3s. The message is ``None``
+    unless ``write`` is true. Raises ``SkuggaError``.
     """
     if policy != "probe":
         raise InputError("--policy", policy, "probe with --all-scales")

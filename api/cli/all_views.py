@@ -1,4 +1,7 @@
-"""Plans of all views of a level: one table, and one list of pins in the level file."""
+"""Plan all views of a level: print one table, or pin all choices into the level file.
+
+A pin is a choice of shadow algorithms that the level file fixes for a view.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,8 @@ def plan_all_views(
 ) -> list[PlannedView]:
     """Plan each view of a level, and ``map``, the view of its tiles.
 
-    ``ignore_pins`` ignores the pins of the level file. ``budget`` is the time of each probe as text. Raises ``SkuggaError``.
+    ``ignore_pins`` ignores the choices that the level file fixes. ``budget`` is the time of each probe as text, such as 3s. Raises
+    ``SkuggaError``.
     """
     scene, _ = scene_and_view(level, "map", sun, seconds=seconds)
     if ignore_pins:
@@ -51,7 +55,7 @@ def plan_all_views(
 
 
 def pin_all(choices: Sequence[PlannedView]) -> str:
-    """Pin the choice of each view into the level file; return a message on what was written and where.
+    """Write the choice of each view into the level file, and return a message that says what was written and where.
 
     Raises ``LevelError`` if the file cannot be written, ``InputError`` if no view has a shadow caster.
     """
@@ -103,7 +107,7 @@ def json_rows(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
 
 
 def plan_facts(plan: Plan) -> dict[str, Any]:
-    """Return the cells of a plan's row as values for JSON, with the whole plan."""
+    """Return the cells of a plan's table row as values for JSON, with the whole plan."""
     predicted = plan.predicted
     return {
         "choice": choice_label(plan),
@@ -115,7 +119,7 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
 
 
 def plan_cells(plan: Plan) -> tuple[str, str, str, str]:
-    """Return the cells of a plan's row: choice, expected time, expected error, and whether it meets the target."""
+    """Return the four cells of a plan's table row: choice, expected time, expected error, and whether it meets the target."""
     predicted = plan.predicted
     time, error = ("", "") if predicted is None else (format_duration(predicted.ms), format_percent(predicted.wrong_cast))
     met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if _casts(plan) else ""

@@ -15,7 +15,7 @@ from skugga.terrain.errors import RenderError
 
 
 def compile_for_command(products: Sequence[str]) -> int:
-    """Compile the loops that a command needs and the store lacks; return their number."""
+    """Compile the loops that a command needs and that the on-disk cache lacks. Return the number of compiled loops."""
     bars: list[AdvanceCallback] = []
     total_loops = 0
     with ExitStack() as stack:
@@ -32,9 +32,9 @@ def compile_for_command(products: Sequence[str]) -> int:
 
 
 def compile_everything() -> str:
-    """Compile all loops that no store has; return a sentence for the user.
+    """Compile all loops that the on-disk caches lack, and return a sentence for the user.
 
-    Raises ``OSError`` if the store cannot be written, ``RenderError`` if it still lacks loops afterwards.
+    Raises ``OSError`` if the cache folder cannot be written, and ``RenderError`` if loops are still missing afterwards.
     """
     from skugga.terrain.compiling.farm import missing_tasks
     from skugga.terrain.compiling.loop_cache import loop_store

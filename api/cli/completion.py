@@ -46,8 +46,8 @@ def complete_level(incomplete: str) -> list[str]:
     Returns
     -------
     list of str
-        Names of bundled levels, then files and folders. Empty if only folders match: shells complete these without a space
-        after them, which is better.
+        Names of bundled levels, then files and folders. Empty if only folders match, because shells then complete them without a
+        space after the name.
     """
     names = [path.stem for path in bundled_levels() if path.stem.startswith(incomplete)]
     folder, prefix = os.path.split(incomplete)

@@ -66,7 +66,7 @@ def _opengl() -> Finding:
 
 
 def _egl_devices() -> list[Finding]:
-    """Return a finding for each EGL device. A device that cannot render is no fault, because another one may."""
+    """Return a finding for each EGL device. A device that cannot render is not reported as a fault, because another may."""
     from skugga.terrain.gl.device import device
     from skugga.terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed_device
 
@@ -94,7 +94,7 @@ def _egl_devices() -> list[Finding]:
 
 
 def _calibration() -> Finding:
-    """Check the calibration that predictions use. Without one the rules choose, so a missing one is no fault."""
+    """Check the calibration, which predictions use. A missing one is no fault, because fixed rules then choose algorithms."""
     from skugga.selector.cost.device_profile import load_profile, missing_profile_reason
     from skugga.terrain.gl.device import device
 
@@ -112,7 +112,7 @@ def _calibration() -> Finding:
 
 
 def _render_test_map() -> Finding:
-    """Render a small map of known shadow: this checks the whole path from a level to a frame."""
+    """Render a small map whose shadow is known. This checks every step from loading a level to drawing a frame."""
     from skugga.api.catalogue import find_level
     from skugga.api.cli.snapshot import snapshot
     from skugga.api.products.mask import MASK_LIT, MASK_SHADOW
@@ -129,7 +129,7 @@ def _render_test_map() -> Finding:
 
 
 def _compiled_loops() -> Finding:
-    """Check the store of compiled loops. Call it after ``_render_test_map``, which compiles some."""
+    """Check the on-disk cache of compiled loops. Call it after ``_render_test_map``, which compiles some."""
     from skugga.terrain.compiling.loop_cache import loop_store
 
     store = loop_store()

@@ -128,7 +128,7 @@ def render_film(
 
 
 class _FilmProgress:
-    """Reports the progress of frames on their way to the file, and collects their statistics."""
+    """Report the progress of frames on their way to the file, and collect their statistics."""
 
     def __init__(self, lines: ProgressLines, total: int) -> None:
         self._lines, self._total, self._begin = lines, total, clock.perf_counter()
@@ -154,7 +154,7 @@ class _FilmProgress:
     def report_estimate(self, frames_written: int, size: int) -> None:
         """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
 
-        It is printed once early, and again whenever the estimate changes by the factor ``NEW_ESTIMATE_RATIO``.
+        The estimate is printed once early. It is printed again whenever it changes by the factor ``NEW_ESTIMATE_RATIO``.
         """
         if not FRAMES_BEFORE_ESTIMATE <= frames_written < self._total or size == 0:
             return

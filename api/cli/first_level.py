@@ -23,10 +23,10 @@ FIRST_VIEW = "view"
 
 
 def write_first_level(source: LevelSource, output: Path | None, force: bool) -> Path:
-    """Write the level file of a raster, by default ``NAME.yaml`` in the current folder; return its path.
+    """Write the level file of a raster and return the file's path.
 
-    Raises ``InputError`` if the level is not a raster, or if the file exists and ``force`` is false. Raises ``OSError``, and the
-    errors of ``build_scene``.
+    The default path is ``NAME.yaml`` in the current folder. Raises ``InputError`` if the level is not a raster, or if the file
+    exists and ``force`` is false. Raises ``OSError``, and the errors of ``build_scene``.
     """
     loaded = load_level(source)
     if not is_level_raster(source.path):
@@ -48,7 +48,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
 
 
 def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, folder: Path) -> str:
-    """Return the text of the level file of a raster's scene; paths in it are relative to ``folder``.
+    """Return the text of a level file for a raster's scene. Paths in it are relative to ``folder``.
 
     Lines that begin with "#" and exactly one space are comments. Other lines that begin with "#" are optional keys.
     """
@@ -118,7 +118,7 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
 
 
 def _key_lines(name: str, lines: list[str] | None, example: list[str]) -> list[str]:
-    """Return the lines of a key of the level, or of a commented example of it."""
+    """Return the lines of one key of the level file; without ``lines``, return a commented example of the key."""
     return [f"{name}:", *lines] if lines else [f"#{name}:", *(f"#{line}" for line in example)]
 
 

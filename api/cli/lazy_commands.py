@@ -56,7 +56,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyCommand(TyperCommand):
-    """A command with a name and a help text. It imports its function when its options are needed."""
+    """A command with a name and a help text. It imports its function when its options are needed first."""
 
     def __init__(self, name: str, function: str, summary: str) -> None:
         super().__init__(name, help=summary, rich_markup_mode=None)
@@ -71,7 +71,7 @@ class LazyCommand(TyperCommand):
         return typer.main.get_command(single_command_app)
 
     def make_context(self, *args: Any, **options: Any) -> Any:
-        """Parse arguments. The context's command is the imported one, which then runs, prints help and completes."""
+        """Parse arguments into a context whose command is the imported one. That command then runs, prints help and completes."""
         return self.loaded.make_context(*args, **options)
 
 

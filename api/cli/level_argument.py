@@ -67,7 +67,8 @@ _OPTIONS: dict[str, Any] = {
 def takes_level(function: Callable[..., None]) -> Callable[..., None]:
     """Decorate a command whose first parameter is ``level: LevelSource`` or ``levels: list[LevelSource]``.
 
-    The command gets the argument LEVEL, which is resolved for it, and the options of a raster, which come last.
+    The decorated command gets the argument LEVEL, which is resolved before the call. It also gets the options that describe a
+    raster, after all other options.
     """
     # The annotation of the first parameter is replaced, so its type need not be imported.
     signature = inspect.signature(function, eval_str=True, locals={"LevelSource": Any})

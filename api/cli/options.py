@@ -15,12 +15,12 @@ from skugga.terrain.level.setting import FrontEnd, Setting, settings_of
 
 
 def with_shadow_options(command: FrontEnd, after: str = "crs") -> Callable[[FunctionT], FunctionT]:
-    """Decorate a command that takes ``**declared_options``: add an option for each shadow setting after its option ``after``."""
+    """Return a decorator for a command that takes ``**declared_options``: it adds shadow settings as options after ``after``."""
     return with_shadow_settings(command, _option, after)
 
 
 def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[str, Any]:
-    """Return options as overrides of a level's ``shadows``. Raises ``InputError``."""
+    """Convert parsed options into overrides of a level's ``shadows``. Raises ``InputError``."""
     overrides = dict(declared_options)
     for setting in settings_of(Shadows, command):
         value = overrides.get(setting.name)

@@ -1,4 +1,7 @@
-"""``skugga select``: plan a view of a level by a policy, and pin the choice into the level file."""
+"""``skugga select``: plan a view of a level by a policy, and pin the choice into the level file.
+
+To pin a choice is to write it into the level file, which then fixes the algorithms of that view.
+"""
 
 from __future__ import annotations
 
@@ -67,8 +70,8 @@ def plan_level_view(
 ) -> PlannedView:
     """Plan a view of a level.
 
-    ``ignore_pin`` ignores a pinned choice of the level file. ``budget`` is the time of the policy ``probe`` as text, such as 3s.
-    Raises ``SkuggaError``.
+    ``ignore_pin`` ignores the choice that the level file fixes for the view. ``budget`` is the time of the policy ``probe`` as
+    text, such as 3s. Raises ``SkuggaError``.
     """
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     if ignore_pin:
@@ -97,7 +100,7 @@ def plan_scene_view(
 
 
 def pin_plan(choice: PlannedView) -> str:
-    """Pin a choice into the level file; return a message on what was written and where.
+    """Write the choice for a view into the level file, and return a message that says what was written and where.
 
     Raises ``LevelError`` if the file cannot be written, ``UnsupportedError`` if another view of the level does not support the
     choice, ``InputError`` if the view has no shadow caster.
@@ -120,7 +123,7 @@ def write_descriptor(choice: PlannedView, path: Path) -> None:
 
 
 def without_pins(scene: Scene) -> Scene:
-    """Return a scene whose shadow settings are those before the pin."""
+    """Return a scene with default values for the shadow settings that ``skugga select`` has written into the level file."""
     return with_shadow_settings(scene, default_values(pinned_keys(scene.loaded.path)))
 
 
@@ -141,7 +144,10 @@ def _check_supported(scene: Scene, name: str, plan: Plan) -> None:
 
 
 def _pin_comment(choice: PlannedView) -> list[str]:
-    """Return the comment lines of a pin. The first line identifies it."""
+    """Return the comment lines that stand above a pinned choice in the level file.
+
+    The first line begins with ``PIN_COMMENT``, by which a later run finds the pinned settings.
+    """
     plan = choice.plan
     return [
         f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {POLICIES[plan.policy]}.",

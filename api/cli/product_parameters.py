@@ -15,7 +15,7 @@ from skugga.terrain.errors import InputError, Problem
 
 
 def with_product_options(products: Sequence[str], after: str) -> Callable[[FunctionT], FunctionT]:
-    """Decorate a command that takes ``**declared_options``: add the options of some products after its own option ``after``."""
+    """Return a decorator for a command that takes ``**declared_options``: it adds the options of ``products`` after ``after``."""
     names = dict.fromkeys(name for product in products for name in PRODUCTS[product].options.model_fields)
     return with_parameters([(name, _product_option(name, products)) for name in names], after)
 

@@ -32,7 +32,7 @@ def spinner(task: str) -> Iterator[None]:
 
 
 class ProgressBar:
-    """A progress bar on a terminal for four or more blocks; silent elsewhere. ``with`` returns the callback for each block."""
+    """A progress bar on a terminal for four or more blocks; silent elsewhere. ``with`` returns the callback for finished blocks."""
 
     def __init__(self, task: str) -> None:
         self._title = task
@@ -59,7 +59,7 @@ class ProgressBar:
 
 
 class ProgressLines:
-    """Lines on standard error, with a progress bar below them on a terminal once one unit is done. A context manager."""
+    """Lines on standard error, and on a terminal a progress bar below them as soon as one unit is done. A context manager."""
 
     def __init__(self, task: str) -> None:
         self._task = task

@@ -117,7 +117,7 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
 
 
 class _Workers:
-    """The workers of a run, local or on a cluster. They start and warm up before the run begins."""
+    """The local or cluster workers of a seeding run. They start and warm up before the run begins."""
 
     def __init__(self, options: SeedOptions) -> None:
         self._count, self._scheduler = options.workers or usable_cores(), options.scheduler
@@ -133,7 +133,7 @@ class _Workers:
             self._warm = DaskCluster(self._scheduler)
 
     def begin(self, run: PlannedRun, shards: str) -> Runner:
-        """Return the runner of a run."""
+        """Prepare the workers for a planned run, starting them if necessary, and return the ``Runner`` that draws its tasks."""
         if self._warm is None:
             self.warm_up()
         assert self._warm is not None
@@ -142,7 +142,7 @@ class _Workers:
         return runner
 
     def close(self) -> None:
-        """Stop workers that were started but not handed to a run; a run stops its own."""
+        """Stop workers that were started but not handed to a run. A run stops its own workers."""
         if self._warm is not None:
             self._warm.close()
 
@@ -157,7 +157,7 @@ def _zooms(text: str | None) -> ZoomRange | None:
 
 
 def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
-    """Print the tasks that would run, their reasons, and their expected time and size."""
+    """Print the tasks that a run would draw: why they are drawn, and their expected time and size."""
     requeue_lost_shards(table, store)
     measured_costs = table.measured_costs()
     rows: list[dict[str, Any]] = []
@@ -201,7 +201,7 @@ def _format_bytes(count: float) -> str:
 
 
 class _RunProgress:
-    """Progress of a run: a line for each task, with a bar on a terminal; the same as JSON lines in a log file."""
+    """Progress of a seeding run: a line for each task, with a bar on a terminal. A log file gets the same as JSON lines."""
 
     def __init__(self, log: Path, quiet: bool) -> None:
         self._log, self._quiet = log, quiet
@@ -218,7 +218,7 @@ class _RunProgress:
             self._file.close()
 
     def print_status(self, text: str) -> None:
-        """Print a step that precedes the first task, on a terminal only."""
+        """Print a step that precedes the first task. Only a terminal shows it."""
         self._lines.print_status(text)
 
     def report_task_end(self, task_end: TaskEnd) -> None:

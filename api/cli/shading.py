@@ -30,7 +30,7 @@ SUFFIXES = ".tif", ".tiff"
 
 @dataclass(frozen=True)
 class OutputGrid:
-    """Extent and grid of an output raster, as arguments of ``raster_view``. All ``None`` selects the level's own grid.
+    """Extent and cell grid of an output raster, as arguments of ``raster_view``. All ``None``: the level's own grid.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class OutputGrid:
     resolution
         Side of a cell, units of ``crs``.
     like
-        Raster, or its cells, whose grid is used.
+        Raster file, or cell grid of a raster, to use instead.
     """
 
     bounds: Bounds | None = None
@@ -93,10 +93,10 @@ def write_product(
 def sun_and_grid_of_item(
     stac: Path, suns: Sequence[SunSpec | None], like: Path | None, uses_item_grid: bool
 ) -> tuple[Sequence[SunSpec | None], Path | RasterCells | None]:
-    """Return the sun and the grid of a STAC item.
+    """Return the sun of a STAC item, as a sequence of one, and the grid of the output (``None`` for the level's own).
 
-    ``like`` takes precedence over the item's grid, and so do other options that set the grid (``uses_item_grid`` is false then).
-    Raises ``InputError`` if other options set the time too.
+    ``suns`` are the suns of other options. ``like`` takes precedence over the item's grid. ``uses_item_grid`` is false if other
+    options set the grid. Raises ``InputError`` if other options set the sun too.
     """
     item = read_stac_item(stac)
     if any(sun is not None for sun in suns):
@@ -107,7 +107,7 @@ def sun_and_grid_of_item(
 
 
 def output_paths(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
-    """Return the path for each sun. Raises ``InputError``, and ``FileNotFoundError`` if the folder does not exist."""
+    """Return the output path for each sun. Raises ``InputError``, and ``FileNotFoundError`` if the folder does not exist."""
     if output.suffix.lower() not in SUFFIXES:
         raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")
     if not output.parent.is_dir():

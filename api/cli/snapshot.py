@@ -53,7 +53,7 @@ class Snapshot:
     computed: ComputedProduct
 
     def write(self, request: ProductRequest, path: Path) -> None:
-        """Write the snapshot in the format of the suffix. A GeoTIFF of a map view is georeferenced."""
+        """Write the snapshot in the format that the path's suffix names. A GeoTIFF of a map view is georeferenced."""
         product, format = request.product_record, path.suffix.lower().removeprefix(".")
         array = colored(self.computed.array, product, request.options, self.scene.world, format)
         if format not in ARRAY_FORMATS:
@@ -77,8 +77,8 @@ def snapshot(
 ) -> Snapshot:
     """Compute a product of a level's view.
 
-    The request sets the sun, ``style_overrides`` the style. Raises ``SkuggaError``, also if a block or a view is expected to take
-    longer than ``max_ms``, or without that longer than the time limit of a service.
+    The request sets the sun, and ``style_overrides`` sets the style. Raises ``SkuggaError``, also if a block or a view is expected
+    to take longer than ``max_ms``. Without ``max_ms`` the time limit of a service applies.
     """
     scene, view_value = scene_and_view(level, view, request.sun, size, bounds, crs, seconds)
     if request.sun is None and request.product_record.when == "sun":
@@ -100,7 +100,7 @@ def scene_and_view(
     crs: str | None = None,
     seconds: float | None = None,
 ) -> tuple[Scene, MapView | PerspectiveView]:
-    """Return a level's scene under a sun at a second of its clock, and one of its views. Raises ``SkuggaError``."""
+    """Return a level's scene under a sun at a second of its clock, and the view of that name. Raises ``SkuggaError``."""
     check_seconds(seconds)
     loaded = load_level(level)
     declare_view_loops(loaded, view)
@@ -110,7 +110,7 @@ def scene_and_view(
 
 
 def declare_view_loops(loaded: LoadedLevel, view: str) -> None:
-    """Declare the compiled loops that a picture of a level's view needs."""
+    """Declare which compiled loops a picture of a level's view needs, so that they can be compiled in advance."""
     named = loaded.level.views.get(view)
     if named is not None and named.kind == "perspective":
         declare_product(VIEWS)
@@ -119,7 +119,7 @@ def declare_view_loops(loaded: LoadedLevel, view: str) -> None:
 
 
 def check_seconds(seconds: float | None) -> None:
-    """Raise ``InputError`` for a reading outside the range of a level's clock."""
+    """Raise ``InputError`` for a clock reading in seconds outside the range of a level's clock."""
     if seconds is not None and not abs(seconds) <= MAX_CLOCK_S:
         raise InputError("--seconds", seconds, f"{-MAX_CLOCK_S:g} to {MAX_CLOCK_S:g} seconds")
 

@@ -1,4 +1,4 @@
-"""``skugga sunhours``: parse its options into a request."""
+"""``skugga sunhours``: convert its options into a request."""
 
 from __future__ import annotations
 

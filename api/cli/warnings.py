@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def print_warnings(scene: Scene, with_objects: bool = True) -> None:
-    """Print a line for each warning on the ground and, if ``with_objects``, on objects, whose files are read for this."""
+    """Print each warning about the ground and, if ``with_objects``, about objects, whose files are then read. One line each."""
     on_objects = scene.objects.warnings if with_objects else ()
     for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *on_objects):
         typer.echo(printable(f"skugga: warning: {text}"), err=True)
@@ -32,7 +32,7 @@ def print_extent_warning(scene: Scene, raster: RasterView) -> None:
 
 
 def print_default_sun(scene: Scene) -> None:
-    """Print which default sun is used, because a picture does not show that no one chose it.
+    """Print which default sun is used, because a picture does not show whether its sun was requested.
 
     The note is printed on a terminal, and everywhere if the level sets no sun.
     """

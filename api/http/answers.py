@@ -1,4 +1,8 @@
-"""Build response headers: entity tags known before the work, cache rules, timings and caster reach."""
+"""Build response headers: entity tags, cache rules, timings and the caster reach.
+
+An entity tag depends on the inputs of an answer, so it is known before anything is rendered. The caster reach is the distance
+towards the sun in which shadow casters are searched.
+"""
 
 from __future__ import annotations
 
@@ -18,23 +22,25 @@ VERSION = version("skugga")
 JSON_MEDIA = "application/json"
 
 DEFAULT_SUN_FRESH_S = 3600
-"""Freshness lifetime of a picture under the level's own sun. It is short since the operator may change that sun."""
+"""Freshness lifetime (``max-age``) in seconds of a picture under the level's own sun.
+
+It is short since the operator may change that sun."""
 
 REQUESTED_SUN_FRESH_S = 86400
-"""Freshness lifetime of a picture whose request names the sun.
+"""Freshness lifetime in seconds of a picture whose request names the sun.
 
-It is not `immutable`: the level's data may still change, and revalidation costs no rendering."""
+The answer is not marked ``immutable``: the level's data may still change, and revalidation costs no rendering."""
 
 METADATA_FRESH_S = 60
-"""Freshness lifetime of metadata of levels."""
+"""Freshness lifetime in seconds of documents about levels, such as JSON, pages and capabilities."""
 
 MIN_GZIP_BYTES, GZIP_LEVEL = 16 * 1024, 4
-"""Smallest document that is compressed, and the level of gzip.
+"""Size in bytes from which documents are compressed, and gzip's compression level (1 to 9).
 
 Capabilities of many levels have half a megabyte; gzip reduces them to a twentieth."""
 
 STALE_IF_ERROR_S = 86400
-"""Duration of ``stale-if-error``: caches may send a stale answer for so long while the service is down."""
+"""Seconds of ``stale-if-error``: how long caches may send a stale answer while the service is down."""
 
 EXPOSED_HEADERS = (
     "Content-Range", "ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm",
@@ -59,17 +65,20 @@ class ExpectedTime:
     work_s: float
 
     def headers(self) -> dict[str, str]:
-        """Return the times as a header."""
+        """Return the response header ``X-Skugga-Expected-Time`` with both times in seconds."""
         return {"X-Skugga-Expected-Time": f"wait={self.wait_s:.1f}; work={self.work_s:.1f}"}
 
 
 def entity_tag(*parts: object) -> str:
-    """Return a strong entity tag of all parts that an answer depends on, and of this package's version."""
+    """Return a strong entity tag: a digest of ``parts`` and of this package's version.
+
+    ``parts`` are all inputs that the answer depends on.
+    """
     return f'"{hashlib.sha256(repr((VERSION, *parts)).encode()).hexdigest()[:32]}"'
 
 
 def is_fresh(request: Request, tag: str) -> bool:
-    """Return whether ``If-None-Match`` has the entity tag (RFC 9110, section 13.1.2: weak comparison)."""
+    """Return whether the client's copy is current: ``If-None-Match`` has ``tag`` (RFC 9110, section 13.1.2: weak comparison)."""
     client_tags = request.headers.get("if-none-match", "")
     return client_tags.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in client_tags.split(","))
 
@@ -77,9 +86,9 @@ def is_fresh(request: Request, tag: str) -> bool:
 def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
     """Return the headers ``ETag`` and ``Cache-Control`` of an answer that stays fresh for ``fresh_s`` seconds.
 
-    Caches may send a stale answer for the same time while they revalidate, and for ``STALE_IF_ERROR_S`` seconds on errors (RFC
-    5861). Answers that are fresh for less than an hour are never sent stale. They depend on the clock, on the present levels, or on
-    a pending calibration or probe.
+    Caches may send a stale answer for another ``fresh_s`` seconds while they revalidate it, and for ``STALE_IF_ERROR_S`` seconds
+    while the service fails (RFC 5861). Answers that are fresh for less than an hour are never sent stale. Such answers depend on
+    the clock, on the present levels, or on measurements of the device or the level that are still to come.
     """
     stale_directives = (
         f", stale-while-revalidate={fresh_s}, stale-if-error={STALE_IF_ERROR_S}" if fresh_s >= DEFAULT_SUN_FRESH_S else ""
@@ -94,12 +103,12 @@ def wants_html(request: Request) -> bool:
 
 
 def json_answer(request: Request, value: object, **extra_headers: str) -> Response:
-    """Return a JSON answer with ``extra_headers`` headers, or 304 if the client's copy is current."""
+    """Return a value as JSON with ``extra_headers``, or 304 if the client's copy is current."""
     return document_answer(request, bytes(JSONResponse(value).body), JSON_MEDIA, **extra_headers)
 
 
 def document_answer(request: Request, body: bytes, media_type: str, **extra_headers: str) -> Response:
-    """Return a document with ``extra_headers`` headers, or 304 if the client's copy is current.
+    """Return a document with ``extra_headers``, or 304 if the client's copy is current.
 
     A long document is compressed for clients that accept gzip. The compressed form has a different entity tag.
     """
@@ -129,10 +138,11 @@ def base_url(request: Request, public_url: str | None) -> str:
 
 
 def render_headers(picture: BlockTiles | Snapshot, subject: str, is_cached: bool, encode_ms: float) -> dict[str, str]:
-    """Return headers with the render passes of a picture, whether it came from the cache, and its caster reach.
+    """Return headers about the rendering of a picture: ``Server-Timing``, its algorithms and its caster reach.
 
-    ``subject`` is the kind of picture: a block or a snapshot. Pass names become tokens: hyphens replace runs of other
-    characters.
+    ``Server-Timing`` has the milliseconds of each render pass and of encoding (``encode_ms``). An entry named ``subject``, the kind
+    of picture, says whether it came from the cache (``kept``) or was rendered (``drawn``). Hyphens replace the characters of pass
+    names that the header does not allow. The headers of ``reach_headers`` follow if the picture has one caster reach.
     """
     timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in picture.passes]
     timings += [f"encode;dur={encode_ms:.1f}", f"{subject};desc={'kept' if is_cached else 'drawn'}"]
@@ -143,9 +153,10 @@ def render_headers(picture: BlockTiles | Snapshot, subject: str, is_cached: bool
 
 
 def reach_headers(algorithm: str, used_m: float = 0.0, needed_m: float = 0.0, clipped: bool = False) -> dict[str, str]:
-    """Return headers with the algorithm and the caster reach in whole metres.
+    """Return headers with the shadow algorithm and the caster reach in whole metres.
 
     The reach is the distance towards the sun in which shadow casters were searched (``used``) and had to be searched (``needed``).
+    ``clipped`` says whether the level's data ends before the needed distance.
     """
     reach = f"used={used_m:.0f}; needed={needed_m:.0f}; clipped={'yes' if clipped else 'no'}"
     return {"X-Skugga-Algorithm": algorithm, "X-Skugga-Caster-Reach": reach}

@@ -1,4 +1,7 @@
-"""Validate numbers in paths and queries. Only plain decimal digits are accepted, to give each number one address."""
+"""Validate numbers in paths and queries. Only plain decimal digits are accepted.
+
+Other spellings of a number would be further URLs of the same picture, which caches store separately.
+"""
 
 from __future__ import annotations
 
@@ -36,18 +39,20 @@ def _parse_integer_or_word(value: Any) -> Any:
 
 
 def parse_decimal(text: str) -> float | None:
-    """Return the finite number in a text, spelt as in queries; ``None`` if the text is anything else."""
+    """Return the finite decimal number that a text spells; ``None`` for any other text."""
     number = float(text) if _DECIMAL.fullmatch(text.strip()) else math.inf
     return number if math.isfinite(number) else None
 
 
 INTEGER_OR_WORD = BeforeValidator(_parse_integer_or_word)
-"""Validator of parameters with a list of allowed values, some of them integers."""
+"""Pydantic validator that converts a text of digits to an integer, and leaves words unchanged.
+
+It is for parameters whose allowed values are words and integers."""
 
 PLAIN_INTEGER, PLAIN_DECIMAL = BeforeValidator(_check_integer), BeforeValidator(_check_decimal)
-"""Validators of integers and decimals for ``Annotated``.
+"""Pydantic validators of integers and decimals, for ``Annotated``.
 
-They reject other spellings that Python accepts: ``1_2``, ``12.0`` as an integer, digits of other scripts."""
+They reject other spellings that Python or pydantic accept: ``1_2``, ``12.0`` as an integer, and digits of other scripts."""
 
 WholeNumber = Annotated[int, PLAIN_INTEGER]
-"""An integer in a path."""
+"""Type of an integer in a path."""

@@ -12,7 +12,7 @@ from skugga.api.http.numbers import PLAIN_INTEGER
 from skugga.api.http.problems import MEDIA_TYPE, Problem, problem_kinds
 
 ResponseDocs = dict[int | str, dict[str, Any]]
-"""Responses by status, as the ``responses`` argument of routes."""
+"""Documented responses by HTTP status, for the argument ``responses`` of FastAPI's routes."""
 
 LEVEL_ERRORS = 404, 422, 500
 """Error statuses of routes that describe a level."""
@@ -28,7 +28,10 @@ UNEXPECTED_ERRORS = {500}
 PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
 
 PLAN_DOCS: ResponseDocs = {200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Plan"}}}}}
-"""The response with a plan. ``openapi`` adds its schema later, since that imports the settings of all algorithms."""
+"""The response with a plan.
+
+``skugga.api.http.server.openapi`` adds the schema ``Plan`` to the document on demand, since building that schema imports the
+settings of all algorithms."""
 
 LevelPath = Annotated[str, Path(description="A level by its name, as `/levels` lists them.", examples=["jacksboro"])]
 MatrixSetPath = Annotated[
@@ -41,7 +44,7 @@ RowPath = Annotated[int, PLAIN_INTEGER, Path(description="Row of the tile, from 
 
 
 def problem_docs(*statuses: int) -> ResponseDocs:
-    """Return the responses with problem documents for some statuses, with an example of each kind of problem."""
+    """Return the documented responses with problem documents for some statuses, with an example of each kind of problem."""
     return {
         status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: _problem_content(status)}} for status in statuses
     }
@@ -53,9 +56,9 @@ def _problem_content(status: int) -> dict[str, Any]:
 
 
 def exception_docs(*statuses: int) -> ResponseDocs:
-    """Return the responses with OGC exceptions in XML for some statuses.
+    """Return the documented responses with OGC exceptions in XML for some statuses.
 
-    Unexpected errors (500) are problem documents, too.
+    Status 500 may also have a problem document, since unexpected errors are answered by one.
     """
     responses: ResponseDocs = {}
     for status in statuses:
@@ -66,7 +69,7 @@ def exception_docs(*statuses: int) -> ResponseDocs:
 
 
 def file_docs(description: str, media_types: Iterable[str]) -> ResponseDocs:
-    """Return the responses of a route that sends a file in one of some media types, or 304."""
+    """Return the documented responses of a route that sends a file in one of some media types, or 304."""
     return {
         200: {"description": description, "content": {media_type: {} for media_type in media_types}},
         304: {"description": "The client has it (`If-None-Match`)."},
@@ -74,7 +77,10 @@ def file_docs(description: str, media_types: Iterable[str]) -> ResponseDocs:
 
 
 def example_query(*names: str, **values: str) -> dict[str, Any]:
-    """Return the query of a route's example: ``names`` have their parameters' own examples, ``values`` replace them."""
+    """Return the query of a route's example request, for the argument ``openapi_extra``.
+
+    The query has the parameters ``names`` with their own examples, and the parameters ``values`` with the given values.
+    """
     return {EXAMPLE_QUERY: dict.fromkeys(names, "") | values}
 
 
@@ -82,9 +88,9 @@ EXAMPLE_QUERY = "x-example-query"
 
 
 def ogc_parameters(**parameters: tuple[str, str]) -> dict[str, Any]:
-    """Return query parameters of an OGC service, each with a description and an example.
+    """Return the documentation of an OGC service's query parameters, each with a description and an example.
 
-    Their names ignore case, so no function signature declares them.
+    OGC parameters may be in upper or lower case, so FastAPI cannot read them from a function's signature.
     """
     return {
         "parameters": [
@@ -95,9 +101,9 @@ def ogc_parameters(**parameters: tuple[str, str]) -> dict[str, Any]:
 
 
 def with_bounds(schema: Any) -> Any:
-    """Return a JSON schema with numeric bounds under their standard keywords, inside the number's schema.
+    """Return a JSON schema whose numeric bounds have the standard keywords, inside the number's own schema.
 
-    For ``Annotated[float | None, ...]`` pydantic writes bounds under its own names, outside of the number's schema.
+    For ``Annotated[float | None, ...]`` pydantic writes bounds as ``ge``, ``le``, ``gt`` and ``lt``, outside the number's schema.
     """
     if isinstance(schema, list):
         return [with_bounds(subschema) for subschema in schema]

@@ -37,9 +37,9 @@ class PlanQuery:
     Attributes
     ----------
     policy : ServedPolicy
-        The selection policy.
+        The policy that chooses the plan: fixed ``rules``, or ``predict`` (predicted costs and errors).
     overrides : RequestedSettings
-        Settings of shadows that the request overrides.
+        Shadow settings of the request, which replace the level's.
     """
 
     policy: ServedPolicy
@@ -47,7 +47,7 @@ class PlanQuery:
 
 
 def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
-    """Return a dependency that raises ``InputError`` for unknown or repeated query parameters."""
+    """Return a FastAPI dependency that raises ``InputError`` for query parameters that are repeated or not in ``names``."""
 
     async def refuse(request: Request) -> None:
         items = request.query_params.multi_items()
@@ -77,7 +77,7 @@ AzimuthQuery = Annotated[
 AltitudeQuery = Annotated[float | None, PLAIN_DECIMAL, Query(description="Apparent degrees above the horizon.", examples=[22])]
 
 DEFAULT_STYLE = "default"
-"""The name of the level's own style, for map clients that require a name."""
+"""The value of ``style`` that means the level's own style, for map clients that require a name."""
 
 StyleQuery = Annotated[
     str | None,
@@ -112,7 +112,7 @@ _NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_INTEGER,), floa
 
 
 def _shadow_parameter(setting: Setting) -> Any:
-    """Return the annotation of a query parameter for a setting of shadows."""
+    """Return the type annotation of the query parameter for a shadow setting."""
     is_number = any(isinstance(word, int) for word in setting.words)
     numbers = (INTEGER_OR_WORD,) if is_number else _NUMBERS.get(setting.plain_type, ())
     value_type: Any = setting.type
@@ -168,7 +168,10 @@ async def plan_query(
 
 
 def served_settings(shadow_settings: dict[str, Any]) -> RequestedSettings:
-    """Return the overridden settings. Raises ``InputError`` for an algorithm that the service does not offer."""
+    """Return a request's shadow settings from the query's values, of which ``None`` are left out.
+
+    Raises ``InputError`` for an algorithm that the service does not offer.
+    """
     if shadow_settings.get("algorithm") is not None:
         parse_algorithm(shadow_settings["algorithm"], names=served_algorithms())
     return RequestedSettings.of(shadow_settings)
@@ -183,7 +186,7 @@ PLAN_PARAMETERS = tuple(signature(plan_query).parameters)
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Return (width, height) in pixels of a text ``WxH``. Raises ``InputError``."""
+    """Return (width, height) in pixels from a text such as ``1280x1024``. Raises ``InputError``."""
     width, _, height = text.partition("x")
     if not all(part.isascii() and part.isdigit() and 1 <= int(part) <= MAX_PERSPECTIVE_PX for part in (width, height)):
         raise InputError("size", text, f"WIDTHxHEIGHT in pixels, as 1280x1024, at most {MAX_PERSPECTIVE_PX} a side")
@@ -191,7 +194,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
-    """Raise ``InputError`` if a picture has more than ``max_pixels`` pixels."""
+    """Raise ``InputError`` if a picture of ``size`` (width, height) has more than ``max_pixels`` pixels."""
     if size[0] * size[1] > max_pixels:
         remedy = "Ask for fewer pixels, or have the operator raise SKUGGA_MAX_SNAPSHOT_PIXELS"
         raise InputError.over_limit("size", f"{size[0]}x{size[1]} pixels", f"{max_pixels} pixels in all", remedy)
@@ -219,7 +222,7 @@ TileLayerQuery = Annotated[
 
 
 def _product_parameter(name: str) -> Any:
-    """Return the annotation of a query parameter for an option of products."""
+    """Return the type annotation of the query parameter for a product option. Its description names the products with the option."""
     products = [product for product in MAP_PRODUCTS if name in served_options(PRODUCTS[product])]
     field = served_options(PRODUCTS[products[0]])[name]
     value_type: Any = field.annotation
@@ -252,13 +255,20 @@ TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *PRODUCT_OPTIONS)
 
 
 def with_product_options_query(*excluded: str) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator that replaces ``**options`` of a dependency by the options of all products except ``excluded``."""
+    """Return a decorator for FastAPI dependencies with ``**options``.
+
+    The decorator replaces ``**options`` in the signature by a query parameter for each product option, except ``excluded``.
+    """
     parameters = [(name, _product_parameter(name)) for name in PRODUCT_OPTIONS if name not in excluded]
     return with_parameters(parameters)
 
 
 async def product_query(request: Request, picture: PictureRequest, layer: str, options: dict[str, Any]) -> ProductRequest:
-    """Return the request for a product as tiles or map. Raises ``InputError``."""
+    """Return the request for a product as tiles or as a map.
+
+    ``layer`` names the product, and ``options`` has its options; those that are ``None`` are left out. Raises ``InputError`` for an
+    unknown layer, an option of another product, and a parameter that a layer of whole dates does not take.
+    """
     product = product_named(layer, MAP_PRODUCTS)
     given_options = {name: value for name, value in options.items() if value is not None}
     for name in given_options:
@@ -280,7 +290,7 @@ async def map_query(
 ) -> ProductRequest:
     """Return the request for a map (a FastAPI dependency). Raises ``InputError``.
 
-    ``width`` and ``height`` are not options of products here: they are the map's size in pixels.
+    ``width`` and ``height`` are no product options here: they are the map's size in pixels.
     """
     return await product_query(request, picture, layer, options)
 

@@ -47,12 +47,12 @@ HTTP_PROBLEMS: dict[int, tuple[str, str]] = {
     431: ("head_too_large", "The request's line and headers have too many bytes."),
     500: ("internal", "Something went wrong inside the service; its log says what."),
 }
-"""Codes and texts of problems without a domain error, by status."""
+"""Codes and texts of problems that are no ``SkuggaError``, by HTTP status."""
 
 
 @dataclass(frozen=True)
 class ProblemKind:
-    """A documented kind of problem.
+    """A kind of problem, for the documentation.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def problem_kinds() -> list[ProblemKind]:
 
 
 def problem_of(status: int, detail: str | None = None, code: str | None = None, parameter: str | None = None) -> Problem:
-    """Return a problem document. The defaults of ``detail`` and ``code`` are those of the status."""
+    """Return a problem document. ``detail`` and ``code`` default to those of the status in ``HTTP_PROBLEMS``."""
     own_code, own_detail = HTTP_PROBLEMS.get(status, (HTTPStatus(status).name.lower(), HTTPStatus(status).phrase))
     return Problem(
         title=HTTPStatus(status).phrase, status=status, detail=detail or own_detail, code=code or own_code, parameter=parameter
@@ -109,9 +109,9 @@ def problem_response(problem: Problem, headers: dict[str, str] | None = None) ->
 
 
 def public_error(request: Request, error: SkuggaError) -> tuple[ErrorReport, str]:
-    """Return the outcome of a domain error in the table of ``skugga.api.errors``, and its message for clients.
+    """Return the entry of a ``SkuggaError`` in the table of ``skugga.api.errors``, and the message for clients.
 
-    The log gets the error's own message if clients must not see it.
+    If clients must not see the error's own message, it is written to the log.
     """
     report = error_report_of(error)
     if report.public is not None:
@@ -120,7 +120,7 @@ def public_error(request: Request, error: SkuggaError) -> tuple[ErrorReport, str
 
 
 def public_problem(error: SkuggaError) -> Problem:
-    """Return the problem document that clients get for a domain error."""
+    """Return the problem document that clients get for a ``SkuggaError``."""
     report = error_report_of(error)
     # Errors that are not the client's name no parameter: their name would be the operator's file.
     parameter = getattr(error, "name", None) if report.public is None else None
@@ -129,7 +129,7 @@ def public_problem(error: SkuggaError) -> Problem:
 
 
 def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
-    """Return the response for a domain error: a problem document, with ``Retry-After`` if known."""
+    """Return the response for a ``SkuggaError``: a problem document, with ``Retry-After`` if that time is known."""
     report, _ = public_error(request, error)
     retry_after_s = getattr(error, "retry_after_s", None) or report.retry_after_s
     headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}

@@ -1,6 +1,6 @@
 """Parse the times of requests.
 
-Times are rounded: clients with running clocks then request the same pictures. The word ``current`` means now.
+Times are rounded, so that clients whose clocks differ slightly request the same picture. The word ``current`` means now.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TIME_HEADER = "X-Skugga-Time"
 """Response header with the rounded time, present if the request has a time."""
 
 CURRENT_S = 60
-"""Upper bound of the freshness lifetime of an answer for ``current``."""
+"""Upper bound in seconds of the freshness lifetime of an answer for ``current``."""
 
 _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 
@@ -68,9 +68,10 @@ def _time(value: Any) -> Any:
 
 
 PLAIN_DATE, PLAIN_TIME = BeforeValidator(_date), BeforeValidator(_time)
-"""Validators of dates and times for ``Annotated``.
+"""Pydantic validators of dates and times, for ``Annotated``.
 
-They reject numbers, which pydantic reads as seconds since 1970, and dates out of the range of the sun's calculation.
+They reject numbers, which pydantic would read as seconds since 1970. ``PLAIN_DATE`` also rejects dates for which the sun's position
+cannot be calculated.
 """
 
 
@@ -94,9 +95,9 @@ class RequestTime:
 
 
 def rounded_time(moment: datetime, grain_s: int) -> datetime:
-    """Return a time rounded to a multiple of ``grain_s`` seconds since 2000-01-01 UTC.
+    """Return a time rounded to the nearest multiple of ``grain_s`` seconds since 2000-01-01 UTC.
 
-    Midpoints are rounded up. A grain of 0 returns the time unchanged.
+    Midpoints are rounded up. A ``grain_s`` of 0 leaves the time unchanged.
     """
     if grain_s == 0:
         return moment
@@ -110,7 +111,8 @@ def rounded_time(moment: datetime, grain_s: int) -> datetime:
 def request_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
     """Return the sun of a request with its time rounded; ``None`` means the level's own sun.
 
-    The time is also stored as ``request.state.request_time``. Raises ``InputError``.
+    ``time`` is rounded to multiples of ``grain_s`` seconds, and ``current`` is rounded down. The rounded time is also stored as
+    ``request.state.request_time``. Raises ``InputError``.
     """
     if time is not None and time.strip() == CURRENT:
         if azimuth is not None or altitude is not None:
@@ -136,15 +138,15 @@ def request_time(request: Request) -> RequestTime | None:
 
 
 def is_current(request: Request) -> bool:
-    """Return whether a request asks for ``current``: the same address then means another picture soon."""
+    """Return whether a request asks for ``current``. Its address then means another picture soon."""
     stored_time = request_time(request)
     return stored_time is not None and stored_time.current
 
 
 def current_quarter_hour() -> tuple[datetime, int]:
-    """Return the begin of the present quarter of an hour in UTC, and the seconds left of it.
+    """Return the begin of the present quarter of an hour in UTC, and the whole seconds until its end (at least 1).
 
-    The date of no time zone changes within a quarter of an hour.
+    Time zones differ from UTC by multiples of a quarter of an hour, so midnight never falls inside one.
     """
     now, quarter = datetime.now(UTC), timedelta(minutes=15)
     start = _EPOCH + (now - _EPOCH) // quarter * quarter
@@ -152,12 +154,12 @@ def current_quarter_hour() -> tuple[datetime, int]:
 
 
 def freshness_s(request: Request, default_s: int) -> int:
-    """Return the freshness lifetime in seconds: for ``current`` the time to its next value, else ``default_s``."""
+    """Return the freshness lifetime in seconds: for ``current`` until it means another rounded time, else ``default_s``."""
     stored_time = request_time(request)
     return stored_time.fresh_s if stored_time is not None and stored_time.current else default_s
 
 
 def time_headers(request: Request) -> dict[str, str]:
-    """Return the header with the rounded time of a request; empty if it has no time."""
+    """Return the response header ``TIME_HEADER`` with the rounded time of a request; empty if it has no time."""
     stored_time = request_time(request)
     return {} if stored_time is None else {TIME_HEADER: stored_time.time.isoformat()}

@@ -1,7 +1,8 @@
 """The xarray accessor ``da.skugga``: shadows and sun of a DataArray of heights, on its own coordinates.
 
-CRS and geotransform follow rioxarray's conventions. A dask array stays lazy. It is written once, chunk by chunk, to a temporary
-raster. Each chunk of the result is computed from that raster, with all casters within reach. The whole array is never in memory.
+CRS and geotransform follow rioxarray's conventions. A dask array stays lazy: the whole array is never in memory. Its heights are
+written once, chunk by chunk, to a temporary raster. Each chunk of the result is computed from that raster, with all casters within
+reach.
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ class SkuggaAccessor:
     """Accessor for shadows and sun of heights (y, x) in metres, with a CRS set by ``rio.write_crs``.
 
     Cells are without ground if their height is NaN, masked, or the array's nodata (``rio.nodata``). The attributes
-    ``scale_factor``, ``add_offset``, ``units``, ``positive`` and ``standard_name`` count as those of a file. Rows and columns may
-    run in either direction. Results have the order of the array. Heights that look wrong, for example an undeclared nodata
-    value, cause a ``UserWarning``.
+    ``scale_factor``, ``add_offset``, ``units``, ``positive`` and ``standard_name`` have the same meaning as in a file. Rows and
+    columns may run in either direction. Results have the same order as the array. Heights that look wrong, for example an
+    undeclared nodata value, cause a ``UserWarning``.
     """
 
     def __init__(self, array: xarray.DataArray) -> None:
@@ -145,7 +146,7 @@ class SkuggaAccessor:
         return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
     def _compute_data_array(self, name: str, compute_array: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
-        """Return a DataArray on the array's coordinates, which ``compute_array`` computes from an open level."""
+        """Return a DataArray on the array's coordinates. ``compute_array`` computes its values from an open level."""
         grid = upright_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
@@ -164,7 +165,7 @@ def _warn_of_heights(level: OpenLevel) -> None:
 
 
 class _StagedRaster:
-    """A temporary raster: dask writes all chunks to it, and then opens it as a level."""
+    """A temporary raster. Dask first writes all chunks to it; its tasks then open it as a level."""
 
     def __init__(self, grid: UprightGrid) -> None:
         folder = tempfile.mkdtemp(prefix="skugga-")
@@ -187,7 +188,7 @@ class _StagedRaster:
             self._dataset.write(grid_of_heights(chunk), 1, window=window)
 
     def finish(self, *_: Any) -> _StagedRaster:
-        """Finish the raster after all chunks are written, and return self."""
+        """Build the raster's overviews and close it after all chunks are written. Return self."""
         with self._lock:
             if not self._dataset.closed:
                 steps = [2**n for n in range(1, 20) if max(self._dataset.shape) / 2**n >= MAX_OVERVIEW_CELLS]
@@ -197,7 +198,7 @@ class _StagedRaster:
         return self
 
     def level(self) -> OpenLevel:
-        """Return the raster as an open level, one for each thread."""
+        """Return the raster as an open level. Each thread gets a level of its own."""
         opened: OpenLevel | None = getattr(self._levels, "opened", None)
         if opened is None:
             opened = self._levels.opened = open_level(self.path, units="m", positive="up")  # as for arrays in memory

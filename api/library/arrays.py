@@ -29,7 +29,7 @@ def shadow(
     ----------
     height_m
         Heights (rows, cols) in metres, row 0 in the north. Nodes are without ground if they are masked, not finite, or beyond a
-        million.
+        million metres.
     cell_m
         The side of a cell in metres, more than 0, or its (row, column) sides.
     azimuth_deg, altitude_deg

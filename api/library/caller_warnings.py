@@ -10,7 +10,7 @@ PACKAGE = __name__.partition(".")[0]
 
 
 def warn_caller(text: str) -> None:
-    """Issue a ``UserWarning`` at the nearest caller outside of the package, so that Python shows and filters its line."""
+    """Issue a ``UserWarning`` for the nearest calling line outside of the package. Python then shows and filters that line."""
     for stack_level in count(2):
         try:
             module = sys._getframe(stack_level - 1).f_globals.get("__name__", "")

@@ -1,4 +1,4 @@
-"""Convert arrays of heights in memory to grids: float32 (rows, cols) with NaN without ground."""
+"""Convert arrays of heights in memory to grids: float32 (rows, cols), NaN in cells without ground."""
 
 from __future__ import annotations
 

@@ -22,12 +22,12 @@ def call_after_import(name: str, hook: Hook) -> Callable[[], None]:
     name
         The full name of the module, which need not be installed.
     hook
-        A function that is called once. The import raises its errors.
+        Function that is called once with the module. Errors that it raises pass through the import.
 
     Returns
     -------
     Callable
-        A function that cancels a hook before its call.
+        Function that cancels the hook if it has not been called yet.
     """
     module = sys.modules.get(name)
     if module is not None:

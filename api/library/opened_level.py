@@ -71,8 +71,8 @@ PART_REMEDY = "Use a part, as cells=np.s_[:4096, :4096], or a file: `skugga shad
 class OpenLevel:
     """An open level, which computes pictures and rasters as arrays.
 
-    Close it, or use it in a ``with`` statement. Do not share it between threads. Arrays on the level's own cells, or on those of
-    another raster, have the order of that raster. All other arrays have row 0 in the north.
+    Close it, or use it in a ``with`` statement. Do not share it between threads. Arrays on the cells of the level's raster, or of
+    another raster, have that raster's order of rows and columns. All other arrays have row 0 in the north.
 
     Examples
     --------
@@ -109,7 +109,7 @@ class OpenLevel:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings from opening the level, for example of a collar that the raster does not declare."""
+        """Warnings from opening the level, for example of a border without data that the raster does not declare."""
         return self._scene.warnings
 
     @property
@@ -167,7 +167,7 @@ class OpenLevel:
         style
             The name of a style.
         slope_exaggeration
-            A factor of slopes, in shading only.
+            Factor by which slopes are exaggerated, in shading only.
         **shadows
             Keys of a level's ``shadows``, as ``algorithm="shadow_volume"``.
 
@@ -217,14 +217,14 @@ class OpenLevel:
         view
             The name of a view.
         start, end
-            Times of a moving sun, with an offset from UTC, or datetime64 in UTC. Or readings of the level's clock, as ``0s``, with
-            a fixed sun.
+            Times of a moving sun, with an offset from UTC, or datetime64 in UTC. For a fixed sun: readings of the level's clock,
+            as ``0s``.
         step
             The time between two pictures, as ``10m``.
         path
             A camera file, for a moving camera.
         fps
-            Pictures per second. They define the step of a film in real time.
+            Pictures per second. Without ``step``, a film with clock readings has ``1 / fps`` seconds between pictures.
         time, azimuth, altitude, size, bounds, crs, seconds, style, slope_exaggeration, **shadows
             As in ``render``.
 
@@ -527,7 +527,7 @@ class OpenLevel:
         grid: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
         shadows: dict[str, Any],
     ) -> np.ndarray:
-        """Compute a raster for a request on the cells of ``grid``."""
+        """Compute a raster for a request. ``grid`` holds bounds, CRS, resolution, raster file and slices of cells."""
         product = request.product_record
         raster = self._raster(*grid, np.dtype(product.dtype).itemsize * product.bands)
         return raster_array(self._scene, raster, request, shadows)
@@ -541,7 +541,7 @@ class OpenLevel:
         cells: tuple[slice, slice] | None,
         bytes_per_cell: int,
     ) -> RasterView:
-        """Return the cells of an array. Raises ``InputError`` for an array that does not fit into memory."""
+        """Return the cell grid of an array. Raises ``InputError`` for an array that does not fit into memory."""
         if cells is None:
             raster = raster_view(self._scene, bounds, _crs_text(crs), resolution, like)
             if like is not None and (text := extent_warning(self._scene, raster)) is not None:
@@ -635,7 +635,7 @@ def open_heights(height_m: Heights, transform: Transform, crs: AnyCrs) -> OpenLe
     Parameters
     ----------
     height_m
-        Heights (rows, cols) in metres. Cells are without ground if they are masked, not finite, or beyond a million.
+        Heights (rows, cols) in metres. Cells are without ground if they are masked, not finite, or beyond a million metres.
     transform
         The geotransform, or its six numbers.
     crs

@@ -1,4 +1,4 @@
-"""Convert DataArrays of heights to upright grids: rows from north to south, columns from west to east, NaN without ground."""
+"""Convert DataArrays of heights to upright grids: rows from north to south, columns from west to east, NaN where no ground is."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class UprightGrid:
     crs
         The CRS.
     flips
-        Slices by dimension that restore the order of the array.
+        Slices by dimension that restore the original order of rows and columns.
     """
 
     heights: xarray.DataArray
@@ -98,7 +98,7 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
 
 
 def _heights(array: xarray.DataArray, crs: CRS) -> xarray.DataArray:
-    """Return heights in metres upwards, with NaN for nodata. A dask array stays lazy. Raises ``InputError``."""
+    """Return heights in metres upwards, NaN for nodata. A dask array stays lazy. Raises ``InputError``."""
     heights = array.astype(np.promote_types(array.dtype, np.float32))
     try:
         nodata = array.rio.nodata
@@ -138,7 +138,7 @@ def _crs(array: xarray.DataArray) -> CRS:
 
 
 def _declared_transform(array: xarray.DataArray) -> Affine:
-    """Return the geotransform that an array declares. Raises ``InputError`` if its cells have neither that nor coordinates."""
+    """Return the geotransform that an array declares. Raises ``InputError`` if it has neither a geotransform nor coordinates."""
     try:
         transform: Affine = array.rio.transform(recalc=False)
     except (TypeError, ValueError, RioXarrayError):  # the coordinates are not numbers
@@ -156,9 +156,9 @@ def _number(value: Any) -> float:
 
 
 def _edge_and_step(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipped: bool) -> tuple[float, float]:
-    """Return the outer edge of the first cell along a dimension, and the step to the next cell.
+    """Return the coordinate of the first cell's outer edge along a dimension, and the step to the next cell.
 
-    ``start`` and ``step`` are the declared values of the array before it was flipped. Raises ``InputError``.
+    ``start`` and ``step`` are the values that the array declared before it was flipped. Raises ``InputError``.
     """
     start, step = (start + array.sizes[dim] * step, -step) if is_flipped else (start, step)
     if dim not in array.coords:

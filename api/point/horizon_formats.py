@@ -1,8 +1,8 @@
 """Horizon files for solar tools, with one record per format.
 
 * A file states its first azimuth and its direction of rotation if its format allows text.
-* Horizon angles below the level plane are written as 0. A horizon only hides the sun in these formats, and no horizon below the
-  level plane hides a sun that is up.
+* Horizon angles below the level plane are written as 0. In these formats a horizon only serves to hide the sun. A horizon below
+  the level plane hides no sun that is up.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class HorizonFormat:
     media_type
         Media type of its files.
     directions
-        Number of azimuths in a file; ``None`` uses those of the horizon.
+        Number of azimuths in a file; ``None`` writes all azimuths of the computed horizon.
     about
         Description for users.
     write
@@ -54,7 +54,8 @@ class HorizonFormat:
 def horizon_file(name: str, horizon: PointHorizon, place: PointPlace) -> str:
     """Return the text of a horizon file.
 
-    The azimuths of the horizon are those of ``directions_for`` the format: evenly spaced, from north on. Raises ``InputError``.
+    ``horizon`` must have the azimuths that ``directions_for`` returns for the format. They are evenly spaced and begin in the
+    north. Raises ``InputError``.
     """
     return horizon_format(name).write(horizon, place)
 
@@ -67,7 +68,7 @@ def horizon_format(name: str) -> HorizonFormat:
 
 
 def directions_for(name: str) -> np.ndarray | None:
-    """Return the azimuths (n,) of a format, degrees clockwise from north; ``None`` for those of the horizon."""
+    """Return the azimuths (n,) of a format, degrees clockwise from north; ``None`` for all azimuths of the computed horizon."""
     count = horizon_format(name).directions
     return None if count is None else np.arange(count) * (360.0 / count)
 
@@ -77,7 +78,7 @@ def _heights(horizon: PointHorizon) -> np.ndarray:
 
 
 def _from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and horizon angles in degrees; azimuths ascend from -180 (north): -90 is east, 0 south, 90 west."""
+    """Return azimuths and horizon angles in degrees, by ascending azimuth from -180 (north): -90 is east, 0 south, 90 west."""
     azimuth = (horizon.azimuth_deg + 360.0) % 360.0 - 180.0
     order = np.argsort(azimuth)
     return azimuth[order], _heights(horizon)[order]

@@ -85,7 +85,7 @@ def _draw_axes(axes: Any) -> None:
 
 
 def _draw_horizon(axes: Any, horizon: PointHorizon) -> None:
-    """Draw the horizon from the rim inwards; trees and roofs show where they rise above the ground's horizon."""
+    """Draw the horizon from the rim inwards. Trees and roofs are visible where they rise above the ground's horizon."""
     angle = np.radians(np.append(horizon.azimuth_deg, 360.0))
     for height, color, order in (
         (horizon.forest_deg, _FOREST, 2.0), (horizon.solids_deg, _SOLIDS, 2.1), (horizon.relief_deg, _RELIEF, 2.2),
@@ -97,7 +97,7 @@ def _draw_horizon(axes: Any, horizon: PointHorizon) -> None:
 
 
 def _draw_paths(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo) -> None:
-    """Draw the sun's paths: solstices and equinox thin, the day bold where the sun reaches the point."""
+    """Draw the sun's paths: the solstices and the equinox thin, and the requested day bold where the sun reaches the point."""
     day_azimuth, day_altitude = _sun_path(surroundings, day, clock)
     max_altitude = np.nanmax(day_altitude) if np.isfinite(day_altitude).any() else -90.0
     for number, (month, day_of_month) in enumerate(((6, 21), (3, 20), (12, 21))):
@@ -116,7 +116,7 @@ def _draw_paths(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo)
 
 
 def _sun_path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and altitudes of the sun of a day, degrees; altitudes below the level horizon are NaN."""
+    """Return azimuths and altitudes of the sun through a day, degrees. Altitudes below the level horizon are NaN."""
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
     azimuth, altitude = angles_at(surroundings.place, sun_samples(surroundings.scene.world, begin, end, PATH_STEP_S)[1])
     return azimuth, np.where(altitude > 0.0, altitude, np.nan)
@@ -164,9 +164,9 @@ def _draw_hours(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo,
 
 
 def _number_offset(azimuth_deg: float, altitude_deg: float) -> tuple[float, float]:
-    """Return the offset of an hour's number from its mark, points.
+    """Return the offset of an hour's number from its mark, in points.
 
-    It points to the rim; near the rim it points to the centre, to keep clear of the azimuth labels.
+    The offset is towards the rim. Near the rim it is towards the centre, so that the number does not overlap azimuth labels.
     """
     angle, radius = np.radians(azimuth_deg), 11.0 if altitude_deg > MIN_OUTSIDE_ALTITUDE_DEG else -11.0
     return float(radius * np.sin(angle)), float(radius * np.cos(angle))

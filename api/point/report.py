@@ -49,7 +49,7 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
 
 
 def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
-    """Return the report of a point; outside the level's data its values are null and its remark names the valid range.
+    """Return the report of a point. Outside the level's data its values are null, and its remark names the valid range.
 
     Raises ``InputError``.
     """
@@ -82,10 +82,10 @@ def reported_sun(surroundings: Surroundings) -> ReportedMoment | None:
 
 
 def requested_day(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
-    """Return the day of a query: its date, else the day of the sun's time, else today.
+    """Return the day of a query: its date, or the day of the sun's time, or today, in this order.
 
-    The day is that of the query's clock, else of the offset of the sun's time, else of solar time. Raises ``InputError`` for a
-    date outside the supported years, and for an unknown clock.
+    Days are those of the query's clock, or of the offset of the sun's time, or of solar time, in this order. Raises ``InputError``
+    for a date outside the supported years, and for an unknown clock.
     """
     if query.date is not None:
         check_date(query.date)
@@ -98,7 +98,7 @@ def requested_day(scene: Scene, query: PointQuery, lon_deg: float | None) -> dat
 
 
 def requested_clock(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
-    """Return the clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
+    """Return the clock of a query: its own, or the offset of the sun's time, or solar time. Raises ``InputError``."""
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo
     return clock_of("solar" if query.clock is None else query.clock, lon_deg, day)

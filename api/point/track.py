@@ -36,7 +36,7 @@ def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:
 
 
 def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackPoint]:
-    """Return the points of a line: its vertices, and points between them at most ``every_m`` metres apart.
+    """Return the points of a line: its vertices, and further points between them, so that steps are at most ``every_m`` metres.
 
     Raises the errors of ``read_points``.
     """
@@ -79,9 +79,9 @@ def with_arrivals(points: list[TrackPoint], start: datetime, speed_kmh: float) -
 
 
 def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hours: bool = True) -> list[PointAnswerRow]:
-    """Return the elevation, the sun and, if ``hours``, the hours of direct sun on the query's date, at many points.
+    """Return the elevation and the sun at many points and, if ``hours``, the hours of direct sun on the query's date.
 
-    A point with a time uses the sun of that time. A point outside the level's data has only a remark.
+    A point with a time uses the sun of that time; others use the scene's sun. A point outside the level's data has only a remark.
     """
     suns = _suns_of(scene, points)
     rows = []
@@ -165,7 +165,7 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
 
 
 def _moment(path: Path, location: str, value: object) -> datetime | None:
-    """Return a time of a file; ``None`` for an empty one. Raises ``SourceError`` for a time without an offset."""
+    """Convert a time attribute of a file; an empty one gives ``None``. Raises ``SourceError`` for a time without an offset."""
     text = "" if value is None else str(value).strip()
     if text in ("", "NaT", "nan", "None"):
         return None

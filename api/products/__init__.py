@@ -1,7 +1,7 @@
 """The registry of products, the pictures and rasters that Skugga computes.
 
 To add a product, add a module to this folder that defines ``PRODUCT``, or several ``PRODUCTS``. Commands and HTTP import this
-package for the names of products. Modules therefore import their renderers only when they compute.
+package to list the products' names. So that this is fast, modules import their renderers only when they compute.
 """
 
 from __future__ import annotations

@@ -9,12 +9,18 @@ from skugga.api.terrain_encodings import terrain_rgb, terrarium
 
 
 def height_m(part: Part) -> np.ndarray:
-    """Return heights in metres, float32 (rows, cols): of the ground in a map, of the visible surface in perspective; else NaN."""
+    """Return heights in metres, float32 (rows, cols): of the ground in a map, of the visible surface in a perspective view.
+
+    Pixels without a surface are NaN.
+    """
     return part.ground_height_m if part.picture is None else part.frame.height_m
 
 
 def nodata_height_m(lowest_m: float) -> float:
-    """Return the height of pixels without data: the level's lowest ground rounded down to whole metres, so that none stands out."""
+    """Return the height shown in pixels without data: the level's lowest ground, rounded down to whole metres.
+
+    Data edges therefore show no tall cliff.
+    """
     return float(np.floor(lowest_m))
 
 

@@ -1,4 +1,4 @@
-"""The products of the layers of passes: the intermediate pictures of an algorithm, such as shadow maps."""
+"""Products that show intermediate pictures of an algorithm's passes, such as shadow maps."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ FACE_OPACITY, MAX_OPACITY = 0.12, 0.8
 
 
 def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """Return depths as uint16: brightest nearest to the light, black without casters."""
+    """Return depths as gray, uint16: brightest nearest to the light, black where no caster is."""
     return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
 
 
 def _stretch(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """Return values as uint8, scaled so that the largest is bright."""
+    """Return values as gray, uint8, scaled so that the largest value is bright."""
     return array * np.uint8(255 // max(int(array.max()), 1))
 
 
 def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """Return translucent volumes over the frame's colour, uint8 (rows, cols, 3).
+    """Return translucent shadow volumes over the frame's colours, uint8 (rows, cols, 3).
 
-    The colour is repeated if the volumes of several algorithms lie side by side in ``array``.
+    The colours are repeated if ``array`` holds the volumes of several algorithms side by side.
     """
     background = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
     opacity = (MAX_OPACITY * (1.0 - (1.0 - FACE_OPACITY) ** np.arange(256)))[array, None]
@@ -42,7 +42,7 @@ def _pass_product(
     layer: PassLayer, description: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None
 ) -> Product:
     def compute(part: Part) -> np.ndarray:
-        """Return the layer of the frame's first light. Raises ``InputError`` if the light has none."""
+        """Return the pass layer of the frame's first light. Raises ``InputError`` if the light has none."""
         frame = part.frame
         by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
         if not by_light:

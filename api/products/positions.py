@@ -8,7 +8,11 @@ from skugga.api.products.product import NEEDS_FRAME, Part, Product
 
 
 def _depth(part: Part) -> np.ndarray:
-    """Return depths in metres, float32: in a map down from the level's highest ground, else from the eye along the view axis."""
+    """Return depths in metres, float32 (rows, cols).
+
+    In a map they are measured down from the level's highest ground. In a perspective view they are measured from the eye along the
+    view axis.
+    """
     from skugga.terrain.geo.grid import MapView
 
     view, frame = part.view, part.frame
@@ -18,9 +22,10 @@ def _depth(part: Part) -> np.ndarray:
 
 
 def _position(part: Part) -> np.ndarray:
-    """Return x, y and height, float64 (rows, cols, 3).
+    """Return coordinates x, y and height, float64 (rows, cols, 3).
 
-    x and y are in the CRS of the view, or of the level's maps for a perspective view. Pixels without a surface are NaN.
+    x and y are in the CRS of a map view. For a perspective view they are in the CRS of the level's maps. Pixels without a surface
+    are NaN.
     """
     from skugga.terrain.geo.grid import MapView
 

@@ -1,4 +1,4 @@
-"""The record of a product: one kind of picture or raster that Skugga computes.
+"""The record of a product, which is one kind of picture or raster that Skugga computes.
 
 Each product has a module in this folder. Commands, Python, tiles, maps, WMS, WMTS, TileJSON, legends and archives read its record.
 """
@@ -63,7 +63,7 @@ class ProductOptions(BaseModel):
     UNSERVED: ClassVar[Mapping[str, Any]] = {}
 
     def query(self) -> str:
-        """Return the options as a query string, without those that have their default value."""
+        """Return the options as a query string. Options with their default value are omitted."""
         return urlencode(self.model_dump(mode="json", exclude_defaults=True, exclude=set(self.UNSERVED)))
 
 
@@ -76,7 +76,8 @@ class Part:
     scene
         The scene under the request's sun.
     view
-        The pixels to compute. If the product needs no picture, pixels of a map lie on nodes, with ``reach_px`` more on each side.
+        The pixels to compute, including a margin of ``reach_px`` pixels of a map on each side. If the product needs no picture,
+        pixels of a map lie on the nodes of a grid.
     options
         The product's options.
     picture
@@ -145,15 +146,15 @@ class Product:
     about
         A description in one line, in lower case; empty for a product that HTTP does not serve.
     formats
-        The formats that hold it without loss, or as a picture.
+        The file formats that hold it without loss, or as a picture.
     compute
-        Returns the array (rows, cols) or (rows, cols, bands) of a part.
+        Returns the array (rows, cols) or (rows, cols, bands) of a ``Part``.
     view_kinds
         The kinds of views that it exists for.
     when
         The dependence on time: ``none``, the ``sun`` of a moment, or the ``days`` that its options name.
     needs, perspective_needs
-        The images to draw for a map, and for a perspective view (``None``: the same). Nothing: ``compute`` uses the scene only.
+        The images to draw for a map, and for a perspective view (``None``: the same). If none, ``compute`` uses the scene only.
     reach_px
         Pixels around a part that ``compute`` needs. They are computed and cut off, so that blocks and tiles have no seams.
     options
@@ -190,7 +191,7 @@ class Product:
     step_count
         Returns the number of steps of a block, for progress bars.
     tags
-        Returns the tags of rasters, for options and a scene. The default is the options.
+        Returns the metadata tags of rasters, for options and a scene. By default the tags are the options.
     check
         Raises ``SkuggaError`` if a service does not compute the product of a scene.
     is_served
@@ -262,11 +263,11 @@ class Product:
         return self.needs if isinstance(view, MapView) or self.perspective_needs is None else self.perspective_needs
 
     def description_and_unit(self, options: ProductOptions) -> tuple[str, str]:
-        """Return the description and the unit for options."""
+        """Return the description and the unit of values for some options."""
         return (self.about, self.unit) if self.describe is None else self.describe(options)
 
     def options_of(self, values: Mapping[str, Any]) -> ProductOptions:
-        """Return the options from names and values.
+        """Validate names and values of options, and return them as a model.
 
         Raises
         ------

@@ -53,7 +53,7 @@ QUANTITIES: dict[SunQuantity, tuple[str, str]] = {
 
 
 class SunHoursOptions(ProductOptions):
-    """Options of hours of sun: the dates, the daily window and its clock, and the rules of what counts as sun."""
+    """Options of hours of sun: the dates, the daily window and its clock, and the rules that decide which sun counts."""
 
     UNSERVED: ClassVar[Mapping[str, Any]] = {"to": None, "every_days": 1, "step_min": TILE_STEP_MIN, "threshold_h": 2.0}
 
@@ -83,14 +83,14 @@ class SunHoursOptions(ProductOptions):
 
     @property
     def rules(self) -> SunRules:
-        """The rules of what counts as sun."""
+        """The rules that decide which sun counts, such as its minimum altitude."""
         from skugga.shadows.sun_hours.sun_hours import SunRules
 
         return SunRules(self.step_min, self.threshold_h, self.least_altitude, self.height)
 
 
 def _compute(part: Part) -> np.ndarray:
-    """Return the quantity, float32 (rows, cols)."""
+    """Return the requested quantity of sun, float32 (rows, cols)."""
     values: np.ndarray = getattr(_sun_hours(part), part.options.quantity)
     return values
 
@@ -105,7 +105,7 @@ def _sun_hours(part: Part) -> SunHours:
 
 
 def _plan_of(scene: Scene, view: MapView) -> Callable[[Scene], Plan]:
-    """Return a function that plans a view under a sun, for ground with objects."""
+    """Return a function from a scene under a sun to the plan of a view, for ground with objects."""
 
     def plan(lit: Scene) -> Plan:
         from skugga.api.device_calibration import calibration_for
@@ -172,9 +172,9 @@ def _check(scene: Scene) -> None:
 
 
 def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
-    """Return the blocks of a map for hours of sun, in the form of ``blocks_of``.
+    """Return the blocks of a map for hours of sun, in the form that ``blocks_of`` returns.
 
-    Blocks of bare ground are larger, are aligned with the grid of the cells, and end at the edge of the raster.
+    On bare ground the blocks are larger, are aligned with the grid of the cells, and end at the edge of the raster.
     """
     from skugga.shadows.sun_hours.sun_hours import ground_extent
     from skugga.terrain.gbuffer.supersampling import MAX_PARALLEL_RAYS_M, is_terrain_only

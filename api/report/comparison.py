@@ -39,7 +39,7 @@ def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
 
 
 def print_comparison(comparison: Comparison, base_command: str) -> None:
-    """Print the rows, lowest ``wrong_cast`` first, then the summary and the remarks.
+    """Print the rows, one for each measured plan, lowest ``wrong_cast`` first. Print the summary and the remarks after them.
 
     ``base_command`` is the command line of the comparison, to which ``--only ROW`` can be appended.
     """
@@ -81,9 +81,9 @@ def print_comparison(comparison: Comparison, base_command: str) -> None:
 
 
 def write_comparison(scene: Scene, comparison: Comparison, folder: Path, view: str, base_command: str) -> None:
-    """Write ``report.html``, its scatter plot as ``scatter.svg``, and one PNG per row: false shadow red, missed shadow blue.
+    """Write ``report.html``, its scatter plot as ``scatter.svg``, and one PNG for each row (measured plan).
 
-    ``base_command`` is that of ``print_comparison``.
+    A row's PNG shows false shadow in red and missed shadow in blue. ``base_command`` is that of ``print_comparison``.
     """
     base = write_page(scene, comparison, folder / "report.html", view, base_command)
     write_plot(scene, comparison, folder / "scatter.svg", view)
@@ -95,7 +95,7 @@ def write_comparison(scene: Scene, comparison: Comparison, folder: Path, view: s
 def write_page(
     scene: Scene, comparison: Comparison, path: Path, view: str, base_command: str, max_bytes: int = MAX_PAGE_BYTES
 ) -> np.ndarray:
-    """Write the report with at most ``max_bytes`` bytes; return the view without cast shadows, uint8 (rows, cols, 3)."""
+    """Write the report of at most ``max_bytes`` bytes. Return the view without cast shadows, uint8 (rows, cols, 3)."""
     plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
     base = render_frame(scene, comparison.view, plan).color
     write_report(
@@ -111,7 +111,7 @@ def write_plot(scene: Scene, comparison: Comparison, path: Path, view: str) -> N
 
 
 def commands_of_left_out(comparison: Comparison, base_command: str) -> list[str]:
-    """Return the command lines that measure the rows which the time limit left out."""
+    """Return the command lines that measure the rows for which the time limit left no time."""
     return [f"{base_command} --only {shlex.quote(name)}" for name in comparison.left_out]
 
 

@@ -88,7 +88,7 @@ def format_choices(plan: Plan) -> list[str]:
 
 
 def format_expectation(plan: Plan) -> str:
-    """Return one or two sentences on the expected cost of a plan and its target."""
+    """Return one or two sentences on a plan's expected time and error, and on its target."""
     target = format_target(plan.target)
     if plan.predicted is None:
         return f"Time and error are not predicted. Asked for: {target}."
@@ -135,7 +135,11 @@ def format_overshoot(plan: Plan) -> str:
 
 
 class _ReasonList:
-    """The reasons of a plan, each used once: at its light and caster kind, at its setting, or at the end."""
+    """The reasons that a plan gives for its choices. Each is printed once.
+
+    A reason stands beside its light and caster kind, beside its setting, or else at the end. Methods that take a reason remove it
+    from the list.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -146,7 +150,7 @@ class _ReasonList:
         return [_sentence(reasoned.reason) for reasoned in self._take(lambda name: word in name.split(" "))]
 
     def light(self, light: str) -> list[str]:
-        """Return the lines on a light: heading, algorithms and settings."""
+        """Return the lines about a light: heading, algorithms and settings."""
         lines = ["Under the sun" if light == SUN else f"Under the light {light}"]
         for step in self._plan.steps:
             if step.light == light:
@@ -172,7 +176,7 @@ class _ReasonList:
                 yield f"    {_capitalized(_setting(key, value))}{reason}."
 
     def _take_named(self, *names: str) -> list[str]:
-        """Take the reasons with one of some names."""
+        """Take the reasons that have one of some names."""
         return [reasoned.reason for reasoned in self._take(lambda name: name in names)]
 
     def _take(self, matches: Callable[[str], bool]) -> list[NamedReason]:
@@ -182,7 +186,10 @@ class _ReasonList:
 
 
 def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
-    """Yield the requested settings of a step, by override name and in ``SETTING_ORDER``; ``cascades`` is their number."""
+    """Yield names and values of the requested settings of a step (one algorithm for some caster kinds), in ``SETTING_ORDER``.
+
+    The value of ``cascades`` is their number.
+    """
     overrides = {} if settings is None else settings.as_overrides
     yield from ((key, overrides[key]) for key in SETTING_ORDER if key in overrides)
 

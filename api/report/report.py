@@ -49,7 +49,7 @@ def write_report(
 ) -> None:
     """Write the page of a comparison.
 
-    The same input gives the same page, byte for byte.
+    The page has a row for each measured plan. The same input gives the same page, byte for byte.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def write_report(
     facts
         Facts of the run, in order. The first two values make the title.
     commands
-        Command lines that measure the rows which were left out.
+        Command lines that measure the rows for which no time was left.
     max_bytes
         Limit of the page; pictures are shrunk to fit.
 
@@ -178,7 +178,7 @@ def _results(comparison: Comparison) -> dict[str, str]:
 def _errors(comparison: Comparison) -> list[ErrorPicture]:
     """Return the error picture of each row.
 
-    Pixels that face away from the light are dark in the shaded view already; they do not count as cast shadow.
+    Pixels that face away from the light are dark in the shaded view already. They do not count as cast shadow.
     """
     unshadowed = next((row.visibility == 0 for row in comparison.rows if not casts_shadow(row.figures, comparison.light)), None)
     return [

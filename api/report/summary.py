@@ -1,4 +1,4 @@
-"""Summary of a comparison in sentences: the fastest row, the most accurate row, and the cost of accuracy."""
+"""Summary of a comparison in sentences: the fastest row (measured plan), the most accurate row, and the cost of accuracy."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ DEFAULT_MAX_ERROR = 0.03
 def format_summary(comparison: Comparison) -> list[str]:
     """Return sentences on the rows that cast shadows; an empty list if no row does.
 
-    The cost of accuracy follows the Pareto front from its fastest row, in steps that at least halve the error. It ends where the
-    error is 0 or below ``EXACT_NOISE_FLOORS`` times the noise floor, since truth is not more accurate than this.
+    The cost of accuracy is the time of rows on the Pareto front. It starts from the fastest row, in steps that at least halve the
+    error. It ends where the error is 0 or below ``EXACT_NOISE_FLOORS`` times the noise floor, since truth is no more accurate.
     """
     rows = [row.figures for row in comparison.rows if casts_shadow(row.figures, comparison.light)]
     if not rows:
@@ -45,7 +45,7 @@ def casts_shadow(figures: RowFigures, light: str) -> bool:
 
 
 def algorithm_family(figures: RowFigures, light: str) -> str:
-    """Return the algorithms of a row for a light without settings, such as ``sweep + shadow_map``; ``none`` if none casts."""
+    """Return a row's algorithms for a light, without settings, such as ``sweep + shadow_map``; ``none`` if none casts."""
     names = [name for name in figures["algorithm"].get(light, {}).values() if name != NO_SHADOWS]
     return " + ".join(dict.fromkeys(names)) or NO_SHADOWS
 
@@ -57,12 +57,12 @@ def is_on_front(figures: RowFigures, light: str) -> bool:
 
 @dataclass(frozen=True)
 class _SummaryText:
-    """Sentences on one error figure.
+    """Writer of the sentences about one kind of error.
 
     Attributes
     ----------
     error
-        Key of the error figure.
+        Key of the error among the figures of a row.
     exact_to
         Errors up to this value count as exact.
     """
@@ -139,7 +139,7 @@ class _SummaryText:
 
 
 def _default_sentences(rows: list[RowFigures], comparison: Comparison) -> list[str]:
-    """Return a sentence on the default row: it is on a Pareto front, or another row is better in no more time."""
+    """Return a sentence on the default plan: it is on a Pareto front, or another row is more accurate in no more time."""
     default = next((f for f in rows if f["name"] == comparison.default), None)
     if default is None:
         return []

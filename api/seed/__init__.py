@@ -1,1 +1,1 @@
-"""Pyramids of tiles drawn ahead: `planning` fills the table of tasks, `running` draws them, `publishing` writes the archive."""
+"""Draw pyramids of tiles in advance: `planning` fills the table of tasks, `running` draws them, `publishing` writes the archive."""

@@ -1,7 +1,7 @@
-"""PMTiles archives made of shards: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
+"""Write PMTiles archives made of shards: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
 
-The shards' indexes determine the position of every tile. So the header and the directories are written first. Then each tile is
-checked against its digest and copied once.
+A shard holds the tiles of one task, one after the other. The shards' indexes determine the position of every tile. So the header
+and the directories are written first. Then each tile is checked against its digest and copied once.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ShardIndex:
 
     @classmethod
     def from_tiles(cls, tiles: Mapping[int, bytes]) -> tuple[ShardIndex, bytes]:
-        """Return the index of tiles by their ids, and the shard's bytes."""
+        """Return the index of tiles, given by tile id, and the shard's bytes."""
         ids = sorted(tiles)
         digests = b"".join(_digest(tiles[tile_id]) for tile_id in ids)
         index = cls(
@@ -120,11 +120,11 @@ class ArchiveSize:
     file_bytes : int
         Bytes of the file.
     tiles : int
-        Addressed tiles.
+        Number of tile ids that the archive answers.
     entries : int
-        Entries of the directories.
+        Number of directory entries.
     contents : int
-        Stored contents.
+        Number of different tile contents that are stored.
     """
 
     file_bytes: int
@@ -135,14 +135,14 @@ class ArchiveSize:
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """The positions of everything in an archive.
+    """The positions of all tiles in an archive, and its directory entries.
 
     Attributes
     ----------
     stored : (tiles,) bool
-        Whether a tile's bytes are copied.
+        Whether a tile's bytes are stored; if not, the tile shares the bytes of an equal one.
     ids, offsets, lengths, run_lengths : (entries,)
-        First tile id, offset in bytes from the first tile's, length in bytes and run length of each entry.
+        Of each entry: first tile id, offset of its bytes from those of the first tile, number of bytes, and run length.
     data_bytes : int
         Bytes of all stored tiles.
     """
@@ -248,7 +248,7 @@ def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
 
 
 def _directories(layout: _Layout) -> tuple[bytes, bytes]:
-    """Return the root directory and the leaf directories. The leaves grow until the root fits its upper bound."""
+    """Return the root directory and the leaf directories. Leaves hold more and more entries until the root fits its size limit."""
     count, max_root_bytes = len(layout.ids), ROOT_END - HEADER_BYTES
     if count <= ROOT_ENTRIES:
         root = serialize_directory(_entries(layout, 0, count))
@@ -274,7 +274,7 @@ def _entries(layout: _Layout, first: int, end: int) -> list[Entry]:
 
 
 def _copy_shard(file: BinaryIO, number: int, index: ShardIndex, shard: bytes, stored: NDArray[np.bool_]) -> None:
-    """Check a shard's tiles and write the stored ones. Raises ``BrokenShardError``."""
+    """Check a shard's tiles against their digests, and write the tiles that are ``stored``. Raises ``BrokenShardError``."""
     ends = np.cumsum(index.lengths, dtype=np.int64).tolist()
     expected = ends[-1] if ends else 0
     if len(shard) != expected:

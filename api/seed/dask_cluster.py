@@ -1,7 +1,7 @@
 """Tasks drawn by a Dask cluster: https://distributed.dask.org.
 
-Dask distributes tasks, each a few numbers, and returns the indexes of their tiles. Pictures go straight to the shard store and
-never through the task graph. ``dask_worker`` holds the code that runs on Dask's workers.
+Dask distributes tasks, each a few numbers, and returns the indexes of their tiles. The tiles themselves go straight to the shard
+store and never through the task graph. ``dask_worker`` holds the code that runs on Dask's workers.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ log = logging.getLogger("skugga")
 class DaskCluster:
     """The workers of a cluster, found by the address of its scheduler.
 
-    Their render processes warm up before a run begins, and those of later workers when they join. Raises ``InputError`` if no
+    Each worker has a render process. These warm up before a run begins, or when a worker joins later. Raises ``InputError`` if no
     scheduler answers.
     """
 
@@ -138,7 +138,7 @@ class DaskCluster:
                 store_at(shards).delete([name])
 
     def _warm_up(self) -> None:
-        """Start a render process on every worker, now and when a worker joins."""
+        """Start a render process on every worker that is present, and on each one that joins later."""
         try:
             self._client.register_plugin(self._worker_module.WarmUpPlugin(), name=self._plugin)
         except Exception as error:  # an error of a worker, or a lost scheduler: the first task reports it
@@ -168,7 +168,7 @@ class DaskCluster:
         return [worker for worker in self._workers if worker not in self._refused]
 
     def _update_workers(self) -> None:
-        """Update the list of workers. Raises ``RenderError`` if none has been present for long."""
+        """Update the list of workers. Raises ``RenderError`` if no worker has been present for long."""
         now_s = clock.monotonic()
         if now_s - self._polled_at_s < WORKER_POLL_S:
             return

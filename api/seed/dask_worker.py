@@ -1,4 +1,7 @@
-"""Code that runs on a Dask cluster's workers. Each keeps one render process, since an OpenGL context must not change threads."""
+"""Code that runs on a Dask cluster's workers.
+
+Each worker keeps one render process, because an OpenGL context must not change threads.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from skugga.terrain.errors import GraphicsError
 
 
 class PersistentProcess:
-    """The render process of a Dask worker: either of the current run, or warm for the next one."""
+    """The render process of a Dask worker. It draws tasks of the current run, or is warm and waits for the next run."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -48,7 +51,7 @@ class PersistentProcess:
                 return TaskFailure(task.id, str(ended), "died")
 
     def end(self) -> None:
-        """End the process unless it draws. A drawing process belongs to another run, or ends when the next run begins."""
+        """End the process unless it is drawing. A process that draws belongs to another run, or ends when the next run begins."""
         if self._lock.acquire(blocking=False):
             try:
                 self._end()
@@ -77,7 +80,7 @@ persistent_process = PersistentProcess()
 
 
 class WarmUpPlugin(WorkerPlugin):
-    """Dask plugin that gives a worker a warm render process from the time it joins until it or the run ends."""
+    """Dask plugin that starts a render process when a worker joins. The process ends with the worker or with the run."""
 
     def setup(self, worker: Any) -> None:
         """Implement Dask's hook: the worker has joined, or the run begins."""

@@ -1,4 +1,4 @@
-"""Drawing of a task: the tiles of its block, concatenated in a shard."""
+"""Draw a task: the tiles of one block of a zoom, concatenated in a shard."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RSS_UNIT_BYTES = 1 if sys.platform == "darwin" else 1024
 
 
 class Drawer:
-    """Draws tasks of one run, with its level open."""
+    """Draw tasks of one run, with its level open."""
 
     def __init__(self, spec: RunSpec, store: ShardStore) -> None:
         self._spec, self._store = spec, store
@@ -56,7 +56,7 @@ class Drawer:
 
 
 def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, bytes], float]:
-    """Return the tiles of a task that show data, by tile id, and the duration of encoding them in seconds."""
+    """Return the tiles of a task that show data, by tile id, and the seconds that their encoding took."""
     view, request = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), spec.request(task.sun)
     product, plan = request.product_record, spec.plan_by_sun_and_zoom.get((task.sun, task.zoom))
     files: Mapping[TilePosition, bytes | None]
@@ -79,7 +79,7 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
 
 
 def check_seeded_format(layer: str, format: str) -> None:
-    """Raise ``InputError`` if pyramids of a product do not support the format."""
+    """Raise ``InputError`` if tiles of a product cannot be drawn in advance in a format."""
     product = product_named(layer, SEEDED_PRODUCTS, "--layer")
     formats = [picture_format for picture_format in PICTURE_FORMATS if picture_format in product.map_formats]
     if format not in formats:

@@ -1,4 +1,7 @@
-"""Digests of the ground by chunk. They tell which tiles a change of a raster can affect."""
+"""Digests of the ground by chunk. They tell which tiles a change of a raster can affect.
+
+A chunk is a square of cells of the raster.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +35,9 @@ class GroundChunks:
     side : int
         Cells per side of a chunk.
     digests : (rows, cols, 16) uint8
-        Digests of all cells of a chunk and of their overviews in the file.
+        Digest of each chunk's cells, and of the cells over them in the file's overviews.
     low_m, high_m : (rows, cols) float32
-        Lowest and highest drawn height in metres; NaN without data.
+        Lowest and highest height of each chunk's surface, metres; NaN without data.
     holes : bool
         Whether any cell of the raster has no data.
     """
@@ -99,6 +102,6 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
 
 
 def _overview_cells(elevation: Elevation, rows: slice, cols: slice, factor: int) -> tuple[int, np.ndarray]:
-    """Return an overview's factor and its cells in a window."""
+    """Return an overview's factor of decimation, and its cells in a window of the raster."""
     shape = max((rows.stop - rows.start) // factor, 1), max((cols.stop - cols.start) // factor, 1)
     return factor, elevation.stored(rows, cols, shape)[0]

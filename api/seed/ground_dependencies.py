@@ -1,11 +1,15 @@
-"""The chunks of ground that the tiles of a block depend on: the visible ground, and occluders that can shade it.
+"""Find the chunks of ground that the tiles of a block depend on: the visible ground, and occluders that can shade it.
 
-A chunk can shade a block under three conditions, seen from the sun. It lies within the block's width, it is not wholly below
-the block's lowest ground, and it is not behind the whole block. This is the rule of ``skugga.terrain.casters.reach``, applied
-to chunks by their own highest ground. So a new mountain counts as soon as it is high enough.
+Blocks are groups of tiles that are drawn together. Chunks are squares of a raster's cells (``ground_chunks``). A chunk can shade a
+block under three conditions, seen from the sun:
 
-Margins cover what an algorithm adds to the shadow of ground: the sun's disc, refraction and, for shadow maps, the whole patches
-of casters that the maps are fitted to.
+* It lies within the block's width.
+* It is not wholly below the block's lowest ground.
+* It is not behind the whole block.
+
+This is the rule of ``skugga.terrain.casters.reach``, applied to chunks by their own highest ground. So a new mountain counts as
+soon as it is high enough. Margins cover what an algorithm adds to the shadow of ground. These are the sun's disc, refraction and,
+for shadow maps, the patches of casters to which the maps are fitted.
 """
 
 from __future__ import annotations
@@ -53,9 +57,9 @@ class _Chunks:
     Attributes
     ----------
     top_earth_m : (n, 3)
-        Earth-fixed middles at the chunks' highest ground, in metres.
+        Points above the chunks' middles at the height of their highest ground, in earth-fixed coordinates, metres.
     half_m : (n,)
-        Half diagonals in metres.
+        Half of the chunks' diagonals, metres.
     """
 
     top_earth_m: np.ndarray
@@ -64,18 +68,18 @@ class _Chunks:
 
 @dataclass(frozen=True, eq=False)
 class _SunlitChunks:
-    """Chunks in light space.
+    """The chunks' highest points in light space, a frame whose third axis runs along the sun's rays.
 
     Attributes
     ----------
     light : LightSpace
         The light space of the sun.
     tops : (n, 3)
-        Highest points, including objects on the ground.
+        The highest point of each chunk, raised by the height of the tallest object.
     object_height_m : float
-        Height of the tallest object in metres.
+        Height of the tallest object on the ground, metres.
     is_per_point : bool
-        Whether shadows are computed for each point separately.
+        Whether shadows are computed for each point separately, without maps that are fitted to casters.
     """
 
     light: LightSpace
@@ -85,7 +89,7 @@ class _SunlitChunks:
 
 
 class GroundDependencies:
-    """Computes digests of blocks that change with any ground that their tiles depend on."""
+    """Compute digests of blocks. A block's digest changes with any ground that its tiles depend on."""
 
     def __init__(self, scene: Scene, chunks: GroundChunks) -> None:
         self._scene, self._chunks = scene, chunks
@@ -99,14 +103,14 @@ class GroundDependencies:
         return other
 
     def digests(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None, shades_ground: bool) -> list[bytes]:
-        """Return a digest for each block (x, y) of a tile matrix's ``grid``.
+        """Return a digest of the ground that each block's tiles depend on.
 
         Parameters
         ----------
         grid
             The tile matrix's grid.
         blocks
-            Blocks (x, y).
+            Blocks (x, y) of the tile matrix.
         plan
             Plan that draws the blocks under the scene's sun; ``None`` for products of heights without light.
         shades_ground
@@ -124,7 +128,7 @@ class GroundDependencies:
         return digests
 
     def chunk_masks(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
-        """Return the chunks that each block depends on, as bool masks (rows, cols)."""
+        """Return the chunks that each block depends on, as one bool mask (rows, cols) of chunks for each block."""
         shape = self._chunks.low_m.shape
         if plan is not None and plan.runs & GLOBAL_EFFECTS:
             return [np.ones(shape, np.bool_) for _ in blocks]
@@ -149,7 +153,7 @@ class GroundDependencies:
         return shares
 
     def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
-        """Return the first and last row and column of the raster under a block and its margin; infinite if unknown."""
+        """Return first and last row, and first and last column, of the raster below a block and its margin; infinite if unknown."""
         key = grid, x, y
         if key not in self._cells:
             self._cells[key] = self._compute_cells(grid, x, y)
@@ -179,7 +183,7 @@ class GroundDependencies:
         return in_rows[:, None] & in_cols[None, :]
 
     def _tops_in_sun(self, plan: Plan) -> _SunlitChunks | None:
-        """Return the chunks' highest ground in light space; ``None`` if the plan casts no shadow of the sun."""
+        """Return the chunks' highest points in light space; ``None`` if the plan casts no shadow of the sun."""
         scene = with_apparent_sun(self._scene, plan.runs)
         if scene.sun is None or not scene.sun_is_up or not plan.casts:
             return None
@@ -220,13 +224,16 @@ class GroundDependencies:
 
 
 class _SkyDigests:
-    """The sky that the ground hides, as digests of parts of a raster."""
+    """Digest input for the share of the sky that the ground hides. The shading of the ground depends on it."""
 
     def __init__(self, scene: Scene) -> None:
         self._view = sky_view(scene.elevation, scene.world)
 
     def digest_input(self, cells: tuple[float, float, float, float]) -> bytes:
-        """Return the nodes' values under some cells, with the margin that means over wide pixels include."""
+        """Return the occlusion values at the nodes below some cells (first and last row, first and last column), as bytes.
+
+        A margin is included, because wide pixels average values around them.
+        """
         side, (rows, cols) = 2**self._view.lod, self._view.occlusion.shape
         margin = max((cells[1] - cells[0]) / side / 32.0, 2.0)  # a pixel is about a thousandth of a block's side
         ends = []
@@ -250,12 +257,12 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
 
 
 def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return map coordinates of a lattice over a block with a small margin."""
+    """Return map coordinates x and y of a regular lattice of points over a block and a small margin."""
     steps = np.linspace(-MARGIN_PX, BLOCK_PX + MARGIN_PX, LATTICE_PARTS + 1)
     col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
     return grid.x(col), grid.y(row)
 
 
 def _unit_vectors(point_earth_m: np.ndarray) -> np.ndarray:
-    """Return unit vectors from the earth's centre, which approximate up well enough for placing tall objects."""
+    """Return unit vectors from the earth's centre. They approximate the vertical well enough to place the tops of tall objects."""
     return point_earth_m / np.linalg.norm(point_earth_m, axis=-1, keepdims=True)

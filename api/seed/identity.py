@@ -1,4 +1,4 @@
-"""Identity of a level, independent of where its files lie and when they were written: digests of settings and file contents."""
+"""Identity of a level, as digests of its settings and of file contents. It does not depend on the files' places and times."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
 
 
 def ground_chunks_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChunks:
-    """Return the chunks of a level's ground. They are recomputed only if one of the ground's files has changed.
+    """Return the digests of a level's ground by chunk. They are recomputed only if one of the ground's files has changed.
 
     Raises ``SourceError``.
     """
@@ -55,9 +55,9 @@ def ground_chunks_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> Gro
 
 
 def contents_digest(source: str, table: TaskTable) -> str:
-    """Return the digest of a file's bytes, including linked files and sidecar files. An address contributes only its text.
+    """Return the digest of a file's bytes, including linked files and sidecar files. For a remote file it is that of its address.
 
-    Files with unchanged stamps are not read again. Raises ``OSError``.
+    Files with unchanged stamps (times and size) are not read again. Raises ``OSError``.
     """
     digest = hashlib.blake2b(digest_size=16)
     for path in _files_of(source):
@@ -74,7 +74,7 @@ def contents_digest(source: str, table: TaskTable) -> str:
 
 
 def plan_digest(plan: Plan | None) -> str:
-    """Return the digest of a plan's actions, without its reasons and expectations."""
+    """Return the digest of what a plan does. Its reasons and expected costs do not count."""
     return digest_of_json(None if plan is None else plan.model_dump(mode="json", include={"algorithm", "settings"}) | {
         "effects": sorted(plan.runs)
     })  # fmt: skip
@@ -86,7 +86,7 @@ def digest_of_json(value: Any) -> str:
 
 
 def _source_names(loaded: LoadedLevel) -> list[str]:
-    """Return the names of files in a level, as written there."""
+    """Return the names of the files that a level refers to, as written in the level file."""
     level = loaded.level
     sources = [level.terrain.source, level.terrain.imagery, *(forest_stand.source for forest_stand in level.forest)]
     for mesh in level.meshes:

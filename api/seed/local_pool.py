@@ -18,28 +18,28 @@ MAX_FAILED_STARTS = 5
 
 
 class Runner(Protocol):
-    """Draws tasks. For use from one thread."""
+    """Protocol of the workers that draw the tasks of a run. Use it from one thread."""
 
     def free(self) -> Sequence[int]:
-        """Return the lanes that accept a task now; a lane is listed once per task that it accepts.
+        """Return the lanes (queues of workers) that accept a task now. A lane is listed once for each task that it accepts.
 
-        Consecutive tasks of a lane are best neighbours.
+        Consecutive tasks of a lane are best neighbours on the map, because its worker then has most of the ground in memory.
         """
 
     def submit(self, task: Task, lane: int) -> None:
-        """Start a task."""
+        """Start to draw a task on a lane, without waiting for its result."""
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
-        """Return outcomes of tasks, after waiting for at most ``timeout_s``. Raises ``GraphicsError`` if nothing can be drawn."""
+        """Return results of tasks, after at most ``timeout_s`` seconds. Raises ``GraphicsError`` if the workers cannot draw."""
 
     def close(self) -> None:
         """End all workers. Tasks that are being drawn are lost."""
 
 
 class LocalPool:
-    """A fixed number of render processes of this machine, which warm up before a run begins.
+    """A fixed number of render processes of this machine. They warm up before a run begins.
 
-    A process that dies or hangs is replaced, and the outcome of its task is ``died``.
+    A process that dies or hangs is replaced. Its task then ends with a ``TaskFailure`` of the kind ``died``.
     """
 
     def __init__(self, workers: int, start_limit_s: float = START_LIMIT_S) -> None:
@@ -56,7 +56,7 @@ class LocalPool:
         return self
 
     def free(self) -> Sequence[int]:
-        """Implement ``Runner.free``; each process is a lane."""
+        """Implement ``Runner.free``. Each process is a lane."""
         return [lane for lane, process in enumerate(self._processes) if process.is_ready and process.task is None]
 
     def submit(self, task: Task, lane: int) -> None:

@@ -13,7 +13,7 @@ MIN_LIMIT_S = 600.0
 
 
 class Task(NamedTuple):
-    """A metatile: a block (x, y) of a zoom under a sun.
+    """A task: draw a metatile, the block (x, y) of a zoom's tiles, under a sun.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Task(NamedTuple):
     shard : str
         Name of the shard for its tiles.
     limit_s : float
-        Timeout in seconds, after which the process that draws it counts as hung.
+        Timeout in seconds. After it the process that draws the task counts as hung.
     """
 
     id: int
@@ -69,7 +69,7 @@ class TaskResult:
 
 @dataclass(frozen=True)
 class StartRun:
-    """Prepares a process for the tasks of a run (``RunSpec`` as JSON), with the place of their shards."""
+    """Request to a process to prepare for the tasks of a run: the ``RunSpec`` as JSON, and the place of the shards."""
 
     spec: str
     shards: str
@@ -77,7 +77,7 @@ class StartRun:
 
 @dataclass(frozen=True)
 class RunReady:
-    """The process is ready to draw."""
+    """Answer of a process that it is ready to draw tasks of the run."""
 
     renderer: str
 
@@ -93,8 +93,8 @@ class TaskFailure:
     error : str
         The reason.
     kind : str
-        ``failed``: the task failed. ``died``: its worker died. ``stopped``: the run must stop, whatever the task. ``refused``:
-        the cluster's ``worker`` cannot draw this run.
+        ``failed``: the task failed. ``died``: its worker died. ``stopped``: the run must stop, because no other task can succeed.
+        ``refused``: the cluster's ``worker`` cannot draw this run.
     worker : str
         Address of the worker in a cluster.
     """
@@ -107,6 +107,6 @@ class TaskFailure:
 
 @dataclass(frozen=True)
 class RunRefused:
-    """The process cannot draw tasks of the run."""
+    """Answer of a process that it cannot draw tasks of the run."""
 
     error: str

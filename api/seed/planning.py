@@ -1,4 +1,4 @@
-"""Planning of a run: its tasks, the inputs that their tiles depend on, their plans and their expected durations."""
+"""Plan a run: its tasks, the inputs that their tiles depend on, their plans and their expected durations."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class PlannedRun:
 
 
 def local_renderer() -> str:
-    """Return the name of this process's renderer."""
+    """Return the name of the OpenGL renderer of this process."""
     try:
         return gl.device().renderer
     except NoOpenGLError:
@@ -127,7 +127,7 @@ def local_renderer() -> str:
 
 
 def plan_run(table: TaskTable, request: SeedRequest, on_status: Callable[[str], None]) -> PlannedRun:
-    """Fill a table with the tasks of a run. The tasks of an unchanged level are reused.
+    """Fill a table with the tasks of a run. Tasks whose inputs have not changed stay done.
 
     Raises ``SkuggaError`` and ``OSError``.
     """
@@ -199,7 +199,7 @@ def _make_spec(
 
 
 class _Planner:
-    """Makes the plans of a level's zooms as a service would. Plans in the table are reused."""
+    """Make the plan of each zoom of a level, as a service would. Plans that the table stores are reused."""
 
     def __init__(self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any]) -> None:
         self._table, self._level, self._overrides = table, level, overrides
@@ -208,7 +208,7 @@ class _Planner:
         self._plan_basis: PlanBasis | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
-        """Return the plan of a zoom under a scene's sun, which has the name ``sun`` in the table. Raises ``SkuggaError``."""
+        """Return the plan of a zoom under a scene's sun. ``sun`` is the sun's name in the table. Raises ``SkuggaError``."""
         stored_plan = self._table.plan(sun, zoom, self._request_digest)
         if stored_plan is not None:
             return Plan.model_validate_json(stored_plan)
@@ -221,13 +221,13 @@ class _Planner:
 
 
 def _level_sun_values(scene: Scene) -> Any:
-    """Return the sun of a level as JSON values for a digest, for requests without a sun."""
+    """Return the level's own sun as JSON values for a digest. Requests without a sun use it."""
     sun = scene.loaded.level.sun
     return sun if sun is None or sun == "none" else sun.model_dump(mode="json")
 
 
 def _plan_basis(level: LevelKey) -> PlanBasis:
-    """Return the inputs of plans that a service on this machine would use."""
+    """Return the inputs from which a service on this machine would plan: the calibration and the saved probes of the level."""
     if local_renderer() == NO_OPENGL:
         return PlanBasis()
     probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
@@ -235,9 +235,9 @@ def _plan_basis(level: LevelKey) -> PlanBasis:
 
 
 def _renderer_of(table: TaskTable) -> str:
-    """Return the renderer of a table's plans; a new table gets that of this process.
+    """Return the OpenGL renderer for which a table's plans are made. A new table gets the renderer of this process.
 
-    Raises ``RenderError`` if this process draws with another renderer.
+    Raises ``RenderError`` if this process has another renderer.
     """
     current, stored_renderer = local_renderer(), table.get("renderer")
     if stored_renderer is None:
@@ -295,7 +295,7 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
 
 
 def _full_task_s(plan: Plan | None, zoom: int, measured_costs: dict[int, tuple[float, float]]) -> float:
-    """Return the expected duration of a full task: measured at its zoom, or predicted by the plan."""
+    """Return the expected seconds of a task whose block is full of data: measured at its zoom, or predicted by the plan."""
     if zoom in measured_costs:
         return measured_costs[zoom][0]
     if plan is None or plan.predicted is None:

@@ -1,5 +1,6 @@
-"""The outputs of a run, made of its shards: an archive for each sun, or folders of tiles. Written only after all tasks are
-done.
+"""Write the outputs of a run from its shards: an archive or a folder of tiles for each sun.
+
+They are written only after all tasks are done.
 """
 
 from __future__ import annotations
@@ -48,9 +49,9 @@ def check_output(output: Path) -> None:
 
 
 def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mapping[str, Path]) -> list[Path]:
-    """Write the outputs, given by the names of suns, that are out of date, and return the written ones.
+    """Write the outputs that are out of date, and return their paths. ``outputs`` holds them by names of suns.
 
-    Tasks with broken shards wait again, and ``BrokenShardError`` is raised. Raises ``OSError``.
+    If a shard is missing or broken, its task is queued again and ``BrokenShardError`` is raised. Raises ``OSError``.
     """
     written_outputs = []
     for sun, output in outputs.items():
@@ -85,7 +86,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
 
 
 def _content_digest(run: PlannedRun, sun: str, finished_tasks: list[tuple[int, str, bytes]]) -> str:
-    """Return a digest of everything that an output contains."""
+    """Return a digest of all that determines the content of an output."""
     digest = hashlib.blake2b(repr(_archive_facts(run, sun)).encode(), digest_size=16)
     for _, key, tiles in finished_tasks:
         digest.update(key.encode() + tiles)
@@ -119,7 +120,7 @@ def _write_folder(
     run: PlannedRun,
     sun: str,
 ) -> None:
-    """Write the tiles that the folder lacks, and the manifest last."""
+    """Write the tiles that a folder lacks, delete those that are no longer requested, and write the manifest last."""
     with suppress(FileNotFoundError):
         (output / MANIFEST_NAME).unlink()
     published_tasks = table.published_tasks(str(output))

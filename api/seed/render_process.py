@@ -1,7 +1,7 @@
 """A process that draws tasks: its main loop, and the parent's side. An OpenGL context stays in the thread that created it.
 
-It is a plain child process instead of one of ``multiprocessing``, because a cluster's workers may not have such children. It
-ends when its connection is closed, however the other side ends.
+It is a plain child process, because the workers of a cluster may not have children of ``multiprocessing``. It ends when its
+connection is closed, for whatever reason.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ log = logging.getLogger("skugga.worker")
 
 
 class RenderProcess:
-    """A child process that draws one task at a time. It warms up, then waits for ``begin``. For use from one thread.
+    """A child process that draws one task at a time. It warms up, then waits for ``begin``. Use it from one thread.
 
-    Every request has a timeout, ``start_limit_s`` or that of a task; after it the process counts as hung. ``number``
+    Every request has a timeout: ``start_limit_s``, or the limit of a task. After it the process counts as hung. ``number``
     distinguishes the processes of a machine.
     """
 
@@ -105,7 +105,7 @@ class RenderProcess:
         return message
 
     def draw(self, task: Task) -> None:
-        """Start a task. ``receive`` reports its outcome, also if the process has ended."""
+        """Start to draw a task. ``receive`` returns its result, and also reports if the process has ended."""
         self.task = task
         self._set_deadline(task.limit_s)
         try:
@@ -114,7 +114,7 @@ class RenderProcess:
             pass
 
     def end(self) -> None:
-        """Kill the process. No state is lost."""
+        """Kill the process. It holds no state that must be saved."""
         self._process.kill()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(EXIT_TIMEOUT_S)
@@ -125,12 +125,15 @@ class RenderProcess:
 
 
 def thread_environment(threads: int) -> dict[str, str]:
-    """Return the environment that limits a process's threads, of a software rasteriser and of compiled loops."""
+    """Return environment variables that limit a process's threads, both of a software rasteriser and of compiled loops."""
     return {"LP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
 
 
 def draw_tasks(descriptor: int, number: int = 0) -> None:
-    """Run a child process. Its ``number`` selects one of several OpenGL devices in turn."""
+    """Run the main loop of a child process, which is connected by ``descriptor``.
+
+    ``number`` distributes processes among several OpenGL devices in turn.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the parent
     forbid_code()
     set_process_number(number)
@@ -162,7 +165,7 @@ def _draw_until_closed(connection: Connection) -> None:
 
 
 def check_renderer(renderer: str, spec: RunSpec) -> None:
-    """Raise ``GraphicsError`` if the renderer differs from that of the run's plans."""
+    """Raise ``GraphicsError`` if this process's OpenGL renderer differs from the one for which the run's plans are made."""
     if renderer != spec.renderer:
         raise GraphicsError(f"the run was planned for the renderer '{spec.renderer}', but this worker draws with '{renderer}'")
 

@@ -1,4 +1,4 @@
-"""The specification of a run of ``skugga seed`` for workers: everything that a task's number, block and sun leave open."""
+"""The specification of a run of ``skugga seed`` for workers. A task adds only its number, its block and its sun."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MATRIX_SET = "WebMercatorQuad"
 
 
 class PlannedZoom(BaseModel):
-    """The plan, as JSON, of all tiles of a zoom under the sun with this number."""
+    """The plan, as JSON, of all tiles of a zoom under one of the run's suns, given by its index."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -54,10 +54,10 @@ class RunSpec(BaseModel):
         return self.asked.product
 
     def request(self, sun: int) -> ProductRequest:
-        """Return the request that gives the same tiles in a service."""
+        """Return the request by which a service would draw the same tiles. ``sun`` is the index of the run's sun."""
         return self.asked.with_sun(self.suns[sun])
 
     @cached_property
     def plan_by_sun_and_zoom(self) -> dict[tuple[int, int], Plan]:
-        """Plans by sun and zoom."""
+        """Plans by index of the sun and zoom."""
         return {(planned_zoom.sun, planned_zoom.zoom): planned_zoom.read for planned_zoom in self.plans}

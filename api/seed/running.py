@@ -1,4 +1,4 @@
-"""Execution of a run's tasks by any ``Runner``: the heaviest first. Each task is recorded when it is done."""
+"""Draw a run's tasks by any ``Runner``, the heaviest first. Each task is recorded when it is done."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MAX_STRETCH, MIN_STRETCHES_PER_LANE = 16, 4
 
 @dataclass(frozen=True)
 class TaskEnd:
-    """The end of a task with its ``outcome``, and the run's progress: tasks done and in total."""
+    """The end of a task with its ``outcome``, and the run's progress: the number of tasks done and in total."""
 
     task: Task
     outcome: TaskResult | TaskFailure
@@ -42,21 +42,21 @@ class TaskEnd:
 
 
 def shard_name(key: str) -> str:
-    """Return the name of a key's shard."""
+    """Return the name of the shard for a task's key, which is a digest of the task's inputs."""
     return f"{key[:2]}/{key}.tiles"
 
 
 def task_of(table: TaskTable, run: PlannedRun, number: int, min_limit_s: float) -> Task:
-    """Return a task in the form sent to workers."""
+    """Return a task of the table in the form that is sent to workers."""
     sun, zoom, x, y, key, expected_s = table.task_row(number)
     return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key), max(min_limit_s, MAX_TIME_RATIO * expected_s))
 
 
 class WaitingTasks:
-    """The queue of tasks, distributed to lanes in stretches of neighbours.
+    """The queue of tasks, distributed to lanes (queues of workers) in stretches of tasks that are neighbours on the map.
 
-    A worker that draws neighbouring blocks already has most of their ground. A lane without waiting tasks steals the last task
-    of another lane.
+    A worker that draws neighbouring blocks already has most of their ground in memory. If no task is left for a lane, it steals the
+    last task of the longest lane.
     """
 
     def __init__(self, tasks: Sequence[int]) -> None:
@@ -76,7 +76,7 @@ class WaitingTasks:
         return lane_tasks.popleft() if lane_tasks else max(self._lanes.values(), key=len).pop()
 
     def put_back(self, task: int) -> None:
-        """Queue a task again, behind all others."""
+        """Queue a task again, behind all tasks that no lane has taken."""
         self._left.append(task)
 
 
@@ -87,13 +87,13 @@ def run_tasks(
     on_progress: Callable[[TaskEnd], None],
     min_limit_s: float = MIN_LIMIT_S,
 ) -> None:
-    """Draw all waiting tasks. Failed tasks are recorded, and the others continue.
+    """Draw all waiting tasks. A failed task is recorded and does not stop the others.
 
-    A process counts as dead after drawing a task for ``min_limit_s``, or ``MAX_TIME_RATIO`` its expected duration if that is
-    longer.
+    A process counts as dead if it takes too long for a task: longer than ``min_limit_s``, and longer than ``MAX_TIME_RATIO`` times
+    the expected duration.
 
-    Raises ``RenderError`` if the level changes meanwhile, if no shard can be written, or if nothing can be drawn. Finished
-    tasks stay done.
+    Raises ``RenderError`` if the level changes meanwhile, if no shard can be written, or if nothing can be drawn. Finished tasks
+    stay done.
     """
     waiting_tasks = WaitingTasks(table.waiting_tasks())
     running: dict[int, Task] = {}
@@ -129,7 +129,7 @@ def run_tasks(
 
 
 def _record_results(table: TaskTable, run: PlannedRun, results: list[TaskResult]) -> None:
-    """Record drawn tasks of an unchanged level. Raises ``RenderError`` if the level has changed."""
+    """Record drawn tasks, provided that the level's files are unchanged. Raises ``RenderError`` if they have changed."""
     if not run.is_unchanged:
         raise RenderError(
             f"{run.loaded.path}: the level, or one of its files, has changed during the run. Run the same command again to resume."

@@ -1,4 +1,4 @@
-"""A whole run of ``skugga seed``: plan, draw and publish, without any output to the terminal."""
+"""Run ``skugga seed`` as a whole: plan, draw and publish, without any output to the terminal."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SeedResult:
 
 
 def requeue_lost_shards(table: TaskTable, store: ShardStore) -> None:
-    """Queue the tasks again whose shards are missing."""
+    """Queue tasks again that are done but whose shards are missing in the store."""
     existing = store.names()
     table.retry([number for number, key in table.tasks_with_shards() if shard_name(key) not in existing], SHARD_LOST_REASON)
 
@@ -94,7 +94,7 @@ def draw_and_publish(
 
 
 def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:
-    """Delete shards whose keys belong to no task."""
+    """Delete shards that belong to no task of the table."""
     store.delete(store.names() - {shard_name(key) for key in table.keys()})
 
 

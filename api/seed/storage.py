@@ -13,19 +13,19 @@ from skugga.terrain.errors import InputError, Problem, RenderError
 
 
 class ShardStore(Protocol):
-    """Bytes by name. Names may contain folders."""
+    """Protocol of a store of bytes by name. Names may contain folders."""
 
     def write(self, name: str, content: bytes) -> None:
-        """Write bytes under a name, replacing others. Raises ``OSError``."""
+        """Write bytes under a name, replacing earlier ones. Raises ``OSError``."""
 
     def read(self, name: str) -> bytes:
         """Return the bytes under a name. Raises ``FileNotFoundError`` and other ``OSError``."""
 
     def names(self) -> set[str]:
-        """Return all names."""
+        """Return the names of all stored entries."""
 
     def delete(self, names: Iterable[str]) -> None:
-        """Delete the names that exist."""
+        """Delete the entries with these names, if they exist."""
 
 
 class FolderStore:

@@ -70,7 +70,7 @@ class PlannedTask(NamedTuple):
 
 
 class KeyParts(NamedTuple):
-    """Digests of the inputs of a task's tiles besides block and sun. Each field names the reason to draw the task again."""
+    """Digests of the inputs of a task's tiles, apart from block and sun. A change of one is the reason to draw the task again."""
 
     renderer: str
     settings: str
@@ -101,9 +101,9 @@ class FailedTask:
 
 
 class TaskTable:
-    """The task table of a folder, for one process at a time. It must be closed.
+    """The task table of a folder, for one process at a time. Close it after use.
 
-    Raises ``InputError`` if another run uses it or it is not a table of this version, and ``OSError``.
+    Raises ``InputError`` if another run uses it, or if the file is no table of this version. Raises ``OSError``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -154,7 +154,7 @@ class TaskTable:
             self._db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", values.items())
 
     def file_digest(self, path: str, stamp: str) -> str | None:
-        """Return the stored digest of a file with this stamp; ``None`` without one."""
+        """Return the stored digest of a file, if it was stored with this stamp (times and size); otherwise ``None``."""
         row = self._db.execute("SELECT digest FROM files WHERE path = ? AND stamp = ?", (path, stamp)).fetchone()
         return None if row is None else str(row[0])
 
@@ -164,7 +164,7 @@ class TaskTable:
             self._db.execute("INSERT OR REPLACE INTO files VALUES (?, ?, ?)", (path, stamp, digest))
 
     def plan(self, sun: str, zoom: int, request_digest: str) -> str | None:
-        """Return the stored plan of a zoom under a sun for a request; ``None`` without one."""
+        """Return the stored plan of a zoom under a sun for a request, as JSON; ``None`` without one."""
         row = self._db.execute(
             "SELECT plan FROM plans WHERE sun = ? AND zoom = ? AND asked = ?", (sun, zoom, request_digest)
         ).fetchone()
@@ -176,8 +176,10 @@ class TaskTable:
             self._db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?)", (sun, zoom, request_digest, plan))
 
     def set_tasks(self, tasks: Iterable[PlannedTask]) -> None:
-        """Set the tasks of the run. Tasks with an unchanged key keep their state, done or failed; all others wait, with a
-        reason.
+        """Set the tasks of the run.
+
+        Tasks with an unchanged key (digest of all inputs) keep their state, done or failed. All other tasks wait to be drawn, and
+        the table stores the reason.
         """
         with self._transaction():
             self._db.execute("UPDATE tasks SET wanted = 0")
@@ -213,7 +215,7 @@ class TaskTable:
             )
 
     def waiting_tasks(self) -> list[int]:
-        """Return the tasks to do, the heaviest first."""
+        """Return the numbers of the tasks that wait to be drawn, the heaviest first."""
         rows = self._db.execute("SELECT id FROM tasks WHERE wanted AND state = 'waiting' ORDER BY expected_s DESC, first_tile, sun")
         return [row[0] for row in rows]
 
@@ -240,13 +242,13 @@ class TaskTable:
             self._db.execute("UPDATE tasks SET state = 'failed', error = ? WHERE id = ?", (error, task))
 
     def count_death(self, task: int) -> int:
-        """Record that a worker died while drawing a task, and return how often that has happened."""
+        """Record that a worker died while it drew a task, and return how often this has happened to the task."""
         with self._transaction():
             self._db.execute("UPDATE tasks SET tries = tries + 1 WHERE id = ?", (task,))
         return int(self._db.execute("SELECT tries FROM tasks WHERE id = ?", (task,)).fetchone()[0])
 
     def retry(self, tasks: Iterable[int], reason: str | None = None) -> None:
-        """Queue tasks again, with a new reason or their old one."""
+        """Queue tasks again, with a new reason, or with the stored one if ``reason`` is ``None``."""
         with self._transaction():
             self._db.executemany(
                 "UPDATE tasks SET state = 'waiting', tries = 0, error = NULL, why = coalesce(?, why) WHERE id = ?",
@@ -261,29 +263,29 @@ class TaskTable:
         return {row[0]: FailedTask(*row[1:]) for row in rows}
 
     def finished_tasks(self, sun: str) -> list[tuple[int, str, bytes]]:
-        """Return number, key and index of the finished tasks under a sun, ordered by tile id."""
+        """Return number, key and shard index of the finished tasks under a sun, ordered by tile id."""
         rows = self._db.execute(
             "SELECT id, key, tiles FROM tasks WHERE sun = ? AND wanted AND state = 'done' ORDER BY first_tile", (sun,)
         )
         return [(row[0], row[1], bytes(row[2])) for row in rows]
 
     def published_tasks(self, output: str) -> dict[int, tuple[str, bytes]]:
-        """Return key and index of the tasks whose tiles lie in a folder, by number."""
+        """Return key and shard index of the tasks whose tiles lie in an output folder, by number."""
         rows = self._db.execute("SELECT task, key, tiles FROM published WHERE output = ?", (output,))
         return {row[0]: (row[1], bytes(row[2])) for row in rows}
 
     def record_published(self, output: str, task: int, key: str, tiles: bytes) -> None:
-        """Record that a task's tiles lie in a folder."""
+        """Record that a task's tiles lie in an output folder. ``tiles`` is their shard index."""
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO published VALUES (?, ?, ?, ?)", (output, task, key, tiles))
 
     def remove_published(self, output: str, task: int) -> None:
-        """Record that a task's tiles no longer lie in a folder."""
+        """Record that a task's tiles no longer lie in an output folder."""
         with self._transaction():
             self._db.execute("DELETE FROM published WHERE output = ? AND task = ?", (output, task))
 
     def keys(self) -> set[str]:
-        """Return the keys of all tasks, including those of earlier requests."""
+        """Return the keys (digests of the inputs) of all tasks, including those of earlier requests."""
         return {row[0] for row in self._db.execute("SELECT key FROM tasks")}
 
     def tasks_with_shards(self) -> list[tuple[int, str]]:
@@ -297,7 +299,7 @@ class TaskTable:
     def forecast(self) -> list[tuple[str, int, str, int, float, float]]:
         """Return a summary of the waiting tasks by sun, zoom and reason.
 
-        Each row holds sun, zoom, reason, number of tasks, their equivalent in full tasks, and expected seconds.
+        Each row holds sun, zoom, reason, number of tasks, the sum of their shares with data, and expected seconds.
         """
         return self._db.execute(
             "SELECT sun, zoom, why, count(*), sum(share), sum(expected_s) FROM tasks WHERE wanted AND state = 'waiting' "
@@ -305,7 +307,7 @@ class TaskTable:
         ).fetchall()
 
     def measured_costs(self) -> dict[int, tuple[float, float]]:
-        """Return seconds and bytes of a full task by zoom, measured on finished tasks."""
+        """Return by zoom the seconds and bytes of a task whose block is full of data, measured on finished tasks."""
         rows = self._db.execute(
             "SELECT zoom, sum(seconds) / sum(share), sum(bytes) / sum(share) FROM tasks WHERE seconds IS NOT NULL GROUP BY zoom"
         )
@@ -313,7 +315,7 @@ class TaskTable:
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        """Run a transaction."""
+        """Run the block of a ``with`` statement as an SQLite transaction."""
         with _as_os_errors(self._path):
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -326,7 +328,7 @@ class TaskTable:
 
 
 def task_key(task: PlannedTask) -> str:
-    """Return the key of a task, 32 hexadecimal digits. Tasks with equal keys have equal tiles."""
+    """Return the key of a task, a digest of 32 hexadecimal digits. Tasks with equal keys have equal tiles."""
     key_fields = (task.sun, task.zoom, task.x, task.y, *task.parts)
     return blake2b("\n".join(map(str, key_fields)).encode(), digest_size=16).hexdigest()
 

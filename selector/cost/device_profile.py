@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from skugga.terrain.atomic_files import write_atomically
+from skugga.terrain.atomic_files import disk_error, write_atomically
 from skugga.terrain.user_cache import user_cache
 
 SCHEMA: Final = 1
@@ -59,6 +59,14 @@ def profile_path(renderer: str, version: str) -> Path:
     words = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")[:40] or "device"
     digest = hashlib.sha256(f"{renderer}\n{version}".encode()).hexdigest()[:12]
     return user_cache("devices") / f"{words}-{digest}.json"
+
+
+def check_profile_file(renderer: str, version: str) -> None:
+    """Raise the ``OSError`` with which ``save_profile`` would fail, before a calibration that takes minutes."""
+    path = profile_path(renderer, version)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if (error := disk_error(path)) is not None:
+        raise error
 
 
 def save_profile(profile: DeviceProfile) -> Path:

@@ -1,17 +1,17 @@
 """The sun's shadows of upright columns (``skugga.terrain.ground.columns``), by one ray per column.
 
-Lines through smooth ground can be interpolated. Walls cannot: a ray meets a column or passes beside it by a hair's breadth. So each
-column has its own ray, from the middle of its top. The ray is followed towards the sun over the turned grid
-(``skugga.shadows.sweep.lines``), row by row. Over a cell it is lowest where it enters, and there its height is compared with the
-cell's flat top. A ray that passes a corner or runs along a border meets the cell, as a ray that meets an edge is stopped.
+Over smooth ground the shadow between two rays can be interpolated. At walls it cannot: a ray either meets a column or passes beside
+it. So each column has its own ray, from the middle of its top. The ray is followed towards the sun over the turned grid
+(``skugga.shadows.sweep.lines``), row by row. Over a cell the ray is lowest where it enters. There its height is compared with the
+cell's flat top. A ray that touches a corner or runs along a border meets the cell.
 
 **Bands.** For ``BAND_CELLS`` rows at a time, a ray is compared with the highest column of each block of cells that it passes. It
-skips blocks that lie below it. It has reached the sun where no higher column lies ahead.
+skips blocks that lie below it. The search ends where no column ahead is higher than the ray.
 
-**A curved earth.** A ray has one t and one ray height (``skugga.shadows.sweep.lines``). Along each border between rows, cubics in t
-give the column of ground at a reference height, its shift per metre of height, the ray height of height 0, and the ray height per
-metre of height. The ray's column and height above sea level follow from them. Nothing is interpolated between lines. So the results
-are those of the columns themselves; in a flat world they are exact to the rounding of float64.
+**A curved earth.** A ray has one t and one ray height (``skugga.shadows.sweep.lines``). Four cubics in t hold along each border
+between rows of cells. They give the column at which ground of a reference height lies, the shift of this column per metre of
+height, the ray height of height 0, and the ray height per metre of height. The ray's column and height above sea level follow from
+them. Nothing is interpolated between rays. In a flat world the results are exact to the rounding of float64.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from skugga.terrain.ground.columns import ColumnIndices, Columns
 from skugga.terrain.scene import Scene
 
 BAND_CELLS = 16
-"""Rows that a ray skips at once, and the side of the blocks of cells whose highest column is stored."""
+"""Maximum number of rows that a ray skips at once, and the side of the blocks of cells whose highest column is stored."""
 
 CORNER_TOLERANCE_CELLS = 1e-6
-"""Tolerance in cells: a ray this near to a corner meets all columns at the corner."""
+"""Tolerance in cells: a ray that passes a corner within this distance meets all columns at the corner."""
 
 HEIGHT_TOLERANCE_M = 1e-6
-"""Tolerance in metres by which a column must be higher than a ray to stop it: the float64 rounding of tops of equal height."""
+"""Metres by which a column must be higher than a ray to block it. The tolerance covers the float64 rounding of equal heights."""
 
 NO_COLUMN = np.float32(-1e30)
 
@@ -47,9 +47,10 @@ POINTS_AT_A_TIME = 2**15
 
 
 class TurnedColumns(NamedTuple):
-    """Columns (n, m) of a turned grid.
+    """Upright columns (n, m) on a turned grid (rotated and mirrored so that the sun stands before row 0).
 
-    The cubics (n + 1, 4) in t hold along the border before each row, and along the one after the last row.
+    The cubics (n + 1, 4) are functions of t, the position across the sun's rays. One holds along the border before each row, and
+    the last one along the border after the last row.
 
     Attributes
     ----------
@@ -58,11 +59,11 @@ class TurnedColumns(NamedTuple):
     block_max
         float32 (n / BAND_CELLS, m / BAND_CELLS), rounded up, metres: the highest top of each block of cells.
     max_ahead
-        float32 (n + 1,), metres: the highest top of all rows before a border, on the way to the sun.
+        float32 (n + 1,), metres: the highest top in all rows between a border and the sun.
     column_of_t
-        (n + 1, 4): the column of ground at height ``reference_height_m``.
+        (n + 1, 4): the column of the grid at which a ray crosses the border, if it is there at ``reference_height_m``.
     column_per_metre
-        (n + 1, 4): its shift in columns per metre of height.
+        (n + 1, 4): the shift of this column per metre of height.
     ray_height_at_zero
         (n + 1, 4), metres: the ray height of height 0.
     ray_height_per_metre
@@ -70,7 +71,7 @@ class TurnedColumns(NamedTuple):
     reference_height_m
         Metres: the reference height of ``column_of_t``.
     side
-        Size of a cell, in cells of the points' t.
+        Size of a cell, in cells of the finest level of detail.
     """
 
     height: np.ndarray
@@ -91,17 +92,17 @@ class ColumnGround:
     Attributes
     ----------
     detail
-        Level of detail: a cell is 2**detail cells wide.
+        Level of detail: a cell is 2**detail cells of full detail wide.
     row0, col0
-        First cell before turning.
+        Row and column of the first cell on the grid of this level of detail, before turning.
     shape
         Rows and columns before turning.
     columns
         The turned columns.
     towards_at_zero
-        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.ray_height_at_zero`` is for ray heights.
+        (n + 1, 4), metres: cubics in t of the distance towards the sun, at height 0.
     towards_per_metre
-        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.ray_height_per_metre`` is for ray heights.
+        (n + 1, 4): cubics in t of the change of this distance per metre of height.
     """
 
     detail: int
@@ -113,7 +114,7 @@ class ColumnGround:
     towards_per_metre: np.ndarray
 
     def tilted(self, angle: float) -> TurnedColumns:
-        """Return the columns under a sun that is higher by an angle in radians."""
+        """Return the columns with the ray heights for a sun that is higher by ``angle``, radians."""
         cosine, sine = np.cos(angle), np.sin(angle)
         return self.columns._replace(
             ray_height_at_zero=cosine * self.columns.ray_height_at_zero - sine * self.towards_at_zero,
@@ -136,15 +137,15 @@ class ColumnSweep:
     number
         int (rows, cols): the point that each pixel shows; -1 without one.
     row
-        (n,): turned rows on the finest ground.
+        (n,): rows of the points on the turned grid of the finest ground.
     t
-        (n,): coordinates across the lines, in cells.
+        (n,): positions of the points across the sun's rays, in cells.
     height_m
-        (n,): heights.
+        (n,), metres: heights of the points.
     ray_height_m
-        (n,): ray heights; NaN for columns, whose tops give it.
+        (n,), metres: ray heights of the points; NaN for tops of columns, which are computed from the ground.
     towards_m
-        (n,): metres towards the sun.
+        (n,), metres: distances of the points towards the sun.
     """
 
     rays: SunRays
@@ -164,8 +165,9 @@ class ColumnSweep:
     def above_m(self, angle: float, measured: bool, cores: int) -> np.ndarray:
         """Return by how many metres columns rise above the rays from a buffer's pixels (rows, cols) to the sun.
 
-        The sun is higher than the scene's by ``angle``, radians. The value is over 0 if any column rises above the ray. Only if
-        ``measured`` is it the rise of the highest one.
+        The sun is higher than the scene's sun by ``angle``, radians. A value over 0 means that a column blocks the ray. If
+        ``measured``, the value is the largest height of a column above the ray, in metres. Otherwise only its sign is meaningful,
+        and the search is faster. ``cores`` is the number of threads.
         """
         grounds = [ground.tilted(angle) for ground in self.grounds]
         ray_heights = np.cos(angle) * self.ray_height_m - np.sin(angle) * self.towards_m
@@ -183,7 +185,7 @@ class ColumnSweep:
         return np.append(above, 0.0)[self.number]
 
     def _turned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
-        """Convert turned rows of the finest ground to those of another one."""
+        """Convert rows (n,) on the turned grid of the finest ground to those of another level of detail."""
         finest, orientation = self.grounds[0], self.rays.orientation
         if ground is finest:
             return row
@@ -196,9 +198,9 @@ class ColumnSweep:
 
 
 def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> ColumnSweep:
-    """Return the sweep for a map's block of columns.
+    """Return the input of a sweep for a map's block whose ground is columns.
 
-    Raises ``UnsupportedError`` where the sun's rays bend too much.
+    Raises ``UnsupportedError`` if the sun's rays bend too much across the block.
     """
     placed = buffer.columns
     assert placed is not None
@@ -223,9 +225,10 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
 
 
 def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number (rows, cols) of the point that each pixel shows, and a pixel, flat (n,), that shows each point.
+    """Number the points that pixels show, and return each pixel's number (rows, cols), and one flat pixel index per point (n,).
 
-    Pixels of one column, among ``cells`` columns, share a point. Each pixel that shows anything else has its own.
+    Pixels that show the same column share one point. Each pixel that shows anything else has its own point. A pixel without a
+    surface has the number -1. ``cells`` is the number of columns.
     """
     valid, ground = buffer.valid.ravel(), (buffer.valid & (buffer.kind == RELIEF)).ravel()
     key = np.full(valid.size, -1, np.int64)
@@ -243,7 +246,11 @@ def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tupl
 
 
 def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[int, int, np.ndarray]]) -> ColumnGround:
-    """Return one ground over windows of heights; cells outside of all windows have no column."""
+    """Return the columns of one level of detail, from windows of heights.
+
+    A window is its first row, its first column, and its heights (rows, cols) in metres. Cells outside of all windows have no
+    column.
+    """
     row0, col0 = min(row for row, _, _ in windows), min(col for _, col, _ in windows)
     rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
     cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
@@ -278,11 +285,11 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
 def _border_cubics(
     along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> Iterator[np.ndarray]:
-    """Return cubics in t (rows + 1, 4) along the borders of a turned grid's rows.
+    """Fit cubics in t along each border between rows of a turned grid: (rows + 1, 4) for each of six quantities.
 
-    ``along_rays`` gives, at turned rows and columns: t, the change of t per metre of height, and four more values. The result holds
-    the cubics of the column, of its shift per metre of height, and of the four values. Raises ``UnsupportedError``, which names the
-    grid's CRS, where cubics cannot follow the column.
+    t is the position across the sun's rays, in cells. At turned rows and columns, ``along_rays`` returns t, its change per metre of
+    height, and four more values. The six quantities are the column, its shift per metre of height, and the four values. Raises
+    ``UnsupportedError`` if cubics cannot approximate the column. The message names the CRS ``crs_name``.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -320,7 +327,7 @@ def _coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
 
 @compiled
 def _ray_heights(columns, row, t, height):
-    """Return the ray heights (n,) of points on columns of the given heights, at turned rows."""
+    """Return the ray heights (n,), metres, of points at turned rows, positions t across the rays, and heights in metres."""
     out = np.empty(row.size)
     borders = len(columns.ray_height_at_zero)
     for n in range(row.size):
@@ -334,9 +341,9 @@ def _ray_heights(columns, row, t, height):
 
 @compiled
 def _follow_rays(columns, row, t, ray_heights, measured, above):
-    """Raise ``above`` (n,) to the metres by which columns rise above the rays from points.
+    """Raise ``above`` (n,) to the largest height in metres of columns above the rays from points to the sun.
 
-    Points with a value over 0 are skipped unless ``measured``.
+    Unless ``measured``, a point whose value is over 0 is skipped, because its ray is blocked already.
     """
     for n in range(row.size):
         if measured or above[n] <= 0.0:
@@ -345,16 +352,16 @@ def _follow_rays(columns, row, t, ray_heights, measured, above):
 
 @internal
 def _border_crossing(columns, b, t, ray_height):
-    """Return a ray's column and height where it crosses the border before row ``b``."""
+    """Return the fractional column and the height in metres at which a ray crosses the border before row ``b``."""
     height = (ray_height - cubic(columns.ray_height_at_zero[b], t)) / cubic(columns.ray_height_per_metre[b], t)
     return cubic(columns.column_of_t[b], t) + (height - columns.reference_height_m) * cubic(columns.column_per_metre[b], t), height
 
 
 @internal
 def _highest_above(columns, row, t, ray_height, measured, above):
-    """Return the maximum of ``above`` and of the metres by which columns rise above a ray from a turned row on.
+    """Return the maximum of ``above`` and of the heights in metres of columns above a ray from a turned row to the sun.
 
-    Unless ``measured``, the first column that rises above the ray by more than ``above`` ends the search.
+    Unless ``measured``, the search ends at the first column that exceeds ``above``.
     """
     heights = columns.height
     n, m = heights.shape

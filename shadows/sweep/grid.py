@@ -1,6 +1,7 @@
-"""Grids for the line sweep, and the sweep itself, strip by strip on several cores.
+"""Grids for the line sweep, and the sweep itself, which runs on several cores, each with a strip of lines.
 
-A grid is turned so that the sun stands before row 0. Cubics fitted to each row give the positions of its lines.
+The *turned grid* is a grid that is rotated and mirrored so that the sun stands before row 0. Lines are sun rays seen from above.
+Their position across the rays is *t*, in cells. A cubic polynomial per row converts t to columns of the row, and one converts back.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
 from skugga.terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
-"""Cells of a strip of lines: few enough to keep its state and two rows in a core's cache."""
+"""Cells of a strip of lines: few enough that the strip's state and two rows of the grid fit into a core's cache."""
 
 TURN_BAND_ROWS = 64
-"""Rows of a grid that a thread turns at a time."""
+"""Rows of a grid that a thread copies to the turned grid at a time."""
 
 LATTICE_SIZE = 17
-"""Maximum number of rows, and of columns, at which the positions of lines are computed exactly."""
+"""Maximum number of rows, and of columns, at which the positions of lines are computed by PROJ. Others are interpolated."""
 
 MAX_BEND_CELLS = 0.1
 """Tolerance in cells for the distance of the lines from their fitted cubics."""
@@ -31,45 +32,64 @@ RAYS_BEND_REASON = "the view is so wide that the sun's rays bend across it; shad
 
 
 def bent_rays_error(crs_name: str) -> UnsupportedError:
-    """Return the error of a view across which the sun's rays bend, with the name of its CRS."""
+    """Return the error for a view that is so wide that the sun's rays bend across it. The message names the CRS."""
     return UnsupportedError("algorithm", "sweep", f"in the CRS '{crs_name}' {RAYS_BEND_REASON}")
 
 
 def beyond_crs_error(crs_name: str) -> UnsupportedError:
-    """Return the error of a view that reaches beyond the area of its CRS."""
+    """Return the error for a view that reaches beyond the area where its CRS is defined. The message names the CRS."""
     reason = f"the view reaches beyond the area of its CRS '{crs_name}'; shadow_map can draw it"
     return UnsupportedError("algorithm", "sweep", reason)
 
 
 CellSize = float | tuple[float, float]
-"""Sides of a cell down and right, metres; one number for both."""
+"""Size of a cell in metres: one number, or its sides along a column and along a row."""
 
 NO_RAY_HEIGHTS = np.zeros((0, 0), np.float32)
 NO_MASK = np.zeros((0, 0), np.bool_)
 
 HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
-"""The cuts of a ``TurnedGrid`` whose quads are all cut along their higher diagonals."""
+"""Value of ``TurnedGrid.is_cut_nw_se`` for a grid whose quads are all cut along their higher diagonals."""
 
 
 @dataclass(frozen=True)
 class GridOrientation:
-    """How a grid is turned and mirrored: first the axes are swapped, then rows and columns are reversed."""
+    """How a grid is turned so that the sun stands before row 0.
+
+    Attributes
+    ----------
+    swapped
+        Whether rows and columns are swapped first.
+    rows_reversed
+        Whether the order of the rows is reversed then.
+    cols_reversed
+        Whether the order of the columns is reversed then.
+    """
 
     swapped: bool
     rows_reversed: bool
     cols_reversed: bool
 
     def turned_cuts(self, is_cut_nw_se: np.ndarray) -> np.ndarray:
-        """Return which quads of the turned grid are cut from (i, j) to (i + 1, j + 1), from the same mask of the grid."""
+        """Return which quads of the turned grid are cut into triangles from (i, j) to (i + 1, j + 1), bool.
+
+        ``is_cut_nw_se`` is the same mask for the grid before turning.
+        """
         return self.turned(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
 
     def to_turned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the turned grid's rows and columns at those of a grid (rows, cols); fractions and indices outside are allowed."""
+        """Convert rows and columns of a grid (``rows``, ``cols``) to those of the turned grid.
+
+        Fractions and positions outside of the grid are allowed.
+        """
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
         return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
 
     def to_turned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Do as ``to_turned``, but write to the input arrays: fresh memory for many points costs more than the arithmetic."""
+        """Convert as ``to_turned`` does, but overwrite ``row`` and ``col``, and return them in the order of the turned grid.
+
+        New memory for many points would cost more time than the arithmetic.
+        """
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
         for turned, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
             if turned:
@@ -77,7 +97,7 @@ class GridOrientation:
         return i, j
 
     def from_turned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rows and columns of a grid (rows, cols) at those of the turned grid, the inverse of ``to_turned``."""
+        """Convert rows and columns of the turned grid to those of the grid (``rows``, ``cols``): the inverse of ``to_turned``."""
         n, m = (cols, rows) if self.swapped else (rows, cols)
         i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
         return (j, i) if self.swapped else (i, j)
@@ -104,7 +124,7 @@ class GridOrientation:
 
 
 def orientation_towards(rows: float, cols: float) -> GridOrientation:
-    """Return the orientation for a sun in a direction (rows, columns) of a grid."""
+    """Return the orientation for a sun in the direction of ``rows`` rows down and ``cols`` columns to the right on a grid."""
     swapped = abs(cols) > abs(rows)
     main, cross = (cols, rows) if swapped else (rows, cols)
     return GridOrientation(swapped, main > 0, cross > 0)
@@ -112,7 +132,7 @@ def orientation_towards(rows: float, cols: float) -> GridOrientation:
 
 @dataclass(frozen=True, eq=False)
 class SweepPoints:
-    """Points (n,) to evaluate besides nodes.
+    """Points (n,) between nodes or above the ground, for which a sweep computes whether they see the sun.
 
     Attributes
     ----------
@@ -121,9 +141,9 @@ class SweepPoints:
     t
         float64 (n,): coordinates across the lines, in cells.
     ray_height
-        float64 (n,), metres: ray heights; NaN: on the ground at their position.
+        float64 (n,), metres: ray heights; NaN for points on the ground, which have the ground's.
     rounding
-        Metres by which a ray height must exceed a point's to shade it.
+        Metres by which the ground's ray height must exceed a point's to shade it.
     """
 
     row: np.ndarray
@@ -135,21 +155,27 @@ class SweepPoints:
 
 @dataclass(frozen=True, eq=False)
 class LineState:
-    """The ray heights that lines have met.
+    """The highest ray height of the ground along each line of a sweep so far.
+
+    A ray height is the coordinate at right angles to the sun's rays, in the vertical plane of the sun.
 
     Attributes
     ----------
     first_cell
         Cell of the first column of ``line_max``.
     line_max
-        float32 (lines, cells), metres: the highest ray height that each line has met.
+        float32 (lines, cells), metres: the highest ray height along each line.
     """
 
     first_cell: int
     line_max: np.ndarray
 
     def resampled(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
-        """Return the state, interpolated between these lines, for the lines of a grid whose cells are ``factor`` times as small."""
+        """Return the state for the lines of a finer grid, interpolated between the lines of this one.
+
+        The finer grid has ``lines`` lines per cell. It starts at cell ``first_cell`` and has ``cells`` cells, each ``factor`` times
+        smaller than a cell of this grid.
+        """
         flat_max = self.line_max.T.ravel()
         position = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.line_max.shape[0]
         left = np.clip(np.floor(position).astype(np.int64), 0, flat_max.size - 2)
@@ -161,10 +187,11 @@ class LineState:
 def position_cubics(
     t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cubics ``column_of_t`` and ``t_of_column`` (rows, 4) of a turned grid with its borders.
+    """Fit cubics to each row of a turned grid that convert t to columns and columns to t: (rows, 4) each.
 
-    ``t_of`` is a smooth function that gives t at turned rows and columns. Raises ``UnsupportedError``, which names the grid's CRS,
-    where cubics cannot follow it.
+    t is the position across the sun's rays, in cells. ``t_of`` is a smooth function that returns t at turned rows and columns. The
+    columns of the cubics count the left border column. Raises ``UnsupportedError`` if cubics cannot approximate ``t_of``. The
+    message names the CRS ``crs_name``.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -191,7 +218,10 @@ def position_cubics(
 
 
 def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the coefficients (m, 4), constant term first, of the least-squares cubics that map rows of x (m, n) to rows of y."""
+    """Fit a least-squares cubic to each row of ``y`` (m, n) as a function of the same row of ``x``.
+
+    Returns the coefficients (m, 4), constant term first.
+    """
     middle, half = (x[:, :1] + x[:, -1:]) / 2, (x[:, -1:] - x[:, :1]) / 2
     half[half == 0.0] = 1.0  # cubics are fitted between -1 and 1
     powers = ((x - middle) / half)[..., None] ** np.arange(min(4, x.shape[1]))
@@ -206,17 +236,17 @@ EVERY_ROW = slice(None)
 """All rows of a grid."""
 
 Window = tuple[tuple[int, int], tuple[int, int]]
-"""The first row and the one after the last, and the same of columns."""
+"""A window of a grid: its first row and the row after its last one, and the same of its columns."""
 
 
 def bordered(
     n: int, m: int, filled_rows: slice = EVERY_ROW, window_to_fill: Window = ((0, 0), (0, 0))
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a new float32 grid (n, m + 2) and its view without the border columns, to be filled in.
+    """Allocate a float32 grid (n, m + 2) with border columns, and return it and its view (n, m) without them.
 
-    The rows ``filled_rows`` are NaN, except for the window ``window_to_fill``, which the caller fills in. That window and all other
-    rows are uninitialised. A line that enters across the left border meets the NaN at its end. Lines only leave across the right
-    border. It repeats the last column (``close_border``), so that the last nodes have a line on either side.
+    The rows ``filled_rows`` are set to NaN (no ground), except for the window ``window_to_fill``. The caller fills in that window.
+    It and all other rows are uninitialised. The left border remains NaN, so lines find no ground on it. Lines only leave the grid
+    across the right border. ``close_border`` copies the last column there, so that the last nodes lie between two lines.
     """
     with_border = np.empty((n, m + 2), np.float32)
     begin, end, _ = filled_rows.indices(n)
@@ -229,7 +259,7 @@ def bordered(
 
 
 def close_border(with_border: np.ndarray, filled_rows: slice = EVERY_ROW) -> np.ndarray:
-    """Fill in the right border of a grid, in the rows ``filled_rows``, and return the grid."""
+    """Copy the last column of a grid to its right border, in the rows ``filled_rows``, and return the grid."""
     with_border[filled_rows, -1] = with_border[filled_rows, -2]
     return with_border
 
@@ -247,7 +277,9 @@ def sweep_nodes(
     cores: int = 1,
     begin: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sweep a turned grid, and evaluate its nodes and other points whose t lies in a range.
+    """Sweep a turned grid, and compute which of its nodes and of other points see the sun.
+
+    Only nodes and points whose t (position across the lines) lies in ``t_range`` are evaluated.
 
     Parameters
     ----------
@@ -258,17 +290,17 @@ def sweep_nodes(
     t_range
         Range of t to sweep, in cells.
     entry
-        The ray heights that the lines of a coarser grid have met.
+        Maximum ray heights along the lines at the end of a coarser grid, which lies towards the sun; ``None``: no such grid.
     factor
-        Cell size of that coarser grid, in cells of this one.
+        Cell size of the coarser grid, in cells of this one.
     rows
-        Nodes to evaluate: the turned rows [rows[0], rows[1]).
+        Nodes to evaluate: the turned rows [rows[0], rows[1]); none by default.
     cols
-        Nodes to evaluate: columns likewise; all by default.
+        Nodes to evaluate: the columns [cols[0], cols[1]), not counting the border; all by default.
     points
-        Points to evaluate besides nodes.
+        Other points to evaluate.
     shade
-        float32 (n, m + 2) output, if not empty: the ray height above which each evaluated node sees the sun.
+        Output array float32 (n, m + 2), if not empty: the ray height in metres above which each evaluated node sees the sun.
     cores
         Number of threads.
     begin
@@ -281,7 +313,7 @@ def sweep_nodes(
     points_lit
         bool (k,): whether the points see the sun.
     points_above_m
-        float32 (k,): metres by which the highest ray height on their way exceeds their own.
+        float32 (k,): metres by which the highest ray height between a point and the sun exceeds the point's own.
     """
     n, columns = turned_grid.ray_height.shape
     first, last = rows
@@ -319,7 +351,7 @@ def sweep_nodes(
 
 
 def no_peaks(lines: int, cells: int) -> np.ndarray:
-    """Return the peaks (2, lines, cells) of lines that have met no node."""
+    """Return the initial peaks (2, lines, cells) of a strip (``Strip.peaks``), before its lines pass any node."""
     peaks = np.zeros((2, lines, cells), np.float32)
     peaks[0] = NO_GROUND_RAY_HEIGHT
     return peaks
@@ -333,7 +365,11 @@ def state_after(
     factor: float = 2.0,
     begin: int = 0,
 ) -> LineState:
-    """Return the ray heights that lines in a range of t have met after all rows of a grid; no ground lies before row ``begin``."""
+    """Sweep all rows of a turned grid, and return the highest ray height along each line.
+
+    ``t_range`` is the range of positions across the lines, in cells, and ``lines`` the number of lines per cell. ``entry`` and
+    ``factor`` are those of ``sweep_nodes``. Rows before ``begin`` hold no ground and are skipped.
+    """
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
     state = LineState(low, np.full((lines, high - low), NO_GROUND_RAY_HEIGHT, np.float32))
     if entry is not None:
@@ -349,28 +385,28 @@ def sunlit(
 ) -> np.ndarray:
     """Return which nodes of a heightfield in a flat world see the sun.
 
-    Quads are cut along their higher diagonals. The heights of the outermost nodes extend by one cell: a ray that leaves the grid
-    between two nodes of its rim is still over the cell of one of them.
+    Quads are cut into triangles along their higher diagonals. The ground extends beyond the outermost nodes by one cell, at the
+    heights of these nodes.
 
     Parameters
     ----------
     height_m
         (rows, cols) metres, row 0 north; NaN without ground.
     cell_m
-        Side of a cell, or its sides down and right, metres.
+        Size of a cell in metres, or its sides along a column and along a row.
     azimuth_deg
-        Azimuth of the sun, clockwise from north.
+        Azimuth of the sun, degrees clockwise from north.
     altitude_deg
-        Altitude of the sun.
+        Altitude of the sun, degrees.
     lines
-        Lines per column: more are more accurate and slower.
+        Sweep lines per column of the grid: more are more accurate and slower.
     cores
         Number of threads.
 
     Returns
     -------
     np.ndarray
-        bool (rows, cols).
+        bool (rows, cols): True where the sun is visible.
     """
     height_m = np.pad(height_m, 1, mode="edge")
     orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
@@ -387,9 +423,10 @@ def sunlit(
 def flat_grid(
     shape: tuple[int, int], cell_m: CellSize, azimuth_deg: float
 ) -> tuple[GridOrientation, float, float, np.ndarray, np.ndarray]:
-    """Return the orientation of a flat world's grid (rows, cols) under an azimuth, its cell size and its cubics.
+    """Return how a flat world's grid is turned towards the sun's azimuth, and the positions of its lines.
 
-    The cell size is two numbers, the sides down and right in metres. The cubics are those of ``position_cubics``.
+    ``shape`` is the grid's rows and columns. The result is the orientation, the sides of a cell along a column and along a row in
+    metres, and the cubics ``column_of_t`` and ``t_of_column`` of ``position_cubics``.
     """
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
@@ -404,7 +441,11 @@ def flat_grid(
 def turned_linear_values(
     height: np.ndarray, orientation: GridOrientation, per_height: float, per_row: float, per_col: float, cores: int = 1
 ) -> np.ndarray:
-    """Return float32 values (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
+    """Return values that are linear in the heights, rows and columns of a grid, as a turned grid with borders, float32.
+
+    ``height`` (rows, cols) is in metres. The values grow by ``per_height`` per metre, ``per_row`` per row and ``per_col`` per
+    column of the grid before turning.
+    """
     rows, cols = height.shape
     with_border, inside = bordered(*((cols, rows) if orientation.swapped else (rows, cols)))
     target = orientation.restored(inside)  # the same memory, in the grid's own order
@@ -420,7 +461,7 @@ def turned_linear_values(
 @compiled
 def _write_linear_values(height, per_height, start, per_row, per_col, out):
     rows, cols = height.shape
-    for c0 in range(0, cols, 64):  # in blocks, for the cache: ``out`` may run down where this runs right
+    for c0 in range(0, cols, 64):  # in blocks, for the CPU cache: ``out`` may have the other memory order
         for r in range(rows):
             row_offset = start + r * per_row
             for c in range(c0, min(c0 + 64, cols)):
@@ -429,7 +470,10 @@ def _write_linear_values(height, per_height, start, per_row, per_col, out):
 
 @compiled
 def copy_into(values, out):
-    """Copy values (rows, cols) in blocks, for the cache: ``out`` may run down where this runs right."""
+    """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache.
+
+    This matters if one array is stored by rows and the other by columns.
+    """
     rows, cols = values.shape
     for r0 in range(0, rows, 64):
         for c0 in range(0, cols, 64):

@@ -1,13 +1,13 @@
 """The horizon towards one azimuth, for all suns at that azimuth: the upper convex hull of the ground along each line.
 
 The horizon of a point is where its tangent touches that hull (Timonen and Westerholm 2010, *Scalable Height Field Self-Shadowing*).
-Each line keeps its hull as a stack. A new piece of ground pops all vertices that it leaves below the hull, then is pushed itself.
-Each is pushed and popped at most once, so the work is linear in the number of nodes.
+The hull of a line is a stack of vertices. A new vertex first pops all vertices that would lie below the new hull, and is then
+pushed. Each vertex is pushed and popped at most once, so the work is linear in the number of nodes.
 
-A position has two coordinates in the vertical plane of the sun. Its *ray height* is measured at right angles to a reference
-direction, its distance *towards* the sun along it. The horizon is the angle above that direction. Lines, positions and turned grids
-are those of ``skugga.shadows.sweep.lines``. As there, ground near a point is exact on the point's own line, and the rest is
-interpolated between two lines.
+A position has two coordinates in the vertical plane of the sun, relative to a reference direction. Its *ray height* is measured at
+right angles to this direction, its distance *towards* the sun along it. The horizon is the angle above the reference direction.
+Lines, positions and turned grids are those of ``skugga.shadows.sweep.lines``. Ground near a point is treated exactly, on the
+point's own line. The horizon by all other ground is interpolated between the two lines beside the point.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from skugga.shadows.sweep.points import cubic, ground_at, is_cut
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_HORIZON_SLOPE = -1e30
-"""Slope of a horizon without any ground: finite, not -infinity, so that it can be interpolated."""
+"""Tangent of the horizon angle without any ground: finite, not -infinity, so that it can be interpolated."""
 
 STRIP_LINES = 256
 """Lines that a thread processes at a time."""
@@ -31,7 +31,7 @@ STRIP_NODES = 2**21
 
 
 class Section(NamedTuple):
-    """A turned grid (n, m) with borders.
+    """A turned grid (n, m) with border columns, rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class Section(NamedTuple):
     towards
         float32 (n, m), metres: the nodes' distances towards the sun.
     column_of_t
-        float64 (n, 4): for each row, the cubic that gives the column at t.
+        float64 (n, 4): for each row, the cubic that gives the column at t, the position across the lines in cells.
     is_cut_nw_se
-        How the quads are cut, as in ``skugga.shadows.sweep.lines.TurnedGrid``.
+        The diagonals along which quads are cut into triangles, as in ``skugga.shadows.sweep.lines.TurnedGrid``.
     """
 
     ray_height: np.ndarray
@@ -52,20 +52,20 @@ class Section(NamedTuple):
 
 
 class HorizonQuery(NamedTuple):
-    """Points (k,) to evaluate.
+    """Points (k,) whose horizon is computed.
 
     Attributes
     ----------
     begins
-        int64: the first point of each line in ``order``.
+        int64 (lines + 1,): for each line, where the points between it and the next line begin in ``order``.
     order
-        int64 (k,): the points sorted by line, then by row.
+        int64 (k,): the indices of the points, sorted by the line to their left, then by row.
     row_before
-        int64 (k,): the row before each point.
+        int64 (k,): the last grid row before each point, on the sun's side.
     position
         float64 (k, 2), metres: each point's ray height and distance towards the sun.
     line_tangents
-        float64 (k, 2), output: the horizon's tangent on the line to the left of each point and on the next one.
+        float64 (k, 2), output: the tangent of the horizon angle on the line to the left of each point, and on the next line.
     """
 
     begins: np.ndarray
@@ -85,18 +85,18 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     height_m
         (rows, cols) metres, row 0 north; NaN without ground.
     cell_m
-        Side of a cell, or its sides down and right, metres.
+        Size of a cell in metres, or its sides along a column and along a row.
     azimuth_deg
-        Azimuth, clockwise from north.
+        Azimuth, degrees clockwise from north.
     lines
-        Lines per column: more are more accurate and slower.
+        Sweep lines per column of the grid: more are more accurate and slower.
     cores
         Number of threads.
 
     Returns
     -------
     np.ndarray
-        float64 (rows, cols), degrees: -90 where no ground lies in that direction, NaN without ground.
+        float64 (rows, cols), degrees: -90 if no ground lies in this direction; NaN at nodes without ground.
     """
     orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
@@ -122,11 +122,11 @@ def horizon_tangents(
     point_towards: np.ndarray,
     cores: int = 1,
 ) -> np.ndarray:
-    """Return the tangents (k,) of the horizon's angle above the reference direction, seen from points.
+    """Return the tangent of the horizon angle above the reference direction, seen from points: (k,).
 
-    ``row``, ``t``, ``point_ray_height`` and ``point_towards`` (k,) float64 are the points' positions. Where a ray height is NaN,
-    the ground at the position replaces both it and the distance towards the sun. The tangent is ``NO_HORIZON_SLOPE`` where no
-    ground lies ahead.
+    ``row`` and ``t`` (k,) are the points' positions on the turned grid and across its lines. ``point_ray_height`` and
+    ``point_towards`` (k,), metres, are their coordinates in the vertical plane of the sun. If a ray height is NaN, the point lies
+    on the ground, which gives both coordinates. The tangent is ``NO_HORIZON_SLOPE`` if no ground lies towards the sun.
     """
     ray_height, towards, column_of_t, is_cut_nw_se = section
     if not len(row) or len(ray_height) < 2:
@@ -152,9 +152,9 @@ def horizon_tangents(
 
 @compiled
 def _counting_sort(key, count):
-    """Sort keys in [0, count) by counting.
+    """Sort integer keys in [0, ``count``) by a stable counting sort.
 
-    The result holds where each group of equal keys begins (count + 1,), and the indices of the keys in sorted order.
+    The result is the start of each key's group in the sorted order, (count + 1,), and the indices of the keys in sorted order.
     """
     begins = np.zeros(count + 1, np.int64)
     for value in key:
@@ -170,7 +170,10 @@ def _counting_sort(key, count):
 
 @compiled
 def _nodes_between(column_of_t, t_of_column, low, high, cols):
-    """Return turned rows, columns and t of the nodes with t in [low, high), without the first row: no row precedes it."""
+    """Return turned rows, turned columns and t of the nodes with t in [``low``, ``high``), (k,) each.
+
+    t is the position across the lines, in cells. Border columns are left out.
+    """
     rows = len(column_of_t)
     ends = np.empty((rows, 2), np.int64)
     total = 0
@@ -195,11 +198,15 @@ def _nodes_between(column_of_t, t_of_column, low, high, cols):
 
 @compiled
 def _walk_lines(section, lines, first, start, stop, query):
-    """Walk the lines from the sun on; evaluate the points to the right of each line and, up to the next line, to its left."""
+    """Follow the lines from the sun on, and write the horizon's tangent on each line for the points on both sides of it.
+
+    The lines ``start`` to ``stop`` are counted from the line of number ``first``, and ``lines`` of them cross each cell. For the
+    points between a line and the next one, both lines give a tangent (``HorizonQuery.line_tangents``).
+    """
     ray_height, towards, column_of_t, is_cut_nw_se = section
     begins, order, row_before, position, line_tangents = query
     rows, cols = ray_height.shape
-    hull = np.empty((4 * rows, 2))  # at most four kinks a row
+    hull = np.empty((4 * rows, 2))  # a line has at most four vertices per row
     for number in range(start, stop + 1):
         t = (first + number) / lines
         size = 0
@@ -238,12 +245,15 @@ def _walk_lines(section, lines, first, start, stop, query):
 
 @internal
 def _push_hull(hull, size, ray_height, towards, i, j, k, l, share):
-    """Push the position at a share of the way between two nodes onto the hull, and return the hull's size."""
+    """Push the position at ``share`` of the way from node (i, j) to node (k, l) onto the hull, and return the hull's size.
+
+    ``hull`` holds ray heights and distances towards the sun, metres; ``size`` is the number of its vertices.
+    """
     u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
     if not np.isfinite(u):
         return size
     d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
-    while size > 0 and d >= hull[size - 1, 1]:  # rounding: ground never lies nearer to the sun than ground that was passed earlier
+    while size > 0 and d >= hull[size - 1, 1]:  # by rounding alone: a line leads away from the sun
         if u <= hull[size - 1, 0]:
             return size
         size -= 1
@@ -258,7 +268,10 @@ def _push_hull(hull, size, ray_height, towards, i, j, k, l, share):
 
 @internal
 def _tangent(hull, size, point):
-    """Return the largest slope from a point up to a hull: from the top of the stack it rises up to the point of contact."""
+    """Return the largest slope from a point to a vertex of a hull: that of the tangent from the point.
+
+    From the top of the stack down, the slopes grow up to the point of contact. The search ends there.
+    """
     best = NO_HORIZON_SLOPE
     for n in range(size - 1, -1, -1):
         distance = hull[n, 1] - point[1]
@@ -273,9 +286,9 @@ def _tangent(hull, size, point):
 
 @compiled
 def _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, row, t, position, near_tangents):
-    """Write the slopes up to the ground between points and the row before them.
+    """Write the largest slope from each point to the ground between it and the row before it, to ``near_tangents`` (k,).
 
-    Points without a ray height get the position of the ground below them.
+    In ``position``, points whose ray height is NaN receive the coordinates of the ground at their place.
     """
     cols = ray_height.shape[1]
     for n in range(len(row)):

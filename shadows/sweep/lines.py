@@ -4,14 +4,15 @@
 moves by 0 to 1 columns to the right per row. The *ray height* of a node is its coordinate along light space's up axis: at right
 angles to the rays, in the vertical plane of the sun. It is constant along a ray. The *shadow height* of a node is the ray height
 above which it would see the sun. So a point sees the sun exactly if nothing between it and the sun has a higher ray height. No
-slopes and no distances are needed, and the earth's curvature bends the nodes, not the rays.
+slopes and no distances are needed. On the round earth rays remain straight, and the ray heights of the nodes follow the curvature.
 
 **Lines.** Seen from above, rays are lines, ``lines`` of them per column. Line number k of cell j has ``t = j + k / lines``. It
 crosses row i at a column that is a cubic in t; without the convergence of meridians it would be t plus a shift. Each line carries
 the highest ray height that it has met. Between two rows it crosses the sides and the diagonals of quads. The surface's ray height
 along the line has its kinks at these crossings and on the rows, and is linear between them. So the maximum of a line over the drawn
-triangles is exact. A quad is cut along the higher of its diagonals (``skugga.terrain.ground.sheet``). Both diagonals can therefore
-be tested, since the other one lies below the surface. Only for the decimated ground of a camera does each quad state its cut.
+triangles is exact. A quad is cut into two triangles along the higher of its diagonals (``skugga.terrain.ground.sheet``). Both
+diagonals can therefore be tested, since the lower one lies below the surface. Decimated ground of a perspective view is the
+exception: there ``is_cut_nw_se`` states the diagonal of each quad.
 
 **Nodes.** A node lies between two lines. Shade from beyond the row before the node is interpolated between the maxima of the two
 lines. The maximum over a continuous surface is continuous from line to line, so the error falls with the square of the lines'
@@ -20,8 +21,8 @@ stored with its position, and the interpolation goes to it and from it. Otherwis
 azimuths that run almost from node to node. Shade from the row before the node, where errors would count most, is exact on the
 node's own line.
 
-**Vectorisation.** All lines of one number k cross a row at nearly the same position within their cells. So whole runs of lines are
-processed at once with vector instructions, without gathers and branches.
+**Vectorisation.** All lines of one number k cross a row at nearly the same position within their cells. A *run* is the lines of one
+number k in adjacent cells. It is processed at once with vector instructions, without gathers and branches.
 """
 
 from __future__ import annotations
@@ -39,17 +40,19 @@ NO_GROUND_RAY_HEIGHT = np.float32(-1e30)
 NO_CUTS = np.zeros(0, np.bool_)
 
 MAX_RUN_LINES = 512
-"""Maximum number of lines in a run."""
+"""Maximum number of lines in a run (lines of one number in adjacent cells, which are processed at once)."""
 
 ON_NODE_SHARES = 0.0, 0.0
-"""Shares of the way to the next node, at both ends of a run of lines that passes over nodes."""
+"""Shares of the way from a node to the next one, for the first and the last of adjacent lines that all cross the row at a node."""
 
 LINEARITY_TOLERANCE = 0.01
-"""Tolerance in cells for the deviation of a run's positions from linear: a run interpolates them between its two ends."""
+"""Tolerance in cells for positions in a run of adjacent lines, which are interpolated linearly between its first and last line."""
 
 
 class TurnedGrid(NamedTuple):
-    """A turned grid (n, m) between two border columns (``skugga.shadows.sweep.grid.bordered``), with the positions of its lines.
+    """A turned grid (n, m) including two border columns (``skugga.shadows.sweep.grid.bordered``), with the positions of its lines.
+
+    The grid is rotated and mirrored so that the sun stands before row 0. A position across the lines is t, in cells.
 
     Attributes
     ----------
@@ -71,9 +74,9 @@ class TurnedGrid(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """A strip of adjacent lines, and the ray heights that they have met before a row.
+    """A strip of adjacent sweep lines, and the maximum ray heights along them as far as one row of the grid.
 
-    A strip is responsible for nodes and points from the start of its second cell to the end of its last cell but two.
+    A strip evaluates nodes and points from the start of its second cell to the end of its last cell but two.
 
     Attributes
     ----------
@@ -82,10 +85,10 @@ class Strip(NamedTuple):
     first_cell
         Cell of the first column of ``line_max``.
     line_max
-        float32 (lines, cells), metres: the highest ray height that each line has met.
+        float32 (lines, cells), metres: the highest ray height along each line so far.
     peaks
-        float32 (2, lines, cells): the ray height of the highest node between each line and the next, and its share of the way
-        between them.
+        float32 (2, lines, cells): the ray height in metres of the highest node between each line and the next, and the node's
+        position between the two lines, in [0, 1].
     """
 
     lines: int
@@ -96,10 +99,11 @@ class Strip(NamedTuple):
 
 @compiled
 def sweep_rows(turned_grid, strip, first, last, shade, lit, points):
-    """Advance a strip of lines from before row ``first`` of a grid to before row ``last``; evaluate nodes and points on the way.
+    """Advance a strip of lines over the rows [``first``, ``last``) of a grid, and evaluate nodes and points.
 
-    For the nodes of rows (first, last], write the arrays that are not empty: ``shade`` (n, m) float32, the ray height above which a
-    node sees the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
+    The nodes of the rows (``first``, ``last``] are evaluated into those of two output arrays that are not empty. ``shade`` (n, m)
+    float32 receives the ray height in metres above which a node sees the sun. ``lit`` (n, m) bool receives whether it does.
+    ``points`` are the strip's other points (``StripPoints``).
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, peaks = strip
@@ -128,8 +132,10 @@ def sweep_rows(turned_grid, strip, first, last, shade, lit, points):
 
 @internal
 def _run_along(p, low, high, times):
-    """Return the maximum length of a run from ``low`` to ``high``: over it, ``times`` the cubic bends by ``LINEARITY_TOLERANCE`` at
-    most.
+    """Return the maximum number of adjacent lines or nodes whose positions a straight line interpolates between both ends.
+
+    The positions are ``times`` the cubic ``p`` (4,) on the interval from ``low`` to ``high``. The tolerance is
+    ``LINEARITY_TOLERANCE``.
     """
     bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
     return (
@@ -141,7 +147,11 @@ def _run_along(p, low, high, times):
 
 @internal
 def _crossing_class(cubic_above, cubic_below, t, j):
-    """Return a line's class: 2 (c - j), plus 1 if it crosses column c + 1 before the next row; c is the column left of it."""
+    """Return a number that tells which quads the line at ``t``, in cell ``j``, crosses between a row and the next one.
+
+    It is 2 (c - j), where c is the grid column to the left of the line on the first row. It is larger by 1 if the line crosses
+    column c + 1 before the next row. Adjacent lines with equal numbers cross quads in the same way.
+    """
     x = snap_to_column(cubic(cubic_above, t))
     c = int(np.floor(x))
     return 2 * (c - j) + (1 if snap_to_column(cubic(cubic_below, t)) > c + 1 else 0)
@@ -149,8 +159,10 @@ def _crossing_class(cubic_above, cubic_below, t, j):
 
 @internal
 def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, line_max, k):
-    """Advance the lines of number ``k`` from before a row to before the next one; their cubics are ``cubic_above`` and
-    ``cubic_below``.
+    """Raise the maxima of the lines of number ``k`` to the ground from a row to just before the next row.
+
+    ``above`` and ``below`` (m,) are the ray heights of the two rows. ``cubic_above`` and ``cubic_below`` give a line's column on
+    them. ``line_max`` (cells,) holds the maxima and is changed in place.
     """
     cells, cols = line_max.size, above.size
     share = k / lines
@@ -160,7 +172,7 @@ def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, li
         end = min(start + run, cells)
         crossing_class = _crossing_class(cubic_above, cubic_below, first_cell + start + share, first_cell + start)
         if _crossing_class(cubic_above, cubic_below, first_cell + end - 1 + share, first_cell + end - 1) != crossing_class:
-            low, high = start, end - 1  # kind holds at low, not at high
+            low, high = start, end - 1  # lines up to ``low`` have the same class, the line at ``high`` has another
             while high - low > 1:
                 middle = (low + high) // 2
                 if _crossing_class(cubic_above, cubic_below, first_cell + middle + share, first_cell + middle) == crossing_class:
@@ -188,10 +200,11 @@ def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, li
 
 @internal
 def _raise_run(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1, crosses):
-    """Raise ``count`` lines to the ray heights that they meet from a row on and before the next one.
+    """Raise the maxima of ``count`` adjacent lines to the ground on a row, and between it and the next row.
 
-    The run starts at ``column`` of the row and at ``cell`` of ``line_max``. Within their cells the lines' positions go from ``f0``
-    to ``f1``; their shifts until the next row go from ``s0`` to ``s1``.
+    The first line lies between ``column`` of the row and the next column. Its maximum is ``line_max[cell]``, which is changed in
+    place. ``f0`` and ``f1`` are the positions of the first and the last line between their columns, in [0, 1). ``s0`` and ``s1``
+    are their shifts to the right until the next row, in columns. ``crosses`` tells whether the lines cross a column on the way.
     """
     if f0 == 0.0 and f1 == 0.0:  # on nodes: a missing right neighbour has no effect
         _raise_to_segments(above, column, column, above, column, line_max, cell, count, ON_NODE_SHARES, ON_NODE_SHARES)
@@ -218,14 +231,18 @@ def _even_steps(ends, count):
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
 
 
-# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, and missing values
-# (NaN) compare as lower. Runs are short: slicing a row, which counts references, would take as long as the work itself.
-# Indices are unsigned, so that the compiler need not handle negative ones, which count from the end.
+# The next loops are written so that they compile to vector instructions. Counts have 32 bits, as they convert to float32. A
+# comparison with a missing value (NaN) is false, so the value has no effect. Runs of lines are short. So slicing a row, which
+# counts references, would take as long as the work itself. Unsigned indices cannot be negative, so the compiler omits a test.
 
 
 @internal
 def _cross_one_quad(above, below, column, line_max, cell, count, row, rising, falling):
-    """Raise a run of lines to the ray heights that they meet in one quad each: on its first row and on both of its diagonals."""
+    """Raise the maxima of adjacent lines that cross one quad each to the ground on its upper side and on both of its diagonals.
+
+    ``above`` and ``below`` (m,) are the ray heights of the quads' two rows. ``row``, ``rising`` and ``falling`` are shares of the
+    way along the upper side and the diagonals, at which the first and the last line cross them.
+    """
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)
     r, dr = _even_steps(falling, count)
@@ -243,9 +260,11 @@ def _cross_one_quad(above, below, column, line_max, cell, count, row, rising, fa
 
 @internal
 def _cross_two_quads(above, below, column, line_max, cell, count, row, rising, side, far):
-    """Raise a run of lines to the ray heights that they meet in two quads each.
+    """Raise the maxima of adjacent lines that cross two quads each to the ground on the quads' edges and diagonals.
 
-    They are compared on the first row, on the rising diagonals of both quads, and on the side between the quads.
+    A line crosses the upper side of the first quad, its rising diagonal, the side between the quads, and the rising diagonal of the
+    second quad. ``row``, ``rising``, ``side`` and ``far`` are the shares of the way along these at which the first and the last
+    line cross them.
     """
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)
@@ -268,7 +287,10 @@ def _cross_two_quads(above, below, column, line_max, cell, count, row, rising, s
 
 @internal
 def _cross_one_cut_quad(above, below, cuts, line_max, row, rising, falling):
-    """Do as ``_cross_one_quad``, but only on the diagonals along which the quads are cut."""
+    """Raise maxima as ``_cross_one_quad`` does, but use only the diagonal along which a quad is cut into triangles.
+
+    ``cuts`` (bool) is True for a falling diagonal. All arrays start at the first of the lines.
+    """
     count = line_max.size
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)
@@ -286,7 +308,10 @@ def _cross_one_cut_quad(above, below, cuts, line_max, row, rising, falling):
 
 @internal
 def _cross_two_cut_quads(above, below, cuts, line_max, row, rising, side, far):
-    """Do as ``_cross_two_quads``, but only on the diagonals along which the quads are cut."""
+    """Raise maxima as ``_cross_two_quads`` does, but use only the diagonal along which a quad is cut into triangles.
+
+    ``cuts`` (bool) is True for a falling diagonal. All arrays start at the first of the lines.
+    """
     count = line_max.size
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)
@@ -307,10 +332,11 @@ def _cross_two_cut_quads(above, below, cuts, line_max, row, rising, side, far):
 
 @internal
 def _raise_to_segments(row, a, b, other_row, c, line_max, cell, count, p, q):
-    """Raise a run of ray heights to those on two segments between nodes.
+    """Raise ``count`` ray heights from ``line_max[cell]`` on to the ground on two segments between nodes.
 
-    Both segments start in column ``a`` of a row. The first ends in column ``b`` of the same row and is sampled at shares ``p``. The
-    second ends in column ``c`` of another row and is sampled at shares ``q``.
+    For the first ray height both segments start at column ``a`` of ``row``. The first segment ends at column ``b`` of ``row``, the
+    second one at column ``c`` of ``other_row``. For each further ray height all columns move on by one. ``p`` and ``q`` are the
+    shares of the way along the two segments, for the first and the last ray height.
     """
     p0, dp = _even_steps(p, count)
     q0, dq = _even_steps(q, count)
@@ -327,9 +353,10 @@ def _raise_to_segments(row, a, b, other_row, c, line_max, cell, count, p, q):
 
 @internal
 def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i):
-    """Evaluate the nodes of row ``i + 1``.
+    """Compute the shadow heights of the nodes of row ``i + 1``, and write them to ``shade`` and ``lit``.
 
-    Shade from row ``i`` on is exact. Shade from before that row is interpolated between the lines.
+    Ground between row ``i`` and the nodes is compared exactly, on each node's own ray. The maxima over the ground on the sun's side
+    of row ``i`` are interpolated between the two lines beside a node.
     """
     cols, cells = ray_height.shape[1], line_max.shape[1]
     t_of_column_below, column_of_t_above, column_of_t_below = (
@@ -372,7 +399,7 @@ def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cel
 
 @internal
 def _update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i):
-    """Raise the peaks between the lines to the nodes of row ``i``."""
+    """Update the peaks (the highest node between each line and the next) with the nodes of row ``i``."""
     cols, cells = ray_height.shape[1], peaks.shape[2]
     row_t_of_column, row_column_of_t, row = cubic_of(t_of_column, i), cubic_of(column_of_t, i), ray_height[i]
     first = _first_column_at(row_column_of_t, row_t_of_column, first_cell + 1, cols)
@@ -392,7 +419,11 @@ def _update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks
 
 @internal
 def _raise_peaks(row, first, between, peaks, k, cell, count):
-    """Store nodes that are higher than the stored peak between their lines."""
+    """Store ``count`` nodes of a row, from column ``first`` on, as peaks where they are higher than the stored peak.
+
+    A peak is the highest node between a line and the next one. The nodes lie to the right of the lines of number ``k``, from
+    ``cell`` on. ``between`` holds the positions of the first and the last node between their lines, in [0, 1].
+    """
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
     k = np.uintp(k)
@@ -420,19 +451,22 @@ def _write_lit(shade_heights, row, lit, i, first, count):
 
 @internal
 def _line_position(t_of_column, column, lines):
-    """Return the position of a row's node among the lines; a whole number if it lies on a line."""
+    """Return the position of the node in ``column`` of a row, counted in lines from t = 0; a whole number on a line."""
     return snap_to_column(cubic(t_of_column, np.float64(column)) * lines)
 
 
 @internal
 def _column_shift(column_of_t, t_of_column, column):
-    """Return how many columns to the left the ray over a node crosses the row before."""
+    """Return by how many columns a node's ray is farther to the left on the row before."""
     return column - snap_to_column(cubic(column_of_t, cubic(t_of_column, np.float64(column))))
 
 
 @internal
 def _run_of_nodes(t_of_column, first, last, lines):
-    """Return the end of the run of nodes from ``first`` on whose left lines have one number, and the first node's left line."""
+    """Return the end of the adjacent nodes in [``first``, ``last``) with lines of one number to their left, and that line.
+
+    The line is that to the left of node ``first``, counted from t = 0. From each node to the next it is ``lines`` farther right.
+    """
     number = int(np.floor(_line_position(t_of_column, first, lines)))
     if int(np.floor(_line_position(t_of_column, last - 1, lines))) - lines * (last - 1 - first) == number:
         return last, number
@@ -450,7 +484,7 @@ def _run_of_nodes(t_of_column, first, last, lines):
 def _first_column_at(column_of_t, t_of_column, t, cols):
     """Return the first column of a row, without borders, whose t is at least ``t``.
 
-    The comparison uses ``t_of_column`` alone, so that adjacent strips divide all nodes between them.
+    The comparison uses ``t_of_column`` alone. So of two adjacent strips of lines exactly one evaluates each node.
     """
     column = min(max(int(np.ceil(cubic(column_of_t, np.float64(t)))), 1), cols - 1)
     while column > 1 and cubic(t_of_column, np.float64(column - 1)) >= t:
@@ -462,10 +496,12 @@ def _first_column_at(column_of_t, t_of_column, t, cols):
 
 @internal
 def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, between, count, out):
-    """Compute the shadow heights over a run of nodes as far as the row before them, into ``out`` (count,) float32.
+    """Interpolate the maxima of lines at ``count`` adjacent nodes, and write them to ``out`` (count,) float32.
 
-    They are interpolated from the ray heights of the lines of number ``k`` from a ``cell`` on, of the lines to their right, and of
-    the peaks between. ``between`` holds the shares of the first and the last node on the way between their lines.
+    These are the shadow heights of the nodes by all ground up to the row before them. The lines to the left of the nodes have
+    number ``k`` and start at ``cell``. Those to the right have number ``right`` and start at ``right_cell``. Where the peak (the
+    highest node between two lines) is higher, the interpolation leads over it. ``between`` holds the positions of the first and the
+    last node between their lines, in [0, 1].
     """
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
@@ -474,7 +510,7 @@ def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, betw
         c = np.uintp(cell + n)
         left_max, right_max = line_max[k, c], line_max[right, np.uintp(right_cell + n)]
         w = e + de * np.float32(np.int32(n))
-        interpolated = (np.float32(1.0) - w) * left_max + w * right_max  # exact at w = 1 even where one line has met nothing
+        interpolated = (np.float32(1.0) - w) * left_max + w * right_max  # exact at w = 1, even if the left line has met no ground
         a, top = peaks[1, k, c], peaks[0, k, c]
         rising = w < a
         b = w / max(a, np.float32(1e-6)) if rising else (w - a) / max(np.float32(1.0) - a, np.float32(1e-6))
@@ -486,9 +522,10 @@ def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, betw
 
 @internal
 def _raise_to_near_ground(above, below, cuts, first, column_shifts, count, out):
-    """Raise the shadow heights over a run of nodes from column ``first`` on to those that their rays meet from the row before.
+    """Raise the shadow heights ``out`` of ``count`` nodes, from column ``first`` on, to the ground since the row before them.
 
-    ``column_shifts`` holds how many columns to the left the rays of the first and the last node cross the row before.
+    ``above`` and ``below`` (m,) are the ray heights of that row and of the nodes' row. ``column_shifts`` holds by how many columns
+    the rays of the first and the last node are farther to the left on the row before.
     """
     start = np.int64(0)  # not a literal, for which ``_raise_to_segments`` would be compiled again
     if max(column_shifts[0], column_shifts[1]) == 0.0:  # straight down: a missing left neighbour has no effect

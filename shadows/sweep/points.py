@@ -9,33 +9,34 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 
 COLUMN_TOLERANCE = 1e-9
-"""Tolerance in cells within which a line runs on a column.
+"""Tolerance in cells within which a position counts as lying on a column of the grid.
 
-Under suns along the axes and diagonals all lines do so, except for rounding. Without the tolerance they would meet the quads on
-one side and on the other in turn.
+Under suns along the axes and diagonals of the grid all lines run along columns or diagonals, except for rounding. Without the
+tolerance, rounding would decide at random which of the two adjacent quads such a line crosses.
 """
 
 
 class StripPoints(NamedTuple):
-    """Points (n,) of a strip, besides nodes, in the order of their row intervals.
+    """Points (n,) between nodes or above the ground in a strip of lines, sorted by the pair of grid rows between which they lie.
 
-    A point has a column and a t. They differ only where ground lies above or below the height for which the lines were computed:
-    it is shifted sideways. Points of the ground use their column, as nodes do, so that they lie over their own triangles.
+    A point has a column on the grid and a position t across the lines. The two agree only at the height for which the lines were
+    computed, since higher ground is shifted sideways. For points of the ground the column is decisive, so that they lie over their
+    own triangles.
 
     Attributes
     ----------
     begins
-        int64 (rows + 1,): the first point of each row interval (i, i + 1].
+        int64 (rows + 1,): the index of the first point in the rows (i, i + 1], for each row i.
     row, col, t
-        float64 (n,): positions; columns count the left border.
+        float64 (n,): positions on the turned grid, and across the lines in cells; columns count the left border.
     ray_height
-        float64 (n,), metres: the points' ray heights; NaN: on the ground at their position.
+        float64 (n,), metres: the points' ray heights; NaN for points on the ground, which have the ground's.
     rounding
-        Metres by which a ray height must exceed a point's to shade it.
+        Metres by which the ground's ray height must exceed a point's to shade it.
     lit
-        bool (n,), output: True unless the highest ray height on the way exceeds the point's by more than ``rounding``.
+        bool (n,), output: False if the highest ray height towards the sun exceeds the point's by more than ``rounding``.
     above_m
-        float32 (n,), output: metres by which the highest ray height on the way exceeds the point's.
+        float32 (n,), output: metres by which the highest ray height towards the sun exceeds the point's.
     """
 
     begins: np.ndarray
@@ -49,24 +50,27 @@ class StripPoints(NamedTuple):
 
 
 def no_points(rows: int) -> StripPoints:
-    """Return an empty set of points, for a grid of so many rows."""
+    """Return an empty set of points, for a grid with ``rows`` rows."""
     none = np.zeros(0)
     return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
 
 
 @compiled
 def intervals_of(first, last, row, rows, out):
-    """Write i (n,) of the row intervals (i, i + 1] that contain points ``first`` to ``last``, in a grid of ``rows`` rows."""
+    """Write to ``out`` (n,) the grid row i of each point such that the point lies in the rows (i, i + 1].
+
+    Only the points from index ``first`` to before ``last`` are written. The grid has ``rows`` rows.
+    """
     for n in range(first, last):
         out[n] = min(max(np.int32(np.ceil(row[n])) - 1, 0), rows - 2)
 
 
 @compiled
 def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
-    """Return the points whose t lies in [start, stop), in the order of their row intervals.
+    """Return the points whose t lies in [``start``, ``stop``), sorted by the rows (i, i + 1] that contain them.
 
-    The result holds their numbers among the points (n,), and the fields of ``StripPoints`` from ``begins`` up to ``ray_height``.
-    The returned columns count the left border, the given ones do not.
+    ``interval`` (n,) holds i for each point. The result is the index of each selected point in the input, and the fields of
+    ``StripPoints`` from ``begins`` to ``ray_height``. The returned columns count the left border, the input columns do not.
     """
     begins = np.empty(rows + 1, np.int64)
     begins[:] = 0
@@ -88,14 +92,18 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
 
 @compiled
 def scatter_results(number, strip_lit, strip_above_m, lit, above_m):
-    """Write a strip's results to the numbers of its points."""
+    """Copy a strip's results to the arrays of all points: result k to index ``number[k]``."""
     for k in range(number.size):
         lit[number[k]], above_m[number[k]] = strip_lit[k], strip_above_m[k]
 
 
 @internal
 def evaluate_points(turned_grid, strip, i, points):
-    """Evaluate the points in rows (i, i + 1] of a ``TurnedGrid`` while the lines of a ``Strip`` stand before row ``i``."""
+    """Compute whether the points in the rows (``i``, ``i + 1``] of a ``TurnedGrid`` see the sun.
+
+    The maxima of the ``Strip`` must include all ground before row ``i``, and none after it. The results go to ``points.lit`` and
+    ``points.above_m``.
+    """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, _ = strip
     begins, row, col, t, points_ray_height, rounding, lit, above_m = points
@@ -143,7 +151,7 @@ def evaluate_points(turned_grid, strip, i, points):
 
 @internal
 def cubic_of(rows, i):
-    """Return a row's cubic (4,) as a tuple of numbers."""
+    """Return the coefficients (4,) of row ``i``'s cubic as a tuple."""
     return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
 
 
@@ -162,7 +170,10 @@ def snap_to_column(x):
 
 @internal
 def _raise_level(highest, a, b, share):
-    """Return the maximum of a ray height and of that at a share of the way from ``a`` to ``b``; without ground the first."""
+    """Return the maximum of ``highest`` and the value at ``share`` of the way from ``a`` to ``b``.
+
+    If the value is NaN (no ground), return ``highest``.
+    """
     value = np.float64(a)
     if share > 0.0:  # otherwise b may be NaN
         value += share * (np.float64(b) - value)
@@ -171,13 +182,19 @@ def _raise_level(highest, a, b, share):
 
 @internal
 def is_cut(is_cut_nw_se, i, c, falling):
-    """Return whether the ground may bend on a diagonal of quad (i, c): on either one where a ``TurnedGrid`` states no cuts."""
+    """Return whether quad (i, c) may be cut into triangles along its falling (or rising) diagonal.
+
+    If ``is_cut_nw_se`` is empty, the diagonal is unknown and both are possible.
+    """
     return is_cut_nw_se.size == 0 or is_cut_nw_se[i, c] == falling
 
 
 @internal
 def ground_at(above, below, c, u, v, is_cut_nw_se, i):
-    """Return the ground's ray height ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN without ground."""
+    """Interpolate the value of two rows ``u`` columns to the right of column ``c`` and ``v`` rows below row ``i``.
+
+    ``above`` and ``below`` hold the values (for example ray heights) of rows ``i`` and ``i + 1``. The result is NaN without ground.
+    """
     c += int(np.floor(u))
     u -= np.floor(u)
     if c < 0 or c + 1 >= len(above):
@@ -187,4 +204,4 @@ def ground_at(above, below, c, u, v, is_cut_nw_se, i):
     rising = nw + u * (ne - nw) + v * (sw - nw) if u + v < 1.0 else se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se)
     if is_cut_nw_se.size:
         return falling if is_cut_nw_se[i, c] else rising
-    return falling if falling > rising or np.isnan(rising) else rising  # where a corner is missing, the cut beside it
+    return falling if falling > rising or np.isnan(rising) else rising  # if a corner is missing, use the other diagonal

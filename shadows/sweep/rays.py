@@ -1,4 +1,4 @@
-"""The sun's rays over a map grid: their positions on the grid, and the ground that they pass on the way to a view."""
+"""The sun's rays over a map grid: their positions on the grid, and the ground between the sun and a view."""
 
 from __future__ import annotations
 
@@ -30,34 +30,40 @@ from skugga.terrain.ground.surface import HeightWindow, NodeHeights
 from skugga.terrain.scene import Scene
 
 FIT_POINTS = 256
-"""Number of points whose positions are computed exactly; those of all others are fitted to them."""
+"""Number of points whose positions are computed exactly, to fit polynomials that give the positions of all others."""
 
 FIT_TOLERANCE_NODES = 0.01
-"""Tolerance in nodes of fitted positions. The ground that a ray passes depends on its t, which is never fitted."""
+"""Tolerance of fitted positions on the grid, in nodes. A ray's position across the lines (t) is always exact."""
 
 RANK_TOLERANCE = 1e-9
-"""Tolerance of the rank of the fit's terms, as a share of the largest pivot: with a smaller one the terms depend on one another."""
+"""Relative size of a pivot of the fit's QR decomposition below which the terms count as linearly dependent."""
 
 MAX_LEAN_COLUMNS = 0.05
-"""Tolerance in columns per row: on the round earth, rays that shift right at one position may shift left by this at another."""
+"""Tolerance in columns per row for the direction of rays.
+
+On the round earth, rays that shift to the right at one position of a grid may shift to the left at another one, by at most this.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class SunRays:
-    """The sun's rays over a grid.
+    """The sun's rays over a grid, and the coordinates in which a sweep uses them.
+
+    t is the position across the rays, in cells. The ray height is the coordinate at right angles to the rays, in the vertical plane
+    of the sun. The turned grid is rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
     scene
         The scene.
     light
-        Light space, turned until its right axis is horizontal at the rays' reference position.
+        Light space, rotated about the sun's direction until its right axis is horizontal at the reference position.
     grid
         The map grid at full detail.
     orientation
-        Orientation of the turned grid.
+        How the grid is turned.
     height_m
-        Metres: the ground's mean height, for which the rays' positions on the grid are computed.
+        Metres: the mean height of the ground, for which the rays' positions on the grid are computed.
     right_m
         Metres: light space's right coordinate at t = 0.
     cell_m
@@ -84,7 +90,10 @@ class SunRays:
     def ray_coordinates(
         self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return t, ray heights and metres towards the sun (n,) of a frame's points (..., 3) with flat indices ``which`` (n,)."""
+        """Return t, ray heights and metres towards the sun of some points of a frame, (n,) each.
+
+        ``point_frame_m`` is (..., 3) metres, and ``which`` (n,) holds flat indices of the points.
+        """
         out = np.empty((3, len(which)))
         run_in_chunks(
             len(which), _write_ray_coordinates, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m,
@@ -93,10 +102,11 @@ class SunRays:
         return out[0], out[1], out[2]
 
     def rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns (n,) on the grid of the points (..., 3) of a frame with flat indices ``which`` (n,).
+        """Return the fractional rows and columns on the grid of some points of a frame, (n,) each.
 
-        They are accurate to ``FIT_TOLERANCE_NODES``. For many points, cubics are fitted to the exact positions of a few: PROJ takes
-        a microsecond per point.
+        ``point_frame_m`` is (..., 3) metres, and ``which`` (n,) holds flat indices of the points. The results are accurate to
+        ``FIT_TOLERANCE_NODES``. For many points, cubics are fitted to the exact positions of a few, because PROJ takes a
+        microsecond per point.
         """
         points = point_frame_m.reshape(-1, 3)
         if len(which) <= 2 * FIT_POINTS:
@@ -115,19 +125,25 @@ class SunRays:
         return self.grid.row(y), self.grid.col(x)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
-        """Return values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
+        """Return values (rows, cols) float32 of the grid's nodes as a turned grid with border columns."""
         with_border, inside = bordered(*(values.shape[::-1] if self.orientation.swapped else values.shape))
         copy_into(values, self.orientation.restored(inside))
         return close_border(with_border)
 
     def turned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> Window:
-        """Return the rows and columns of the turned grid that hold a window of a grid (rows, cols)."""
+        """Return the rows and columns of the turned grid that a window of a grid becomes.
+
+        The window starts at ``row`` and ``col`` of a grid with ``rows`` rows and ``cols`` columns, and has the given shape.
+        """
         ends = self.orientation.to_turned(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
         (top, bottom), (left, right) = ((int(axis.min()), int(axis.max()) + 1) for axis in ends)
         return (top, bottom), (left, right)
 
     def window_cubics(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``position_cubics`` of a window of the grid at a level of detail, every 2**detail-th node."""
+        """Return ``position_cubics`` for a window of the grid at a level of detail.
+
+        The grid at this level has every 2**detail-th node. ``row0`` and ``col0`` are the window's first row and column on it.
+        """
         grid = self.grid.coarser(detail)
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
@@ -138,20 +154,20 @@ class SunRays:
         return position_cubics(t_of, *((cols, rows) if self.orientation.swapped else (rows, cols)), self.grid.crs.name)
 
     def write_ray_heights(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
-        """Write the ray heights of the nodes of windows into arrays (rows, cols) float32."""
+        """Write the ray heights of windows of nodes, metres, to ``out``: one array (rows, cols) float32 for each window."""
         up = self.light.light_from_earth[1]
         self.scene.surface(self.grid.coarser(detail)).write_axis_coordinates(
             up, self.light.origin_earth_m + self.up_m * up, windows, out
         )
 
     def write_towards(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
-        """Write the metres towards the sun of the nodes of windows into arrays (rows, cols) float32."""
+        """Write the metres towards the sun of windows of nodes to ``out``: one array (rows, cols) float32 for each window."""
         towards = -self.light.light_from_earth[2]
         self.scene.surface(self.grid.coarser(detail)).write_axis_coordinates(towards, self.light.origin_earth_m, windows, out)
 
 
 def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
-    """Return the sun's rays over a grid, with the given row and column as their reference position."""
+    """Return the sun's rays over a grid, with ``row`` and ``col`` as the reference position of their coordinates."""
     height_m = float(np.mean(scene.height_range_m))
     cells = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
     point, up = scene.world.ground(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
@@ -175,8 +191,8 @@ def with_upright_axes(light: LightSpace, up: np.ndarray) -> LightSpace:
 
     Its up axis does not point down.
 
-    The level's own light space has this property at its anchor only. Elsewhere higher ground would be shifted beside the rays that
-    pass over its foot.
+    The level's own light space has a horizontal right axis at the level's anchor only. Elsewhere a summit would have another t (the
+    position across the rays) than the ground below it.
     """
     right, forward, away_from_sun = light.light_from_earth
     columns_per_row, ray_height_per_metre = right @ up, forward @ up
@@ -198,11 +214,11 @@ class GroundWindow:
     detail
         Level of detail: every 2**detail-th node of the finest grid.
     row0, col0
-        First node of the window.
+        Row and column of the window's first node, on the grid at this level of detail.
     shape
         Rows and columns of the window before turning.
     turned_grid
-        The turned grid.
+        The ray heights on the turned grid, and the positions of its lines.
     towards_m
         float32, turned and with borders: metres of the nodes towards the sun; empty unless the sun is a disc.
     begin
@@ -218,7 +234,7 @@ class GroundWindow:
     begin: int = 0
 
     def tilted(self, angle: float) -> TurnedGrid:
-        """Return the turned grid for a sun that is higher by an angle in radians."""
+        """Return the turned grid for a sun that is higher by ``angle``, radians. This needs ``towards_m`` unless it is 0."""
         if angle == 0.0:
             return self.turned_grid
         ray_height = np.float32(np.cos(angle)) * self.turned_grid.ray_height - np.float32(np.sin(angle)) * self.towards_m
@@ -230,7 +246,8 @@ def grounds_of_block(
 ) -> list[GroundWindow]:
     """Return the ground that casts shadows on a map's block, by level of detail: the coarsest first, the block's own last.
 
-    ``soft`` asks for ``towards_m``. ``culled`` patches cast no shadow on the block, and are not read.
+    ``soft`` tells whether to compute ``GroundWindow.towards_m``. Patches in ``culled`` cast no shadow on the block, so their heights
+    are not read.
     """
     patches = [patch for patch in patches if not (patch.lod and _lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []
@@ -246,11 +263,11 @@ def grounds_of_block(
 
 
 def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
-    """Return windows of nodes (first row, first column, rows, columns) that cover exactly the given patches.
+    """Return windows of nodes that cover exactly some patches, each as first row, first column, number of rows and of columns.
 
-    Rows and columns of adjacent patches are merged into one window.
+    Adjacent patches that form a rectangle are merged into one window.
     """
-    runs: dict[tuple[int, int], list[int]] = {}  # first and last column of runs -> first and last row
+    runs: dict[tuple[int, int], list[int]] = {}  # first and last column of adjacent patches -> first and last row with them
     windows = []
     rows: dict[int, list[int]] = {}
     for row, col in sorted((patch.row, patch.col) for patch in patches):
@@ -271,10 +288,10 @@ def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
 
 
 def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
-    """Return whether a patch lies behind a block, as seen from the sun, so that it casts no shadow on the block.
+    """Return whether a patch lies behind a block, as seen from the sun, and casts no shadow on it.
 
-    On the turned grid lines run down and to the right. Where all of them run almost straight down, some may run to the left. For a
-    coarse patch these are ignored: it must lie towards the sun to pass on its ray heights.
+    On the turned grid the rays lead down and to the right. If they lead almost straight down, some may lead to the left. This is
+    considered for patches at full detail only: a coarser patch takes part only if it lies towards the sun.
     """
     side = PATCH_QUADS * 2**patch.lod
     rows, cols = block.shape
@@ -286,10 +303,10 @@ def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
 
 @cached("light", 1024 * MIB)
 def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, soft: bool) -> tuple[SunRays, GroundWindow]:
-    """Return the rays over the ground of a perspective view, and that ground on its grid's nodes. The last result is cached.
+    """Return the sun's rays over the ground of a perspective view, and this ground as a turned grid. The last result is cached.
 
-    Where the drawn ground is decimated, dropped nodes lie on the drawn triangles, which cut across the curved earth. Quads are cut
-    along the triangles' sides.
+    If the drawn ground is decimated (drawn with fewer nodes), all other nodes get values on the drawn triangles. Quads are then cut
+    along the sides of these triangles.
     """
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
@@ -314,9 +331,10 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, sof
 
 
 def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, patches: Iterable[Patch] = ()) -> GroundWindow:
-    """Return one turned grid over windows of heights.
+    """Return the ground of windows of heights as one turned grid.
 
-    It covers ``patches``, too, since the positions of lines depend on its size. Outside of all windows it holds no ground.
+    The grid also covers ``patches`` without heights, because the fitted positions of its lines depend on its size. Outside of the
+    windows it holds no ground. ``soft`` tells whether to compute ``GroundWindow.towards_m``.
     """
     starts = [(w.row0, w.col0) for w in windows] + [(p.row * PATCH_QUADS, p.col * PATCH_QUADS) for p in patches]
     ends = [(w.row0 + w.shape[0], w.col0 + w.shape[1]) for w in windows]
@@ -344,9 +362,10 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
 
 @compiled
 def _interpolate_on_triangles(corner, value, triangles, rows, cols):
-    """Interpolate the values (n,) of triangles' corners at all nodes: float32 (rows, cols), NaN outside of the triangles.
+    """Interpolate values linearly on triangles, at all nodes of a grid: float32 (rows, cols), NaN outside of the triangles.
 
-    ``corner`` holds the row and column of each corner, which is a node.
+    ``corner`` int (n, 2) holds the row and column of each corner, which is a node, and ``value`` (n,) its value. ``triangles``
+    (m, 3) holds indices of corners.
     """
     out = np.full((rows, cols), np.nan, np.float32)
     for n in range(len(triangles)):
@@ -366,7 +385,10 @@ def _interpolate_on_triangles(corner, value, triangles, rows, cols):
 
 @compiled
 def _falling_quads(corner, triangles, rows, cols):
-    """Return which quads (rows - 1, cols - 1) a triangle's side cuts from north-west to south-east. Uncut quads are planar."""
+    """Return which quads a triangle's side cuts from north-west to south-east: bool (rows - 1, cols - 1).
+
+    ``corner`` and ``triangles`` are those of ``_interpolate_on_triangles``. A quad without a cut is planar.
+    """
     is_falling = np.zeros((rows - 1, cols - 1), np.bool_)
     for n in range(len(triangles)):
         for k in range(3):
@@ -378,7 +400,7 @@ def _falling_quads(corner, triangles, rows, cols):
 
 
 def _cubic_terms(p: np.ndarray) -> np.ndarray:
-    """Return the terms (n, 13) of points (n, 3): cubic along the ground, linear in height."""
+    """Return the polynomial terms (n, 13) of points (n, 3): cubic in the first two coordinates, linear in the third one."""
     x, y, z = p.T
     return np.stack([np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z, x**3, x * x * y, x * y * y, y**3], axis=1)
 
@@ -395,7 +417,10 @@ def _fit_factors(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
 def _apply_fit(
     points: np.ndarray, which: np.ndarray, middle: np.ndarray, scale: float, factors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sums of terms times factors ``factors`` (13, 2), for the points (m, 3) with indices ``which`` (n,)."""
+    """Return the two fitted values, (n,) each, of the points (m, 3) with indices ``which`` (n,).
+
+    They are the polynomial terms of the points, relative to ``middle`` and divided by ``scale``, times ``factors`` (13, 2).
+    """
     out = np.empty((2, len(which)))
     run_in_chunks(len(which), _sum_of_terms, points, which, middle, scale, factors, out)
     return out[0], out[1]
@@ -416,7 +441,7 @@ def _sum_of_terms(first, last, points, which, middle, scale, factors, out):
 
 @compiled
 def _write_ray_coordinates(first, last, points, which, rotation, translation, right0_m, cell_m, up0_m, out):
-    """Write t, ray height and metres towards the sun of the points (m, 3) with indices ``which`` (n,)."""
+    """Write t, ray height and metres towards the sun of the points (m, 3) with indices ``which`` (n,) to ``out`` (3, n)."""
     for n in range(first, last):
         p = points[which[n]]
         right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]

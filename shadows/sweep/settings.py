@@ -10,13 +10,20 @@ from skugga.shadows.algorithm import AlgorithmSettings, ResolvedSettings, Settin
 
 
 class SweepSettings(AlgorithmSettings):
-    """Settings of the line sweep: the lines per column of the ground's grid, and whether the sun is a point or a disc."""
+    """Settings of the line sweep.
+
+    ``lines`` is the number of sweep lines per column of the ground's grid. ``filter`` is 1 for a sun that is a point, and ``sun``
+    for a sun that is a disc, which gives soft edges.
+    """
 
     lines: int = Field(default=8, ge=1, le=16)
     filter: Literal[1, "sun"] = 1
 
 
 def resolve_sweep(request: SettingsRequest) -> ResolvedSettings:
-    """Return the settings of the line sweep, and the reason if a requested filter has no effect: only ``sun`` has one."""
+    """Return the settings of the line sweep, and reasons for a requested filter without effect.
+
+    The only filter that has an effect is ``sun``.
+    """
     soft = request.effective_shadows.filter == "sun"
     return SweepSettings(filter="sun" if soft else 1), request.ignored_filter_reasons("sweep", "sun")

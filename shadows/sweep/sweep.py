@@ -5,22 +5,25 @@ does not depend on the azimuth. Only ground casts shadows, but anything that sta
 gives the height above which the sun is visible.
 
 **Windows.** Ground towards the sun comes in patches, with a coarser level of detail farther away
-(``skugga.terrain.casters.reach``). Each level of detail is swept separately, the coarsest first. It passes the ray heights that its
-lines have met to the next one. This is valid since a maximum does not depend on the order along a line, if all of that ground lies
-towards the sun. Within a level of detail, strips of lines are independent, and run on several cores.
+(``skugga.terrain.casters.reach``). Each level of detail is swept separately, the coarsest first. A sweep ends with the highest ray
+height on each line, and the next finer sweep starts from these. This is valid because a maximum does not depend on the order along
+a line. The coarser ground must lie towards the sun. Within a level of detail, strips of lines are independent and are distributed
+over several cores.
 
-**Lines.** The t of a position is its right coordinate in light space, in cells: the same for all points of a ray. The rays'
-positions on a grid are computed for ground of mean height. The vertical leans by a hundredth of a degree per kilometre. So ground
-that is higher by h is shifted sideways by that share of h, which is metres at the far corners of a wide block.
+**Lines.** The t of a position is its right coordinate in light space, in cells. All points of a ray have the same t. The rays'
+positions on a grid are computed for ground of mean height. On the round earth the vertical direction changes by a hundredth of a
+degree per kilometre. So high ground far from the reference position is shifted sideways from the line that was computed for it. The
+shift is some metres at the far corners of a wide block.
 
-**The sun's disc** (``filter`` sun) is cut into horizontal strips of equal area. Each is swept for its centre. Suns of one azimuth
-share lines and points; only the ray heights are tilted. The horizon is assumed level over the half degree of the disc.
+**The sun's disc** (``filter`` sun) is cut into horizontal strips of equal area. One sweep treats the centre of a strip as the sun.
+Suns of one azimuth share lines and points, and only the ray heights change. The horizon is assumed level over the half degree of
+the disc.
 
-**Points.** A map's nodes are evaluated at their positions. Other points are sorted into the row intervals that contain them. Points
-of the ground take their ray height from the triangles that cast shadows. In perspective these are the triangles of the drawn
-ground, decimated or not.
+**Points.** A map's nodes are evaluated at their positions. Other points are sorted by the pair of grid rows between which they lie.
+Points of the ground take their ray height from the triangles that cast shadows. In a perspective view these are the triangles of
+the drawn ground, decimated or not.
 
-**Columns.** Over ground of upright columns each point has its own ray (``skugga.shadows.sweep.columns``).
+**Columns.** If the ground consists of upright columns, each point has its own ray (``skugga.shadows.sweep.columns``).
 """
 
 from __future__ import annotations
@@ -53,13 +56,13 @@ from skugga.terrain.scene import Scene
 PASSES = ("sweep",)
 
 RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
-"""float32 rounding of a ray height, as a share of the largest ray height: ground that is higher by less shades no point."""
+"""float32 rounding of a ray height, as a share of the largest ray height. Ground shades a point only if it exceeds it by more."""
 
 SUN_DISC_STRIPS = 16
 """Horizontal strips of the sun's disc for its penumbra."""
 
 MIN_LINES = 2
-"""Minimum number of lines per column of supersampled nodes: a whole pixel has as many lines as it has without supersampling."""
+"""Minimum number of lines per column of a supersampled grid, in which the columns of one pixel share the pixel's lines."""
 
 
 def fill(
@@ -71,12 +74,12 @@ def fill(
     settings: SweepSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Return the visibility of the sun at a buffer's points, as far as the ground hides it.
+    """Return the visibility of the sun at a buffer's points, with the ground as the only caster.
 
     Parameters
     ----------
     buffer
-        The points (rows, cols).
+        The points (rows, cols) that the view shows.
     scene
         The scene.
     light
@@ -86,9 +89,9 @@ def fill(
     casters
         The ground that can cast shadows on the points.
     settings
-        The lines per column, and the filter.
+        The sweep lines per column of the grid, and the filter.
     log
-        The record of passes, which also keeps the layer ``shadow-height``.
+        The record of passes. It also stores the layer ``shadow-height`` if that is requested.
 
     Returns
     -------
@@ -124,7 +127,10 @@ def fill(
 def _fill_columns(
     buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
 ) -> np.ndarray:
-    """Do as ``fill``, for a map of columns, under suns that are higher by some angles in radians."""
+    """Return the visibility as ``fill`` does, for a map whose ground is upright columns with flat tops.
+
+    The result is the mean over several suns. Each is higher than the scene's sun by one of ``angles``, radians.
+    """
     sweep = column_sweep(buffer, scene, casters)
     visibility = np.zeros(buffer.valid.shape, np.float32)
     for angle in angles:
@@ -147,11 +153,11 @@ def fill_nodes(
     settings: SweepSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Return which nodes of bare ground see a point sun, from their heights alone: bool (rows, cols).
+    """Return which nodes of ground without objects see the sun, a point, from the heights alone: bool (rows, cols).
 
-    The result includes attached shadow. Where all facets of a node face away from the sun, so does the facet that the ray to the
-    sun crosses. That facet rises above the ray, as any ground does that casts a shadow. Parameters and errors are those of
-    ``fill``.
+    The result includes attached shadow (surfaces that face away from the sun). If all triangles around a node face away from the
+    sun, so does the triangle that the node's ray crosses. That triangle rises above the ray, so the sweep finds it as a caster.
+    Parameters and errors are those of ``fill``.
     """
     (sweep_pass,) = log.named(light, kinds, PASSES)
     with log.run(sweep_pass) as record:
@@ -169,17 +175,19 @@ def fill_nodes(
 class NodeClearance:
     """The ray heights that decide whether nodes see the sun, in the order of the turned grid.
 
-    The sign of ``ray_height_m - shade_m`` changes when the sun disappears or appears.
+    The turned grid is the map's grid, rotated and mirrored so that the sun stands before row 0. A ray height is the coordinate at
+    right angles to the sun's rays, in the vertical plane of the sun. A node sees the sun while ``ray_height_m - shade_m`` is at
+    least 0.
 
     Attributes
     ----------
     orientation
-        Orientation that leads from the nodes' order to the turned grid.
+        How the turned grid was made from the map's grid.
     ray_height_m
         float32 (n, m), metres: the nodes' ray heights.
     shade_m
-        float32 (n, m), metres: the ray heights above which the sun is visible; about ``NO_GROUND_RAY_HEIGHT`` where nothing lies on
-        the way.
+        float32 (n, m), metres: the ray heights above which the sun is visible; about ``NO_GROUND_RAY_HEIGHT`` where no ground lies
+        between the node and the sun.
     ray_height_per_metre
         Change of a ray height per metre of height.
     """
@@ -191,7 +199,11 @@ class NodeClearance:
 
 
 def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int) -> NodeClearance:
-    """Return ray heights and shadow heights of nodes of bare ground. Raises as ``fill_nodes``."""
+    """Return the ray heights that decide whether nodes of ground without objects see the sun.
+
+    ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. Raises the
+    errors of ``fill_nodes``.
+    """
     rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
     grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
     ground = grounds[-1]
@@ -210,9 +222,10 @@ def _bytes(grounds: list[GroundWindow], targets: _Targets, soft: bool) -> int:
 
 
 def strips_of_sun(count: int) -> np.ndarray:
-    """Return angles (count,) in radians from the centre of the sun's disc up to the centres of horizontal strips of equal area.
+    """Return the angles of horizontal strips of the sun's disc above the disc's centre: (count,) radians.
 
-    The share of the disc below a height of x radii is 1/2 + (x sqrt(1 - x^2) + arcsin x) / pi.
+    The strips have equal areas. Each angle leads to the height that halves the area of its strip. The share of the disc below a
+    height of x radii is 1/2 + (x sqrt(1 - x^2) + arcsin x) / pi.
     """
     x = np.linspace(-1.0, 1.0, 2001)
     share = 0.5 + (x * np.sqrt(1.0 - x * x) + np.arcsin(x)) / np.pi
@@ -226,21 +239,21 @@ class _Targets:
     Attributes
     ----------
     t_range
-        Range of t of all of them, in cells.
+        Minimum and maximum t (the position across the sweep lines, in cells) of all nodes and points.
     nodes
-        bool (rows, cols): pixels that show a node.
+        bool (rows, cols): pixels that show a node of the grid.
     rows, cols
-        Turned rows and columns of the nodes' window.
+        First row of the nodes on the turned grid, and the one after the last; columns likewise.
     window
         The same window on the grid before turning.
     off_nodes
-        bool (rows, cols): pixels that show another point.
+        bool (rows, cols): pixels that show a point between nodes or above the ground.
     row, col, t
-        (n,): turned positions of these points.
+        (n,): positions of the points of ``off_nodes`` on the turned grid, and across the lines.
     ray_height_m
-        (n,), metres: ray heights of these points; NaN for points of the ground.
+        (n,), metres: ray heights of the points of ``off_nodes``; NaN for points of the ground.
     towards_m
-        (n,), metres: distances of these points towards the sun.
+        (n,), metres: coordinates of the points of ``off_nodes`` along the axis towards the sun.
     """
 
     t_range: tuple[float, float]
@@ -257,7 +270,7 @@ class _Targets:
 
 
 def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool) -> tuple[SunRays, list[GroundWindow]]:
-    """Return the rays over a view, and the ground that they pass, the coarsest level of detail first."""
+    """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *view.centre_node)
@@ -269,14 +282,17 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
 
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
-    """Return the minimum and maximum t of receivers, extended by one cell."""
+    """Return the minimum and maximum t (the position across the sweep lines, in cells) of receivers, extended by one cell."""
     low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.from_frame(receivers.frame))
     ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
     return ends[0] - 1.0, ends[1] + 1.0
 
 
 def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
-    """Return the turned rows and columns of a view's nodes, and their window of the ground's grid."""
+    """Return where a view's nodes lie on the turned grid, and their window of the ground's grid as slices.
+
+    On the turned grid these are the first row and the one after the last, and the same of columns.
+    """
     top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
     return *rays.turned_window(top, left, (view.rows, view.cols), *ground.shape), (
         slice(top, top + view.rows),
@@ -328,7 +344,10 @@ def _set_nan(first, last, values, mask, which):
 def _sweep_grounds(
     grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float, shade: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sweep all ground for a sun that is higher by an angle in radians: see ``sweep_nodes``."""
+    """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
+
+    The sun is higher than the scene's sun by ``angle``, radians. ``shade`` is the output array of ``sweep_nodes``.
+    """
     *coarser, ground = grounds
     entry, detail = None, 0
     for coarse in coarser:
@@ -352,7 +371,10 @@ def _sweep_grounds(
 
 
 def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
-    """Return the largest absolute ray height (n, m) around the points: that of ground that stops a ray narrowly."""
+    """Return the largest absolute ray height of the ground around the points, metres; 0 without points.
+
+    ``ray_height`` (n, m) is that of the turned grid with its borders. The result determines the rounding of comparisons.
+    """
     if not targets.row.size:
         return 0.0
     (i, end_i), (j, end_j) = (
@@ -363,7 +385,7 @@ def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
 
 
 def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float) -> np.ndarray:
-    """Return which of a buffer's points (rows, cols) see a sun that is higher by an angle in radians."""
+    """Return which of a buffer's points see the sun, if it is higher by ``angle`` in radians: bool (rows, cols)."""
     lit, points_lit, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.nodes.shape, np.bool_)
     if targets.nodes.any():
@@ -423,7 +445,7 @@ REFUSES: dict[Requirement, str] = {
 }
 
 FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
-"""Errors are separate for views whose drawn triangles leave out nodes of the ground."""
+"""Groups of views with separate constants of the error model: those that draw all nodes of the ground, and all others."""
 
 ALGORITHM = Algorithm(
     name="sweep",

@@ -1,22 +1,25 @@
 """Cull shadow casters of a map's block: find ground that provably casts no shadow of the sun on the block.
 
-Ground is divided into patches of ``PATCH_QUADS`` quads, both under the block and beside it, and each patch into ``PARTS_PER_SIDE``
-x ``PARTS_PER_SIDE`` parts. The bounds of a part are independent of the sun: its lowest and highest node, and its steepest facets.
-Two conditions prove that a part cannot shade a block:
+A block is a square of a map, at most ``BLOCK_PX`` pixels a side, that is drawn at once. The ground under the block and beside it is
+divided into patches of ``PATCH_QUADS`` x ``PATCH_QUADS`` quads of its grid. Each patch has ``PARTS_PER_SIDE`` x ``PARTS_PER_SIDE``
+parts. Two quantities of each part are stored, since they do not depend on the sun: its range of heights, and its steepest facets.
+Either of two conditions proves that a part cannot shade a block:
 
-* **The part is too low.** Rays to the sun are straight, and points in light space include the earth's curvature. As the sun sees
-  them, a part's highest ground stays below the lowest ground of each of the block's parts that its shadow could reach. Then no ray
-  meets the part.
-* **All facets of the part face the sun.** Along a ray from a receiver the ground starts at or below the ray. To rise above the ray,
-  it must rise more steeply than the ray, over a facet that does not face the sun. So the first ground that stops a ray belongs to
-  such a facet. Ground without such facets can be left out, wherever it lies and however high it is.
+* **The part is too low.** Seen from the sun, the part's highest ground lies below the lowest ground of the block's parts that its
+  shadow could reach. Then no ray from the block to the sun meets the part. The comparison is made in light space (axes right, up and
+  away from the sun), where rays are straight and points include the earth's curvature.
+* **All facets of the part face the sun.** A ray to the sun starts on the ground or above it. The ground along the ray can rise above
+  it only over a facet that rises more steeply than the ray. Such a facet does not face the sun. So ground whose facets all face the
+  sun never is the first ground that stops a ray. It can be left out, wherever it lies and however high it is.
 
-  This needs ground without gaps. A part with unknown heights at its nodes or beside them is not left out for this reason, nor is
-  ground of coarser detail, which does not meet its neighbour's edge.
+  This condition needs ground without gaps. It is not applied to parts with unknown heights at their nodes or beside them. It is
+  not applied to ground of coarser detail either, whose edge does not meet that of the finer ground beside it.
 
-Rays that pass below the edge of ground without a wall count as stopped there, as in a sweep.
+A ray may pass below the edge of the ground, where no wall stands. Such a ray counts as stopped there, as in the sweep algorithm
+(``skugga.shadows.sweep``).
 
-Both conditions must hold for the whole disc of the sun, with a margin for rounding and for the positions of the sweep's lines.
+Both conditions must hold for the whole disc of the sun. Margins allow for rounding, and for the sweep's lines, which run between the
+nodes.
 """
 
 from __future__ import annotations
@@ -52,25 +55,31 @@ MAX_ROUNDING_M = 4e-3
 """
 
 MARGIN_NODES = 4
-"""Margin in nodes within which ground beside a ray counts as on it: a sweep's lines and points lie between nodes."""
+"""Distance in nodes within which ground beside a ray counts as crossed by the ray. The sweep algorithm's lines lie between nodes."""
 
 ALTITUDE_SINE_MARGIN = 0.05
 """Maximum increase of the sine of the sun's altitude within a level, 300 km away from its anchor."""
 
 HALO_NODES = 1
-"""Nodes beside a patch whose heights must be known, too."""
+"""Width, in nodes, of the border round a part whose heights must be known, too."""
 
 SAMPLE_POSITIONS = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
-"""Positions in a patch at which the sides of its quads are computed, as shares of its rows and columns."""
+"""Positions in a patch, its corners and its middle, at which the sides of its quads are computed: shares of its rows, and of its
+columns.
+"""
 
 PARTS_PER_SIDE = 4
 """Parts along the side of a patch."""
 
 MAX_RUN_PATCHES = 16
-"""Maximum number of patches in a row that are read at once."""
+"""Maximum number of consecutive patches in a row whose heights are read at once."""
 
 RISE_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
-"""Directions (column, row) in which the support of the rises of a part's facets is stored."""
+"""Directions (column, row) of the support function of the facets' rises.
+
+A facet's rise is the pair of its height differences from column to column and from row to row. The support in a direction is the
+maximum of the rises' projections on it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +89,11 @@ class PatchGround:
     Attributes
     ----------
     low_m, high_m
-        (n, m), the lowest and highest node, NaN without ground, metres.
+        (n, m), the heights of the lowest and of the highest node, metres; NaN without ground.
     rise_m
-        (n, m, 8), the maximum rise from node to node of the facets, projected on ``RISE_DIRECTIONS``, metres.
+        (n, m, 8), the support of the facets' rises in ``RISE_DIRECTIONS``, metres.
     is_complete
-        bool (n, m), whether all heights of the part and beside it are known.
+        bool (n, m), whether all heights of the part, and those of ``HALO_NODES`` nodes round it, are known.
     """
 
     low_m: np.ndarray
@@ -98,9 +107,9 @@ class PatchGround:
 
 
 def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...]) -> frozenset[Patch]:
-    """Return the patches beside a map's block that cast no shadow of the sun on it.
+    """Return the patches of ``patches``, ground beside a map's block, that provably cast no shadow of the sun on the block.
 
-    Returns none of them for columns, which have walls, and for levels with lamps.
+    The result is empty for ground as upright columns, whose walls face away from the sun. It is also empty for levels with lamps.
     """
     if not patches or receivers.surface is None or scene.lamps:
         return frozenset()
@@ -167,7 +176,10 @@ def block_patches(receivers: Receivers) -> list[Patch]:
 
 
 def block_part_mask(receivers: Receivers) -> np.ndarray:
-    """Return which parts (n, m) of the block's own patches contain quads of the block."""
+    """Return which parts of the patches under a map's block contain quads of the block, bool (n, m).
+
+    Rows follow ``block_patches``. Columns are the ``PARTS_PER_SIDE`` x ``PARTS_PER_SIDE`` parts of a patch, row by row.
+    """
     window, quads = receivers.surface, PATCH_QUADS // PARTS_PER_SIDE
     assert window is not None
     first = np.array([(patch.row, patch.col) for patch in block_patches(receivers)])[:, None, :] * PATCH_QUADS
@@ -179,7 +191,7 @@ def block_part_mask(receivers: Receivers) -> np.ndarray:
 
 
 def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
-    """Return the bounds of patches of one grid. They are read once and cached for every sun."""
+    """Return the bounds of the ground of patches of one grid. They are cached, since they are the same under every sun."""
     owner = grid_key(world, elevation, grid)
     patch_parts = {(patch.row, patch.col): _patch_cache.get(owner, patch.row, patch.col) for patch in patches}
     missing: dict[int, list[int]] = {}
@@ -199,7 +211,7 @@ def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequen
 
 
 def _runs(numbers: list[int]) -> list[range]:
-    """Return the runs of consecutive numbers, from sorted, distinct ones; none longer than ``MAX_RUN_PATCHES``."""
+    """Group sorted, distinct integers into ranges of consecutive ones, each of at most ``MAX_RUN_PATCHES`` integers."""
     runs: list[range] = []
     for number in numbers:
         if runs and runs[-1].stop == number and len(runs[-1]) < MAX_RUN_PATCHES:
@@ -210,12 +222,12 @@ def _runs(numbers: list[int]) -> list[range]:
 
 
 def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
-    """Return in which parts (n, m) of patches of one grid every facet faces all of the sun's disc, bool.
+    """Return the mask (n, m) of the parts of patches of one grid in which every facet faces all of the sun's disc.
 
-    A facet that rises by a from column to column and by b from row to row spans e + a u and f + b u. Here e and f are a quad's
-    sides and u is the vector up. Its normal times the sun's direction s is s (f x e) + a s (f x u) + b s (u x e). This is linear
-    in a and b, and ``rise_m`` bounds their weighted sums. The condition is tested at the corners and in the middle of a patch,
-    each with the local sides.
+    A facet that rises by a from column to column and by b from row to row spans the vectors e + a u and f + b u. Here e and f are
+    the horizontal sides of its quad, to the next column and to the next row. u is the unit vector up and s the direction to the sun.
+    The facet's normal times s is s (f x e) + a s (f x u) + b s (u x e). This is linear in a and b, and ``rise_m`` bounds such
+    weighted sums of a and b. e, f and u vary over a patch, so the condition is tested at its corners and in its middle.
     """
     assert scene.light is not None
     to_sun = -scene.light.light_from_earth[2]
@@ -238,9 +250,9 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
 
 
 def _support_bound(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
-    """Return an upper bound of ``per_right`` a + ``per_down`` b over rises (a, b) within their supports (..., 8).
+    """Return an upper bound (...) of ``per_right`` a + ``per_down`` b over all rises (a, b) with the support ``rise_m`` (..., 8).
 
-    It combines the supports in the two directions nearest to (``per_right``, ``per_down``).
+    The bound combines the supports in the two ``RISE_DIRECTIONS`` nearest to (``per_right``, ``per_down``).
     """
     abs_right, abs_down = np.abs(per_right), np.abs(per_down)
     axis = np.where(abs_right >= abs_down, np.where(per_right >= 0.0, 0, 1), np.where(per_down >= 0.0, 2, 3))
@@ -258,11 +270,12 @@ def _support_bound(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarr
 def _light_space_bounds(
     scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround, parts: int, ground_at: Literal["lowest", "highest"]
 ) -> np.ndarray:
-    """Return the light-space bounds of ``parts`` x ``parts`` parts of patches, float64 (n, 8), NaN without ground.
+    """Return the light-space bounds, metres, of the ``parts`` x ``parts`` parts of each of n patches.
 
-    The first four columns are minima, the last four maxima. The coordinates are to the right, up, away from the sun, and towards
-    the sun along the ground; the last one grows along a ray, whatever the heights. The coordinate up takes all ground at its
-    lowest or highest.
+    The result is float64 (n parts parts, 8), NaN without ground. The first four columns are the minima of four coordinates, the last
+    four the maxima. The coordinates run right, up, away from the sun, and horizontally towards the sun. The last one increases along
+    every ray to the sun, and does not depend on the height. ``ground_at`` is the height at which the bounds of the coordinate up are
+    computed: the part's lowest or highest one.
     """
     assert scene.light is not None
     low_m, high_m = ground.low_m, ground.high_m
@@ -291,11 +304,11 @@ def _part_corners(corners: np.ndarray, parts: int) -> np.ndarray:
 
 @compiled
 def _may_occlude(bounds, receiver_bounds, beside_m, above_m):
-    """Return which parts ``bounds`` (n, 8) may occlude some of the parts ``receiver_bounds`` (m, 8), as seen from any point of the
-    sun's disc.
+    """Return which parts ``bounds`` (n, 8) may occlude any of the parts ``receiver_bounds`` (m, 8) from any point of the sun's disc.
 
-    A part may occlude another if it lies towards the sun and is not wholly lower by more than ``above_m``. ``beside_m`` is a
-    margin to the sides.
+    The bounds are those of ``_light_space_bounds``; the result is bool (n,). A part may occlude a receiver part if it lies between
+    that part and the sun, and not wholly below it as the sun sees them. ``above_m`` is the margin of the comparison of heights,
+    ``beside_m`` the margin in the other coordinates, metres.
     """
     may_occlude = np.empty(len(bounds), np.bool_)
     for n in range(len(bounds)):
@@ -328,7 +341,11 @@ _patch_cache: Cache[np.ndarray] = Cache(
 
 
 def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
-    """Return ``low_m``, ``high_m``, ``is_complete`` and ``rise_m`` of the parts of consecutive patches, float64 (n, m, 11)."""
+    """Read the heights of consecutive patches and return the bounds of their m parts, float64 (n, m, 11).
+
+    The last axis holds ``low_m``, ``high_m``, ``is_complete`` and the eight values ``rise_m`` of ``PatchGround``. The patches lie in
+    the row ``row`` of patches, in the columns ``cols``.
+    """
     halo = HALO_NODES
     window = surface.height_window(
         row * PATCH_QUADS - halo,
@@ -346,10 +363,11 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
 
 @compiled
 def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
-    """Fill the rows of ``_read_patches`` for all parts of consecutive patches.
+    """Write the result of ``_read_patches`` to ``out`` (n, m, 11). A part is ``quads`` quads wide.
 
-    ``height_m`` holds the heights of their nodes with ``halo`` nodes on each side. If ``refined``, it holds those of the coarser
-    grid that their grid refines, from (``row0``, ``col0``) on (``refined_row``).
+    ``height_m`` holds the heights of the patches' nodes, with ``halo`` more nodes on each side. If ``refined``, it holds the nodes of
+    a grid with half as many nodes per side, from which ``refined_row`` interpolates. ``row0`` and ``col0`` are then 1 where the
+    first row or column of the patches' nodes lies between two of the coarser grid, else 0.
     """
     cols = len(out) * PARTS_PER_SIDE * quads + 1
     rise_extremes, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
@@ -386,10 +404,10 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
 
 
 def rise_support(height_m: np.ndarray) -> np.ndarray:
-    """Return the support of the rises (a, b) of the facets of a sheet (rows, cols) in ``RISE_DIRECTIONS`` (8,); 0 without facets.
+    """Return the support (8,) in ``RISE_DIRECTIONS`` of the rises of the facets of a grid mesh, metres; 0 without facets.
 
-    A rise is the pair of height differences from column to column and from row to row. The result holds for any cut of the quads:
-    a facet has one side of its quad along a row and one along a column, and all four pairs of them count.
+    ``height_m`` (rows, cols) holds the heights of the mesh's nodes. The result holds for either diagonal along which a quad may be
+    cut into facets. A facet has one side of its quad along a row and one along a column, and all four such pairs count.
     """
     rise_extremes, out = np.empty((len(RISE_DIRECTIONS), height_m.shape[1]), np.float32), np.empty(len(RISE_DIRECTIONS))
     _gather_rises(np.ascontiguousarray(height_m, np.float32), 0, rise_extremes)
@@ -397,16 +415,16 @@ def rise_support(height_m: np.ndarray) -> np.ndarray:
     return out
 
 
-# The next loops are written to compile to SIMD instructions: each uses few arrays. NaN is an unknown height.
+# The next loops compile to SIMD instructions, because each uses few arrays. NaN is an unknown height.
 
 
 @compiled
 def _gather_rises(height_m, halo, rise_extremes):
-    """Write the maximum and minimum rises of a sheet's facets for each column, float32 (8, cols).
+    """Write the extremes of the rises of a grid mesh's facets to ``rise_extremes``, float32 (8, cols), for each column of nodes.
 
-    The rows are rises along rows, rises along columns, their sums and their differences. ``halo`` columns on each side of the
-    sheet are skipped. Sums are float32, as heights are: rounding keeps the order, so the largest rounded sum is the rounded
-    largest sum.
+    The rows are maximum and minimum of four quantities: the rise a from column to column, the rise b from row to row, a + b and
+    a - b. The first and last ``halo`` columns of ``height_m`` are skipped. Sums are float32, as heights are. Rounding keeps their
+    order, so the largest rounded sum is the rounded largest sum.
     """
     rows, cols = height_m.shape[0], rise_extremes.shape[1]
     right, next_right, down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32), np.empty(cols, np.float32)
@@ -434,9 +452,9 @@ def _gather_rises(height_m, halo, rise_extremes):
 
 @compiled
 def _write_rise_support(rise_extremes, out):
-    """Write the support in ``RISE_DIRECTIONS`` of the rises (8, cols) of a sheet's columns of nodes; 0 without facets.
+    """Write the support (8,) in ``RISE_DIRECTIONS`` from the ``rise_extremes`` (8, cols) of ``_gather_rises``; 0 without facets.
 
-    No facet lies beyond the last column. Only rises along columns count there.
+    No facet lies beyond the last column of nodes. Of that column only the rises from row to row count.
     """
     for k in range(0, len(rise_extremes), 2):
         count = rise_extremes.shape[1] if k == 2 else rise_extremes.shape[1] - 1

@@ -1,4 +1,7 @@
-"""Return the geometry that casts shadows on a buffer's points, by kind: the same for shadow maps and for rays."""
+"""Collect the geometry that casts shadows on the points of a geometry buffer, by kind of caster.
+
+The kinds are ``relief`` (the ground), ``meshes`` and ``forest`` (trees). Shadow maps and rays use the same geometry.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +21,14 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 Mesh = tuple[np.ndarray, np.ndarray]
-"""Vertices (n, 3) float64 in a frame, and triangles (m, 3) int32."""
+"""Vertices (n, 3) float64 in a local frame, metres, and the vertex indices (m, 3) int32 of the triangles."""
 
 
 def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds: tuple[CasterKind, ...]) -> Iterator[Sheet]:
-    """Yield the sheets of ground that cast shadows on a map's block, in its frame. The block's own ground comes first. In maps
-    they include the rim beyond the raster.
+    """Yield the grid meshes of the ground that casts shadows on a map's block, in the buffer's frame.
+
+    The block's own ground comes first, then the casting patches of ``casters``. Smooth ground includes its rim, which continues it
+    for one node beyond the raster. The result is empty if ``kinds`` lacks ``relief``, and in perspective.
     """
     if "relief" not in kinds:
         return
@@ -44,7 +49,10 @@ def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds:
 
 
 def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> list[Mesh]:
-    """Return the meshes that cast shadows: a perspective view's ground, and the casting meshes."""
+    """Return the casters that are triangle meshes: the ground of a perspective view, and the level's meshes.
+
+    Meshes of kinds outside of ``kinds`` are left out. The vertices are in the buffer's frame.
+    """
     meshes: list[Mesh] = []
     if buffer.ground is not None and "relief" in kinds:
         meshes.append((buffer.ground.position_frame_m, buffer.ground.triangles))
@@ -60,21 +68,24 @@ def has_casters(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, .
 
 
 def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> TreeInstances | None:
-    """Return the trees that cast shadows, or ``None``."""
+    """Return the trees that cast shadows; ``None`` if the buffer has none or ``kinds`` lacks ``forest``."""
     return buffer.tree_instances if "forest" in kinds else None
 
 
 def occluding_trees(
     instances: TreeInstances, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> TreeInstances:
-    """Return the trees that intersect light-space bounds (3,) or lie between these and the sun."""
+    """Return the trees that can occlude points of a light-space box from the sun: those in the box, and between it and the sun.
+
+    ``low`` and ``high`` (3,) bound the box. ``rotation`` (3, 3) and ``translation`` (3,) map the trees' frame to light space.
+    """
     min_bound = np.array([low[0], low[1], -np.inf])
     return instances.select(instances.in_box(rotation, translation, min_bound, high))
 
 
 @cached("scene", 64 * MIB)
 def closed_casters(objects: SceneObjects) -> np.ndarray:
-    """Return which triangles (m,) of the casting meshes bound a closed body with its faces outwards, bool."""
+    """Return the mask (m,) of the casting meshes' triangles that belong to a closed body whose faces point outwards."""
     placement = objects.placement
     casting = () if placement is None else placement.casting
     bodies = {id(placed.body): placed.body for placed in casting}  # one body may stand in many places
@@ -85,7 +96,7 @@ def closed_casters(objects: SceneObjects) -> np.ndarray:
 
 @cached("scene", 512 * MIB)
 def caster_solids(objects: SceneObjects, frame: LocalFrame) -> Mesh:
-    """Return the casting meshes in a frame."""
+    """Return the vertices and triangles of the casting meshes in a frame. The scene must have meshes."""
     solids = objects.solids
     assert solids is not None
     return frame.points_from_earth(solids.caster_vertices_earth_m), solids.caster_triangles

@@ -2,8 +2,9 @@
 
 In clip space x points right and y down the picture (row 0 is at y = -1). Depth is 1 near the eye and 0 at infinity.
 
-A camera has a projection matrix. A map has no camera: its pixels are a curved function of points. On a globe it is drawn in parts
-of ``AFFINE_PART_PX`` pixels, each with the affine camera that fits it best; ``bend_px`` is the largest error of this fit.
+A camera has a projection matrix. A map has no camera, and on a globe its pixels are a curved function of points. There a map is drawn
+in parts of ``AFFINE_PART_PX`` pixels a side. Each part uses the affine camera (an orthographic one with sheared axes) that fits it
+best. ``bend_px`` is the largest error of this fit.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.scene import Scene
 
 AFFINE_PART_PX = 256
-"""Side of the parts, in pixels."""
+"""Side, in pixels, of the parts of a map that have an affine camera of their own."""
 
 MAX_BEND_PX = 1e9
 """Value of ``bend_px`` where no camera can see the map's area. It is finite because descriptors cannot hold infinity."""
@@ -28,9 +29,10 @@ FIT_POINTS = 9
 
 
 def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.ndarray, near_m: float) -> np.ndarray:
-    """Return the matrix (4, 4) from homogeneous frame points, metres from an origin, to clip coordinates.
+    """Return the matrix (4, 4) from homogeneous frame points to the clip coordinates of a perspective view.
 
-    Depth is ``near_m`` over the distance along the view's axis, as in ``terrain/gbuffer/shaders/visible.vert.glsl``.
+    The points are metres from the frame's point ``origin_frame_m`` (3,). Depth is ``near_m`` over the distance along the view's
+    axis, as in ``terrain/gbuffer/shaders/visible.vert.glsl``.
     """
     eye, camera_from_frame = view.in_frame(frame)
     right, down, forward = np.column_stack([camera_from_frame, camera_from_frame @ (origin_frame_m - eye)])
@@ -41,7 +43,10 @@ def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.nda
 
 
 def affine_parts(world: World, view: MapView | PerspectiveView) -> list[tuple[MapView | PerspectiveView, int, int]]:
-    """Return the parts that a view is drawn in, each with its first row and column. Only a globe's map has more than one."""
+    """Split a view into the parts that are drawn separately, each with its first row and column in the view.
+
+    Only a map on a globe has several parts.
+    """
     if world.flat or isinstance(view, PerspectiveView):
         return [(view, 0, 0)]
     corners = [(row, col) for row in range(0, view.rows, AFFINE_PART_PX) for col in range(0, view.cols, AFFINE_PART_PX)]
@@ -54,10 +59,10 @@ def affine_parts(world: World, view: MapView | PerspectiveView) -> list[tuple[Ma
 def map_clip(
     world: World, frame: LocalFrame, view: MapView, origin_frame_m: np.ndarray, heights_frame_m: tuple[float, float]
 ) -> np.ndarray:
-    """Return the matrix (4, 4) from homogeneous frame points, metres from an origin, to clip coordinates of a map.
+    """Return the matrix (4, 4) from homogeneous frame points to the clip coordinates of a map.
 
-    It is the affine camera that fits the map best between two heights above the frame's plane, by least squares. Depth is 0 at
-    the lower height and 1 at the higher one.
+    The points are metres from the frame's point ``origin_frame_m`` (3,). The matrix is an affine camera, fitted to the map by least
+    squares between the two heights ``heights_frame_m`` above the frame's plane. Depth is 0 at the lower height, 1 at the higher one.
     """
     low, high = heights_frame_m
     points, pixel = _samples(world, frame, view, low, high)
@@ -73,10 +78,11 @@ def map_clip(
 
 @cached("scene", MIB)
 def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float:
-    """Return the largest distance, in pixels, between the map and the affine cameras of parts at the level's corners and middle.
+    """Return the largest distance, in pixels, of the ground's points in a map from the same points in the map's affine cameras.
 
-    It depends on the level and the grid alone, so that neighbouring blocks are drawn alike. ``MAX_BEND_PX`` where a part reaches
-    beyond the area of the CRS.
+    It is measured in five parts of the map: in the middle and at the corners of the level. It depends on the level, the grid and the
+    pixels' size only, so that neighbouring blocks are drawn alike. The result is ``MAX_BEND_PX`` if a part reaches beyond the area
+    of the CRS, and 0 in a flat world. ``row_step`` and ``col_step`` are the distances of neighbouring pixels in nodes.
     """
     if scene.world.flat:
         return 0.0
@@ -104,10 +110,10 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
 def _samples(
     world: World, frame: LocalFrame, view: MapView, low: float, high: float, curved: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of a map at two heights above the frame's plane, to fit an affine camera to.
+    """Return points of a map at the heights ``low`` and ``high``, to fit an affine camera to.
 
-    The result holds frame points (n, 3), and columns and rows (n, 2) from the corner of the first pixel. With ``curved`` the
-    heights are above sea level.
+    The result holds frame points (n, 3) in metres, and their columns and rows (n, 2) in pixels from the corner of the first pixel.
+    Heights are above the frame's plane, or with ``curved`` above sea level.
     """
     row, col = np.meshgrid(*(np.linspace(0.0, size, FIT_POINTS) for size in (view.rows, view.cols)), indexing="ij")
     x = view.grid.x(view.col0 + (col - 0.5) * view.col_step)

@@ -1,7 +1,7 @@
 """Refine cells of a big raster's overview where single cells cover much ground.
 
-Finer cells exclude more ground beside a block that cannot shade it and need not be read. So a block costs the same on a raster of
-any size.
+The overview holds the highest ground of coarse cells. It shows which ground beside a block of a map can shade the block; no other
+ground is read. Finer cells exclude more ground. So the time for a block does not depend on the size of the raster.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from skugga.terrain.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class FineCells:
-    """Finer cells (n,) of some of an overview's cells.
+    """Finer cells (n,) into which some cells of an overview are divided.
 
     Attributes
     ----------
-    row, col, half_extent
-        float64 (n,), rows, columns and half extents on a grid, in nodes.
+    row, col
+        float64 (n,), rows and columns of the cells' centres on a map grid, in nodes.
+    half_extent
+        float64 (n,), half the cells' width on the grid, with a margin, in nodes.
     light_space_m
-        float64 (n, 3), the cells' centres at their highest ground, in light space, metres.
+        float64 (n, 3), the cells' centres at the height of their highest ground, in light space, metres.
     width_m
         The width of a cell, metres.
     """
@@ -45,10 +47,23 @@ def fine_cells(
     parent_extent: tuple[np.ndarray, np.ndarray],
     period: float | None,
 ) -> FineCells | None:
-    """Return the finer cells of the overview's cells that the mask ``parents`` (rows, cols) selects.
+    """Return the finer cells within the overview's cells that the mask ``parents`` (rows, cols) selects.
 
-    ``parent_extent`` holds columns and half extents (n,) of the selected cells. Columns repeat after ``period``. ``None`` if the
-    level has no finer cells.
+    Cells without ground are left out. The result is ``None`` if the overview has no finer cells.
+
+    Parameters
+    ----------
+    scene, light
+        The scene, and the sun's light space.
+    grid
+        The map grid on which the cells' positions are returned.
+    parents
+        The mask of the overview's selected cells.
+    parent_extent
+        Columns (n,) of the selected cells' centres on the grid, and half their widths (n,), in nodes.
+    period
+        Columns of the grid round the earth: positions differ by a multiple of it on two turns. ``None`` on a grid that does not
+        close. Columns of the result are those of the turn nearest to the parents' columns.
     """
     overview, elevation = scene.elevation.overview, scene.elevation
     if overview.fine_high_m is None:

@@ -1,19 +1,21 @@
 """Trace rays through the drawn triangles with Embree. Ray offsets are derived from its float32 precision.
 
-A few rays in one direction are traced through sheets of nodes instead (``skugga.terrain.casters.sheet_rays``). They start at the
-same points: their float64 needs no offset as large, but results should not depend on the method.
+A few rays in one direction can be traced through the ground's grid meshes instead (``skugga.terrain.casters.sheet_rays``). That
+method works in float64 and would need a smaller offset. Its rays start at the same points all the same, so that results do not
+depend on the method.
 
 **Offset.** Embree works in float32. Coordinates are relative to the middle of the geometry. With the largest coordinate X, each
-vertex and each origin is off by at most half a unit in the last place per axis: sqrt(3) X 2^-24. A triangle's plane and a start
-on it may thus be apart by twice that. The intersection itself adds a few units more (Embree's own bound for its robust
-Pluecker tests is of that order). With a safety factor of two
+vertex and each ray origin is off by at most half a unit in the last place per axis: sqrt(3) X 2^-24. The distance between a
+triangle's plane and a ray origin on it may thus be twice that. The intersection itself adds a few units more: Embree's own bound
+for its robust Pluecker tests is of that order. With a safety factor of two
 
     e = 16 X 2^-24        (1 mm per kilometre of extent)
 
-suffices: a ray that starts e above its triangle, along the normal, does not meet that triangle. The offset only affects geometry
-within e of the surface. Callers that need to detect this also trace rays with offsets 2e and 4e and discard answers that differ.
+suffices: a ray that starts e above its triangle, along the normal, does not meet that triangle. The offset changes results only for
+geometry within e of the surface. Callers that must detect such results also trace rays with the offsets 2e and 4e. They discard
+answers that differ.
 
-**Alpha.** A ray passes texels below the threshold and stops at those above it, from either side.
+**Alpha.** A ray passes texels whose alpha is below a threshold, and stops at all other texels, from either side of the triangle.
 """
 
 from __future__ import annotations
@@ -70,24 +72,24 @@ class AlphaMesh:
 
 
 class RayScene:
-    """The geometry that rays can meet, float64 in one frame, metres.
+    """The geometry that rays can meet. Coordinates are float64 in one frame, metres.
 
     Parameters
     ----------
     sheets
-        Sheets of nodes.
+        Grid meshes of the ground.
     meshes
         Vertices (n, 3) and triangles (m, 3) of each opaque mesh.
     alpha
         Alpha-tested meshes.
     traverse_sheets
-        Whether rays traverse the sheets themselves (``skugga.terrain.casters.sheet_rays``), for few rays in one direction.
-        Otherwise Embree builds a BVH that includes the sheets.
+        Whether ``skugga.terrain.casters.sheet_rays`` traces rays through the sheets, which is faster for few rays in one direction.
+        Otherwise Embree builds a bounding volume hierarchy (BVH) of all geometry, sheets included.
 
     Attributes
     ----------
     offset_m
-        The derived distance by which a ray's start is lifted off its triangle.
+        The distance by which callers must lift a ray's start off its triangle, metres.
     nbytes
         Approximate memory in bytes.
     """
@@ -116,7 +118,10 @@ class RayScene:
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
     def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:
-        """Return Embree's scene of triangles. It has no static type. Raises ``RenderError`` without the package embreex."""
+        """Build Embree's scene, which has no static type, from vertices and triangles of meshes.
+
+        Raises ``RenderError`` if the package embreex is not installed.
+        """
         try:
             from embreex import mesh_construction, rtcore_scene
         except ImportError:
@@ -131,8 +136,8 @@ class RayScene:
     def blocked(self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray | None = None) -> np.ndarray:
         """Return whether rays from starts (n, 3) towards unit directions (3,) or (n, 3) meet opaque geometry, bool (n,).
 
-        ``length_m`` (n,) limits the rays' lengths; ``None`` means no limit. Raises ``ValueError`` where sheets are traced
-        directly and rays have several directions or a length.
+        ``length_m`` (n,) limits the rays' lengths; ``None`` means no limit. Raises ``ValueError`` if the scene was built with
+        ``traverse_sheets`` and the rays have several directions or a length.
         """
         if self._sheet_rays is not None and (np.ndim(direction) > 1 or length_m is not None):
             problem = f"direction: with traverse_sheets=True, give one direction (3,) and no length_m, not {np.shape(direction)}"
@@ -182,7 +187,10 @@ class RayScene:
 
 
 def bounding_box(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return minimum and maximum coordinates (3,) of the finite points (..., 3); 0 without points."""
+    """Return the minimum and the maximum coordinates (3,) of all points of some arrays (..., 3); zeros without points.
+
+    Points whose third coordinate is NaN or infinite do not count.
+    """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for points in vertices:
         _widen(points.reshape(-1, 3), low, high)
@@ -198,9 +206,10 @@ def _widen(points, low, high):
 
 
 def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = None) -> np.ndarray:
-    """Sample a texture (h, w), or one (layers, h, w) at layers (n,), at coordinates (n, 2) in [0, 1].
+    """Return the values (n,) of a texture at coordinates ``uv`` (n, 2) in [0, 1].
 
-    Sampling is bilinear between texel centres and clamped at the border.
+    The texture is (h, w), or (layers, h, w) with the index ``layer`` (n,) for each coordinate. Sampling is bilinear between texel
+    centres and clamped at the border.
     """
     height, width = alpha.shape[-2:]
     x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
@@ -209,7 +218,7 @@ def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = N
 
 
 def trees_as_mesh(instances: TreeInstances) -> AlphaMesh:
-    """Return the trees' quads as alpha-tested triangles, with their full-resolution textures."""
+    """Return the three quads of each tree as alpha-tested triangles, with the foliage texture at full resolution."""
     count = len(instances)
     first = np.arange(count * 3, dtype=np.int32)[:, None] * 4
     triangles = (first[:, None, :] + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)

@@ -1,13 +1,14 @@
-"""Find how far towards the sun ground can still cast a shadow on a block, and which ground does.
+"""Find the ground that can cast a shadow on a block of a map, and the reach: how far towards the sun such ground lies.
 
-All tests are in light space, where points include the earth's curvature. Ground can shade a block if it lies before the block's
-farthest receiver, within its width, and not wholly below its lowest receiver as the sun sees it.
+Receivers are the points of the block that can be shaded. All tests are in light space (axes right, up and away from the sun), where
+points include the earth's curvature. Seen from the sun, ground can shade a block if three conditions hold: it is nearer than the
+block's farthest receiver, it lies within the block's width, and it is not wholly below the lowest receiver.
 
-* Candidates are cells of the raster's overview. Near a block that is small beside them, finer cells replace them
-  (``skugga.terrain.casters.fine_cells``).
-* The casting ground is then read on the block's own grid, so that neighbouring blocks see identical casters. Its detail halves from
-  ``FULL_DETAIL_NODES`` on, and again at each doubling of the distance; it starts sooner where the grid is much finer than the
-  raster.
+* Candidates are cells of the raster's overview, a coarse copy with the highest ground of each cell. Where the block is small in
+  comparison, finer cells replace them (``skugga.terrain.casters.fine_cells``).
+* The casting ground is then read on the block's own grid, so that neighbouring blocks have identical casters. Up to
+  ``FULL_DETAIL_NODES`` from the block it has full detail, beyond that half of it, and half again at each doubling of the distance.
+  On a grid that is much finer than the raster full detail ends sooner.
 """
 
 from __future__ import annotations
@@ -42,7 +43,10 @@ from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
 
 PATCH_QUADS = 256
-"""Side of a patch of casters in quads. Patches lie on multiples of it from the grid's origin."""
+"""Side of a patch in quads. A patch is a square of ground beside a block that may cast shadows on it.
+
+The sides of patches lie on multiples of this number, counted from the grid's origin.
+"""
 
 FULL_DETAIL_NODES = 4096
 """Maximum distance in nodes from a block at which casters are read on the block's own grid. Up to twice as far they have half its
@@ -50,34 +54,37 @@ detail, and so on.
 """
 
 NODES_PER_CELL, MIN_DETAIL_NODES = 16, 2 * PATCH_QUADS
-"""Grid nodes per side of a raster cell above which full detail ends sooner, in proportion, and the minimum distance in nodes at
-which it ends. Denser nodes show the raster's bilinear ground and nothing new. Otherwise maps of centimetres would read millions
-of patches.
+"""Number of grid nodes per side of a raster cell above which full detail ends sooner, and the minimum distance in nodes at which it
+ends. The distance falls in proportion to the number of nodes per cell. Nodes that are denser than cells only repeat the raster's
+bilinear surface. Without this rule maps with pixels of centimetres would read millions of patches.
 """
 
 CELL_SLACK = 1.5
-"""Maximum distance of an overview cell's ground from its centre, in cells, with a margin."""
+"""Maximum distance of an overview cell's ground from the cell's centre, in widths of a cell, with a margin."""
 
 COARSE_CELL_NODES = PATCH_QUADS / 4
-"""Half extent in nodes above which overview cells are refined."""
+"""Half the width of an overview cell, in nodes of the block's grid, above which finer cells replace the cell."""
 
 UNKNOWN_RELIEF_M = 1500.0
-"""Assumed maximum height of ground beyond the raster above a block's lowest point. A higher level raises it."""
+"""Assumed maximum height, metres, of unknown ground beyond the raster above a block's lowest point.
+
+Where the level's own ground rises higher above that point, its height is assumed instead.
+"""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """The distance towards the sun within which casters count, in metres from the block's edge.
+    """The distance towards the sun within which ground counts as a caster, in metres from the block's edge.
 
     Attributes
     ----------
     used_m
-        The distance within which ground was examined.
+        The distance up to which ground was examined.
     needed_m
-        The distance at which known ground can cast a shadow on the block. Where the data ends sooner, the distance at which unknown
-        ground could.
+        The distance up to which ground can cast a shadow on the block. If the raster ends before that, unknown ground beyond it
+        counts, up to the assumed height ``UNKNOWN_RELIEF_M``.
     clipped
-        Whether the data ends before ``needed_m``.
+        Whether the raster ends before ``needed_m``, so that casters may be missing.
     """
 
     used_m: float
@@ -87,7 +94,15 @@ class Reach:
 
 @dataclass(frozen=True)
 class Patch:
-    """A patch of casters: every 2**lod-th node from row and column ``PATCH_QUADS * (row, col)`` on."""
+    """A patch: a square of ground of ``PATCH_QUADS`` x ``PATCH_QUADS`` quads of a grid, which may cast shadows on a block.
+
+    Attributes
+    ----------
+    lod
+        Level of detail: the patch has every ``2**lod``-th node of the block's grid.
+    row, col
+        Row and column of the patch: its first node is ``PATCH_QUADS * (row, col)`` of the grid of these nodes.
+    """
 
     lod: int
     row: int
@@ -95,9 +110,11 @@ class Patch:
 
 
 def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, radius_m: float = EARTH_RADIUS_M) -> float:
-    """Return the length of the longest shadow of ground with a relief, metres.
+    """Return the length, metres, of the longest shadow that ground of the height range ``relief_m`` can cast.
 
-    It is L of H = L tan(a) + L^2 / 2R, without terrestrial refraction.
+    It is the solution L of H = L tan(a) + L^2 / 2R. H is ``relief_m``, a the sun's altitude and R ``radius_m``, the earth's radius.
+    Without ``curved`` the term with R is left out. Terrestrial refraction is neglected. The result is infinite for a sun at the
+    horizon of flat ground.
     """
     if relief_m <= 0:
         return 0.0
@@ -108,13 +125,14 @@ def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, 
 
 
 RAY_STARTS = 64
-"""Approximate number of points of a perspective view from which rays to the sun are followed to the end of the data."""
+"""Approximate number of points of a perspective view from which the raster's extent towards the sun is measured."""
 
 
 class Receivers(Protocol):
-    """Points that can be shaded.
+    """Points that can be shaded, and the ground of the map that they belong to.
 
-    They are points (rows, cols, 3) in a frame with the valid mask ``valid``, and a map's ground. A geometry buffer is one.
+    The points ``position_frame_m`` have the shape (rows, cols, 3), the mask ``valid`` the shape (rows, cols). ``surface`` holds the
+    nodes of smooth ground, ``columns`` ground of upright columns. ``GeometryBuffer`` and ``BareNodes`` implement this protocol.
     """
 
     @property
@@ -143,9 +161,9 @@ class Casters:
     Attributes
     ----------
     patches
-        Patches of this ground.
+        Patches of the ground that can shade the block.
     reach
-        The distance within which they were searched.
+        The distance up to which the ground was searched.
     culled
         Patches that provably cast no shadow on the block (``skugga.terrain.casters.caster_culling``).
     """
@@ -164,9 +182,9 @@ NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
 
 
 def find_casters(scene: Scene, buffer: GeometryBuffer) -> Casters:
-    """Return the ground outside a map's block that can shade it, and the reach.
+    """Find the ground outside a map's block that can shade the block, from the sun or from lamps, and the reach.
 
-    In perspective all ground is in the buffer already.
+    For a perspective view the result has no patches, because its buffer already holds all ground.
     """
     if not isinstance(buffer.view, MapView):
         return Casters((), find_reach(scene, buffer))
@@ -178,21 +196,21 @@ def find_casters(scene: Scene, buffer: GeometryBuffer) -> Casters:
 
 
 def find_reach(scene: Scene, buffer: GeometryBuffer) -> Reach:
-    """Return the reach of casters on a buffer's points, where the buffer already holds all ground."""
+    """Return the reach of the sun's casters for a buffer that already holds all ground, such as that of a perspective view."""
     if not _sun_shines(scene, buffer):
         return NO_CASTERS.reach
     return _reach(scene, buffer, _sunward_extent_m(scene, buffer, _shading_cells(scene, buffer)))
 
 
 def find_reach_of_nodes(scene: Scene, nodes: BareNodes) -> Reach:
-    """Return the reach of casters on nodes of bare ground."""
+    """Return the reach of the sun's casters for a map's nodes of bare ground (ground without objects)."""
     if not _sun_shines(scene, nodes):
         return NO_CASTERS.reach
     return _reach(scene, nodes, _sunward_extent_m(scene, nodes, _find_shading_cells(scene, nodes)[0]))
 
 
 def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
-    """Return the ground outside a map's block that can shade it from the sun."""
+    """Return the patches of ground outside a map's block that can shade the block from the sun."""
     if not _sun_shines(scene, receivers):
         return ()
     return _shading_patches(scene, receivers)[0]
@@ -203,15 +221,16 @@ def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
 
 
 def _shading_cells(scene: Scene, buffer: Receivers) -> np.ndarray:
-    """Return which of the overview's cells lie between a buffer's points and the sun, bool (rows, cols)."""
+    """Return the mask (rows, cols) of the overview's cells whose ground may lie between a buffer's points and the sun."""
     light, slack = _overview_in_light(scene)
     return _is_towards_sun(scene, buffer, light, slack)
 
 
 def _is_towards_sun(scene: Scene, buffer: Receivers, light_space_m: np.ndarray, slack_m: float) -> np.ndarray:
-    """Return which points in light space (..., 3) lie between a buffer's points and the sun.
+    """Return which points in light space (..., 3) may lie between a buffer's points and the sun, bool (...).
 
-    Points that miss it by less than ``slack_m`` count, too.
+    The region between them is the bounding box of the buffer's points, extended without limit towards the sun and upwards. Points
+    within ``slack_m`` of the region count, too.
     """
     assert scene.light is not None
     low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
@@ -231,7 +250,10 @@ def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, caster_m: float) ->
 
 
 def _grid_and_ground(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindow]:
-    """Return the grid of a map's block and its own ground on it. For columns it is the grid of the raster's cells."""
+    """Return the grid of the ground of a map's block, and the block's own ground on that grid.
+
+    For ground of upright columns it is the grid of the raster's cells, else that of the map.
+    """
     if buffer.columns is not None:
         return buffer.columns.window.columns.grid, buffer.columns.window
     assert isinstance(buffer.view, MapView) and buffer.surface is not None
@@ -239,7 +261,10 @@ def _grid_and_ground(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindo
 
 
 def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
-    """Return the ground between a block and the level's lamps, on the block's own grid, within ``FULL_DETAIL_NODES``."""
+    """Return the patches between a block and each lamp of the level, at full detail, without those within the block.
+
+    Patches farther than ``FULL_DETAIL_NODES`` from the block are left out.
+    """
     grid, block_ground = _grid_and_ground(buffer)
     rows, cols = block_ground.shape
     patches: dict[Patch, None] = {}
@@ -261,7 +286,10 @@ def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
 
 
 def _sunward_extent_m(scene: Scene, buffer: Receivers, can_shade: np.ndarray) -> float:
-    """Return how far the overview's cells that ``can_shade`` selects extend towards the sun from a buffer's receivers, metres."""
+    """Return how far the overview's cells that the mask ``can_shade`` selects extend towards the sun, metres, 0 or more.
+
+    The distance is horizontal, and counts from the receiver of the buffer that is nearest to the sun.
+    """
     assert scene.light is not None
     if not can_shade.any():
         return 0.0
@@ -271,9 +299,9 @@ def _sunward_extent_m(scene: Scene, buffer: Receivers, can_shade: np.ndarray) ->
 
 @cached("light", 256 * MIB)
 def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
-    """Return the overview's cells at their highest ground, and a cell's diameter, metres.
+    """Return the highest ground of each of the overview's cells, and the radius of a cell's ground with a margin, metres.
 
-    The cells are points in light space (rows, cols, 3), NaN in holes.
+    The ground is a point in light space (rows, cols, 3) above the cell's centre, NaN in holes.
     """
     point, up = _overview_on_earth(scene.world, scene.elevation)
     assert scene.light is not None
@@ -300,9 +328,9 @@ def _overview_cell_m(scene: Scene) -> float:
 
 @cached("scene", 256 * MIB)
 def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes.
+    """Return rows, columns and half widths of the overview's cells on a map grid, each float64 (rows, cols), in nodes.
 
-    Columns are continuous across the antimeridian.
+    Rows and columns are those of the cells' centres. Half widths include a margin. Columns are continuous across the antimeridian.
     """
     x, y = _overview_xy(elevation)
     if grid.crs != elevation.crs:
@@ -321,7 +349,7 @@ def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np
 
 
 def _columns_round_the_earth(grid: Grid) -> float | None:
-    """Return the number of a grid's columns round the earth; ``None`` unless the grid meets itself."""
+    """Return the number of a grid's columns round the earth; ``None`` in a CRS whose maps do not close round the earth."""
     if grid.crs.is_geographic:
         return 360.0 / grid.step
     return 2.0 * np.pi * WGS84.a / grid.step if epsg_of(grid.crs) == 3857 else None
@@ -333,10 +361,12 @@ class _ShadingCells:
 
     Attributes
     ----------
-    row, col, half_extent
-        float64 (n,), rows, columns and half extents on the block's grid, in nodes.
+    row, col
+        float64 (n,), rows and columns of the cells' centres on the block's grid, in nodes.
+    half_extent
+        float64 (n,), half the cells' widths with a margin, in nodes.
     distance
-        float64 (n,), distances from the block, in nodes.
+        float64 (n,), distances of the cells' centres from the block, in nodes; 0 on it.
     """
 
     row: np.ndarray
@@ -346,10 +376,10 @@ class _ShadingCells:
 
 
 def _find_shading_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _ShadingCells]:
-    """Return the overview's cells that can shade a block.
+    """Find the overview's cells whose ground can shade a block.
 
-    The mask (rows, cols) selects those outside the block. The ``_ShadingCells`` include cells under the block, refined where
-    necessary.
+    The first result is the mask (rows, cols) of these cells, without those under the block. The second one also includes cells under
+    the block. It has finer cells where the overview's cells are larger than ``COARSE_CELL_NODES``.
     """
     can_shade = _shading_cells(scene, buffer)
     grid, block_ground = _grid_and_ground(buffer)
@@ -376,7 +406,7 @@ def _find_shading_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _S
 
 
 def _node_distances(block_ground: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return the distances of positions (n,) from a block's own ground, in nodes; 0 on it."""
+    """Return the distances (n,) of rows and columns (n,) of a grid from a block's own ground, in nodes; 0 on the ground."""
     rows, cols = block_ground.shape
     side_distances = [
         block_ground.row0 - row,
@@ -390,10 +420,10 @@ def _node_distances(block_ground: NodeHeights | ColumnWindow, row: np.ndarray, c
 
 
 def _shading_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
-    """Return patches under the overview's cells that can shade the block, and the distance of the farthest cell.
+    """Return the patches that contain ground which can shade the block, and the distance of the farthest such ground.
 
-    The distance is measured towards the sun, in metres. A cell may be larger than a patch and than the block: it counts at each
-    level of detail within that level's distance.
+    The patches are those that the overview's shading cells overlap. The distance is measured towards the sun, in metres. A cell may
+    be larger than a patch. So it gives patches of several levels of detail, each within the range of distances of that level.
     """
     outside, cells = _find_shading_cells(scene, buffer)
     (grid, block_ground), row, col, half_extent, distance = (
@@ -446,7 +476,10 @@ def _full_detail_nodes(scene: Scene, grid: Grid) -> int:
 
 
 def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[Patch]:
-    """Return the patches, all of one level, that could shade the block if they were as high as the level's highest ground."""
+    """Select the patches that could shade the block if they were as high as the level's highest ground.
+
+    All patches must have the same level of detail.
+    """
     if not patches:
         return []
     assert scene.light is not None
@@ -462,7 +495,10 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
 
 
 def _unique_rows(spans: np.ndarray) -> list[list[int]]:
-    """Return the distinct rows of an integer array, by one key each (``np.unique`` over rows is 20 times slower)."""
+    """Return the distinct rows of an integer array (n, k).
+
+    Each row is encoded as one integer first, since ``np.unique`` over rows is 20 times slower.
+    """
     if not len(spans):
         return []
     first = spans.min(axis=0)
@@ -472,12 +508,16 @@ def _unique_rows(spans: np.ndarray) -> list[list[int]]:
 
 
 def _inside(row: int, col: int, quads: int, row0: int, col0: int, rows: int, cols: int) -> bool:
-    """Return whether a patch lies wholly in the block's own window, which casts anyway."""
+    """Return whether a patch lies wholly within a window of nodes, such as the block's own ground.
+
+    The patch starts at (``row``, ``col``) and has ``quads`` quads per side. The window has ``rows`` x ``cols`` nodes from
+    (``row0``, ``col0``) on.
+    """
     return row >= row0 and col >= col0 and row + quads <= row0 + rows - 1 and col + quads <= col0 + cols - 1
 
 
 def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
-    """Return how far the block's receivers reach towards the sun, as ``LightSpace.towards_sun_m`` counts."""
+    """Return the maximum of ``LightSpace.towards_sun_m`` over a buffer's receivers, metres: the edge nearest to the sun."""
     rotation, translation = light.from_frame(buffer.frame)
     row, offset = light.towards_sun_m(rotation.T), light.towards_sun_m(translation)
     _, high = light_bounds(buffer.position_frame_m, buffer.valid, np.tile(row, (3, 1)), np.full(3, offset))
@@ -485,7 +525,10 @@ def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
 
 
 def _rim_pixels(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns of pixels on the rim of a valid mask: the ends of nine rows and nine columns."""
+    """Return rows and columns (n,), (n,) of pixels on the outline of a valid mask.
+
+    They are the first and last valid pixels of nine evenly spaced rows and of nine columns.
+    """
     ends = []
     for axis, mask in enumerate((valid, valid.T)):
         lines = np.flatnonzero(mask.any(axis=1))
@@ -497,7 +540,10 @@ def _rim_pixels(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
-    """Return positions among a buffer's receivers from which rays to the sun are examined: CRS, x, y, and the view's middle."""
+    """Return positions of some of a buffer's receivers, from which the raster's extent towards the sun is measured.
+
+    The result holds the CRS, x (n,) and y (n,) of the positions in that CRS, and x and y of the view's middle.
+    """
     view = buffer.view
     if isinstance(view, MapView):
         i, j = _rim_pixels(buffer.shows_ground if isinstance(buffer, BareNodes) else buffer.valid)
@@ -511,10 +557,10 @@ def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, 
 
 
 def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float, float]:
-    """Return how far towards the sun the raster extends from the block's receivers, and how far it must extend to include all
-    casters, metres.
+    """Return the distance to the raster's end towards the sun, and the distance up to which ground could shade receivers, metres.
 
-    The receiver where the raster ends soonest decides.
+    The first distance is the minimum over the positions of ``_ray_starts``. The second one is the longest shadow of ground that rises
+    ``UNKNOWN_RELIEF_M``, or as high as the level's ground, above the lowest receiver.
     """
     assert scene.sun is not None and scene.light is not None
     lowest = float(np.nanmin(buffer.height_m))

@@ -1,9 +1,9 @@
-"""Trace rays in one direction through sheets of nodes, with rotated nodes and a small acceleration structure.
+"""Trace parallel rays through grid meshes of the ground (sheets), with rotated nodes and a pyramid of bounding boxes.
 
-In the plane perpendicular to the rays a ray is a point. It stops at any triangle that covers the point and lies farther on. So
-nodes are rotated until the rays run along the third axis. A pyramid of bounding boxes over tiles of quads finds the triangles
-that can cover a point. It corresponds to maximum mipmaps over heights (Tevs, Ihrke and Seidel 2008). Building it takes one pass
-over the nodes, where a sorted tree (BVH) takes seconds.
+The nodes are rotated so that the rays run along the third axis. Projected along that axis, a ray is a point. The ray stops at any
+triangle that covers the point and lies farther along the axis than the ray's start. A pyramid of bounding boxes over tiles of quads
+finds the triangles that can cover a point. It corresponds to maximum mipmaps over heights (Tevs, Ihrke and Seidel 2008). Building
+it takes one pass over the nodes, where a sorted tree (BVH) takes seconds.
 
 The tests are watertight: two triangles that share a side evaluate the same edge function of the same two nodes, with exactly
 opposite signs, so no ray passes between them. All numbers are float64.
@@ -21,23 +21,23 @@ from skugga.terrain.compiled import CORES, compiled, internal, map_on_cores
 from skugga.terrain.ground.sheet import Sheet
 
 MIN_TILE_QUADS = 4
-"""Quads along a side of the lowest tiles. All quads of a tile are tested where a ray meets the tile's box."""
+"""Quads along a side of the smallest tiles. All quads of such a tile are tested if a ray meets the tile's box."""
 
 
 class Pyramids(NamedTuple):
-    """Concatenated arrays of all sheets for the compiled loops.
+    """Concatenated arrays of all sheets for the compiled loops, each sheet with a pyramid of bounding boxes.
 
     Attributes
     ----------
     node
         float64 (n, 3), nodes rotated so that rays run along the third axis.
     is_cut_nw_se
-        bool (m,), the cuts of the quads.
+        bool (m,), whether a quad is cut from its north-west to its south-east corner (``Sheet``).
     sheet
-        int64 (k, 5) for each sheet: its first node, the nodes of a row, its first quad, and its first and last index in
-        ``pyramid_level``.
+        int64 (k, 5) for each sheet: index of its first node, nodes per row, index of its first quad, and first and last index in
+        ``pyramid_level``, from the finest level to the coarsest.
     pyramid_level
-        int64 (l, 3) for each pyramid level: its first box, and its rows and columns of boxes.
+        int64 (l, 3) for each pyramid level: index of its first box, and its rows and columns of boxes.
     box
         float64 (b, 5), bounds of a box: minimum and maximum of the first and of the second coordinate, and maximum of the third
         one.
@@ -51,7 +51,7 @@ class Pyramids(NamedTuple):
 
 
 class SheetRays:
-    """Ray queries on sheets in one frame. Coordinates are relative to its point ``centre_m`` (3,)."""
+    """Ray queries on sheets in one frame. Coordinates are taken relative to the frame's point ``centre_m`` (3,)."""
 
     def __init__(self, sheets: Iterable[Sheet], centre_m: np.ndarray) -> None:
         self._sheets = [sheet for sheet in sheets if sheet.is_cut_nw_se.size]
@@ -68,7 +68,7 @@ class SheetRays:
         return np.concatenate(map_on_cores(partial(_blocked, pyramids), parts))
 
     def _pyramids_along(self, direction: tuple[float, ...]) -> Pyramids:
-        """Return the sheets rotated along a direction. The last ones are cached."""
+        """Return the pyramids of the sheets for rays in a direction. Those of the last direction are cached."""
         if self._cached_pyramids is None or self._cached_pyramids[0] != direction:
             self._cached_pyramids = direction, self._build_pyramids(direction)
         return self._cached_pyramids[1]
@@ -100,9 +100,10 @@ class SheetRays:
 
 
 def _axes_along(direction: np.ndarray) -> np.ndarray:
-    """Return unit axes (3, 3) with the last one along a direction.
+    """Return orthogonal unit axes as rows (3, 3), the last one along a direction.
 
-    The first one is horizontal where possible, so that boxes of ground are flattest.
+    The first axis is horizontal, so that the bounding boxes of ground are as flat as possible. For a nearly vertical direction it
+    is perpendicular to the frame's second axis instead.
     """
     axis = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     horizontal = np.cross([0.0, 0.0, 1.0] if abs(axis[2]) < 0.999 else [0.0, 1.0, 0.0], axis)
@@ -112,7 +113,7 @@ def _axes_along(direction: np.ndarray) -> np.ndarray:
 
 @compiled
 def _build(pyramids, number, position, centre, axes):
-    """Write a sheet's rotated nodes and its boxes."""
+    """Write the rotated nodes and the boxes of the sheet ``number`` to ``pyramids``."""
     first, per_row, _, low, high = pyramids.sheet[number]
     rows, cols, _ = position.shape
     node, box, pyramid_level = pyramids.node, pyramids.box, pyramids.pyramid_level
@@ -152,7 +153,7 @@ def _fill(box, index, a0, a1, b0, b1, d1):
 
 @compiled
 def _blocked(pyramids, start):
-    """Return which rotated starts (n, 3) have a triangle ahead, bool (n,)."""
+    """Return whether rays from starts (n, 3), in the rotated axes, meet a triangle of any sheet, bool (n,)."""
     out = np.zeros(len(start), np.bool_)
     stack = np.empty((256, 3), np.int64)
     for n in range(len(start)):
@@ -166,7 +167,7 @@ def _blocked(pyramids, start):
 
 @internal
 def _hits_sheet(pyramids, number, a, b, d, stack):
-    """Return whether a ray meets a triangle of a sheet."""
+    """Return whether a ray from (a, b, d), in the rotated axes, meets a triangle of a sheet. ``stack`` is work space."""
     _, _, _, low, high = pyramids.sheet[number]
     box, pyramid_level = pyramids.box, pyramids.pyramid_level
     if not _may_hit_box(box, pyramid_level[high, 0], a, b, d):
@@ -191,13 +192,13 @@ def _hits_sheet(pyramids, number, a, b, d, stack):
 
 @internal
 def _may_hit_box(box, index, a, b, d):
-    """Return whether the contents of a box may cover a point, farther along the rays."""
+    """Return whether a ray from (a, b, d), in the rotated axes, may meet geometry in a box."""
     return box[index, 2] <= b and b <= box[index, 3] and box[index, 0] <= a and a <= box[index, 1] and box[index, 4] > d
 
 
 @internal
 def _hits_tile(pyramids, number, i, j, a, b, d):
-    """Return whether a ray meets a triangle of a tile of quads."""
+    """Return whether a ray from (a, b, d), in the rotated axes, meets a triangle of the tile (i, j) of a sheet's quads."""
     first, per_row, first_quad, _, _ = pyramids.sheet[number]
     last = pyramids.sheet[number + 1, 2] if number + 1 < len(pyramids.sheet) else len(pyramids.is_cut_nw_se)
     node, cols = pyramids.node, per_row - 1
@@ -223,9 +224,9 @@ def _hits_tile(pyramids, number, i, j, a, b, d):
 
 @internal
 def _hits_triangle(node, p, q, r, a, b, d):
-    """Return whether a triangle of three nodes covers a point, with its sides and corners, farther along the rays.
+    """Return whether a ray from (a, b, d), in the rotated axes, meets the triangle of the nodes p, q and r.
 
-    Triangles seen edge-on, or with a missing corner, cover nothing.
+    The triangle's sides and corners belong to it. Triangles parallel to the rays, or with a missing corner, are never met.
     """
     pa, pb, qa, qb, ra, rb = node[p, 0] - a, node[p, 1] - b, node[q, 0] - a, node[q, 1] - b, node[r, 0] - a, node[r, 1] - b
     # Swapping the two nodes of an edge negates its edge function exactly.

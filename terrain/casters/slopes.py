@@ -1,9 +1,9 @@
 """Bound the slopes of a ground's facets in every direction, to compare any sun with all facets at once.
 
-A facet with the normal (-a, -b, 1), in the east-north-up axes of the level's anchor, faces the sun (e, n, u) if u > a e + b n.
-Over all facets the right side is largest and least at a corner of the convex hull of the slopes (a, b). The hull is stored by its
-support function in ``SUPPORT_DIRECTIONS`` directions. The polygon that these bound contains the hull, and exceeds it by 0.12 % at
-most.
+A facet with the normal (-a, -b, 1), in the east-north-up axes of the level's anchor, has the slope (a, b). It faces the sun in the
+direction (e, n, u) if u > a e + b n. Over all facets, the right side has its maximum and minimum at corners of the convex hull of
+the slopes. The hull is stored by its support function: the maximum of a cos(t) + b sin(t), for ``SUPPORT_DIRECTIONS`` angles t.
+These values define a polygon that contains the hull and exceeds it by at most 0.12 %.
 """
 
 from __future__ import annotations
@@ -24,18 +24,20 @@ from skugga.terrain.ground.surface import Surface
 SUPPORT_DIRECTIONS = 64
 
 MAX_SLOPE = 50.0
-"""Maximum slope that is resolved: 89 degrees. Beyond it, or on another side of the earth, the result is unknown."""
+"""Maximum slope of a facet, metres per metre: 89 degrees. With steeper facets, also on another side of the earth, the support is
+unknown.
+"""
 
 
 class SlopeSupport(NamedTuple):
-    """Support functions (``SUPPORT_DIRECTIONS``,) of a ground's slopes, metres per metre.
+    """Support functions of a ground's slopes, metres per metre: maximum slopes in ``SUPPORT_DIRECTIONS`` directions from the east.
 
     Attributes
     ----------
     casting
-        Of all facets that cast shadows, the rim beyond the raster among them.
+        (``SUPPORT_DIRECTIONS``,), over all facets that cast shadows, also those of the rim (one node of ground beyond the raster).
     visible
-        Of the facets that an image shows.
+        (``SUPPORT_DIRECTIONS``,), over the facets that an image shows.
     """
 
     casting: np.ndarray
@@ -43,10 +45,10 @@ class SlopeSupport(NamedTuple):
 
 
 def facing_range_of_slopes(support: SlopeSupport | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
-    """Return the minimum of u - (a e + b n) over all casting facets, and its maximum over all visible ones.
+    """Return the minimum of u - (a e + b n) over all casting facets, and its maximum over all visible facets.
 
-    ``to_sun_enu`` is the direction to the sun (e, n, u). A facet rises by a per metre to the east and b to the north. It faces the
-    sun if its value is positive. ``None`` where the slopes are unknown.
+    ``to_sun_enu`` (3,) is the unit direction to the sun (e, n, u) at the anchor. (a, b) is a facet's slope to the east and to the
+    north. A facet faces the sun if the value is positive. Both results are ``None`` if ``support`` is.
     """
     if support is None:
         return None, None
@@ -65,16 +67,19 @@ def _facing_range_of_support(support: np.ndarray, to_sun_enu: np.ndarray) -> tup
 
 
 Corridor = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Part of a frame. Rows (2, 3) and offsets (2,) map points to two coordinates; (2, 2) holds the minimum and maximum of each."""
+"""Part of a frame, as three arrays: a matrix (2, 3), offsets (2,) and bounds (2, 2).
+
+The matrix and the offsets map frame points to two coordinates. The bounds are the minimum and maximum of each coordinate.
+"""
 
 
 def facing_range_of_mesh(
     world: World, ground: GroundMesh, frame: LocalFrame, corridor: Corridor, to_sun_enu: np.ndarray
 ) -> tuple[float | None, float | None]:
-    """Return minimum and maximum of u - (a e + b n) over facets of a perspective view's ground that intersect a corridor.
+    """Return the minimum and maximum of u - (a e + b n) over the facets of a mesh that may intersect a corridor.
 
-    The symbols are those of ``facing_range_of_slopes``. The mesh and the corridor are in the view's frame. Both values are infinite
-    without facets, and ``None`` where a facet is too steep.
+    The mesh is the ground of a perspective view. The symbols are those of ``facing_range_of_slopes``. The mesh and the corridor are
+    in ``frame``. Both values are infinite without facets, and ``None`` if a facet is steeper than ``MAX_SLOPE``.
     """
     rows, offsets, bounds = corridor
     to_frame = frame.frame_from_earth @ world.earth_from_anchor
@@ -86,7 +91,10 @@ def facing_range_of_mesh(
 
 @cached("scene", 64 * MIB)
 def slope_support(world: World, elevation: Elevation, grid: Grid) -> SlopeSupport | None:
-    """Return the support of the slopes of the level's whole ground on a map grid; ``None`` if it is unknown."""
+    """Return the support of the slopes of the level's whole ground on a map grid.
+
+    ``None`` if a facet is steeper than ``MAX_SLOPE``, or if no facet is visible.
+    """
     surface, directions = Surface(world, elevation, grid), _directions()
     casting, visible = _empty_support(), _empty_support()
     (first_row, last_row), (first_col, last_col) = extent_on_grid(world, elevation, grid)
@@ -114,7 +122,7 @@ def node_count(world: World, elevation: Elevation, grid: Grid) -> int:
 
 
 def extent_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return first and last row, and first and last column, of a grid that a raster covers."""
+    """Return the first and last row, and the first and last column, of a grid's nodes that a raster may cover."""
     row, col, half = overview_on_grid(world, elevation, grid)
     valid = np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
     if not valid.any():
@@ -136,9 +144,10 @@ def _empty_support() -> np.ndarray:
 
 @compiled
 def _extend_support(normals, anchor_from_frame, directions, support):
-    """Extend the support ``support`` by the slopes of normals (n, 3) of any length.
+    """Extend a support function in place by the slopes of facets with the normals (n, 3), of any length, in a frame.
 
-    All of it becomes infinite if a facet is too steep to have a slope.
+    ``anchor_from_frame`` (3, 3) rotates normals to the anchor's axes. ``directions`` (k, 2) are those of ``support`` (k,). If a facet
+    is steeper than ``MAX_SLOPE``, all of ``support`` becomes infinite.
     """
     inner = 0.0  # slopes shorter than this cannot extend the support
     t = anchor_from_frame

@@ -1,4 +1,4 @@
-"""Compiled loops bundled with a wheel, for any processor of the level x86-64-v3. Imports no numba.
+"""Compiled loops bundled with a wheel, for any processor with the instructions of x86-64-v3. Imports no numba.
 
 A wheel holds the loops of one version each of Python, numba and NumPy. They are used where these versions match and the processor
 has the instructions of x86-64-v3. Elsewhere they are ignored, and loops are compiled for the local processor.

@@ -112,7 +112,10 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestFunction) -> Hashable:
-    """Describe a value. A module is described by those of the ``attributes`` that it has."""
+    """Describe a value as a nested tuple of numbers and strings.
+
+    A module is described by the values of those of its attributes whose names are in ``attributes``.
+    """
 
     def described(part: Any) -> Hashable:
         return _describe(part, (), digest_of_callee)

@@ -31,7 +31,7 @@ from skugga.terrain.compiling.parent_process import end_with_parent
 from skugga.terrain.compiling.signatures import recorded_signatures
 
 LOWEST_PRIORITY = 19
-"""See nice(2)."""
+"""Nice value of the lowest scheduling priority, see nice(2)."""
 
 
 class Task(NamedTuple):
@@ -79,10 +79,10 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def _compile_lock(background: bool) -> Iterator[None]:
-    """Hold the lock of foreground or background compilation.
+    """Hold a file lock within the block, one for foreground and another one for background compilation.
 
-    Another foreground process may be compiling the same loops, so this one waits for it. Background work uses its own lock.
-    Raises ``OSError`` if the store is not writable.
+    Another process of the same kind may be compiling the same loops, so this one waits for it. Raises ``OSError`` if the store is
+    not writable.
     """
     folder = loop_store().folder
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -115,7 +115,7 @@ def named_tasks(products: Sequence[str]) -> Iterator[tuple[Task, str]]:
 
 
 def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:
-    """Compile loops in forked workers, callees before their callers. Yield each task when it is done."""
+    """Compile loops in forked workers, callees before their callers. Yield each task when it is done or its worker was killed."""
     queue = _Queue(tasks)
     children = _fork(tasks, min(processes, len(tasks)))
     busy: dict[Connection, int] = {}
@@ -153,7 +153,10 @@ def _fork(tasks: Sequence[Task], count: int) -> list[Connection]:
 
 
 class _Queue:
-    """Priority queue of the tasks whose callees are done: by product, then by the longest chain of callers."""
+    """Priority queue of the tasks whose callees are done.
+
+    The order is by product, then by the longest chain of callers. The length of a chain is the bytecode of its loops in bytes.
+    """
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         callees = callees_of([task.loop for task in tasks])

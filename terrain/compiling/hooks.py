@@ -1,4 +1,7 @@
-"""Hooks for loops that the cache lacks. Imports no numba, so that commands with a fast start may register them."""
+"""Hooks that compile all missing loops of a product at once, when the disk cache lacks one of them.
+
+A loop is a function that numba compiles. This module imports no numba, so that commands with a fast start may use it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 CompileFunction = Callable[[Sequence[str]], None]
-"""Callback that compiles all loops that some products need."""
+"""Callback that compiles all loops that some products need. Its argument are names in ``ahead_of_time.PRODUCTS``."""
 
 _compilers: list[CompileFunction] = []
 _needed_products: list[str] = []
@@ -25,9 +28,10 @@ def declare_product(product: str) -> None:
 
 @contextmanager
 def missing_loop_compiler(compile_products: CompileFunction) -> Iterator[None]:
-    """Within the block, call a function with the needed products on the first missing loop.
+    """Register, within the block, a function that compiles the loops of the declared products.
 
-    The function is called again only after further products were declared. Other missing loops are compiled one by one.
+    It is called with these products when the disk cache lacks a loop. It is called again only after further products were declared.
+    Any other missing loop is compiled on its own, when it is first called.
     """
     _compilers.append(compile_products)
     try:
@@ -37,13 +41,20 @@ def missing_loop_compiler(compile_products: CompileFunction) -> Iterator[None]:
 
 
 def compile_lazily() -> None:
-    """From now on compile each loop in this process on its first call, regardless of the needed products."""
+    """Compile each missing loop of this process on its own from now on, when it is first called.
+
+    The function that ``missing_loop_compiler`` registers is no longer called.
+    """
     global _is_grouping_enabled
     _is_grouping_enabled = False
 
 
 def compile_needed_products() -> bool:
-    """Compile the needed products that are not compiled yet. Return whether there were any: if so, the loop may now be stored."""
+    """Compile the loops of the declared products that are not compiled yet, and return whether any product was left.
+
+    If so, the disk cache may now hold the loop that was missing. Returns ``False`` without a registered function, and after
+    ``compile_lazily``.
+    """
     products = [product for product in _needed_products if product not in _compiled_products]
     if not products or not _compilers or not _is_grouping_enabled:
         return False

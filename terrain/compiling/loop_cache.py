@@ -56,14 +56,14 @@ _lock = threading.RLock()
 
 
 def loop_store() -> LoopStore:
-    """Return the store that this process uses."""
+    """Return the store of compiled loops that this process uses. The first call creates it."""
     if not _store:
         _store.append(default_store())
     return _store[0]
 
 
 class LoopCache(_Cache):
-    """The cache of a dispatcher.
+    """Disk cache of one compiled loop (a numba dispatcher), with an entry for each signature.
 
     The digest of a loop is computed when the loop is first compiled or read, and does not change after that. Suppose that a later
     computation gives another digest, for example because a test replaced a global. From then on the loop and its callers are
@@ -88,11 +88,11 @@ class LoopCache(_Cache):
         return str(loop_store().folder)
 
     def enable(self) -> None:
-        """Enable the store."""
+        """Read and write this loop's machine code in the store from now on."""
         self._enabled = True
 
     def disable(self) -> None:
-        """Disable the store."""
+        """Neither read nor write this loop's machine code in the store from now on."""
         self._enabled = False
 
     def flush(self) -> None:
@@ -120,7 +120,7 @@ class LoopCache(_Cache):
         return f"{readable}-{digest((_codegen_inputs(target), loop_digest, describe_types(args)))[:40]}"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any | None:
-        """Return the stored machine code of a signature, or ``None`` on a cache miss."""
+        """Return the stored machine code of a signature as numba's compile result, or ``None`` on a cache miss."""
         args = _normalized(sig)[0]
         if not self._enabled:
             with suppress(UnknownValueError):
@@ -132,7 +132,7 @@ class LoopCache(_Cache):
         return overload
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the machine code of a signature."""
+        """Write the machine code ``data`` (numba's compile result) of a signature to the store."""
         if not self._enabled:
             return
         args = _normalized(sig)[0]

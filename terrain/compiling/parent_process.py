@@ -1,4 +1,7 @@
-"""End a process together with its parent. Systems without ``prctl`` (other than Linux) rely on the closed pipe instead."""
+"""End a process together with its parent, by ``prctl`` on Linux.
+
+On other systems a process ends when it finds that the pipe from its parent is closed.
+"""
 
 from __future__ import annotations
 

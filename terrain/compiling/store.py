@@ -67,7 +67,7 @@ class LoopStore:
         self._unscanned_bytes = SCAN_EVERY_BYTES  # the first write checks the size
 
     def read(self, name: str) -> bytes | None:
-        """Return the content of an entry, or ``None`` if it is missing, corrupt or untrusted."""
+        """Return the content of an entry, or ``None`` if it is missing or corrupt, or if another user may have written it."""
         if self.bundled is not None and (content := _content(self.bundled / (name + SUFFIX))) is not None:
             return content
         path = self.folder / (name + SUFFIX)

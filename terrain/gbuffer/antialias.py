@@ -1,6 +1,7 @@
 """Anti-aliasing: several samples in each pixel on an edge, one sample elsewhere (adaptive multisampling).
 
-The samples are rows of pixels below the picture's own rows in one buffer, so that algorithms fill them like any other pixel.
+The samples are stored as more rows of pixels below the picture's own rows, in one buffer. So shadow algorithms treat them like any
+other pixels.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 SAMPLES_PER_SIDE = 2
-"""Side of the sample grid of a pixel on an edge. The pixel's own point is one more sample."""
+"""Number of samples along each side of a pixel on an edge. The pixel's own point is one more sample."""
 
 ALL_SAMPLES, DIAGONAL_SAMPLES = (0, 1, 2, 3), (0, 3)
-"""The positions of the sample grid in use: all, or two diagonal ones in pictures with many edges (``DENSE_EDGE_SHARE``)."""
+"""Indices of the samples in use: all four, or two diagonal ones in pictures with many edges (``DENSE_EDGE_SHARE``)."""
 
 DENSE_EDGE_SHARE = 0.12
-"""Share of pixels on edges above which the diagonal samples are used, as in woods."""
+"""Share of pixels on edges above which only the diagonal samples are used. Pictures of woods exceed it."""
 
 MIN_FACE_COSINE = 0.9
 """Cosine between the normals of neighbouring mesh faces below which an edge lies between them."""
@@ -49,13 +50,14 @@ class MultisampledBuffer:
     Attributes
     ----------
     buffer
-        The picture's own rows, then rows of samples.
+        The buffer: the picture's own rows, then rows of samples. Samples follow one another in the order of ``pixels``, and the last
+        row is padded with copies of the last sample.
     rows
         The number of the picture's own rows.
     pixels
-        Rows and columns (n,) of the pixels that have samples.
+        Rows (n,) and columns (n,) of the pixels that have samples.
     sample_count
-        Samples of each of these pixels. Samples follow one another in the order of ``pixels``; padding repeats the last one.
+        The number of samples of each of these pixels, without the pixel's own point.
     """
 
     buffer: GeometryBuffer
@@ -82,7 +84,10 @@ class MultisampledBuffer:
         return replace(self.buffer, **changes)
 
     def pixels_of(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns of the picture's pixels that rows and columns of the buffer belong to."""
+        """Return rows (n,) and columns (n,) of the picture's pixels that show the buffer's points at ``row`` and ``col`` (n,).
+
+        A point in a row of samples belongs to the pixel that it is a sample of.
+        """
         sample = np.flatnonzero(row >= self.rows)
         row, col = row.copy(), col.copy()
         if len(sample):
@@ -92,7 +97,10 @@ class MultisampledBuffer:
         return row, col
 
     def averaged(self, linear: np.ndarray) -> np.ndarray:
-        """Return the picture (rows, cols, k) of linear values of all points: the mean over each pixel's samples."""
+        """Average linear values (m, cols, k) of all the buffer's points to the picture's pixels (rows, cols, k).
+
+        A pixel's mean includes its own point and its samples.
+        """
         out = linear[: self.rows].copy()
         samples = linear[self.rows :].reshape(-1, linear.shape[-1])
         run_in_chunks(len(self.pixels[0]), _average_samples, *self.pixels, samples, self.sample_count, out)
@@ -100,19 +108,19 @@ class MultisampledBuffer:
 
 
 def finer_view(view: PerspectiveView) -> PerspectiveView:
-    """Return the view of the same camera that has a pixel for each possible sample."""
+    """Return the view of the same camera with a pixel for each possible sample: ``SAMPLES_PER_SIDE`` along a pixel's side."""
     return view.finer(SAMPLES_PER_SIDE)
 
 
 def samples_per_pixel(edge_share: float) -> float:
-    """Return the mean number of extra samples of a perspective view's pixel, from the share of pixels on edges."""
+    """Return the mean number of extra samples per pixel of a perspective view in which the share ``edge_share`` lies on edges."""
     return edge_share * len(DIAGONAL_SAMPLES if edge_share > DENSE_EDGE_SHARE else ALL_SAMPLES)
 
 
 def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> MultisampledBuffer:
-    """Return the buffer that a view (a block, if it is a map) is drawn from.
+    """Return the buffer that a perspective view, or a block of a map, is drawn from.
 
-    A map has no samples yet: its edges are known once its shadows are (``skugga.shadows.map_edges``).
+    That of a map has no samples: ``skugga.shadows.map_edges`` finds the edges of its shadows after these are computed.
     """
     return MultisampledBuffer(geometry_buffer(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
 
@@ -123,9 +131,9 @@ def _cache_key(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
 
 @cached("scene", 512 * MIB, key=_cache_key, max_entries=1)
 def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
-    """Return a perspective view's buffer with samples in the pixels on edges.
+    """Return the buffer of a perspective view, with samples in the pixels on edges.
 
-    The cache holds the last one: it is the same under any sun.
+    The buffer is the same under any sun. The cache holds that of the last view.
     """
     multisampled.cache.clear()  # free the last one's memory before the next one is allocated
     frame = view.frame(scene.world)
@@ -159,23 +167,38 @@ def mesh_normals(objects: SceneObjects) -> np.ndarray:
 def edge_mask(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
     """Return the mask (rows, cols) of pixels on edges, on both sides of each edge.
 
-    ``number`` counts triangles from 1: the first ``ground`` are the ground's, then come those of the meshes, with normals (m, 3).
-    ``depth`` is ``near_m`` over the distance along the view's axis.
+    Parameters
+    ----------
+    number
+        (rows, cols), the number of the triangle in each pixel, from 1; 0 without one. The ground's triangles come first, then those
+        of the meshes, then those of the trees.
+    depth
+        (rows, cols), ``near_m`` over the distance along the view's axis.
+    ground
+        The number of the ground's triangles.
+    normals
+        (m, 3), unit normals of the meshes' triangles.
+    near_m
+        Distance of the near plane, metres.
     """
     return _edges(number, depth, ground, normals, near_m, MIN_FACE_COSINE, MAX_DEPTH_STEP)
 
 
 def edge_mask_of_crosses(number: np.ndarray, distance_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
-    """Return which single pixels (n,) lie on edges.
+    """Return which of n single pixels lie on edges, bool (n,), from each pixel and its four neighbours.
 
-    The last axis of ``number`` and of the distances ``distance_m`` (n, 5) follows ``CROSS_OFFSETS``: the pixel itself first.
+    ``number`` and the distances ``distance_m`` along the view's axis, metres, have the shape (n, 5). The last axis follows
+    ``CROSS_OFFSETS``: the pixel itself comes first. The other parameters are those of ``edge_mask``.
     """
     return _edges_of_crosses(number, distance_m, ground, normals, MIN_FACE_COSINE, MAX_DEPTH_STEP)
 
 
 @compiled
 def _average_samples(first, last, row, col, samples, sample_count, out):
-    """Write the mean of each pixel and its samples, which are consecutive rows of ``samples`` (n * each, k), to the picture."""
+    """Write the mean of each pixel and its samples to the picture ``out`` (rows, cols, k).
+
+    The pixels are at ``row`` and ``col`` (n,). Their samples are consecutive rows of ``samples`` (n * sample_count, k).
+    """
     for n in range(first, last):
         for k in range(out.shape[2]):
             total = samples[n * sample_count, k]
@@ -218,9 +241,10 @@ def _edges_of_crosses(number, distance, ground, normals, min_cosine, max_depth_s
 
 @internal
 def _is_edge(triangle, neighbour, distance, neighbour_distance, ground, normals, min_cosine, max_depth_step):
-    """Return whether an edge lies between two neighbours.
+    """Return whether an edge lies between a pixel and its neighbour.
 
-    Triangles count from 0 (negative: none). ``distance`` and ``neighbour_distance`` are distances along the view's axis.
+    ``triangle`` and ``neighbour`` are the numbers of their triangles, from 0; negative without one. ``distance`` and
+    ``neighbour_distance`` are their distances along the view's axis.
     """
     if triangle == neighbour:
         return False

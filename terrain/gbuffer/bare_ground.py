@@ -1,7 +1,9 @@
-"""The bare ground in a map's pixels, independent of the sun. It is cached: shading under another sun reads no heights.
+"""Compute the bare ground (ground without objects) that a map's pixels show: heights, smooth normals and visible shares of the sky.
 
-A geometry buffer also has each pixel's triangle, which takes ten times as long. Shading needs the ground's height, smooth normal
-and sky view factor. They equal those of a geometry buffer (``skugga.terrain.gbuffer.geometry``) of pixels on nodes.
+These values do not depend on the sun. They are cached, so that shading under another sun reads no heights.
+
+The pixels must lie on nodes of the map's grid. There the values equal those of a geometry buffer
+(``skugga.terrain.gbuffer.geometry``). A geometry buffer takes ten times as long, because it also finds each pixel's triangle.
 """
 
 from __future__ import annotations
@@ -33,18 +35,19 @@ from skugga.terrain.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class BareGround:
-    """The ground in a map's pixels.
+    """The bare ground in a map's pixels.
 
-    Arrays of a window have the shape (r, c) or (r, c, 3). Their values are defined where there is ground.
+    Arrays with the shape (r, c) or (r, c, 3) cover the part ``window`` of the view. Their values are undefined in pixels without
+    ground.
 
     Attributes
     ----------
     view, frame
-        The view, and its local frame.
+        The view, and the local frame of the normals and directions.
     valid
-        bool (rows, cols), valid mask: the pixel shows ground.
+        bool (rows, cols), whether a pixel of the view shows ground.
     window
-        The rows and columns of pixels that contain all ground.
+        The smallest rectangle of pixels that contains all ground, as slices of rows and columns.
     height_m
         float32 (r, c), metres.
     normal_frame
@@ -52,7 +55,7 @@ class BareGround:
     up_frame
         float32 (r, c, 3), the unit vector away from the earth's centre.
     sky_share
-        float32 (r, c), the share of the sky that the ground sees.
+        float32 (r, c), the share of the sky, in [0, 1], that the ground sees.
     """
 
     view: MapView
@@ -72,15 +75,26 @@ class BareGround:
 
 
 def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround | None:
-    """Return the bare ground in the pixels of a map on its grid's nodes.
+    """Return the bare ground in the pixels of a map whose pixels lie on nodes of its grid.
 
-    With ``sky`` the sky share also excludes sky that other ground hides. ``None`` where ground is too narrow for a smooth normal.
+    Parameters
+    ----------
+    scene, view
+        The scene, and the view of the map.
+    sky
+        The sky that surrounding ground hides, which reduces the visible shares of the sky. ``None``: a point sees all sky above the
+        plane of its own slope.
+
+    Returns
+    -------
+    BareGround | None
+        The ground; ``None`` if ground is only one node wide somewhere, where no smooth normal exists.
     """
     return _bare_ground(scene.world, scene.elevation, view, sky)
 
 
 def trim_bare_ground_cache(max_entries: int) -> None:
-    """Trim the cache to the ``max_entries`` blocks used last, for a raster that is processed once from end to end."""
+    """Remove all but the ``max_entries`` last used blocks from the cache, for a raster that is processed once from end to end."""
     _bare_ground.cache.trim(max_entries)
 
 
@@ -117,9 +131,10 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
 
 
 def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
-    """Return the arguments of ``_smooth_ground`` that a ``SkyView`` determines, without its lattice.
+    """Return the last arguments of ``_smooth_ground``, from ``frame_from_earth`` on, for pixels ``pixel_m`` metres wide.
 
-    Where the lattice is ``None``, numba compiles the loop without the code that uses it.
+    They come from ``sky``. Without it they are placeholders: the argument ``lattice`` is then ``None``, and numba compiles the loop
+    without the code that uses them.
     """
     if sky is None:
         empty, empty_values = np.zeros(2), np.zeros(0, np.float32)
@@ -137,9 +152,12 @@ def _smooth_ground(
     exact_rows, first_row, stride, row0, height, node_valid, reach, centre,
     lattice, frame_from_earth, origin, plane, axes, first, step, values, mip_level, cells_per_node,
 ):  # fmt: skip
-    """Return normals, directions up, sky shares and valid mask (rows, cols) of a window, and whether all of its ground has normals.
+    """Return unit normals, unit vectors up, sky shares and valid mask of a window, and whether all of its ground has normals.
 
-    The inputs have ``reach`` more nodes on each side.
+    The results have the shapes (rows, cols, 3), (rows, cols, 3), (rows, cols) and (rows, cols). The inputs ``height`` and
+    ``node_valid`` have ``reach`` more nodes on each side. Normals are differences over ``reach`` nodes in each direction.
+    ``exact_rows`` (6, m, cols) are points and verticals of every ``stride``-th row. The arguments from ``lattice`` on describe the
+    sky that other ground hides; ``lattice`` is ``None`` without it.
     """
     side = 2 * reach + 1
     rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
@@ -187,20 +205,20 @@ def _smooth_ground(
 
 @internal
 def _is_complete_row(z, height):
-    """Return whether a row has all its points."""
+    """Return whether a row of nodes has no missing point or height."""
     missing = 0
     for j in range(z.size):
         missing += 0 if np.isfinite(z[j]) & np.isfinite(height[j]) else 1
     return missing == 0
 
 
-# The next loops are written to compile to SIMD instructions: components are separate contiguous rows, slices have equal lengths,
-# each loop uses few arrays, and loop invariants are scalars.
+# The next loops compile to SIMD instructions, because components are separate contiguous rows, slices have equal lengths, each loop
+# uses few arrays, and loop invariants are scalars.
 
 
 @internal
 def _write_open_sky(px, py, pz, normal, centre, share):
-    """Write the share of the sky above the plane of each point's slope."""
+    """Write the share of the sky that lies above the tangent plane of each point's slope."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(share.size):
         x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
@@ -209,7 +227,7 @@ def _write_open_sky(px, py, pz, normal, centre, share):
 
 @internal
 def _up_of_row(px, py, pz, centre, out):
-    """Write unit vectors up."""
+    """Write the unit vectors up (cols, 3) of a row of points: away from ``centre``."""
     for j in range(px.size):
         x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
         length = np.sqrt(x * x + y * y + z * z)
@@ -218,7 +236,7 @@ def _up_of_row(px, py, pz, centre, out):
 
 @internal
 def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, plane_position):
-    """Write the positions of points in the plane of a ``CellFinder``."""
+    """Write the positions (2, cols) of a row of frame points in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
     m02, m12, m22 = frame_from_earth[0, 2], frame_from_earth[1, 2], frame_from_earth[2, 2]
@@ -244,9 +262,9 @@ def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, 
 
 @internal
 def _convert_to_cells(plane_position, first, step, lattice, cells_per_node):
-    """Convert positions in a finder's plane to rows and columns of the grid of hidden sky, in place.
+    """Convert positions (2, cols) in the plane of a ``CellFinder`` to rows and columns of the nodes of a ``SkyView``, in place.
 
-    Consecutive positions in one square of the lattice are converted together.
+    Consecutive positions in one square of the finder's lattice are converted together.
     """
     x, y, begin, by = plane_position[0], plane_position[1], (first[0], first[1]), (step[0], step[1])
     rows, cols = lattice.shape[0], lattice.shape[1]
@@ -271,7 +289,7 @@ def _cells_of_run(x, y, corners, at_j, at_i, cells_per_node):
 
 @internal
 def _subtract_hidden_sky(row, col, values, mip_level, share):
-    """Reduce a row's sky shares by the share that ground hides."""
+    """Multiply the sky shares of a row of pixels by the share of the sky that other ground leaves visible, in place."""
     hidden_share = np.empty(share.size)
     sky_occlusion_row(values, mip_level, row, col, hidden_share)
     for j in range(share.size):
@@ -281,7 +299,10 @@ def _subtract_hidden_sky(row, col, values, mip_level, share):
 
 @internal
 def _points_of_row(exact_rows, first_row, stride, row, height, out):
-    """Write frame points (3, cols) of a row of nodes from points and verticals (6, m, cols) of exact rows."""
+    """Write the frame points (3, cols) of a row of nodes, interpolated between the exact rows (6, m, cols) and raised by ``height``.
+
+    An exact row holds the points at height 0 and the unit verticals of every ``stride``-th row.
+    """
     exact_row = row // stride
     weights = (row - exact_row * stride) / stride
     m = exact_row - first_row
@@ -294,7 +315,7 @@ def _points_of_row(exact_rows, first_row, stride, row, height, out):
 
 @internal
 def _write_valid(height, node_valid, row, reach, valid):
-    """Write which nodes of a row show ground: those that are a corner of a triangle.
+    """Write which nodes of a row show ground: valid nodes that are a corner of a triangle.
 
     A quad with one missing corner still has one triangle.
     """
@@ -313,9 +334,9 @@ def _write_valid(height, node_valid, row, reach, valid):
 
 @internal
 def _write_interior_normals(above, middle, below, reach, valid, out):
-    """Write smooth unit normals (3, cols) of a row without missing neighbours.
+    """Write the smooth unit normals (3, cols) of a row whose neighbours are all known. Return whether all its ground has a normal.
 
-    Returns whether all ground in the row has a normal.
+    ``above``, ``middle`` and ``below`` are the points of the rows ``reach`` nodes north, at and south of it.
     """
     cols = valid.size
     west_x, west_y, west_z = middle[0, :cols], middle[1, :cols], middle[2, :cols]
@@ -340,9 +361,9 @@ def _write_interior_normals(above, middle, below, reach, valid, out):
 
 @internal
 def _unit_normal(ax, ay, az, bx, by, bz):
-    """Return the length of a cross product, and its unit vector.
+    """Return the length of the cross product of two vectors, and the components of its unit vector.
 
-    The vector is rounded to float32 as in a geometry buffer, then normalised again.
+    The unit vector is rounded to float32 as in a geometry buffer, then normalised again.
     """
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     length = np.sqrt(x * x + y * y + z * z)
@@ -364,9 +385,9 @@ def _put_normals(normal, valid, out):
 
 @internal
 def _write_rim_normals(above, middle, below, reach, valid, out):
-    """Write smooth unit normals (3, cols) of a row where it is valid, one-sided at the ground's rim.
+    """Write the smooth unit normals (3, cols) of a row's valid nodes. Return whether all its ground has a normal.
 
-    Returns whether all ground in the row has a normal.
+    Where a neighbour is missing, at the edge of the ground, the difference is one-sided.
     """
     is_complete = True
     for j in range(valid.size):

@@ -1,4 +1,7 @@
-"""Nodes of bare ground without objects, by their heights alone. A geometry buffer takes ten times as long to compute."""
+"""Nodes of bare ground (ground without objects) for shadow algorithms that need heights only.
+
+A geometry buffer takes ten times as long to compute.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,8 @@ HALO = 2
 """Extra rows and columns of nodes on each side of a view."""
 
 BOUNDING_NODES = 33
-"""Maximum rows and columns of the nodes that bound all others: the earth bends by less than a metre between them."""
+"""Maximum number of rows and of columns of the nodes that bound a view's ground. The earth bends by less than a metre between them.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +33,15 @@ class BareNodes:
     view, frame
         The view, with one node in each pixel, and its local frame.
     per_pixel
-        Nodes along the side of a displayed pixel, which shows their mean.
+        Number of nodes along the side of a displayed pixel, which shows the mean of its nodes.
     surface
-        The nodes' heights, with ``HALO`` more nodes on each side, as ground that casts: with the rim beyond the raster, which is
-        not valid.
+        The nodes' heights, with ``HALO`` more nodes on each side. They include the rim, ground for one node beyond the raster. The
+        rim casts shadows, but is not visible (not ``valid``).
     position_frame_m
-        float64 (2, n, 3), points that bound the ground: some of the nodes, at the lowest and at the highest of all heights.
+        float64 (2, n, 3), points whose bounds contain the ground, metres: some of the nodes, at the lowest and at the highest height
+        of all nodes.
     valid
-        bool (2, n), valid mask of these points.
+        bool (2, n), valid mask of ``position_frame_m``.
     """
 
     view: MapView
@@ -48,7 +53,7 @@ class BareNodes:
 
     @property
     def height_m(self) -> np.ndarray:
-        """Heights (rows, cols) float32, NaN without ground that casts, metres."""
+        """Heights (rows, cols) float32, metres, of the ground that casts shadows; NaN without such ground."""
         return self.surface.height_m[HALO:-HALO, HALO:-HALO]
 
     @property
@@ -62,7 +67,10 @@ class BareNodes:
 
 
 def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:
-    """Return the nodes of a view that has a node in every pixel. They are cached: they are the same under every sun."""
+    """Return the nodes of a view that has a node in every pixel. They are cached, since they are the same under every sun.
+
+    ``per_pixel`` is the number of nodes along the side of a displayed pixel.
+    """
     return _bare_nodes(scene.world, scene.elevation, view, per_pixel)
 
 

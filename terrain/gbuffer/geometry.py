@@ -23,7 +23,10 @@ from skugga.terrain.ground.columns import ColumnIndices
 from skugga.terrain.ground.surface import Surface, SurfaceWindow
 
 MAX_STENCIL_RADIUS = 16
-"""Maximum half width of the shading normal's central difference, in nodes. Beyond 16-fold magnification facets show."""
+"""Maximum half width, in nodes, of the central difference that gives the shading normal.
+
+It limits the time. On grids with more than 16 nodes per raster cell single facets become visible.
+"""
 
 
 class ShadingInputs(NamedTuple):
@@ -38,9 +41,10 @@ class ShadingInputs(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GeometryBuffer:
-    """The visible surface in each pixel.
+    """The visible surface in each pixel of a view.
 
-    Arrays have the shape (rows, cols) or (rows, cols, 3). Pixels without a surface hold NaN (or 0).
+    Arrays have the shape (rows, cols) or (rows, cols, 3). Pixels without a surface hold NaN (or 0). "The triangle" is the one that
+    the pixel shows.
 
     Attributes
     ----------
@@ -53,38 +57,41 @@ class GeometryBuffer:
     height_m
         float32, the point's height, metres.
     normal_frame
-        float32, the triangle's geometric unit normal. Where several triangles of a map's ground share the point, it is their mean.
-        Shadows use the single normals (``skugga.terrain.gbuffer.light_facing``).
+        float32, the triangle's geometric unit normal. Where several triangles of a map's ground share the point, it is the mean of
+        their normals. Shadows use the single normals there (``skugga.terrain.gbuffer.light_facing``).
     shading_normal_frame
         float32, a smooth unit normal, for shading.
     crease
-        float32, the largest distance between the triangle's unit normal and those of the triangles round the nearest
-        node; 0 on a plane. Algorithms that sample beside the point need it for their bias.
+        float32, the bend of the surface: the largest distance between the triangle's unit normal and the unit normals of the
+        triangles round the nearest node; 0 on a plane. Algorithms that sample beside the point derive their bias from it.
     kind
         uint8, the kind of surface: NO_SURFACE, RELIEF, MESHES or FOREST of ``skugga.terrain.gbuffer.resolve``.
     triangle
-        int32 (rows, cols, 3), for a map's ground only: row and column of the quad in ``surface``, then 0 for the triangle on the
-        quad's north side or 1 for the other. The first triangle, where several share the point.
+        int32 (rows, cols, 3), for a map's ground only: row and column of the triangle's quad in ``surface``, then 0 for the triangle
+        on the quad's north side or 1 for the other one. Where several triangles share the point, it is the first of them.
     surface
-        Maps: the nodes that the buffer was made from. Shadows are cast by them and by the rim beyond the raster (``casting``).
-        ``None`` in perspective and for columns.
+        In maps of smooth ground: the nodes that the buffer was computed from. Its ``casting`` is the ground that casts shadows,
+        which includes the rim (ground for one node beyond the raster). ``None`` in perspective and for columns.
     columns
-        Maps of upright columns: the columns, and the column of each pixel. They cast shadows as they are shown. Pixels show
-        their tops: normals point up, and creases are 0.
+        In maps of ground as upright columns: the columns, and the column in each pixel. The visible columns also cast the shadows.
+        Pixels show the columns' tops, so normals point up and creases are 0. ``None`` for other ground.
     ground
-        Perspective: the ground's triangles. They cast shadows as they are shown. ``None`` in a map.
+        In perspective: the ground's triangles. The visible triangles also cast the shadows. ``None`` in a map.
     corners_frame_m
-        float32 (rows, cols, 9), the triangle's three corners; 0 for a map's ground. ``None`` where the view has nothing else.
+        float32 (rows, cols, 9), the triangle's three corners, metres; 0 for a map's ground. ``None`` in maps of ground without
+        objects.
     albedo
-        float32, linear; NaN selects the ground's tint. ``None`` selects it everywhere.
-    first_sample_row, sample_pixels
-        The first row of extra anti-aliasing samples (``skugga.terrain.gbuffer.antialias``), which are averaged; and the rows and
-        columns (n, cols) of these samples in the finer view of the same camera.
+        float32, linear; NaN where the ground has its tint. ``None`` if the ground has its tint everywhere.
+    first_sample_row
+        The first row of extra anti-aliasing samples (``skugga.terrain.gbuffer.antialias``). ``None`` without samples.
+    sample_pixels
+        Rows and columns (n, cols) of these samples in the finer view of the same camera. ``None`` without samples.
     lift_m
-        float32 (rows, cols), the distance from the triangle's point to the smooth ground, metres: along the line of sight, in a map
-        upwards (``skugga.terrain.gbuffer.lift``). NaN on nodes of the raster and beside creases. ``None`` if it is NaN everywhere.
+        float32 (rows, cols), the distance from the point on the triangle to the smooth ground above it, metres. It is measured along
+        the line of sight, in a map upwards (``skugga.terrain.gbuffer.lift``). NaN on nodes of the raster and beside creases. ``None``
+        if it is NaN everywhere.
     lifted
-        bool (rows, cols), whether the point was moved to the smooth ground, for one light. ``None`` if none was.
+        bool (rows, cols), whether the point was moved to the smooth ground, for one light. ``None`` if no point was moved.
     tree_instances
         The trees of the view; ``None`` without any.
     solids_frame_m
@@ -136,7 +143,7 @@ class MapNodes:
 
 
 def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
-    """Return the nodes that the pixels of views of one grid are interpolated from, in a frame."""
+    """Return the nodes that the pixels of several views of one grid are interpolated from, with their positions in ``frame``."""
     reach = normal_stencil_radius(surface)
     row0, col0, row1, col1 = _node_bounds(views, reach)
     window = surface.window(row0, col0, row1 - row0, col1 - col0, frame)
@@ -144,7 +151,10 @@ def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> 
 
 
 def _node_bounds(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
-    """Return first row, first column, end row and end column of the nodes that the pixels of views need. Ends are exclusive."""
+    """Return first row, first column, end row and end column of the nodes that the pixels of some views are interpolated from.
+
+    The ends are exclusive. ``reach`` is the half width of the shading normal's difference, in nodes.
+    """
     halo = reach + (reach + 1) // 2 + 1
     firsts = [(view.row0, view.col0) for view in views]
     lasts = [(view.row0 + (view.rows - 1) * view.row_step, view.col0 + (view.cols - 1) * view.col_step) for view in views]
@@ -156,10 +166,11 @@ def _node_bounds(views: Sequence[MapView], reach: int) -> tuple[int, int, int, i
 def map_geometry(
     surface: Surface, view: MapView, frame: LocalFrame, pixel_mask: np.ndarray | None = None, nodes: MapNodes | None = None
 ) -> GeometryBuffer:
-    """Return the geometry buffer of the bare ground of a map view (a block).
+    """Return the geometry buffer of the bare ground of a map view, such as a block.
 
-    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. ``nodes`` (``map_nodes``) saves computing the nodes again:
-    each is the same in every window. Raises ``ValueError`` where ``nodes`` do not cover the view.
+    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. ``nodes`` are nodes that ``map_nodes`` computed for several
+    views, this one among them; by default they are computed here, with the same result. Raises ``ValueError`` if ``nodes`` do not
+    cover the view.
     """
     pixel_mask = np.ones((view.rows, view.cols), np.bool_) if pixel_mask is None else pixel_mask
     reach = normal_stencil_radius(surface)
@@ -195,15 +206,19 @@ def map_geometry(
 
 
 def normal_stencil_radius(surface: Surface) -> int:
-    """Return the half width in nodes of the shading normal's differences: one cell of the raster, clamped."""
+    """Return the half width, in nodes, of the central difference that gives the shading normal.
+
+    It is the width of one raster cell, limited to 1 to ``MAX_STENCIL_RADIUS`` nodes.
+    """
     return int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, MAX_STENCIL_RADIUS))
 
 
 @compiled
 def _smooth_normals(position, reach):
-    """Return unit normals at the nodes from differences over ``reach`` nodes each way, one-sided at the data's borders.
+    """Return smooth unit normals (rows, cols, 3) float32 at the nodes, from differences over ``reach`` nodes in each direction.
 
-    With a ``reach`` of one raster cell the slope of a bilinear surface is continuous: facets do not show.
+    The differences are one-sided at the borders of the data. If ``reach`` is as wide as a raster cell, the slope of a bilinear
+    surface becomes continuous, and its facets are not visible.
     """
     rows, cols, _ = position.shape
     out = np.empty((rows, cols, 3), np.float32)

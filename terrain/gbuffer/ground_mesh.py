@@ -1,10 +1,10 @@
-"""The ground of a perspective view: a conforming mesh of the level's nodes, decimated by their visible error.
+"""The ground of a perspective view: one mesh without gaps between its triangles, decimated by the error that is visible.
 
-* The nodes are the raster's own cells if these are square and the view can use the raster's CRS. Else they are those of the
-  level's map grid.
-* A ground of up to ``MAX_UNDECIMATED_TRIANGLES`` triangles is drawn in full. A larger one is decimated with the distance from the
-  eye, never with the direction of view, so that turning the camera changes no triangle.
-* The drawn triangles cast shadows, in front of the eye and behind it.
+* The mesh's nodes are the centres of the raster's cells if these are square and the view can use the raster's CRS. Otherwise they
+  are the nodes of the level's map grid.
+* A ground of up to ``MAX_UNDECIMATED_TRIANGLES`` triangles is drawn in full. A larger one is decimated. The decimation depends on the
+  distance from the eye, and not on the direction of view, so that turning the camera changes no triangle.
+* The same triangles cast the shadows, in front of the eye and behind it.
 """
 
 from __future__ import annotations
@@ -33,10 +33,12 @@ MAX_UNDECIMATED_TRIANGLES = 250_000
 """Maximum number of triangles of a ground that is not decimated."""
 
 MAX_SIDE_NODES = 4096
-"""Maximum number of nodes along a side before decimation. Larger levels are averaged over 2, 4, ... nodes."""
+"""Maximum number of nodes along a side before decimation. In larger levels each node is the mean of 2 x 2, 4 x 4, ... nodes."""
 
 TOLERANCE_PX = 0.25
-"""Maximum height error of a decimated ground at the nodes that it leaves out, in pixels, if the triangle budget allows it."""
+"""Maximum height error, in pixels, of a decimated ground at the nodes that it omits. It is exceeded if the mesh would otherwise have
+too many triangles.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ class GroundMesh:
     grid
         The grid of the nodes.
     tolerance_px
-        The height tolerance that the mesh keeps, in pixels; 0 if it has all nodes.
+        The maximum height error of the mesh, in pixels; 0 if it has all nodes.
     """
 
     position_frame_m: np.ndarray
@@ -101,9 +103,9 @@ class GroundNodes:
 
 
 def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GROUND_TRIANGLES) -> GroundMesh:
-    """Return the mesh of the ground for an eye, in the eye's frame.
+    """Return the mesh of the ground for the eye of a view, in the view's frame.
 
-    It is cached: parts of a view and views in other directions share one.
+    It is cached. Parts of a view, and views from the same eye in other directions, share one mesh.
     """
     world, elevation, crs = scene.world, scene.elevation, scene.map_crs
     if _nodes(world, elevation, crs, max_triangles).errors is None:  # one full mesh serves every eye of a frame
@@ -112,9 +114,10 @@ def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GR
 
 
 def ground_creases(ground: GroundMesh, triangle_number: np.ndarray) -> np.ndarray:
-    """Return the creases (m,) of the ground's triangles that are seen, and 0 for all others: most of the ground is out of sight.
+    """Return the creases (m,) of the ground's visible triangles, and 0 for all others (``skugga.terrain.meshes.facets.creases``).
 
-    ``triangle_number`` (rows, cols) holds triangle numbers from 1.
+    Only visible triangles are computed, since most of the ground is out of sight. ``triangle_number`` (rows, cols) holds the number
+    of the triangle in each pixel, from 1.
     """
     is_visible = np.zeros(len(ground.triangles), np.bool_)
     run_in_chunks(len(triangle_number), _mark, triangle_number, is_visible)
@@ -170,7 +173,10 @@ def _mesh(
     triangles: np.ndarray,
     tolerance: float,
 ) -> GroundMesh:
-    """Return the mesh of triangles of selected nodes of the ground, in a frame."""
+    """Return the mesh of ``triangles`` between the ground's nodes at ``row`` and ``col`` (n,), in a frame.
+
+    ``tolerance`` is the height error of the mesh, in pixels.
+    """
     grid, height = nodes.grid, nodes.height_m[row, col]
     position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces, faces_at_nodes = face_normals(position, triangles), node_faces(len(position), triangles)
@@ -193,7 +199,10 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
 
 
 def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:
-    """Return the grid, then first row, first column, rows and columns of its nodes on the raster."""
+    """Return the grid of the ground's nodes in a CRS, and the window of its nodes on the raster.
+
+    The window is first row, first column, number of rows and number of columns.
+    """
     cell = elevation.square_cell_size
     if elevation.crs == crs and cell is not None and elevation.resolution_m is None:
         left, top = (float(v) for v in elevation.xy(0, 0))
@@ -214,7 +223,7 @@ def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, in
 
 
 def _full_triangulation(height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return row and column of all nodes of a grid (rows, cols), and its triangles without missing corners."""
+    """Return rows (n,) and columns (n,) of all nodes of a grid (rows, cols), and its triangles (m, 3) without missing corners."""
     rows, cols = height.shape
     row, col = (v.ravel() for v in np.mgrid[:rows, :cols])
     if min(rows, cols) < 2:

@@ -12,7 +12,7 @@ from skugga.terrain.scene import Scene
 
 
 def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]:
-    """Return the unit normals of the ground in a map's pixels, and their frame.
+    """Return the smooth unit normals of the ground in a map's pixels, and their frame.
 
     Returns
     -------
@@ -32,10 +32,10 @@ def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]
 
 
 def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
-    """Return the unit normals of the ground in a map's pixels towards east, true north and up at each pixel.
+    """Return the smooth unit normals of the ground in a map's pixels, in the axes east, true north and up at each pixel.
 
-    float32 (rows, cols, 3), NaN without ground. They are right in any CRS and for any shape of pixels. Up is normal to the
-    ellipsoid.
+    The result is float32 (rows, cols, 3), NaN without ground. It is correct in any CRS and for any shape of pixels. Up is normal to
+    the ellipsoid.
     """
     normal_frame, frame = ground_normals(scene, view)
     if scene.world.flat:

@@ -1,7 +1,7 @@
-"""Rasterise the number of the nearest triangle in each pixel. ``skugga.terrain.gbuffer.resolve`` computes the point on it.
+"""Rasterise the number of the nearest triangle in each pixel. ``skugga.terrain.gbuffer.resolve`` computes the points on them.
 
-Triangles are numbered from 1: first those of the ground (in perspective; a map's ground is not rasterised), then those of the
-meshes, then six of each tree. The alpha test of leaves reads coverage-preserving mipmaps.
+Triangles are numbered from 1. In perspective the ground's come first; a map's ground is not rasterised. Then come those of the
+meshes, and six for each tree. The alpha test of leaves reads mipmaps that preserve the covered area.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     import moderngl
 
 NEAR_M = 0.005
-"""Distance of the near plane. Nearer surfaces are clipped."""
+"""Distance of the near plane from the eye, metres. Nearer surfaces are clipped."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdBuffer:
-    """The rasterised triangles.
+    """The visible triangle in each pixel of a view.
 
     Attributes
     ----------
     number
         uint32 (rows, cols), the triangle's number, from 1; 0 in empty pixels.
     sqrt_albedo
-        uint8 (rows, cols, 4), the square root of linear albedo where a tree is seen. Empty without trees.
+        uint8 (rows, cols, 4), the square root of the linear albedo where a tree is visible, times 255. Empty without trees.
     depth
-        float32 (rows, cols), in perspective ``NEAR_M`` over the distance along the view's axis. Empty if only some pixels were
+        float32 (rows, cols), ``NEAR_M`` over the distance along the view's axis. Empty in a map, and if only selected pixels were
         drawn.
     """
 
@@ -52,9 +52,9 @@ class IdBuffer:
 
 @cached("process", 8 * MIB)
 def shader(*parts: str) -> str:
-    """Return the concatenated text of shader parts.
+    """Return the concatenated GLSL text of shader parts, each the name of a file.
 
-    The part ``terrain/gbuffer/tree`` is the file ``shaders/tree.glsl`` of ``skugga.terrain.gbuffer``.
+    For example, ``terrain/gbuffer/tree`` is the file ``shaders/tree.glsl`` in the package ``skugga.terrain.gbuffer``.
     """
     texts = {}
     for part in parts:
@@ -71,9 +71,10 @@ def rasterise_perspective(
     instances: TreeInstances | None,
     pixel_mask: np.ndarray | None = None,
 ) -> IdBuffer:
-    """Rasterise the ground, meshes (vertices in the frame, triangles) and trees for a camera.
+    """Rasterise the ground, meshes and trees for a camera.
 
-    ``pixel_mask`` (rows, cols) selects pixels; the others stay empty.
+    ``solids`` are the meshes' vertices (n, 3) in the frame and triangles (m, 3). ``pixel_mask`` (rows, cols) selects pixels; the
+    others stay empty.
     """
     gl = device()
     eye, camera_from_frame = view.in_frame(frame)
@@ -120,9 +121,24 @@ def rasterise_map(
     px_from_m: np.ndarray,
     heights_m: tuple[float, float],
 ) -> IdBuffer:
-    """Rasterise the objects on a map's ground: meshes (vertices (n, 3) in columns, rows and metres of height; triangles) and trees.
+    """Rasterise the meshes and trees on a map's ground.
 
-    Columns and rows count from the corner of the first pixel. ``heights_m`` holds a lower and an upper bound of all heights.
+    Positions are columns and rows in pixels from the corner of the first pixel, and heights in metres.
+
+    Parameters
+    ----------
+    view
+        The map view.
+    solids_px
+        Positions (n, 3) of the meshes' vertices, and triangles (m, 3); ``None`` without meshes.
+    instances
+        The trees; ``None`` without trees.
+    bases_px
+        Positions (k, 3) of the trees' feet.
+    px_from_m
+        (2, 2), the map's pixels per metre along the frame's first two axes.
+    heights_m
+        A lower and an upper bound of all heights, metres.
     """
     gl = device()
     low, high = heights_m
@@ -200,9 +216,10 @@ def _read(
 
 @compiled
 def _renumber(first, last, number, visible_ground, triangle_count, visible_trees):
-    """Replace numbers among the drawn triangles by numbers among all triangles.
+    """Replace the numbers that count drawn triangles only by numbers that count all triangles, in place.
 
-    ``visible_ground`` holds the indices of the drawn triangles of the ground, ``visible_trees`` those of the drawn trees.
+    ``visible_ground`` holds the indices of the ground's drawn triangles, ``visible_trees`` those of the drawn trees.
+    ``triangle_count`` is the number of triangles before those of the trees.
     """
     for i in range(first, last):
         for j in range(number.shape[1]):
@@ -218,8 +235,9 @@ def _renumber(first, last, number, visible_ground, triangle_count, visible_trees
 def _triangles_in_frustum(position, triangles, eye, rotation, tangents):
     """Return the indices of the triangles that may intersect a viewing pyramid.
 
-    A triangle is left out if all of its corners lie outside one plane of the pyramid. The apex is ``eye``, the axis the third row
-    of ``rotation``; ``tangents`` are the minimum and maximum of x / z and of y / z.
+    A triangle is left out if all of its corners lie outside one plane of the pyramid. The apex is ``eye``. ``rotation`` (3, 3) maps
+    to the camera's axes x, y and z, of which z is the pyramid's axis. ``tangents`` (2, 2) are the minimum and maximum of x / z and
+    of y / z.
     """
     outside = np.zeros(len(position), np.uint8)
     in_camera = np.empty(3)

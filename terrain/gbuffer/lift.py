@@ -1,14 +1,15 @@
 """Lift points of ground triangles to the smooth surface that the triangles approximate.
 
-Triangles are chords: convex ground lies a little above them. Under grazing light a triangle that is turned away lies in the shadow
-of the triangle before it, though the smooth ground there is lit (the shadow terminator problem). So such points are lifted to the
-planes through their triangle's corners, each perpendicular to the smooth normal of its corner, with barycentric weights
-(J. Hanika, Hacking the Shadow Terminator, Ray Tracing Gems II, 2021).
+Triangles are chords of the smooth ground: where the ground is convex, it lies a little above them. Under grazing light this makes a
+visible error, the shadow terminator problem: a triangle that faces away from the light is dark, though the smooth ground there is
+lit. The remedy is to lift the points of such triangles (J. Hanika, Hacking the Shadow Terminator, Ray Tracing Gems II, 2021). Each
+corner of the triangle has a tangent plane, perpendicular to the smooth normal there. A point's lift is the mean of its distances to
+the three tangent planes, with barycentric weights.
 
-Hanika moves points along the normals. Here they move along the line of sight, in a map upwards: a point stays in its pixel, and
-every algorithm can use it. Points in concave ground stay where they are.
+Hanika moves points along the normals. Here they move along the line of sight, in a map upwards. So a point stays in its pixel, and
+every shadow algorithm can use it. Points of concave ground do not move.
 
-Ground that bends by a right angle, as at cliffs and roofs, is not smooth: triangles beside such a crease are not lifted.
+Ground that bends sharply, as at cliffs and roofs, is not smooth: points of triangles beside such a crease are not lifted.
 """
 
 from __future__ import annotations
@@ -18,18 +19,23 @@ import numpy as np
 from skugga.terrain.compiled import internal
 
 MIN_FACING = 0.25
-"""Minimum divisor of a lift: the cosine between a smooth normal and the line of sight vanishes on surfaces that are seen edge-on.
+"""Minimum divisor of a lift.
+
+The divisor is the cosine between the smooth normal and the line of sight, which vanishes on surfaces seen edge-on.
 """
 
 MIN_CREASE_COSINE = float(np.cos(np.radians(30.0)))
-"""Minimum cosine between a triangle's normal and the smooth normals at its corners. Below it a crease lies between: the ground
-bends by twice the angle there.
+"""Minimum cosine between a triangle's normal and the smooth normals at its corners. At a smaller cosine a corner lies on a crease.
+
+The ground bends there by twice the angle between the two normals.
 """
 
 
 @internal
 def is_smooth(face, smooth_normal):
-    """Return whether a smooth normal exists and is so near to a triangle's normal that no crease lies between them."""
+    """Return whether a corner's smooth normal exists and differs so little from the triangle's normal ``face`` that no crease lies
+    at the corner.
+    """
     length = np.sqrt(
         smooth_normal[0] * smooth_normal[0] + smooth_normal[1] * smooth_normal[1] + smooth_normal[2] * smooth_normal[2]
     )
@@ -38,7 +44,7 @@ def is_smooth(face, smooth_normal):
 
 @internal
 def up_at(point, centre, out):
-    """Write the unit vector up at a point, away from a centre. It is the third axis where the centre is infinitely far below."""
+    """Write the unit vector up (3,) at a point: away from ``centre``, or the third axis if the centre is infinitely far below."""
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     length = np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = (0.0, 0.0, 1.0) if np.isinf(length) else (x / length, y / length, z / length)
@@ -46,9 +52,10 @@ def up_at(point, centre, out):
 
 @internal
 def lift_distance(node, smooth_normal, point, direction):
-    """Return the distance from a point, along a unit vector, to the plane through a node perpendicular to its smooth normal.
+    """Return the distance from a point, along the unit vector ``direction``, to the tangent plane at a node.
 
-    It is 0 where the point lies above the plane, or where the normal is missing.
+    The plane is perpendicular to the node's smooth normal. The distance is 0 if the point lies above the plane, or if the normal is
+    missing.
     """
     below = (
         smooth_normal[0] * (node[0] - point[0]) + smooth_normal[1] * (node[1] - point[1]) + smooth_normal[2] * (node[2] - point[2])

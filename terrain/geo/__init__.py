@@ -1,1 +1,1 @@
-"""Positions: earth-fixed space and local frames, map grids, cameras, the sun and its light space, vector files."""
+"""Positions: earth-fixed space, local frames, map grids, cameras, the sun, its light space (axes along its rays), vector files."""

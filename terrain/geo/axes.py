@@ -1,4 +1,4 @@
-"""The axes of a CRS: coordinates in GDAL's order, and x to the east and y to the north as Skugga computes.
+"""Convert between GDAL's coordinates of a CRS and Skugga's coordinates: x to the east and y to the north.
 
 GDAL and ``pyproj`` (``always_xy``) put easting before northing and longitude before latitude. They do not change axes that run
 south or west, such as Krovak's, nor angles in grads. Skugga computes in degrees, and with axes that run east and north, so that no
@@ -17,7 +17,7 @@ from skugga.terrain.cache import MIB, IdentityKey, cached
 from skugga.terrain.errors import InputError, Problem
 
 _COMPASS = {"east": (True, 1.0), "west": (True, -1.0), "north": (False, 1.0), "south": (False, -1.0)}
-"""For each direction: whether an axis runs along parallels, and its sign."""
+"""For each direction of an axis: whether the axis is x (runs along parallels), and the sign of its coordinates."""
 
 Bounds = tuple[float, float, float, float]
 
@@ -49,21 +49,21 @@ class Axes:
         return Affine(0, self.x_scale, 0, self.y_scale, 0, 0) if self.swapped else Affine.scale(self.x_scale, self.y_scale)
 
     def xy(self, first: float | np.ndarray, second: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y of GDAL's coordinates."""
+        """Return x (east) and y (north) of GDAL's first and second coordinates."""
         x, y = (second, first) if self.swapped else (first, second)
         return np.asarray(x) * self.x_scale, np.asarray(y) * self.y_scale
 
     def stored(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return GDAL's coordinates of x and y."""
+        """Return GDAL's first and second coordinates of x (east) and y (north)."""
         x, y = np.asarray(x) / self.x_scale, np.asarray(y) / self.y_scale
         return (y, x) if self.swapped else (x, y)
 
     def bounds_xy(self, bounds: Bounds) -> Bounds:
-        """Return west, south, east, north of bounds in GDAL's coordinates (minima, then maxima)."""
+        """Return (west, south, east, north) of bounds in GDAL's coordinates: both minima, then both maxima."""
         return _ordered(*self.xy(np.array(bounds[::2]), np.array(bounds[1::2])))
 
     def bounds_stored(self, bounds: Bounds) -> Bounds:
-        """Return bounds in GDAL's coordinates (minima, then maxima) of west, south, east, north."""
+        """Return bounds in GDAL's coordinates, both minima, then both maxima, of (west, south, east, north)."""
         return _ordered(*self.stored(np.array(bounds[::2]), np.array(bounds[1::2])))
 
 
@@ -73,7 +73,10 @@ def _ordered(first: np.ndarray, second: np.ndarray) -> Bounds:
 
 @cached("process", MIB, key=lambda crs: (IdentityKey(crs),), size_of=lambda _: 256)
 def axes_of(crs: CRS) -> Axes:
-    """Return the axes of a CRS, by their directions and unit."""
+    """Return the mapping of a CRS's coordinates to x and y, from the directions and units of its axes.
+
+    Axes along meridians and axes without a compass direction give ``Axes()``, which changes no coordinates.
+    """
     axes = crs.axis_info[:2]
     directions = [(axis.direction or "").lower() for axis in axes]
     if len(axes) != 2 or not all(direction in _COMPASS for direction in directions):

@@ -1,8 +1,8 @@
 """Perspective views: a pinhole camera on the earth, the rays of its pixels, and parts and refinements of views.
 
 Camera axes are right, down and forward. The ray of pixel (i, j) has the direction ``((col0 + j * step) / focal_px,
-(row0 + i * step) / focal_px, 1)``. A part of a picture, a shift by pixels and a finer picture are therefore the same camera with
-other numbers. Rays that two of them share are identical.
+(row0 + i * step) / focal_px, 1)``. A part of a picture, a picture shifted by pixels and a finer picture are therefore the same
+camera with other offsets, steps and sizes. A ray that two such pictures share is identical in both.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.world import LocalFrame, World
 
 FRAME_PITCH_SHARE = 1 / 16
-"""Pitch of the frames of perspective views as a share of the maps' pitch: near the eye float32 steps stay below 0.1 mm."""
+"""Spacing of the local frames of perspective views, as a share of the spacing for maps (``skugga.terrain.geo.world``).
+
+A frame is thus near the eye, where steps of float32 stay below 0.1 mm.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +30,13 @@ class PerspectiveView:
     eye_earth_m
         float64 (3,), the earth-fixed eye in metres.
     earth_from_camera
-        float64 (3, 3), columns right, down and forward.
+        float64 (3, 3), rotation whose columns are the camera's right, down and forward axes.
     focal_px
-        Focal length: pixels per unit of tangent, for a step of one.
+        Focal length: pixels per unit of tangent (of the angle to the forward axis), for a step of one.
     row0, col0
         Offset of the first pixel's centre from the principal point, in pixels.
     step
-        Distance of neighbouring pixels. It is 1 except in finer views and in views of every n-th pixel.
+        Distance of neighbouring pixel centres. It is 1 except in finer views and in views of every n-th pixel.
     rows, cols
         Size in pixels.
     pixel_share
@@ -58,11 +61,14 @@ class PerspectiveView:
 
     @property
     def pixel(self) -> float:
-        """The side of a pixel as a tangent, at the centre of the picture."""
+        """The tangent of the angle that a pixel's side spans at the centre of the picture."""
         return self.pixel_share * self.step / self.focal_px
 
     def part(self, row: int, col: int, rows: int, cols: int) -> PerspectiveView:
-        """Return the view of some of the pixels. The offsets may be negative."""
+        """Return the view of ``rows`` x ``cols`` pixels, the first of which is pixel (``row``, ``col``) of this view.
+
+        ``row`` and ``col`` may be negative.
+        """
         return replace(self, row0=self.row0 + row * self.step, col0=self.col0 + col * self.step, rows=rows, cols=cols)
 
     def shifted(self, rows: float, cols: float) -> PerspectiveView:
@@ -71,7 +77,7 @@ class PerspectiveView:
         return replace(self, row0=self.row0 + rows * side, col0=self.col0 + cols * side)
 
     def finer(self, side: int) -> PerspectiveView:
-        """Return the view with ``side`` x ``side`` evenly spaced pixels in each pixel."""
+        """Return the view that divides each pixel into ``side`` x ``side`` pixels."""
         first = (1.0 / side - 1.0) / 2.0
         shifted_view = self.shifted(first, first)
         return replace(shifted_view, step=self.step / side, rows=self.rows * side, cols=self.cols * side)
@@ -84,7 +90,7 @@ class PerspectiveView:
         )
 
     def frame(self, world: World) -> LocalFrame:
-        """Return the lattice's frame nearest to the eye."""
+        """Return the local frame whose origin, on a world-fixed lattice of origins, is nearest to the eye."""
         return world.frame_near_earth(self.eye_earth_m, FRAME_PITCH_SHARE)
 
 
@@ -93,8 +99,9 @@ def look_at(
 ) -> PerspectiveView:
     """Return the upright camera at an eye that looks at a target.
 
-    ``fov_deg`` is the vertical field of view. If the view is straight up or down, the picture's top points to earth-fixed north
-    (the y axis of a flat world). Raises ``InputError`` if eye and target are one point.
+    Eye and target (3,) are earth-fixed points in metres, and ``up_earth`` (3,) is the unit up vector at the eye. ``fov_deg`` is the
+    vertical field of view of a picture of ``rows`` x ``cols`` pixels. If the view is straight up or down, the picture's top points
+    to earth-fixed north (the y axis of a flat world). Raises ``InputError`` if eye and target are one point.
     """
     forward = target_earth_m - eye_earth_m
     distance = float(np.linalg.norm(forward))

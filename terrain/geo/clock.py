@@ -18,20 +18,20 @@ SOLAR: Literal["solar"] = "solar"
 CLOCK_WORDS = "solar, utc, an offset such as +02:00, or a time zone such as Europe/Oslo"
 
 _OFFSET = re.compile(r"(?:(?:utc|gmt)\s*)?([+-])\s*(\d{1,2}?)(?::?([0-5]\d))?", re.IGNORECASE | re.ASCII)
-"""An offset, with or without a name before it. ``Etc/GMT+2``, which lies behind UTC, is a zone and does not match."""
+"""A UTC offset, with or without UTC or GMT before it. It does not match ``Etc/GMT+2``, a zone two hours behind UTC."""
 
 _PLUS_AS_SPACE = re.compile(r"^((?:utc|gmt)?) (?=\d)", re.IGNORECASE | re.ASCII)
 """The text before a plus sign that arrived as a space, as in URLs."""
 
 MAX_SUGGESTIONS = 3
-"""Zones that are suggested for an unknown name."""
+"""Maximum number of zones that an error suggests for an unknown name."""
 
 MIN_LETTERS = 5
 """Minimum length of a name for suggestions. Shorter names resemble too many others: EST resembles CEST, which is six hours away."""
 
 
 def parse_clock(parameter: str, text: str) -> Clock:
-    """Return the clock of a name.
+    """Return the time zone or UTC offset that a text names, or ``SOLAR``.
 
     Accepts letters of either case, short offsets (``+2``, ``UTC+2``) and a ``+`` that arrived as a space. Raises ``InputError``,
     which names the parameter and zones with a similar spelling.
@@ -58,7 +58,10 @@ def parse_clock(parameter: str, text: str) -> Clock:
 
 
 def _similar_zones(name: str, zones: dict[str, str]) -> list[str]:
-    """Return the zones of a city, or those with a spelling similar to a name. ``zones`` maps names in lower case."""
+    """Return the time zones of the city in a name, or else time zones with a similar spelling.
+
+    ``name`` is in lower case. ``zones`` maps names in lower case to the proper names.
+    """
     city = re.sub(r"\s+", "_", name.rpartition("/")[2])
     matches = [zone for zone in sorted(zones) if zone.rpartition("/")[2] == city and "/" in zone]
     if not matches and len(name) >= MIN_LETTERS:

@@ -24,22 +24,22 @@ SOLAR_ROUNDS = 3
 
 @dataclass(frozen=True)
 class DailyWindow:
-    """A window of one date.
+    """A time window on one date.
 
     Attributes
     ----------
     date
         The date.
     start
-        Its start in UTC.
+        Start of the window in UTC.
     minutes
-        Its length in minutes.
+        Length of the window in minutes.
     clock_min
-        The clock time at its start, in minutes from midnight.
+        The clock time at the start, in minutes from midnight.
     change_min
         Minutes from the start to a change of the clock, as at the begin and the end of summer time.
     change_by_min
-        Minutes by which the clock is put forward (negative: back) then; 0 without a change.
+        Minutes by which this change puts the clock forward (negative: back); 0 without a change.
     """
 
     date: date
@@ -50,7 +50,7 @@ class DailyWindow:
     change_by_min: float = 0.0
 
     def clock_time_min(self, minutes: float) -> float:
-        """Return the clock time some minutes after the start, in minutes from midnight."""
+        """Return the clock time ``minutes`` minutes after the start, in minutes from midnight."""
         changed = self.change_by_min != 0.0 and minutes >= self.change_min
         return self.clock_min + minutes + (self.change_by_min if changed else 0.0)
 
@@ -58,10 +58,10 @@ class DailyWindow:
 def daily_window(day: date, first_min: float, last_min: float, clock: Clock, world: World) -> DailyWindow:
     """Return the window of a date between two clock times, in minutes from midnight (0 to 1440).
 
-    A clock time that does not exist, as when summer time begins, counts from the clock time before the change. Of a clock time that
-    occurs twice, the window starts at the first occurrence and ends at the second. 24:00 is the start of the next date.
+    A clock time that does not exist, as when summer time begins, is read with the UTC offset before the change. If a clock time
+    occurs twice, a window starts at the first occurrence and ends at the second. 24:00 is the start of the next date.
 
-    Raises ``InputError``, also where the clock skips the whole date or the whole window.
+    Raises ``InputError`` for invalid times, and where the clock skips the whole date or the whole window.
     """
     if not 0.0 <= first_min < last_min <= DAY_MIN:
         raise InputError(
@@ -86,7 +86,10 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
 
 
 def dates_of(first: date, last: date, every_days: int) -> list[date]:
-    """Return the dates from ``first`` to ``last``, both included, every ``every_days`` days. Raises ``InputError``."""
+    """Return the dates from ``first`` to ``last``, both included, every ``every_days`` days.
+
+    Raises ``InputError`` if ``last`` is before ``first`` or the step is below 1 day.
+    """
     if last < first:
         raise InputError("to", last.isoformat(), f"{first.isoformat()} or later")
     if every_days < 1:
@@ -108,8 +111,9 @@ def windows_between(
 ) -> list[DailyWindow]:
     """Return the windows of the dates from ``first`` to ``last``, every ``every_days`` days.
 
-    The calendar must have the first and the last date. Dates between them without a window by this clock are omitted. Raises
-    ``InputError``, also for ground outside of the earth.
+    ``readings`` are the clock times at which each window starts and ends, in minutes from midnight. The clock's calendar must have
+    the first and the last date. Dates between them are omitted if the clock skips their whole window. Raises ``InputError``, also
+    for ground that is not on the earth.
     """
     days = dates_of(first, last, every_days)
     if len(days) > MAX_DATES:
@@ -130,7 +134,10 @@ def clock_text(minutes: float) -> str:
 
 
 def _zone_ends(day: date, first_min: float, last_min: float, zone: tzinfo) -> tuple[datetime, datetime]:
-    """Return the moments of a window's clock times. They are not ascending where the zone's clock skips the window."""
+    """Return the start and the end in UTC of a window between two clock times, in minutes from midnight.
+
+    The end is not after the start where the zone's clock skips the window.
+    """
     return _zone_moment(day, first_min, zone, fold=0), _zone_moment(day, last_min, zone, fold=int(last_min < DAY_MIN))
 
 
@@ -140,7 +147,11 @@ def _has_window(day: date, first_min: float, last_min: float, zone: tzinfo) -> b
 
 
 def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:
-    """Return the moment of a clock time. A skipped clock time counts from the time before the change (PEP 495, ``fold``)."""
+    """Return the moment in UTC of a clock time, in minutes from midnight.
+
+    ``fold`` selects the first or the second occurrence of a clock time (PEP 495). A clock time that the zone skips is read with the
+    UTC offset before the change.
+    """
     days, rest_min = divmod(minutes, DAY_MIN)
     wall_time = datetime.combine(day, time()) + timedelta(days=days, minutes=rest_min)
     moment = wall_time.replace(tzinfo=zone, fold=fold).astimezone(UTC)
@@ -156,7 +167,7 @@ def _offset_min(moment: datetime, zone: tzinfo) -> float:
 
 
 def _change_min(start: datetime, minutes: float, zone: tzinfo) -> float:
-    """Return the minutes from a start to the change of a zone's clock, which occurs once in ``minutes``."""
+    """Return the minutes from ``start`` to the only change of a zone's UTC offset within the next ``minutes`` minutes."""
     before = _offset_min(start, zone)
     low, high = 0, int(np.ceil(minutes))
     while high - low > 1:
@@ -169,7 +180,10 @@ def _change_min(start: datetime, minutes: float, zone: tzinfo) -> float:
 
 
 def _solar_moment(day: date, minutes: float, world: World) -> datetime:
-    """Return the moment at which a level's anchor has a true solar time, in minutes from midnight."""
+    """Return the moment in UTC at which the true solar time at the anchor is ``minutes``, in minutes from midnight.
+
+    The anchor is the centre of the level's bounds.
+    """
     lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
     moment = datetime.combine(day, time(), UTC) + timedelta(minutes=minutes - 4.0 * lon)
     for _ in range(SOLAR_ROUNDS):
@@ -181,8 +195,8 @@ def _solar_moment(day: date, minutes: float, world: World) -> datetime:
 def solar_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
     """Return the true solar time of a moment at a position, in minutes from midnight.
 
-    It is 720 when the sun crosses the meridian, and a minute is a quarter of a degree of hour angle. From
-    tan H = sin A / (cos A sin lat - tan h cos lat) for azimuths A from south and altitudes h without refraction.
+    It is 720 when the sun crosses the meridian, and a minute is a quarter of a degree of hour angle. The hour angle H follows from
+    tan H = sin A / (cos A sin lat + tan h cos lat), with the azimuth A from south and the altitude h without refraction.
     """
     path = sun_path([moment], lon_deg, lat_deg)
     azimuth, lat = np.radians(path.azimuth_deg[0] - 180.0), np.radians(lat_deg)

@@ -7,8 +7,8 @@ southwards. ``skugga.terrain.ground.sheet`` defines how the quads between nodes 
 The nodes of tiles are the centres of the tile matrix's pixels. Other map views use the largest power-of-two resolution that is not
 coarser than the requested one:
 
-- In the two CRSs whose tile matrices are ladders of powers of two, the powers count from one tile's resolution and are the zooms.
-- In other CRSs they count from one unit of the CRS, and nodes from the anchor.
+- In the CRSs of ``MATRIX_SET_NAMES`` it is the resolution of a tile matrix. These resolutions halve from zoom to zoom.
+- In other CRSs it is a power of two of the CRS's unit. Nodes are counted from the anchor, the centre of the level's bounds.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ TILE_PX = 256
 """Side of a tile in pixels."""
 
 MAX_WINDOW_NODES = 8192
-"""Maximum number of nodes along a block. Pixels are at most four times as long as wide, less in small pictures."""
+"""Maximum number of nodes along a side of a block, which limits how oblong pixels may be.
+
+Pixels up to four times as long as wide always pass, and more oblong ones in small pictures.
+"""
 
 MATRIX_SET_NAMES = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
-"""CRSs whose maps share the grids of a tile matrix set."""
+"""EPSG codes of CRSs whose maps share the grids of a tile matrix set, and the name of that set."""
 
 
 FloatOrArray = TypeVar("FloatOrArray", float, np.ndarray)
@@ -100,19 +103,25 @@ class Grid:
         return (self.y0 - y) / (self.step * self.stretch)
 
     def coarser(self, lod: int) -> Grid:
-        """Return the grid of every 2**level-th node."""
+        """Return the grid of every ``2**lod``-th node."""
         return replace(self, step=self.step * 2**lod, refinement_count=max(self.refinement_count - lod, 0))
 
     def finer(self, halvings: int) -> Grid:
-        """Return the grid with 2**level times as many nodes per side. It contains this grid's nodes."""
+        """Return the grid with ``2**halvings`` times as many nodes per side. It contains this grid's nodes.
+
+        Heights are read at all of its nodes. (``refined`` instead keeps this grid's surface.)
+        """
         return replace(self, step=self.step / 2**halvings)
 
     def refined(self) -> Grid:
-        """Return the grid of the same surface with twice as many nodes per side. It contains this grid's nodes."""
+        """Return the grid of the same surface with twice as many nodes per side. It contains this grid's nodes.
+
+        Heights at the other nodes are interpolated on the quads between this grid's nodes.
+        """
         return replace(self, step=self.step / 2, refinement_count=self.refinement_count + 1)
 
     def subdivided(self, halvings: int) -> Grid:
-        """Return the grid whose pixels divide each of this grid's pixels into 2**level per side.
+        """Return the grid whose pixels divide each of this grid's pixels into ``2**halvings`` x ``2**halvings``.
 
         For a tile matrix this is the grid of the matrix ``halvings`` zooms further in.
         """
@@ -175,7 +184,10 @@ class MapView:
         return float(self.grid.x(west)), float(self.grid.y(south)), float(self.grid.x(east)), float(self.grid.y(north))
 
     def part(self, row: int, col: int, rows: int, cols: int) -> MapView:
-        """Return the view of some of the pixels. The offsets may be negative."""
+        """Return the view of ``rows`` x ``cols`` pixels, the first of which is pixel (``row``, ``col``) of this view.
+
+        ``row`` and ``col`` may be negative.
+        """
         row0, col0 = self.row0 + row * self.row_step, self.col0 + col * self.col_step
         return replace(self, row0=row0, col0=col0, rows=rows, cols=cols)
 
@@ -185,7 +197,10 @@ class MapView:
         return replace(self, row0=self.row0 + rows * down, col0=self.col0 + cols * right)
 
     def as_nodes(self) -> MapView:
-        """Return the same pixels as nodes of a grid of their own, which has the same origin of counting."""
+        """Return the same pixels as nodes of a new grid, whose spacing is the pixels' spacing.
+
+        Node (0, 0) of the new grid is within half a pixel of node (0, 0) of this grid. A view whose pixels are nodes is unchanged.
+        """
         if self.on_nodes:
             return self
         row, col = self.row0 / self.row_step, self.col0 / self.col_step
@@ -196,7 +211,7 @@ class MapView:
         return MapView(grid, float(whole_row), float(whole_col), 1.0, 1.0, self.rows, self.cols, self.pixel_share)
 
     def finer(self, side: int) -> MapView:
-        """Return the view on the same grid with ``side`` x ``side`` evenly spaced pixels in each pixel."""
+        """Return the view on the same grid that divides each pixel into ``side`` x ``side`` pixels."""
         first = (1.0 / side - 1.0) / 2.0
         shifted_view = self.shifted(first, first)
         return replace(
@@ -205,9 +220,9 @@ class MapView:
 
 
 def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
-    """Return the grid of a map view that is no tile.
+    """Return the grid of a map view other than a tile, for pixels of ``resolution`` CRS units.
 
-    Its resolution is the largest power of two that is not above ``resolution`` (CRS units).
+    The distance between its nodes is the largest power-of-two resolution (see the module) that does not exceed ``resolution``.
     """
     name = None if world.flat else MATRIX_SET_NAMES.get(epsg_of(crs) or 0)
     if name is not None:
@@ -228,9 +243,9 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
 
 @cached("process", MIB, size_of=lambda _: 512)
 def step_at_anchor_m(world: World, grid: Grid) -> float:
-    """Return the ground distance between neighbouring nodes at the anchor in metres: the root of a quad's area.
+    """Return the ground distance between neighbouring nodes at the anchor in metres: the square root of a quad's area.
 
-    One value for the whole level, so that no decision depends on the tile.
+    The anchor is the centre of the level's bounds. One value serves the whole level, so that all its tiles choose the same detail.
     """
     if world.flat:
         return grid.step * world.metres_per_unit * float(np.sqrt(grid.stretch))
@@ -247,13 +262,13 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 
 @cached("process", MIB, key=lambda tms: (tms.id,), size_of=lambda _: 2**14)
 def crs_of_tiles(tms: TileMatrixSet) -> CRS:
-    """Return the CRS of a tile matrix set. It is one object, since caches compare CRSs by identity."""
+    """Return the CRS of a tile matrix set: the same object each time, since caches compare CRSs by identity."""
     return CRS.from_user_input(tms.rasterio_crs.to_wkt())
 
 
 @cached("process", MIB, key=lambda tms, zoom: (tms.id, zoom), size_of=lambda _: 512)
 def tile_grid(tms: TileMatrixSet, zoom: int) -> Grid:
-    """Return the grid of a tile matrix. Nodes are the centres of its pixels, counted from the matrix's corner."""
+    """Return the grid of a tile matrix. Nodes are the centres of its pixels, counted from the matrix's north-west corner."""
     from morecantile import Tile
 
     step = tms.matrix(zoom).cellSize
@@ -280,10 +295,10 @@ def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], 
 
 
 def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
-    """Return the blocks of a view, each with the view's (row, col) of the block's first pixel, which may be negative.
+    """Return the blocks that cover a view, each with the row and column in the view of the block's first pixel.
 
-    Where pixels are nodes, blocks are world-fixed: multiples of ``BLOCK_PX`` nodes, independent of the view. Every view then uses
-    the same blocks. Otherwise they are counted from the view's corner.
+    These may be negative. Where pixels are nodes, blocks are world-fixed: they start at multiples of ``BLOCK_PX`` nodes. Every view
+    then uses the same blocks. Otherwise blocks start at the view's corner.
     """
     first_row = int(view.row0) % BLOCK_PX if view.on_nodes else 0
     first_col = int(view.col0) % BLOCK_PX if view.on_nodes else 0
@@ -297,7 +312,7 @@ def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
 
 
 def windows_of(view: PixelArea, block: PixelArea, row: int, col: int) -> tuple[PixelWindow, PixelWindow]:
-    """Return the rows and columns of a view that a block covers, and the same ones relative to the block.
+    """Return the rows and columns of a view that a block covers, and the same pixels' rows and columns in the block.
 
     ``row`` and ``col`` are the view's row and column of the block's first pixel, as in ``blocks_of``.
     """

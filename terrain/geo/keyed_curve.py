@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 END_MARGIN = 1e-6
-"""Distance from the ends of a segment, as a share of its duration, at which directions are evaluated.
+"""Minimum distance in time from the ends of a segment at which directions are evaluated, as a share of its duration.
 
-At an end the object may rest.
+At the ends themselves the velocity may be 0.
 """
 
 
@@ -56,11 +56,11 @@ class KeyedCurve:
     loop: bool = False
 
     def at(self, seconds: float | np.ndarray) -> np.ndarray:
-        """Return the values (..., k) at times (...)."""
+        """Return the values (..., k) at times (...) in seconds."""
         return np.asarray(self._spline(self._since_first_s(seconds)))
 
     def direction_at(self, seconds: float) -> np.ndarray:
-        """Return the direction of motion (k,) at a time, of any length.
+        """Return the direction of motion (k,), not normalised, at a time in seconds.
 
         At rest it is the last direction of motion, or before any motion the first one. It is 0 if the curve never moves.
         """

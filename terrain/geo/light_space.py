@@ -1,8 +1,8 @@
-"""The light space of the sun: axes right, up and away from the sun, in metres from the level's anchor. Float64.
+"""The light space of the sun: coordinates along the axes right, up and away from the sun, in metres. Float64.
 
-The axes follow from the sun's azimuth and altitude at the anchor, not from a cross product with a reference direction. Right is
-horizontal. Up leans from the zenith towards the point below the sun. Both are defined for every sun, the zenith included. One light
-space serves all views of a level, since its origin is the anchor.
+The origin is the anchor, the centre of the level's bounds, so one light space serves all views of a level. The axes follow from the
+sun's azimuth and altitude at the anchor, not from a cross product with a reference direction. Right is horizontal. Up leans from
+the zenith away from the sun. Both are defined for every sun, the zenith included.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ class LightSpace:
         return (point_earth - self.origin_earth_m) @ self.light_from_earth.T
 
     def towards_sun_m(self, point_light: np.ndarray) -> np.ndarray:
-        """Return the distances of points (..., 3) towards the sun along the anchor's horizontal plane, in metres."""
+        """Return how far light-space points (..., 3) lie towards the sun in the anchor's horizontal plane, in metres."""
         altitude = np.radians(self.altitude_deg)
         return -np.cos(altitude) * point_light[..., 2] - np.sin(altitude) * point_light[..., 1]
 
 
 def light_space(world: World, sun: Sun) -> LightSpace:
-    """Return the sun's light space."""
+    """Return the light space of a sun, with its origin at the world's anchor."""
     azimuth = np.radians(sun.azimuth_deg)
     right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
     up = -direction_enu(sun.azimuth_deg, sun.altitude_deg - 90.0)
@@ -61,9 +61,10 @@ def light_space(world: World, sun: Sun) -> LightSpace:
 def light_bounds(
     position_frame_m: np.ndarray, valid: np.ndarray, rotation: np.ndarray, translation: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the minimum and maximum light-space coordinates (3,), (3,) of the valid frame points.
+    """Return the minimum (3,) and the maximum (3,) light-space coordinates of valid points of a frame, in metres.
 
-    Points have the shape (rows, cols, 3), their valid mask ``valid`` the shape (rows, cols). Without valid points the result is
+    Points have the shape (rows, cols, 3), their valid mask ``valid`` the shape (rows, cols). ``rotation`` (3, 3) and
+    ``translation`` (3,) lead from the frame to light space (``LightSpace.from_frame``). Without valid points the result is
     (inf, -inf).
     """
     ends = np.empty((len(valid), 2, 3))
@@ -73,7 +74,7 @@ def light_bounds(
 
 @compiled
 def _bounds(first, last, position, valid, rotation, translation, ends):
-    """Compute the bounds of each row."""
+    """Write the minima and maxima of the valid points of the rows [first, last) into ``ends`` (rows, 2, 3)."""
     for i in range(first, last):
         out = ends[i]
         out[0] = np.inf

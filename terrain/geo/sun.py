@@ -1,7 +1,7 @@
 """The sun: one earth-fixed direction for the whole earth at a time.
 
-Azimuth and altitude at a position follow from the position's own axes. Refraction is added once, at the level's anchor. Angles from
-a user are apparent angles at the anchor.
+Azimuth and altitude at a position follow from this direction and the position's own axes. The direction includes refraction, which
+is computed once: at the anchor, the centre of the level's bounds. Angles from a user are apparent angles at the anchor.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Sun:
     Attributes
     ----------
     azimuth_deg, altitude_deg
-        The apparent angles at the anchor, in degrees.
+        The apparent angles at the anchor (the centre of the level's bounds), in degrees.
     to_sun_earth
         (3,), the earth-fixed unit vector towards the sun.
     time
@@ -55,9 +55,9 @@ class Sun:
 
 
 def sun_of(spec: SunSpec, world: World) -> Sun:
-    """Return the sun of a level or a query. Raises ``InputError``.
+    """Return the sun that a level file or a request specifies by a time or by angles.
 
-    A time needs a position on the earth. A flat world and another celestial body accept angles only.
+    A time needs a position on the earth. For a time in a flat world or on another celestial body it raises ``InputError``.
     """
     lift = 0.0
     if spec.time is None:
@@ -73,7 +73,7 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
 
 
 def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float, float]:
-    """Return the apparent azimuth and altitude, and the refraction in that altitude, in degrees, by ``sun_path``."""
+    """Return the sun's apparent azimuth and altitude, and the refraction that the altitude includes, in degrees."""
     path = sun_path([time], lon_deg, lat_deg)
     return float(path.azimuth_deg[0]), float(path.altitude_deg[0]), float(path.lift_deg[0])
 
@@ -85,6 +85,9 @@ def direction_enu(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
 
 
 def position_at(to_sun_earth: np.ndarray, earth_from_enu: np.ndarray) -> tuple[float, float]:
-    """Return the azimuth and altitude in degrees of an earth-fixed direction, for the axes of one position."""
+    """Return the azimuth and altitude in degrees of an earth-fixed direction, seen from one position.
+
+    The columns of ``earth_from_enu`` (3, 3) are the position's east, north and up vectors.
+    """
     east, north, up = earth_from_enu.T @ to_sun_earth
     return float(np.degrees(np.arctan2(east, north))) % 360.0, float(np.degrees(np.arctan2(up, np.hypot(east, north))))

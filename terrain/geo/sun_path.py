@@ -11,7 +11,7 @@ import numpy as np
 from skugga.terrain.errors import InputError
 
 YEARS = (1678, 2261)
-"""First and last year for which the sun's position is computed (the range of the library's time stamps)."""
+"""First and last year for which the sun's position is computed (the range of pandas' time stamps)."""
 
 PRESSURE_PA, TEMPERATURE_C = 101325.0, 12.0
 """The air's pressure and temperature for refraction."""
@@ -19,7 +19,7 @@ PRESSURE_PA, TEMPERATURE_C = 101325.0, 12.0
 
 @dataclass(frozen=True, eq=False)
 class SunPath:
-    """The sun's positions.
+    """The sun's positions at n times for one observer.
 
     Attributes
     ----------
@@ -70,7 +70,10 @@ def check_times(moments: np.ndarray) -> None:
 
 
 def check_date(day: date, name: str = "date") -> None:
-    """Raise ``InputError`` for a date whose sun is not computed for the whole date in every zone."""
+    """Raise ``InputError`` unless the year of a date lies between the two ``YEARS``, both excluded.
+
+    The sun's position is then computed for the whole date in every time zone.
+    """
     if not YEARS[0] < day.year < YEARS[1]:
         raise InputError(name, day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
 

@@ -20,13 +20,13 @@ from skugga.terrain.level.data_files import check_geodata
 from skugga.terrain.level.linked_files import is_remote
 
 MAX_EDGE_LENGTH = {True: 0.01, False: 1000.0}
-"""Maximum length of an edge when it is projected, by whether the CRS is geographic: degrees, else the CRS's units.
+"""Maximum length of an edge before it is transformed: for a geographic CRS (``True``) in degrees, for others in CRS units.
 
-Longer edges are divided first, since a projection bends straight lines. The remaining bend is a few centimetres.
+Longer edges are divided first, since a transformation bends straight lines. The remaining bend is a few centimetres.
 """
 
 MAX_COORDINATE = {True: 540.0, False: 1e9}
-"""Maximum absolute value of a valid coordinate, by whether the CRS is geographic: degrees, else the CRS's units."""
+"""Maximum absolute value of a valid coordinate: for a geographic CRS (``True``) in degrees, for others in CRS units."""
 
 MAX_LATITUDE = 90.0 + 1e-6
 """Maximum latitude in degrees, with a tolerance for rounding in files."""
@@ -46,10 +46,10 @@ SINGLE_LAYER_SUFFIXES = (".geojson", ".shp", ".fgb")
 """Suffixes of files with one layer. Listing the layers of a large GeoJSON takes as long as reading it."""
 
 INSPECTED_FEATURES, MAX_INSPECTED_LAYERS = 100, 100
-"""Features that determine a layer's kind of geometry, and the maximum number of layers that are inspected."""
+"""Number of features that show a layer's kinds of geometry, and the maximum number of layers that are inspected."""
 
 HOLE_OUTSIDE_MESSAGE = "Hole lies outside shell"
-"""GEOS's message for such a polygon, before the coordinates."""
+"""Start of GEOS's message for a polygon with a hole outside of it. The hole's coordinates follow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +80,12 @@ class Features:
     fid: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> Features:
-        """Return some of the features. Indices may repeat."""
+        """Return the features with the indices ``rows``, which may repeat."""
         attributes = {name: values[rows] for name, values in self.attributes.items()}
         return Features(self.name, self.geometry[rows], attributes, self.number[rows], self.count, self.fid[rows])
 
     def label(self, row: int | np.integer) -> str:
-        """Return a description of a feature, with its identifier if that does not count from 0 or 1."""
+        """Return a text that names a feature by its number, and by GDAL's identifier if it does not count from 0 or 1."""
         number, fid = int(self.number[row]), int(self.fid[row])
         return f"feature {number} of {self.count}" + ("" if fid in (number, number - 1) else f" (fid {fid})")
 
@@ -112,7 +112,7 @@ class VectorLayer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Statements on the choice of a layer among several."""
+        """Texts that tell the user which of several layers was chosen; empty for a file with one layer."""
         if not self.other_layers:
             return () if self.name is None else (f"layer '{self.name}'",)
         return (f"layer '{self.name}', not {', '.join(self.other_layers)} (the key layer selects another one)",)
@@ -124,9 +124,10 @@ def vector_layer(
     name: str | None = None,
     accepts_attributes: Callable[[tuple[str, ...]], bool] | None = None,
 ) -> VectorLayer:
-    """Return the layer of a name, or else the first layer with geometries of some dimensions (0: points, 1: lines, 2: polygons).
+    """Return the layer called ``name``; without a name, the first layer with geometries of one of the ``dimensions``.
 
-    Among several such layers it is the first whose attributes ``accepts_attributes`` accepts. Raises ``SourceError``.
+    Dimensions are 0 for points, 1 for lines and 2 for polygons. If several layers have such geometries, the first one whose
+    attribute names ``accepts_attributes`` accepts is preferred. Raises ``SourceError``.
     """
     check_geodata(source)
     if name is None and source.lower().endswith(SINGLE_LAYER_SUFFIXES):
@@ -153,7 +154,7 @@ def vector_layer(
 
 
 def _dimensions_of(source: str, layer: str) -> set[int]:
-    """Return the dimensions of a layer's first geometries; empty if it has none."""
+    """Return the dimensions of a layer's first geometries (0: points, 1: lines, 2: polygons); empty if it has none."""
     import pyogrio
 
     _, _, wkb, _ = pyogrio.raw.read(source, layer=layer, columns=[], force_2d=True, max_features=INSPECTED_FEATURES)
@@ -166,8 +167,8 @@ def read_features(
 ) -> Features:
     """Read a layer of a vector file into ``crs``, with x before y.
 
-    Times are text in ISO 8601. If ``crs`` is an engineering CRS, files without a CRS or in another engineering CRS with the same
-    unit count as files in ``crs``.
+    Attributes that are times become text in ISO 8601. If ``crs`` is an engineering CRS, files without a CRS or in another
+    engineering CRS with the same unit count as files in ``crs``.
 
     Parameters
     ----------
@@ -279,7 +280,10 @@ def transformer_between(source: str, file_crs: CRS, crs: CRS, inverse: bool = Fa
 
 
 def same_coordinates(file_crs: CRS, crs: CRS) -> bool:
-    """Return whether coordinates have the same meaning in both CRSs, x before y. Engineering CRSs of one unit share one origin."""
+    """Return whether coordinates, x before y, have the same meaning in both CRSs.
+
+    Engineering CRSs with the same unit count as having the same origin.
+    """
     if file_crs.is_engineering and crs.is_engineering:
         return file_crs.axis_info[0].unit_conversion_factor == crs.axis_info[0].unit_conversion_factor
     return file_crs.equals(crs, ignore_axis_order=True)
@@ -313,7 +317,11 @@ def _projected(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:
 def _check_coordinates(
     features: Features, file_crs: CRS, crs: CRS, before: np.ndarray, index: np.ndarray, after: np.ndarray | None = None
 ) -> None:
-    """Raise ``SourceError`` for coordinates that have no position in a CRS. ``index`` is the feature of each."""
+    """Raise ``SourceError`` for coordinates that cannot be transformed from ``file_crs`` into ``crs``.
+
+    ``before`` (n, 2) are the file's coordinates, ``index`` (n,) the row in ``features`` that each belongs to, and ``after`` (n, 2)
+    the transformed ones. Without ``after`` only the range of ``before`` is checked.
+    """
     in_degrees = file_crs.is_geographic and file_crs.axis_info[0].unit_name == "degree"
     limits = MAX_COORDINATE[file_crs.is_geographic], MAX_LATITUDE if in_degrees else MAX_COORDINATE[file_crs.is_geographic]
     valid = np.abs(before) <= limits if after is None else np.isfinite(after)
@@ -364,7 +372,10 @@ def _check_holes(features: Features) -> None:
 
 
 def _repaired(source: str, geometry: np.ndarray) -> np.ndarray:
-    """Return geometries with invalid polygons repaired; empty where no area is left. Raises ``SourceError``."""
+    """Return the geometries, with invalid polygons repaired in place; a polygon becomes empty if no area is left.
+
+    Raises ``SourceError`` if repairing would take too long.
+    """
     with_area = shapely.get_dimensions(geometry) == 2
     invalid = np.flatnonzero(with_area & ~shapely.is_valid(geometry))
     _check_crossings(source, geometry[invalid])
@@ -401,7 +412,7 @@ def _gdal_errors(source: str) -> Iterator[None]:
 
 
 def _damage(wkb: bytes) -> str:
-    """Return the damage of a geometry that cannot be parsed."""
+    """Return a phrase that describes why a geometry (WKB) cannot be parsed."""
     try:
         shapely.from_wkb(wkb)
     except shapely.errors.GEOSException as error:

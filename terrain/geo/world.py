@@ -3,7 +3,7 @@
 - On the globe, earth-fixed coordinates are geocentric metres on the WGS 84 ellipsoid (EPSG:4978). The earth's curvature is thus
   part of every vertex.
 - On another celestial body they are geocentric on its own ellipsoid.
-- In a flat world (an engineering CRS) they are east, north and up in metres from the anchor.
+- In a flat world (an engineering CRS) they are east, north and up in metres from the anchor, the centre of the level's bounds.
 
 Heights above sea level count as heights above the ellipsoid. The slope of the geoid, below 0.1 m per km, is far below the accuracy
 of any raster's heights.
@@ -26,7 +26,10 @@ WGS84 = Geod(ellps="WGS84")
 LONGITUDE_LATITUDE = CRS.from_user_input("OGC:CRS84")
 
 FRAME_PITCH_DEG = 0.25
-"""Spacing of frame origins on the globe. A frame's points lie within about 20 km, where a float32 step is 1 to 2 mm."""
+"""Spacing of the origins of local frames on the globe, in degrees of latitude.
+
+A frame's points lie within about 20 km of its origin, where a float32 step is 1 to 2 mm.
+"""
 
 EARTH_RADIUS_M = 6_371_000.0
 
@@ -34,7 +37,7 @@ EARTH_SEMI_MAJOR_M, EARTH_TOLERANCE = 6_375_000.0, 0.005
 """PROJ takes an ellipsoid for the earth's if its semi-major axis differs by less than this share (``Ellipsoid::guessBodyName``)."""
 
 FRAME_PITCH_M = 16384.0
-"""Spacing of frame origins in a flat world."""
+"""Spacing of the origins of local frames in a flat world."""
 
 TRANSFORMER_BYTES = 2**16
 """Approximate size of a PROJ transformation in memory."""
@@ -49,7 +52,10 @@ def _identity_key(*crss: CRS) -> tuple[IdentityKey, ...]:
 
 
 class AxesTransformer:
-    """A transformation between two CRSs where one has non-standard axes (``skugga.terrain.geo.axes``). x runs east, y north."""
+    """A transformation between CRSs whose axes do not all run east and north (``skugga.terrain.geo.axes``).
+
+    It takes and returns x to the east and y to the north, as ``pyproj`` does for other CRSs.
+    """
 
     def __init__(self, stored: Transformer, source: Axes, target: Axes) -> None:
         self._stored, self._source, self._target = stored, source, target
@@ -69,7 +75,8 @@ class AxesTransformer:
 def transformer(source: CRS, target: CRS) -> Transformer | AxesTransformer:
     """Return a cached transformation between two CRSs, with x to the east and y to the north, and angles in degrees.
 
-    ``LONGITUDE_LATITUDE`` stands for those of the other CRS's celestial body. Raises ``ProjError`` where no transformation exists.
+    ``LONGITUDE_LATITUDE`` stands for longitude and latitude on the celestial body of the other CRS. Raises ``ProjError`` if no
+    transformation exists.
     """
     if source is LONGITUDE_LATITUDE:
         source = longitude_latitude_of(target)
@@ -130,7 +137,7 @@ class LocalFrame:
     Attributes
     ----------
     key
-        Index of the frame in its lattice.
+        Index (east, north) of the frame's origin in the lattice of origins.
     origin_earth_m
         (3,), the earth-fixed origin in metres.
     frame_from_earth
@@ -160,14 +167,14 @@ class LocalFrame:
 
 @dataclass(frozen=True)
 class World:
-    """The space of a level.
+    """The space in which a level's ground lies: the earth, another celestial body, or a flat world.
 
     Attributes
     ----------
     crs
         The CRS of the elevation source.
     flat
-        Whether it is a flat world (an engineering CRS).
+        Whether the world is flat (an engineering CRS).
     anchor_x, anchor_y
         The anchor in ``crs``: the centre of the level's bounds. All lattices (frames, texels, map samples outside tile matrices)
         are counted from it.
@@ -213,9 +220,9 @@ class World:
         return None if self.on_earth else f"'{self.crs.name}' is not a CRS of the earth"
 
     def ground(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return earth-fixed points (..., 3) of height 0 and the unit vectors up there, for map coordinates in ``crs``.
+        """Return earth-fixed points (..., 3) at height 0, in metres, and the unit up vectors there, of map coordinates in ``crs``.
 
-        Coordinates that the CRS cannot transform give NaN. Raises ``UnsupportedError`` for another CRS than a flat world's own.
+        Coordinates that cannot be transformed give NaN. A flat world raises ``UnsupportedError`` for any CRS but its own.
         """
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         if self.flat:
@@ -227,7 +234,10 @@ class World:
         return geocentric(*self.lon_lat(crs, x, y), self.ellipsoid)
 
     def lon_lat(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return longitude and latitude in degrees; NaN where the CRS has none. Longitudes of WGS 84 are not wrapped."""
+        """Return longitude and latitude in degrees of map coordinates in ``crs``; NaN where they cannot be transformed.
+
+        Coordinates that already are longitudes and latitudes of WGS 84 are returned unchanged, not wrapped.
+        """
         if is_longitude_latitude(crs):
             return np.asarray(x, np.float64), np.asarray(y, np.float64)
         lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
@@ -252,7 +262,7 @@ class World:
         return self._anchor[0]
 
     def anchor_from_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rotation (3, 3) and the origin (3,) in metres of a frame in the anchor's east-north-up axes."""
+        """Return the rotation (3, 3) from a frame to the anchor's east-north-up axes, and its origin (3,) in them, in metres."""
         anchor_from_earth = self.earth_from_anchor.T
         return anchor_from_earth @ frame.frame_from_earth.T, anchor_from_earth @ (frame.origin_earth_m - self.anchor_earth_m)
 
@@ -268,7 +278,11 @@ class World:
         return geocentric(np.float64(self.anchor_lon_deg), np.float64(self.anchor_lat_deg), self.ellipsoid)
 
     def frame_near(self, crs: CRS, x: float, y: float) -> LocalFrame:
-        """Return the lattice's frame whose origin is nearest to a map coordinate. The lattice is counted from the anchor."""
+        """Return the local frame whose origin is nearest to a map position.
+
+        Origins form a lattice that is counted from the anchor. Raises ``UnsupportedError`` for a position outside of the CRS's
+        area.
+        """
         if self.flat:
             point, _ = self.ground(crs, np.float64(x), np.float64(y))
             return self._flat_frame(point, FRAME_PITCH_M)
@@ -278,7 +292,10 @@ class World:
         return self._globe_frame(lon, lat, FRAME_PITCH_DEG)
 
     def frame_near_earth(self, point_earth_m: np.ndarray, pitch_share: float = 1.0) -> LocalFrame:
-        """Return the frame nearest to an earth-fixed point, of a lattice with ``pitch_share`` of the maps' pitch."""
+        """Return the local frame whose origin is nearest to an earth-fixed point (3,).
+
+        Origins form a lattice whose spacing is ``pitch_share`` times that for maps (``FRAME_PITCH_DEG``, ``FRAME_PITCH_M``).
+        """
         if self.flat:
             return self._flat_frame(point_earth_m, FRAME_PITCH_M * pitch_share)
         lon, lat, _ = geodetic(point_earth_m, self.ellipsoid)
@@ -325,7 +342,10 @@ class World:
 
 @cached("process", MIB)
 def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
-    """Return a frame of the lattice. Cached, so that caches may compare frames by identity."""
+    """Return the frame whose origin has index (i, j) in a lattice of spacing ``pitch``, in degrees, or metres in a flat world.
+
+    Cached, so that caches may compare frames by identity.
+    """
     if world.flat:
         return LocalFrame((i, j), np.array([i * pitch, j * pitch, 0.0]), np.eye(3))
     lon = world.anchor_lon_deg + i * pitch / world._cos_anchor_lat

@@ -1,1 +1,1 @@
-"""OpenGL: the device and its state, stencil passes, depth targets, records of draw calls. Only this folder makes raw calls."""
+"""OpenGL: the device, its state, stencil passes, depth targets, records of draw calls. Only this folder makes raw OpenGL calls."""

@@ -10,7 +10,10 @@ from moderngl import Framebuffer
 from skugga.terrain.cache import register_cache
 
 MAX_TARGETS, MAX_TARGET_BYTES = 16, 2**28
-"""Limits of the pool: framebuffers, and bytes of all together. The two most recently used ones stay at any size."""
+"""Limits of the pool: number of framebuffers, and bytes of all their texels.
+
+The two most recently used framebuffers stay even if they exceed the limit.
+"""
 
 
 @dataclass(eq=False)
@@ -56,7 +59,7 @@ class DepthTargets:
         return sum(depth_bytes(*target.shape) for target in self._targets)
 
     def acquire(self, width: int, height: int, bits: int) -> Framebuffer:
-        """Return a framebuffer to draw in.
+        """Return a framebuffer of ``width`` x ``height`` texels with ``bits`` bits of depth, for drawing a depth map in it.
 
         Its content lasts until the next call for the same shape. Content that ``keep`` caches survives at least the next call of
         any shape, and longer while the pool has room.
@@ -101,7 +104,10 @@ class DepthTargets:
             target.content = None
 
     def evict_owned_by(self, owner: object) -> None:
-        """Invalidate all cached contents, of any owner. Other scenes redraw theirs once."""
+        """Invalidate all cached contents, since their owners are not recorded.
+
+        Scenes other than ``owner`` draw their depth maps again once.
+        """
         self.clear()
 
     def _make_room(self, shape: tuple[int, int, int], evictable: list[_Target]) -> None:

@@ -80,7 +80,7 @@ class Device:
             )
 
     def check(self, operation: str) -> None:
-        """Raise ``GraphicsError`` if a call since the last check left an error behind."""
+        """Raise ``GraphicsError`` if an OpenGL call since the last check failed. The message names ``operation``."""
         error = self.ctx.error
         if error != "GL_NO_ERROR":
             raise GraphicsError(f"OpenGL: error {error} in {operation}.")
@@ -109,7 +109,7 @@ class Device:
 
     @property
     def programs(self) -> tuple[str, ...]:
-        """Labels of all compiled programs, in order (``skugga.terrain.gl.programs``)."""
+        """Labels of all cached programs, in the cache's order (``skugga.terrain.gl.programs.LinkedProgram``)."""
         return tuple(program.extra.label for program in self._programs.values)
 
     def texture(self, array: np.ndarray) -> moderngl.Texture:
@@ -147,7 +147,7 @@ class Device:
         return texture
 
     def float_target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """Return a one-channel float32 framebuffer. The last one is kept for reuse."""
+        """Return a one-channel float32 framebuffer. Calls for the same size reuse it, with its content."""
         self.require_current()
         if self._float_target is None or self._float_target.size != (width, height):
             if self._float_target is not None:
@@ -157,9 +157,10 @@ class Device:
 
     @contextmanager
     def depth_pass(self, target: moderngl.Framebuffer, offset: tuple[float, float] = (0.0, 0.0)) -> Iterator[None]:
-        """Set the state of a depth-only pass: nearest wins, and depth clamp keeps geometry before the near plane at depth 0.
+        """Set the state of a depth-only pass, in which the nearest depth wins, and clear the depths to 1 (far).
 
-        ``offset`` moves depths away from the eye: factor of the slope, and units of the smallest depth step (glPolygonOffset).
+        Depth clamp draws geometry in front of the near plane at depth 0, instead of clipping it. ``offset`` moves depths away from
+        the eye: factor of the slope, and units of the smallest depth step (glPolygonOffset).
         """
         self.require_current()
         target.use()
@@ -177,7 +178,10 @@ class Device:
 
     @contextmanager
     def cull_front_faces(self, clockwise: bool) -> Iterator[None]:
-        """Cull front faces, which wind counter-clockwise in the picture, or ``clockwise``."""
+        """Cull front faces within the block.
+
+        Front faces wind clockwise in the picture if ``clockwise`` is set, otherwise counter-clockwise.
+        """
         self.require_current()
         self.ctx.front_face, self.ctx.cull_face = "cw" if clockwise else "ccw", "front"
         self.ctx.enable(moderngl.CULL_FACE)
@@ -188,7 +192,10 @@ class Device:
             self.ctx.front_face, self.ctx.cull_face = "ccw", "back"
 
     def visibility_buffer_target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """Return a visibility framebuffer: uint32 primitive numbers, RGBA8 albedo and float32 depth. The last ones are kept."""
+        """Return a visibility framebuffer: uint32 primitive numbers, RGBA8 albedo and float32 depth.
+
+        The last ``MAX_VISIBILITY_BUFFERS`` framebuffers are reused for views of the same size.
+        """
         self.require_current()
         target = next((candidate for candidate in self._visibility_buffers if candidate.size == (width, height)), None)
         if target is not None:
@@ -205,9 +212,9 @@ class Device:
 
     @contextmanager
     def visibility_buffer_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
-        """Set the state of a visibility pass: the nearest surface wins, with reversed depth from 1 (near) to 0 (infinity).
+        """Set the state of a visibility pass, in which the nearest surface wins, and clear the framebuffer.
 
-        Reversed float depth keeps the depth steps even over all distances.
+        Depth is reversed: it runs from 1 (near) to 0 (infinity). In float32 its relative resolution is the same at all distances.
         """
         from OpenGL import GL
 
@@ -234,9 +241,10 @@ class Device:
         target.use()
 
     def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
-        """Return an sRGB texture array of given mip levels, each uint8 (layers, s, s, 4) with half the side of the one before.
+        """Return an sRGB texture array with the mip levels ``levels``.
 
-        Samplers decode sRGB to linear colours. A texture is cached as long as ``levels[0]`` lives.
+        Each mip level is uint8 (layers, side, side, 4) and has half the side of the previous one. Samplers decode sRGB to linear
+        colours. A texture is cached as long as ``levels[0]`` lives.
         """
         from OpenGL import GL
 
@@ -272,9 +280,9 @@ class Device:
         record_draw(array.program.extra)
 
     def draw_triangles(self, program: moderngl.Program, vertices: np.ndarray, triangles: np.ndarray, first: int = 0) -> int:
-        """Draw indexed triangles of vertices (n, k) float32 (attribute ``position``) and return their number.
+        """Draw triangles, indices (m, 3) of vertices (n, k) float32 (attribute ``position``), and return their number m.
 
-        ``first`` is the primitive number before the first one, for programs that have this uniform.
+        ``first`` is the number of triangles in earlier draws, for programs that have a uniform of this name.
         """
         self.require_current()
         if not len(triangles):
@@ -325,7 +333,10 @@ class Device:
         return count * len(triangles)
 
     def draw_sheet(self, program: moderngl.Program, position: np.ndarray, triangles: np.ndarray) -> int:
-        """Draw a grid's triangles, ``position`` (rows, cols, k) being its nodes, and return their number."""
+        """Draw triangles between the nodes ``position`` (rows, cols, k) of a grid, and return the number of triangles.
+
+        ``triangles`` (m, 3) are indices of nodes, counted row by row.
+        """
         return self.draw_triangles(program, position.reshape(-1, position.shape[-1]), triangles)
 
     def draw_pixels(self, program: moderngl.Program, target: moderngl.Framebuffer) -> None:
@@ -398,8 +409,8 @@ def device() -> Device:
     """Return the device of the process. The first call creates it, and its thread owns it.
 
     Raises ``NoOpenGLError`` if the machine has no OpenGL. A process that failed once does not try again, so that all its pictures
-    are rendered alike. Raises ``InputError`` and ``GraphicsError`` for a device that the setting names wrongly or that gives no
-    context (``skugga.terrain.gl.egl_devices``).
+    are rendered alike. Raises ``InputError`` if the setting ``SKUGGA_EGL_DEVICE`` is wrong, and ``GraphicsError`` if the device
+    that it names gives no context (``skugga.terrain.gl.egl_devices``).
     """
     global _device, _no_opengl
     if _no_opengl is not None:

@@ -122,7 +122,7 @@ def _function(egl: ctypes.CDLL, name: bytes, result: Any, *arguments: Any) -> Ca
 
 
 def no_opengl_error(reason: str) -> NoOpenGLError:
-    """Return the error of a machine without OpenGL."""
+    """Return the error for a machine on which no OpenGL context can be created, with the reason."""
     return NoOpenGLError(
         f"OpenGL: no OpenGL 4.3 context through EGL ({reason}). Without it only terrain without objects can be drawn, under the "
         "sun. Run 'skugga doctor' to see what is missing"
@@ -130,7 +130,7 @@ def no_opengl_error(reason: str) -> NoOpenGLError:
 
 
 def read_setting(value: str) -> str | tuple[int, ...]:
-    """Parse the setting: ``auto``, ``software`` or device numbers. Raises ``InputError``."""
+    """Parse the setting ``SKUGGA_EGL_DEVICE``: ``auto``, ``software`` or device numbers. Raises ``InputError``."""
     text = value.strip().lower() or AUTO_DEVICE
     if text in (AUTO_DEVICE, SOFTWARE_DEVICE):
         return text
@@ -144,7 +144,8 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], process_number: int
     """Return the devices that a process tries in order, until one creates a context.
 
     - ``auto`` prefers graphics cards. Processes are distributed (round robin by ``process_number``) over the cards that have the
-      same renderer and version as the first working one: pictures of different drivers differ, and a service has one calibration.
+      same renderer and version as the first working one. The reason: pictures of different drivers differ, and a service measures
+      the speed of one device only.
     - ``software`` means Mesa's software rasteriser.
     - Device numbers are distributed round robin in the order of the setting; each process tries one device only.
 
@@ -191,7 +192,10 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], process_number: int
 
 
 def _round_robin(cards: list[EglDevice], process_number: int, probe: DeviceProbe) -> list[EglDevice]:
-    """Return the graphics cards in the order in which the process with number ``process_number`` tries them."""
+    """Return the graphics cards in the order in which the process with number ``process_number`` tries them.
+
+    The first process tries all cards. Others try the cards with the same renderer and version as the first working one.
+    """
     if not process_number or len(cards) < 2:
         return cards
     kinds = {card: probe(card.index) for card in cards}

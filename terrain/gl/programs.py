@@ -56,7 +56,7 @@ def record_draw_calls() -> Iterator[list[LinkedProgram]]:
 
 
 def record_draw(program: LinkedProgram) -> None:
-    """Add a draw call to all open records."""
+    """Add a draw call, made with a program, to all lists that ``record_draw_calls`` is collecting."""
     for calls in _RECORDS.get():
         calls.append(program)
 
@@ -67,7 +67,7 @@ def join_shader_parts(parts: Mapping[str, str]) -> str:
 
 
 def specialize_shader(fragment: str, constants: Mapping[str, bool | int]) -> tuple[str, list[str]]:
-    """Return a shader's source with uniforms replaced by constants, and the replaced ones (``taps=3``).
+    """Return a shader's source with uniforms replaced by constants, and a text (``taps=3``) for each replaced uniform.
 
     Constants whose uniform the shader lacks are ignored.
     """
@@ -81,7 +81,10 @@ def specialize_shader(fragment: str, constants: Mapping[str, bool | int]) -> tup
 
 
 def describe_program(program: moderngl.Program, texts: tuple[str, str], constants: list[str]) -> LinkedProgram:
-    """Return the description of a linked program. Its textures are the samplers that the linker left active."""
+    """Return the description of a linked program. Its textures are the samplers that the linker left active.
+
+    ``texts`` are the sources of its vertex and fragment shader, ``constants`` the texts that ``specialize_shader`` returned.
+    """
     import moderngl
 
     parts = [line.removeprefix(_PART_COMMENT) for text in texts for line in text.splitlines() if line.startswith(_PART_COMMENT)]

@@ -25,7 +25,11 @@ log = logging.getLogger("skugga")
 
 @contextmanager
 def safe_shader_cache() -> Iterator[None]:
-    """Guard the creation of an OpenGL context: allocate the blocks of Mesa's cache index, or disable the cache on a full disk."""
+    """Guard the creation of an OpenGL context within the block against a full disk.
+
+    Allocates the disk blocks of Mesa's cache index before and after. If the disk is full, disables Mesa's shader cache in this
+    process instead.
+    """
     index = _index_path()
     if not _has_room(index):
         os.environ[DISABLE_VARIABLE] = "true"
@@ -36,7 +40,7 @@ def safe_shader_cache() -> Iterator[None]:
 
 
 def _index_path() -> Path:
-    """Return the path of the index file that Mesa maps into memory. Other forms of Mesa's cache have no such file."""
+    """Return the path of the index file that Mesa maps into memory. Mesa's other cache formats (one file, database) have none."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return Path(os.environ.get("MESA_SHADER_CACHE_DIR") or home) / "mesa_shader_cache" / "index"
 

@@ -21,10 +21,16 @@ _CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 
 STENCIL_CACHE_BYTES, PIXEL_BYTES = 128 * MIB, 12
-"""Limit of the framebuffer cache (a view's framebuffer and that of its supersamples, for example), and bytes of a pixel."""
+"""Limit in bytes of the cache of framebuffers, and bytes of a framebuffer's pixel.
+
+The limit allows, for example, a view's framebuffer and that of its supersamples.
+"""
 
 MARK_BIT = 0x80
-"""The bit that marks pixels. Marked pixels count to 127, all others to 255."""
+"""The stencil bit that marks pixels.
+
+A pass over marked pixels only counts in the other seven bits (to 127), any other pass in all eight (to 255).
+"""
 
 SLOPE_OFFSET_STEPS = 1.0
 """Slope offset of faces, in steps of the rasteriser's grid (1/256 pixel).
@@ -36,10 +42,12 @@ Rounding moves a corner by half a step along either axis, which moves the plane 
 CountMode = Literal["z_pass", "z_fail", "faces", "seen"]
 """How faces change the stencil.
 
-- ``z_pass``: in front of the point, front faces add one and back faces subtract one.
-- ``z_fail``: at or behind the point, front faces subtract one and back faces add one.
-- ``faces``: each face in front of the point adds one, up to 255.
-- ``seen``: a face that is not behind the point sets the stencil to 255.
+The pixel's point is the one whose depth is in the framebuffer.
+
+- ``z_pass``: in front of the pixel's point, front faces add one and back faces subtract one.
+- ``z_fail``: at or behind the pixel's point, front faces subtract one and back faces add one.
+- ``faces``: each face that is not behind the pixel's point adds one, up to 255.
+- ``seen``: a face that is not behind the pixel's point sets the stencil to 255.
 """
 
 Side = Literal["both", "front", "back"]
@@ -76,7 +84,10 @@ class Stencil:
         )
 
     def target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """Return a cleared framebuffer with float depth (0, infinity) and eight-bit stencil (0). The last ones are cached."""
+        """Return a framebuffer with float depth and eight-bit stencil, both cleared to 0. Depth 0 is infinity.
+
+        Recently used framebuffers are cached, one for each size.
+        """
         from OpenGL import GL
 
         self._require_current()
@@ -109,7 +120,7 @@ class Stencil:
         GL.glDeleteRenderbuffers(1, [storage])
 
     def clear(self, target: moderngl.Framebuffer, bits: int = 0xFF) -> None:
-        """Clear some bits of a stencil."""
+        """Set the stencil bits in the mask ``bits`` to 0 in all pixels of a framebuffer."""
         from OpenGL import GL
 
         self._require_current()
@@ -120,10 +131,10 @@ class Stencil:
 
     @contextmanager
     def once_pass(self, target: moderngl.Framebuffer, stencil_value: int, clip_distances: int = 0) -> Iterator[None]:
-        """Set the state of a pass that increments pixels of stencil value ``stencil_value`` once, without depth test.
+        """Set the state of a pass that increments the stencil once where it is ``stencil_value``, without depth test.
 
-        Further fragments of a pixel do not increment it again. ``clip_distances`` is the number of clip distances that the vertex
-        shaders write.
+        Further fragments of a pixel do not increment its stencil again. ``clip_distances`` is the number of clip distances that the
+        vertex shaders write.
         """
         with self._stencil_test(target, depth=False):
             from OpenGL import GL
@@ -140,7 +151,7 @@ class Stencil:
 
     @contextmanager
     def mark_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
-        """Set the state of a pass that marks all drawn pixels, without depth test."""
+        """Set the state of a pass that sets the stencil of all drawn pixels to ``MARK_BIT``, without depth test."""
         with self._stencil_test(target, depth=False):
             from OpenGL import GL
 
@@ -150,7 +161,10 @@ class Stencil:
 
     @contextmanager
     def depth_pass(self, target: moderngl.Framebuffer, overwrite: bool = False) -> Iterator[None]:
-        """Set the state of a pass that writes depths and no stencil: the nearest wins, or with ``overwrite`` the last."""
+        """Set the state of a pass that writes depths and no stencil.
+
+        In each pixel the nearest depth wins, or with ``overwrite`` the one that is drawn last.
+        """
         from OpenGL import GL
 
         self._require_current()

@@ -12,8 +12,11 @@ def calibrate(as_json: JsonOption = False) -> None:
     """Calibrate this device for the policy `predict`."""
     from skugga.api.device_calibration import format_calibration
     from skugga.selector.cost.calibration import calibrate as measure
-    from skugga.selector.cost.device_profile import save_profile
+    from skugga.selector.cost.device_profile import check_profile_file, save_profile
+    from skugga.terrain.gl.device import device
 
+    gl = device()
+    check_profile_file(gl.renderer, gl.version)
     with ProgressBar("Calibrating") as advance:
         profile = measure(advance)
     path = save_profile(profile)

@@ -45,7 +45,7 @@ h2 {{ margin-top: 2rem; }}
 
 
 def level_page(level: ServedLevel, base: str) -> str:
-    """Return the HTML page of a level. Its links are relative to ``/levels``."""
+    """Return the HTML page of a level. Its links are relative to ``/levels/``; ``base`` is the service's public URL."""
     name = quote(level.name)
     off_earth_reason = level.world.off_earth_reason is not None
     return _PAGE.format(
@@ -61,10 +61,10 @@ def level_page(level: ServedLevel, base: str) -> str:
 
 
 def snippets(level: ServedLevel, base: str, product_request: ProductRequest | None = None) -> Iterator[tuple[str, str]]:
-    """Yield code snippets for map clients, each after the client's name.
+    """Yield pairs of a map client's name and a code snippet that adds the level to it.
 
-    Snippets for XYZ tiles have the query of ``product_request`` in their URLs; the default has none. Clients of WMTS and WMS choose
-    layer and time themselves.
+    ``base`` is the service's public URL. Tile URLs in the snippets carry the query of ``product_request``, by default none. Clients
+    of WMTS and WMS choose layer and time themselves.
     """
     assert level.bounds is not None
     query = "" if product_request is None else product_request.query()
@@ -117,7 +117,7 @@ def snippets(level: ServedLevel, base: str, product_request: ProductRequest | No
 
 
 def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
-    """Yield names and HTML values of a level's facts."""
+    """Yield the rows of the page's table of facts: a heading as text and a value as HTML."""
     name, level_file = quote(level.name), level.loaded.level
     if level.bounds is not None:
         west, south, east, north = level.bounds
@@ -149,6 +149,6 @@ def _layer_link(name: str, layer: str) -> str:
 
 
 async def page_answer(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:
-    """Return the response with the page of a level."""
+    """Return the page of a level as a response, or 304 if the client's copy is current."""
     page = level_page(level, base_url(request, service.settings.public_url))
     return document_answer(request, page.encode(), "text/html", **headers)

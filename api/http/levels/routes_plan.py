@@ -1,4 +1,8 @@
-"""Routes for plans and descriptors of a level's view or tiles, and for the plan of a client's descriptor."""
+"""Routes for plans and descriptors of a level's view or tiles, and for the plan of a client's descriptor.
+
+A plan is the selector's choice of shadow algorithms and settings. A descriptor has the facts of a scene and a view that the
+selector chooses by.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,7 @@ DESCRIPTOR_EXAMPLE: dict[str, Any] = {
     "relief_m": 700.0, "block_relief_m": 450.0, "sun_azimuth_deg": 235.0, "sun_altitude_deg": 22.0, "highest_sun_deg": 22.5,
     "receivers_light_m": [10000.0, 9000.0, 600.0],
 }  # fmt: skip
-"""An example of a client's descriptor, with the required facts only."""
+"""Example of a client's descriptor for ``POST /plan``, with the required facts only."""
 
 NOT_MODIFIED_DOCS: ResponseDocs = {304: {"description": "The client has it (`If-None-Match`)."}}
 
@@ -136,9 +140,10 @@ async def plan_of_descriptor(
 
 
 def _view_or_tiles(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:
-    """Return a view's name, or the tiles of a zoom.
+    """Return the checked name of a view, or the tiles of a zoom if the query has ``zoom``.
 
-    Raises ``InputError`` if both are given, or ``tms`` without ``zoom``, and ``NotServedError`` for an unknown zoom.
+    Raises ``InputError`` for an unknown view, for ``view`` together with ``zoom``, and for ``tms`` without ``zoom``. Raises
+    ``NotServedError`` for an unknown tile matrix set or zoom.
     """
     if zoom is None and tms is None:
         return level.view_named(view)

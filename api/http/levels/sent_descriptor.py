@@ -1,7 +1,8 @@
-"""Validate descriptors from clients: ``Descriptor`` with limits for lists and numbers, and with typed facts of effects.
+"""Validate descriptors from clients: limit lists and numbers, and check the facts of each effect (haze, snow, water and others).
 
-The predicates of effects expect facts as the engine writes them. This module checks the facts of clients. Errors name the path of
-the fault, as ``facts.haze.visibility_m``.
+A descriptor has the facts of a scene and a view that a plan is chosen by. The engine trusts its own descriptors, so ``Descriptor``
+does not check the facts of effects. ``SentDescriptor`` does. Errors name the path of the faulty value, as
+``facts.haze.visibility_m``.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Band, LampFacts, LightFacts
 
 MAX_LAMPS = 32
-"""Maximum number of lamps. A plan has an entry for each."""
+"""Maximum number of lamps. A plan has an entry for each lamp."""
 
 MAX_BANDS = 64
-"""Maximum number of distance bands. Each is a power of two."""
+"""Maximum number of bands of distances from the eye. Each band ends at a power of two of metres."""
 
 MIN_EXTENT_M = 1e-6
-"""Minimum extent of the receivers in light space, in metres. A shadow map needs a positive extent."""
+"""Minimum of the receivers' largest extent in light space, in metres. A shadow map needs a positive extent."""
 
 MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-12, 1e15
-"""Allowed magnitude of numbers other than 0 and infinities.
+"""Smallest and largest allowed magnitude of numbers other than 0 and infinities.
 
-Smaller and larger numbers under- or overflow to 0 or infinity in calculations."""
+Other numbers under- or overflow to 0 or infinity in calculations."""
 
 MAX_NAME = 200
 """Maximum number of characters of a name or a reason."""
@@ -40,7 +41,7 @@ def _parse_infinity(number: object) -> object:
 
 
 def _numbers(data: object, path: str = "") -> Iterator[tuple[str, float | int]]:
-    """Yield path and value of every number in JSON data."""
+    """Yield the dotted path and the value of every number in JSON data."""
     if isinstance(data, float | int) and not isinstance(data, bool):
         yield path, data
     elif isinstance(data, dict | list | tuple):
@@ -49,7 +50,7 @@ def _numbers(data: object, path: str = "") -> Iterator[tuple[str, float | int]]:
 
 
 FactNumber = Annotated[float, BeforeValidator(_parse_infinity), Field(strict=True, ge=-np.inf)]
-"""A number or an infinity, without NaN and booleans."""
+"""Type of a number or an infinity. NaN and booleans are rejected."""
 
 FactShare = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 FactText = Annotated[str, Field(max_length=MAX_NAME)]
@@ -208,5 +209,5 @@ class SentDescriptor(Descriptor):
         return self
 
     def as_descriptor_json(self) -> str:
-        """Return the JSON of a ``Descriptor``, without the keys that were not sent."""
+        """Return JSON that ``Descriptor`` parses, without the keys that the client did not send."""
         return self.model_dump_json(exclude_unset=True)

@@ -1,4 +1,7 @@
-"""Parse requests of WMS and WMTS by keys and values (KVP): keys in any case, and layers named ``level:layer``."""
+"""Parse requests of WMS and WMTS that are encoded as keys and values (KVP).
+
+Keys may be in upper or lower case. Layers are named ``level:layer``, such as ``jacksboro:color``.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,17 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.style import STYLES
 
 GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
-"""Formats that map clients know. The first one that a layer has is preferred."""
+"""File formats that map clients know, in order of preference."""
 
 RESERVED_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME", "DATE", "I", "J"})
-"""Keys that WMS and WMTS define. They are no options of products, although some options have the same names."""
+"""Keys that WMS and WMTS define. A product option with such a name cannot be set by its key."""
 
 
 class KeyValuePairs:
-    """The keys and values of a request. Keys are in upper case. Raises ``InputError`` for a repeated key."""
+    """The keys and values of a request's query. Keys are stored in upper case.
+
+    Raises ``InputError`` for a repeated key.
+    """
 
     def __init__(self, request: Request) -> None:
         self._values: dict[str, str] = {}
@@ -40,25 +46,25 @@ class KeyValuePairs:
             self._values[name.upper()] = value
 
     def get(self, name: str) -> str | None:
-        """Return a value; ``None`` if it is missing or empty."""
+        """Return the value of a key; ``None`` if it is missing or empty."""
         return self._values.get(name) or None
 
     def require(self, name: str, remedy: str) -> str:
-        """Return a value. Raises ``InputError`` with a remedy if it is missing."""
+        """Return the value of a key. Raises ``InputError`` with the text ``remedy`` if it is missing or empty."""
         value = self.get(name)
         if value is None:
             raise InputError.missing(name, remedy)
         return value
 
     def integer(self, name: str) -> int:
-        """Return a whole number. Raises ``InputError``."""
+        """Return the value of a required key as a whole number. Raises ``InputError`` for other values, and if it is missing."""
         value = self.require(name, "Give a whole number")
         if not (value.isascii() and value.isdigit() and len(value) < 10):
             raise InputError(name, value, "a whole number")
         return int(value)
 
     def number(self, name: str) -> float | None:
-        """Return a number; ``None`` if it is missing. Raises ``InputError``."""
+        """Return the value of a key as a number; ``None`` if it is missing. Raises ``InputError`` for other texts."""
         value = self.get(name)
         number = None if value is None else parse_decimal(value)
         if value is not None and number is None:
@@ -67,13 +73,16 @@ class KeyValuePairs:
 
 
 def styles_of(layer: str) -> dict[str, str]:
-    """Return the styles of a layer, as descriptions by name. The level's own style comes first."""
+    """Return the shading styles of a layer: a description by each style's name.
+
+    The level's own style comes first, as ``default``. Layers of data have no other style.
+    """
     named_styles = {style.name: style.about for style in STYLES.values()} if PRODUCTS[layer].is_display else {}
     return {DEFAULT_STYLE: "Default", **named_styles}
 
 
 def layer_title(level: ServedLevel, layer: str) -> str:
-    """Return the title of a layer of a level."""
+    """Return the title that clients show for a layer of a level."""
     title = level.loaded.level.title or level.name
     return f"{title}: {layer}"
 
@@ -84,7 +93,10 @@ def layer_name(level: ServedLevel, layer: str) -> str:
 
 
 def split_layer(key: str, name: str) -> tuple[str, str]:
-    """Return the level's name and the layer of a WMS or WMTS layer name. Raises ``NotServedError``."""
+    """Split a layer name of WMS or WMTS into the level's name and the layer.
+
+    Raises ``NotServedError`` for an unknown layer. Its message names ``key``, the key of the request.
+    """
     level, colon, layer = name.rpartition(":")
     if not colon or layer not in MAP_PRODUCTS:
         message = f"{key}: layer {name[:80]!r} does not exist. Use LEVEL:LAYER; layers are {', '.join(MAP_PRODUCTS)}."
@@ -93,12 +105,12 @@ def split_layer(key: str, name: str) -> tuple[str, str]:
 
 
 def gis_formats(layer: str) -> tuple[MapFormat, ...]:
-    """Return the formats of a layer that map clients know."""
+    """Return the formats of a layer that map clients know, the preferred one first."""
     return tuple(format for format in GIS_FORMATS if format in PRODUCTS[layer].map_formats)
 
 
 def format_of_media_type(media_type: str) -> MapFormat:
-    """Return the format of a media type. Raises ``InputError``."""
+    """Return the file format of a media type. Raises ``InputError`` for an unknown media type."""
     for format, known_media_type in MEDIA_TYPES.items():
         if media_type.lower().split(";")[0].strip() in (known_media_type, format):
             return format
@@ -106,9 +118,10 @@ def format_of_media_type(media_type: str) -> MapFormat:
 
 
 def layer_options(level: ServedLevel, layer: str, parameters: KeyValuePairs) -> ProductOptions:
-    """Return the options of a product from the keys of a request.
+    """Return the options of a layer's product from the keys of a request.
 
-    Keys have the names of the options. A product of whole dates takes its date from TIME. Raises ``InputError``.
+    The key of an option is its name. A product of whole dates, such as hours of sun, takes its date from TIME. Raises
+    ``InputError``.
     """
     product = PRODUCTS[layer]
     names = [name for name in served_options(product) if name.upper() not in RESERVED_KEYS]
@@ -126,16 +139,19 @@ def layer_options(level: ServedLevel, layer: str, parameters: KeyValuePairs) -> 
 
 
 def requested_sun(request: Request, level: ServedLevel, parameters: KeyValuePairs) -> SunSpec | None:
-    """Return the sun of a request's TIME, or of its AZIMUTH and ALTITUDE; ``None``: the level's own. Raises ``InputError``."""
+    """Return the sun that a request's TIME, or its AZIMUTH and ALTITUDE, defines; ``None`` means the level's own sun.
+
+    Raises ``InputError``.
+    """
     instant = requested_instant(parameters.get("TIME"), level.world.anchor_lon_deg)
     grain_s = service_of(request).settings.time_grain_s
     return request_sun(request, instant, parameters.number("AZIMUTH"), parameters.number("ALTITUDE"), grain_s)
 
 
 def layer_request(request: Request, level: ServedLevel, layer: str, parameters: KeyValuePairs, style_key: str) -> ProductRequest:
-    """Return the product request of a layer, with the request's options, sun, and the style of ``style_key``.
+    """Return the request for a layer's product, with the options, the sun and the style from the keys.
 
-    Raises ``InputError``.
+    ``style_key`` is the key of the style: STYLES in WMS, STYLE in WMTS. Raises ``InputError``.
     """
     options = layer_options(level, layer, parameters)
     if PRODUCTS[layer].when != "sun":
@@ -147,16 +163,26 @@ def layer_request(request: Request, level: ServedLevel, layer: str, parameters: 
 
 
 def this_year() -> int:
-    """Return the current year, which levels without a time of their own use."""
+    """Return the current year in UTC. Capabilities list its times for levels whose sun has no time."""
     return datetime.now(UTC).year
 
 
 def exception_answer(
     request: Request, error: SkuggaError, codes: dict[str, str], write_xml: Callable[[str, str | None, str], bytes]
 ) -> Response:
-    """Return an error as a response in a service's XML, with its status from ``skugga.api.errors``.
+    """Return an error as a response in the XML of WMS or WMTS, with the HTTP status from ``skugga.api.errors``.
 
-    ``codes`` are the exception codes of the service by parameter. ``write_xml`` writes the XML of a code, a parameter and a text.
+    Parameters
+    ----------
+    request
+        The request, for the log.
+    error
+        The error.
+    codes
+        Exception codes by the wrong parameter. The key ``""`` is for errors without a parameter, ``"*"`` for other parameters, and
+        ``"missing"`` for missing parameters.
+    write_xml
+        Returns the body for an exception code, the parameter's name (or ``None``) and the message.
     """
     report, text = public_error(request, error)
     headers = {"Cache-Control": "no-store"}

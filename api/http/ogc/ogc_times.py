@@ -14,7 +14,9 @@ from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
 
 LISTED_STEP = timedelta(minutes=10)
-"""Step between the times that the capabilities list. Any other time is served, too; ``current`` is served, but never listed."""
+"""Step between the times that the capabilities list.
+
+Any other time is served, too. The word ``current`` is served, but never listed."""
 
 EQUINOX = 3, 21
 """Month and day of the default date of a level whose sun has no time."""
@@ -24,10 +26,10 @@ _OFFSET = re.compile(r"(Z|z|[+\- ]\d\d:?\d\d)$")
 
 
 def requested_instant(text: str | None, lon_deg: float) -> str | None:
-    """Return the instant of a TIME in ISO 8601 with an offset, ``None`` for the level's own sun, or ``current``.
+    """Return the instant that a TIME means: ISO 8601 with an offset, ``current``, or ``None`` for the level's own sun.
 
-    A time without an offset is in UTC. A date means its solar noon at a longitude. An interval means its begin. Any other text is
-    returned unchanged; ``skugga.terrain.level.level.parse_sun`` refuses it.
+    A time without an offset is in UTC. A date means its solar noon at the longitude ``lon_deg``. An interval means its begin. An
+    invalid text is not detected here: ``skugga.terrain.level.level.parse_sun`` rejects it later.
     """
     if text is None or text.strip().lower() in ("", DEFAULT_TIME):
         return None
@@ -44,7 +46,7 @@ def requested_instant(text: str | None, lon_deg: float) -> str | None:
 
 
 def requested_date(text: str | None, default: date) -> date:
-    """Return the date of a TIME, for a layer of whole dates. Raises ``InputError``."""
+    """Return the date of a TIME for a layer of whole dates; ``default`` if TIME is missing or ``default``. Raises ``InputError``."""
     if text is None or text.strip().lower() in ("", DEFAULT_TIME):
         return default
     try:
@@ -57,14 +59,14 @@ def requested_date(text: str | None, default: date) -> date:
 
 @dataclass(frozen=True)
 class TimeDimension:
-    """The time dimension of a layer.
+    """The time dimension of a layer in capabilities.
 
     Attributes
     ----------
     default
-        The default time or date.
+        The default time or date in ISO 8601, or the word ``default``.
     span
-        All times, as ``begin/end/period``.
+        All times or dates, as ``begin/end/period`` in ISO 8601.
     """
 
     default: str
@@ -72,12 +74,14 @@ class TimeDimension:
 
 
 def time_dimension(level: ServedLevel, layer: str, year: int, default_time: str | None = None) -> TimeDimension:
-    """Return the times of a layer that changes with the sun.
+    """Return the time dimension of a layer that changes with the sun.
 
-    The default is ``default_time``, else the level's own time. A level whose sun has only angles has the default ``default``. For
-    hours of sun the default is the date of the level's time, or the equinox. The span is the year of the level's time, or else
-    ``year``; the sun of any other year is the same to a fraction of a degree. The steps include the level's own time, because QGIS
-    takes a time that is listed beside a span for the begin of that span. Raises ``InputError``.
+    - The default is ``default_time`` if given, else the time of the level's own sun. For a sun without a time it is ``default``.
+    - For a layer of whole dates the default is the date of ``default_time`` or of the level's sun, or else ``EQUINOX`` of ``year``.
+    - The span is one year: that of the level's sun, or else ``year``. In other years the sun is the same to a fraction of a degree.
+    - The steps of the span include the time of the level's sun. QGIS takes a time listed beside a span for the span's begin.
+
+    Raises ``InputError``.
     """
     sun_time, day = level_sun_time(level), default_date(level, year)
     if PRODUCTS[layer].when == "days":
@@ -100,19 +104,19 @@ def _requested_default(text: str | None, lon_deg: float) -> str | None:
 
 
 def level_sun_time(level: ServedLevel) -> datetime | None:
-    """Return the time of a level's own sun; ``None`` if it has none."""
+    """Return the time of a level's own sun; ``None`` for a sun that is given by angles, and without a sun."""
     sun = level.loaded.level.sun
     return None if sun is None or sun == "none" else sun.time
 
 
 def default_date(level: ServedLevel, year: int) -> date:
-    """Return the date of a level's own sun in its own UTC offset, else the equinox of a year."""
+    """Return the date of a level's own sun, in the UTC offset of its time; for a sun without a time ``EQUINOX`` of ``year``."""
     sun_time = level_sun_time(level)
     return date(year, *EQUINOX) if sun_time is None else sun_time.date()
 
 
 def _step_offset(sun_time: datetime | None) -> timedelta:
-    """Return a time modulo the step, in whole seconds."""
+    """Return a time modulo ``LISTED_STEP``, in whole seconds; 0 for ``None``."""
     return timedelta(seconds=0 if sun_time is None else int(sun_time.timestamp()) % LISTED_STEP.seconds)
 
 

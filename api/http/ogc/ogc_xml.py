@@ -12,34 +12,37 @@ WEST_180, EAST_180 = -180.0, 180.0
 
 
 def add(parent: Element, tag: str, text: object = None, **attributes: str) -> Element:
-    """Append a child and return it. The first underscore of an attribute stands for the colon after its prefix."""
+    """Append a child element and return it.
+
+    In the names of ``attributes`` the first underscore stands for the colon after a namespace prefix, as ``xlink_href``.
+    """
     child = SubElement(parent, tag, {name.replace("_", ":", 1): value for name, value in attributes.items()})
     child.text = None if text is None else str(text)
     return child
 
 
 def document(root: Element) -> bytes:
-    """Return the bytes of a document, indented."""
+    """Return an element as an indented XML document in UTF-8."""
     indent(root)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n"
 
 
 def format_numbers(values: Iterable[float], separator: str = " ") -> str:
-    """Return coordinates as text that reads back to the same floats."""
+    """Return numbers as text. Parsing the text gives exactly the same floats."""
     return separator.join(repr(float(value)) for value in values)
 
 
 def lon_lat_box(bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """Return west, south, east and north in degrees, within -180 and 180.
+    """Return bounds (west, south, east, north in degrees) with longitudes between -180 and 180.
 
-    A level that crosses the antimeridian gets all longitudes, because boxes may not cross it.
+    Bounds that cross the antimeridian become the full range of longitudes, since boxes in capabilities may not cross it.
     """
     west, south, east, north = bounds
     return bounds if west >= WEST_180 and east <= EAST_180 else (WEST_180, south, EAST_180, north)
 
 
 def ows_exception(code: str, locator: str | None, text: str) -> bytes:
-    """Return an ``ExceptionReport`` of OWS Common 1.1.0, 8.3."""
+    """Return an ``ExceptionReport`` (OWS Common 1.1.0, 8.3). ``locator`` names the wrong parameter."""
     root = Element(
         "ows:ExceptionReport", {"xmlns:ows": "http://www.opengis.net/ows/1.1", "version": "1.1.0", "xml:lang": "en"}
     )  # fmt: skip
@@ -49,7 +52,7 @@ def ows_exception(code: str, locator: str | None, text: str) -> bytes:
 
 
 def wms_exception(code: str, locator: str | None, text: str) -> bytes:
-    """Return a ``ServiceExceptionReport`` of WMS 1.3.0, 6.11."""
+    """Return a ``ServiceExceptionReport`` (WMS 1.3.0, 6.11). ``locator`` names the wrong parameter."""
     root = Element("ServiceExceptionReport", {"xmlns": "http://www.opengis.net/ogc", "version": "1.3.0"})
     add(root, "ServiceException", text, code=code, **({} if locator is None else {"locator": locator}))
     return document(root)

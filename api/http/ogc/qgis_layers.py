@@ -16,7 +16,7 @@ from skugga.api.products.sun_hours import NAME as SUN_HOURS
 from skugga.terrain.geo.grid import crs_of_tiles
 
 QGIS_LAYERS = ("color", "shadow", SUN_HOURS)
-"""Layers of the file. The first one is checked, so QGIS shows it at once."""
+"""Layers of the file. The first one has a tick in QGIS's list of layers, so QGIS shows it at once."""
 
 HEIGHTS_TITLE = "heights"
 
@@ -24,8 +24,8 @@ HEIGHTS_TITLE = "heights"
 def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
     """Return the layers of a level that lies on earth, as a QGIS layer definition.
 
-    The layers are WMTS layers, so QGIS's temporal controller moves their time. Heights come as Terrarium tiles, with which QGIS
-    shows the level in three dimensions.
+    The file has WMTS layers, whose time QGIS's temporal controller changes. It also has heights as Terrarium tiles, for QGIS's
+    three-dimensional view. Levels whose sun has no time get their default date in ``year``.
     """
     root = Element("qlr")
     tree = add(root, "layer-tree-group")
@@ -56,7 +56,7 @@ def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
 
 
 def qgis_matrix_set(level: ServedLevel) -> str:
-    """Return the name of the tile matrix set for a level in QGIS: the default set, else the level's first."""
+    """Return the name of the tile matrix set for a level in QGIS: ``DEFAULT_MATRIX_SET`` if it covers the level, else the first."""
     return DEFAULT_MATRIX_SET if DEFAULT_MATRIX_SET in level.zooms else next(iter(level.zooms))
 
 
@@ -65,7 +65,7 @@ def _crs_of(matrix_set: str) -> str:
 
 
 def _wmts_source(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
-    """Return a data source of QGIS's provider ``wms``."""
+    """Return the URI of a WMTS layer for QGIS's data provider ``wms``."""
     return urlencode(
         {
             "crs": _crs_of(qgis_matrix_set(level)), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer),

@@ -58,7 +58,9 @@ WMS_CODES = {
     "STYLES": "StyleNotDefined", "STYLE": "StyleNotDefined", "CRS": "InvalidCRS", "FORMAT": "InvalidFormat",
     "INFO_FORMAT": "InvalidFormat", "I": "InvalidPoint", "J": "InvalidPoint", "TIME": "InvalidDimensionValue",
 }  # fmt: skip
-"""Exception codes by the wrong parameter: those of WMS 1.3.0, table E.1, or else those of OWS Common."""
+"""Exception codes by the wrong parameter (``exception_answer`` explains the special keys).
+
+They come from WMS 1.3.0, table E.1, or else from OWS Common."""
 
 
 WMS_KEYS = ogc_parameters(

@@ -1,6 +1,6 @@
 """Serve WMTS 1.0.0, the Web Map Tile Service: capabilities, and tiles by keys and values (KVP).
 
-RESTful addresses of tiles are those of the tile routes.
+Clients of RESTful WMTS fetch tiles from the routes of ``routes_tiles``.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ WMTS_CODES = {
     "VERSION": "VersionNegotiationFailed", "ACCEPTVERSIONS": "VersionNegotiationFailed",
     "X": "TileOutOfRange", "Y": "TileOutOfRange",
 }  # fmt: skip
-"""Exception codes by the wrong parameter: OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24."""
+"""Exception codes by the wrong parameter (``exception_answer`` explains the special keys).
+
+They come from OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24."""
 
 
 DEFAULT_TIME_PARAMETER = ogc_parameters(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
@@ -146,7 +148,7 @@ async def _tile_by_keys(request: Request, service: Service, parameters: KeyValue
 
 
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
-    """Return the capabilities of a level (``None``: of all), or an error in the XML of WMTS."""
+    """Return the capabilities document of a level (``None``: of all levels), or an error as an XML exception."""
     try:
         levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
         levels_on_earth = [served_level for served_level in levels if served_level.zooms]

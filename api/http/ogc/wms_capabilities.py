@@ -23,7 +23,9 @@ from skugga.terrain.errors import InputError
 WMS_VERSION = "1.3.0"
 
 WMS_LAYERS = products_with(lambda product: product.encoding is None and "png" in product.map_formats)
-"""Layers for display. Heights encoded in colours are for tiles. Map clients cannot show floating point data."""
+"""Layers that WMS serves: those that map clients can show.
+
+Heights encoded in colours are for tile clients, and clients cannot show floating point data."""
 
 MAP_MEDIA = ("image/png", "image/webp", "image/jpeg", "image/tiff")
 INFO_MEDIA = ("application/json", "text/html", "text/plain")
@@ -38,8 +40,16 @@ SCHEMA_WMS = "http://www.opengis.net/wms http://schemas.opengis.net/wms/1.3.0/ca
 def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str, max_pixels: int, year: int) -> bytes:
     """Return the capabilities document of levels that lie on earth.
 
-    ``base_url`` is the address of the whole service, ``address`` that of its WMS. Levels without a time of their own list the times
-    of ``year``. No side may exceed the square root of ``max_pixels``.
+    Parameters
+    ----------
+    levels
+        The levels.
+    base_url, address
+        URLs of the whole service and of the WMS.
+    max_pixels
+        Maximum number of pixels of a map. Its square root is listed as the maximum of width and height.
+    year
+        The year whose times are listed for levels whose sun has no time.
     """
     root = Element(
         "WMS_Capabilities",
@@ -76,7 +86,7 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
 
 
 def crs_of_maps(level: ServedLevel) -> dict[str, CRS]:
-    """Return the CRSs that the capabilities list for a level, by their codes in WMS."""
+    """Return the CRSs that the capabilities list for a level, by code: ``COMMON_CRS`` and that of the level's own maps."""
     authority_and_code = level.map_crs.to_authority()
     codes = [*COMMON_CRS, *([] if authority_and_code is None else [":".join(authority_and_code)])]
     return {code: crs_of_code({"CRS:84": "OGC:CRS84"}.get(code, code)) for code in dict.fromkeys(codes)}

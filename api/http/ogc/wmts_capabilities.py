@@ -31,8 +31,21 @@ SCHEMA_WMTS = "http://www.opengis.net/wmts/1.0 http://schemas.opengis.net/wmts/1
 def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url: str, year: int, time: str | None = None) -> bytes:
     """Return the capabilities document of levels that lie on earth.
 
-    ``base_url`` is the address of the whole service, ``document_url`` that of the document. Levels without a time of their own list
-    the times of ``year``. A ``time`` becomes the default of all layers. Raises ``InputError``.
+    Parameters
+    ----------
+    levels
+        The levels.
+    base_url, document_url
+        URLs of the whole service and of this document.
+    year
+        The year whose times are listed for levels whose sun has no time.
+    time
+        The default time of all layers; ``None``: each level's own.
+
+    Raises
+    ------
+    InputError
+        ``time`` is invalid.
     """
     root = Element(
         "Capabilities",
@@ -105,9 +118,9 @@ def _add_layer(contents: Element, level: ServedLevel, layer: str, base_url: str,
 
 
 def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
-    """Return the address of a layer's legend at its default time.
+    """Return the URL of a layer's legend at the layer's default time.
 
-    It is a WMS address, because QGIS adds keys of WMS to every legend address.
+    It is a WMS request, because QGIS adds keys of WMS to every legend URL.
     """
     query = {"SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png"}
     query["LAYER"] = layer_name(level, layer)
@@ -117,7 +130,7 @@ def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
 
 
 def layer_abstract(layer: str) -> str:
-    """Return a description of a layer, as a sentence."""
+    """Return the description of a layer for capabilities: one sentence of plain text."""
     description = PRODUCTS[layer].about.replace("`", "")
     return f"{description[:1].upper()}{description[1:]}."
 
@@ -147,9 +160,10 @@ def _add_matrix_set_links(element: Element, level: ServedLevel) -> None:
 
 
 def _add_matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) -> None:
-    """Add a tile matrix set down to the last zoom that is served.
+    """Add the definition of a tile matrix set, with its matrices up to ``last_zoom``.
 
-    GDAL and QGIS take the finest matrix for the resolution of the data, whatever the limits say.
+    ``last_zoom`` is the last zoom that any level serves. GDAL and QGIS read the resolution of the data from the finest matrix in
+    the document, even if a layer's limits exclude it.
     """
     element = add(contents, "TileMatrixSet")
     add(element, "ows:Identifier", matrix_set.id)

@@ -1,4 +1,4 @@
-"""Resolve the date of point queries, and run point jobs on the worker pool."""
+"""Fix the time of point queries that mean today, and run point jobs in a render process."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from skugga.terrain.level.parts import SunSpec
 
 
 def resolve_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
-    """Return a query with a definite day, and the seconds for which its answer stays fresh.
+    """Return a query that does not depend on the clock, and the seconds for which its answer stays fresh.
 
-    A query without a date and without a sun is about today.
+    A query without a date and without a sun is about today. Its field ``now`` becomes the begin of the current quarter of an hour,
+    and its answer stays fresh until the next quarter.
     """
     if sun is not None or point.date is not None:
         return point, REQUESTED_SUN_FRESH_S

@@ -1,4 +1,4 @@
-"""Write a point's report as text, HTML and GeoJSON, which map clients show for a clicked point."""
+"""Write the sun report of a point as text, HTML or GeoJSON. Map clients show it for a clicked point."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Rows = list[tuple[str, str]]
 
 
 def report_rows(report: dict[str, Any]) -> Rows:
-    """Return the facts of a report as (name, text) rows. ``report`` is a ``skugga.api.point.report.PointReport`` in JSON."""
+    """Return a report as rows of (name, text). ``report`` is the decoded JSON of a ``skugga.api.point.report.PointReport``."""
     rows = [
         ("Level", str(report["level"])),
         ("Place", f"{report['lat']}, {report['lon']}"),
@@ -51,8 +51,8 @@ def report_page(rows: Rows) -> str:
 def report_features(place: tuple[float, float] | None, report: dict[str, Any]) -> str:
     """Return a report as a GeoJSON collection of one feature.
 
-    ``place`` is (longitude, latitude), or ``None`` for a feature without geometry. The member ``crs`` is for QGIS, which uses the
-    CRS of the layer without it.
+    ``place`` is (longitude, latitude) in degrees, or ``None`` for a feature without geometry. The member ``crs`` is for QGIS:
+    without it QGIS assumes the CRS of the map layer.
     """
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
     geometry = None if place is None else {"type": "Point", "coordinates": place}

@@ -29,7 +29,9 @@ from skugga.terrain.level.parts import SunSpec
 router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
 
 POINTS_PER_JOB = 200
-"""Points in one job of a worker. Jobs of other requests run between two of them."""
+"""Maximum number of points in one job. A request with more points becomes several jobs.
+
+Jobs of other requests can run between these jobs."""
 
 SKY_MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png", "json": "application/json"}
 
@@ -123,7 +125,7 @@ async def point_query(
     clock: ClockQuery = None,
     year: YearQuery = None,
 ) -> PointQuery:
-    """Return the point of a query, as a dependency."""
+    """Return the point that the query parameters define (a FastAPI dependency)."""
     return PointQuery(lon=lon, lat=lat, height=height, date=date, clock=clock, year=year)
 
 

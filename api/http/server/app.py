@@ -62,19 +62,19 @@ def create_app(
     Parameters
     ----------
     settings
-        The service's settings. Their folder of levels is served, too.
+        The service's settings. The level files in the folder ``settings.levels`` are served, too.
     levels
         Level files, or sources of levels.
     worker_target
         Main function of a render process.
     measure
-        Calibrates an uncalibrated device while the service is idle.
+        Function that calibrates the device (measures how fast it runs the algorithms) while the service is idle.
     probe
-        Probes a level while the service is idle.
+        Function that probes a level (tries algorithms on its maps) while the service is idle.
     archives
         PMTiles archives.
     spawned_worker
-        The first render process, if it was started before.
+        The first render process, if it has been started already.
 
     Returns
     -------
@@ -84,9 +84,10 @@ def create_app(
     Raises
     ------
     LevelError, SourceError, InputError
-        A level cannot be served. Such levels of the folder are logged and left out instead.
+        One of ``levels`` cannot be served. A level of the folder that cannot be served is logged and left out instead.
     ArchiveError
-        An archive cannot be served, or an archive that a level names. Such archives of the folder's levels are logged instead.
+        One of ``archives``, or an archive that one of ``levels`` names, cannot be served. An archive that a level of the folder
+        names is logged and left out instead.
     """
     served_levels = ServedLevels(
         levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
@@ -153,7 +154,7 @@ class HeadAsGet:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application."""
+        """Run the application; run it for GET if the request is HEAD."""
         if scope["type"] != "http" or scope["method"] != "HEAD":
             await self.app(scope, receive, send)
             return
@@ -176,7 +177,7 @@ class BoundedBody:
         self.app, self.max_bytes = app, max_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application."""
+        """Run the application, or answer 413 if the request's body is too long."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return

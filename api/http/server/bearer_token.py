@@ -11,20 +11,20 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from skugga.api.http.problems import problem_of, problem_response
 
 PUBLIC_PATHS = {"/healthz", "/readyz"}
-"""Paths that need no token: health checks have none."""
+"""Paths that need no token, since the probes of load balancers and orchestrators send none."""
 
 
 class BearerToken:
     """Middleware that rejects requests without ``Authorization: Bearer TOKEN`` (RFC 6750), except for health checks.
 
-    It makes answers ``private``: a shared cache would also send them to clients without a token.
+    It marks answers as ``private`` in ``Cache-Control``: a shared cache would also send public answers to clients without a token.
     """
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self.app, self._expected = app, f"Bearer {token}".encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application."""
+        """Run the application if the request has the token or needs none; otherwise answer 401."""
         if scope["type"] == "http" and scope["path"] not in PUBLIC_PATHS:
             authorization = Request(scope).headers.get("authorization", "").encode("latin-1", "replace")
             if not hmac.compare_digest(authorization, self._expected):

@@ -1,4 +1,7 @@
-"""An HTTP protocol with a limit for the size of a request's line and headers. The parser itself has none."""
+"""An HTTP protocol for uvicorn that limits the size of a request's line and headers.
+
+The parser (httptools) itself has no such limit.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,9 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from skugga.api.http.problems import Problem, problem_of, problem_response
 
 MAX_HEAD_BYTES = 64 * 1024
-"""Approximate limit of a request's line and headers: the data that completes the headers is not counted."""
+"""Approximate limit in bytes of a request's line and headers.
+
+The last received piece of data, which completes the headers, is not counted."""
 
 
 class BoundedHeaders(HttpToolsProtocol):
@@ -20,7 +25,7 @@ class BoundedHeaders(HttpToolsProtocol):
         self._in_head, self._has_ended, self._head_bytes = True, False, 0
 
     def data_received(self, data: bytes) -> None:
-        """Parse received data and count it while the headers are incomplete."""
+        """Parse received data, and add its size to the count while the headers are incomplete. Answer 431 above the limit."""
         self._has_ended = False
         super().data_received(data)
         if not self._in_head or self._has_ended or self.transport.is_closing():
@@ -30,7 +35,7 @@ class BoundedHeaders(HttpToolsProtocol):
             self._refuse(problem_of(431))
 
     def send_400_response(self, msg: str) -> None:
-        """Answer an invalid request with a problem document."""
+        """Answer an invalid request with a problem document of status 400, and close the connection."""
         self._refuse(problem_of(400))
 
     def _refuse(self, problem: Problem) -> None:

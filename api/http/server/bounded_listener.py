@@ -1,7 +1,8 @@
 """Accept connections up to a limit, evict idle connections and reap stalled ones.
 
-Accepting pauses while no connection is available. At the limit, a new connection evicts the idle connection that has waited
-longest for its request. Clients that send nothing, or send slowly, therefore block no other client.
+At the limit, a new connection evicts the idle connection that has waited longest for its client's request. Without an idle
+connection, no connection is accepted until another one closes. Clients that send nothing, or send slowly, therefore block no other
+client.
 """
 
 from __future__ import annotations
@@ -20,26 +21,26 @@ ACCEPTED_AT_ONCE = 64
 """Maximum number of connections that are accepted in one step of the event loop."""
 
 REAP_INTERVAL_S = 0.25
-"""Interval of the search for stalled connections."""
+"""Seconds between two searches for stalled connections (those whose client neither sends nor reads in time)."""
 
 PAUSE_S = 0.5
-"""Pause of accepting after the system has run out of file descriptors."""
+"""Seconds without accepting connections after ``accept`` has failed, for example for want of file descriptors."""
 
 LOG_INTERVAL_S = 60.0
-"""Minimum interval of log messages about a lack of file descriptors."""
+"""Minimum seconds between two log messages about a lack of file descriptors or memory."""
 
 OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 
 
 class HttpConnection(Protocol):
-    """The used part of uvicorn's HTTP protocol.
+    """The part of uvicorn's HTTP protocol that the listener uses.
 
     Attributes
     ----------
     transport : asyncio.Transport
         The connection's transport.
     cycle : object or None
-        The current request and response.
+        uvicorn's object for the current request and its response.
     """
 
     transport: asyncio.Transport
@@ -48,14 +49,14 @@ class HttpConnection(Protocol):
 
 @dataclass
 class _WaitState:
-    """The wait state of a connection.
+    """What a connection waits for, and since when.
 
     Attributes
     ----------
     progress : tuple
-        The state, which changes as the client makes progress (``_state_of``).
+        The value of ``_state_of``, which changes as the client makes progress.
     since_s : float
-        Begin of that state, by the event loop's clock.
+        Time of its last change in seconds, by the event loop's clock.
     """
 
     progress: tuple[object, ...]
@@ -76,12 +77,12 @@ class BoundedListener:
     limit
         Maximum number of connections.
     client_timeout_s
-        Seconds in which a client must send the headers, send the body, or read a part of its answer.
+        Seconds within which a client must send all headers, send the whole body, or read some of its answer.
 
     Attributes
     ----------
     refused : int
-        Number of connections that the listener has closed.
+        Number of connections that the listener has evicted or reaped.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class BoundedListener:
         self._listening_socket.close()
 
     async def wait_closed(self) -> None:
-        """Wait until pending connections are established."""
+        """Wait until the connections that were just accepted have their protocol."""
         if self._connecting:
             await asyncio.wait(self._connecting)
 
@@ -162,7 +163,7 @@ class BoundedListener:
             client.close()
 
     def _evict_idle(self) -> bool:
-        """Close the connection that has waited longest for its request. Return whether one was idle."""
+        """Close the idle connection that has waited longest for its client's request. Return whether there was one."""
         self._update_waiting()
         idle = [(state.since_s, connection) for connection, state in self._waiting.items() if _awaits_request(connection)]
         if not idle:
@@ -172,7 +173,7 @@ class BoundedListener:
         return True
 
     def _reap_stalled(self) -> None:
-        """Close stalled connections and resume accepting."""
+        """Close stalled connections, resume accepting after a pause, and schedule the next call."""
         self._update_waiting()
         now_s = self._loop.time()
         for connection, state in list(self._waiting.items()):
@@ -200,9 +201,9 @@ class BoundedListener:
 
 
 def _state_of(connection: HttpConnection) -> tuple[object, ...]:
-    """Return a state that changes when a client completes a part of its request or reads from its answer.
+    """Return a value that changes when a client completes its headers or body, or reads some of its answer.
 
-    Single bytes of headers or body do not change it.
+    Partial headers and a partial body do not change it.
     """
     cycle = connection.cycle
     if cycle is None:
@@ -211,11 +212,11 @@ def _state_of(connection: HttpConnection) -> tuple[object, ...]:
 
 
 def _awaits_request(connection: HttpConnection) -> bool:
-    """Return whether a connection is idle, since its request is incomplete."""
+    """Return whether a connection is idle: it waits for the rest of a request, or for the next request."""
     cycle = connection.cycle
     return cycle is None or (cycle.more_body and not cycle.response_started) or cycle.response_complete
 
 
 def _waits_for_client(connection: HttpConnection) -> bool:
-    """Return whether a connection waits for its client to send or to read."""
+    """Return whether a connection waits for its client: for a request, or for the client to read its answer."""
     return _awaits_request(connection) or connection.transport.get_write_buffer_size() > 0

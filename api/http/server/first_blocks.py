@@ -1,4 +1,7 @@
-"""The first block of each level, for which idle render processes prepare."""
+"""The first block of each level, for which idle render processes prepare.
+
+A block is a square of 4 x 4 tiles that are rendered together.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _PAGE = """<!doctype html>
 
 
 def not_found_page(request: Request, detail: str) -> HTMLResponse:
-    """Return a page with the problem and links to the served levels. Reads no file."""
+    """Return a page with the text ``detail`` and links to the served levels. Reads no file."""
     service = service_of(request)
     base = base_url(request, service.settings.public_url)
     items = "".join(

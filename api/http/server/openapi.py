@@ -21,7 +21,7 @@ EXAMPLE_DECIMALS = 5
 
 
 def install_openapi(app: FastAPI, service: Service) -> None:
-    """Install a function that builds the OpenAPI document at its first use."""
+    """Replace the application's method ``openapi`` by one that builds the completed document once, at its first call."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -59,7 +59,7 @@ def _complete_document(document: dict[str, Any], service: Service) -> dict[str, 
 
 
 def _plan_schemas() -> dict[str, Any]:
-    """Return the schemas of a plan and its parts by name, as FastAPI makes them for a route with a plan."""
+    """Return the JSON schemas of ``Plan`` and its parts by name, as FastAPI writes them for a route that returns a plan."""
     from skugga.shadows.plan import Plan
 
     router = APIRouter()
@@ -73,7 +73,10 @@ def _with_integer_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
 
 
 def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:
-    """Return examples of location parameters by name, for the first level with tiles, else for the first level."""
+    """Return examples of parameters that name a level or a place on it, by parameter.
+
+    They are for the first level with tiles, else for the first level.
+    """
     levels_on_earth = [level for level in levels if level.bounds is not None and DEFAULT_MATRIX_SET in level.zooms]
     if not levels_on_earth:
         return {"level": levels[0].name} if levels else {}
@@ -93,7 +96,7 @@ def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:
 
 
 def archive_examples(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
-    """Return examples of location parameters by name, for an existing tile of the first archive."""
+    """Return examples of the parameters that name an archive's tile, by parameter, for the first tile of the first archive."""
     for name, archive in archives.items():
         zoom, x, y = archive.first_tile
         return {"archive": name, "z": zoom, "x": x, "y": y, "format": archive.format}
@@ -113,7 +116,10 @@ def _set_examples(operation: dict[str, Any], location_examples: dict[str, Any]) 
 
 
 def example_address(path: str, operation: dict[str, Any], query: dict[str, str]) -> str:
-    """Return path and query of an operation's example, from its ``query`` and its required parameters."""
+    """Return the path and query of an operation's example request.
+
+    The query has the required parameters and those of ``query``. An empty value in ``query`` means the parameter's own example.
+    """
     parameters = operation.get("parameters", [])
     examples = {
         parameter["name"]: parameter["schema"]["examples"][0] for parameter in parameters if "examples" in parameter["schema"]

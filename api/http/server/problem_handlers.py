@@ -52,7 +52,7 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 
 def _methods_at(request: Request) -> list[str]:
-    """Return the methods of an address over all its routes. Starlette reports only the first route's."""
+    """Return the HTTP methods of all routes that match a request's path. Starlette reports only the first route's methods."""
 
     def has(method: str) -> bool:
         scope = {**request.scope, "method": method}
@@ -63,7 +63,7 @@ def _methods_at(request: Request) -> list[str]:
 
 
 def _first_error(error: RequestValidationError) -> InputError:
-    """Convert the first validation error. It names a parameter, or the path of a part of the body."""
+    """Convert the first of FastAPI's validation errors. The result names a parameter, or the path of a value in the body."""
     detail = error.errors()[0]
     location, *path = detail["loc"]
     name = ".".join(str(part) for part in path) or "body" if location == "body" else str(detail["loc"][-1])

@@ -1,4 +1,4 @@
-"""Middleware around every request: request id, access log, metrics, and headers of all answers."""
+"""Middleware around every request: request id, access log, metrics, and the headers that all answers have."""
 
 from __future__ import annotations
 
@@ -24,13 +24,16 @@ REQUEST_ID_PATTERN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 """Accepted request ids of clients: without characters that are special in logs, headers or HTML."""
 
 CACHED_ROUTE_KEY = "skugga.kept"
-"""Scope key with the route of an answer from the cache, which was sent before routing."""
+"""Key of the ASGI scope with the path template of a request that was answered from the cache.
+
+Starlette has not set a route then, since the answer is sent before routing."""
 
 
 def content_security_policy(tiles: str = "'self'") -> str:
-    """Return the Content-Security-Policy (level 3) of a page: own resources only, with images and data from ``tiles``.
+    """Return the Content-Security-Policy (level 3) of a page.
 
-    Blob workers are allowed, since the map library creates workers from its own code.
+    The page may load resources of this service only, but images and data from the sources ``tiles``. Workers from blobs are allowed,
+    since the map library creates workers from its own code.
     """
     return (
         f"default-src 'self'; img-src {tiles} data: blob:; connect-src {tiles}; style-src 'self' 'unsafe-inline'; "
@@ -39,7 +42,7 @@ def content_security_policy(tiles: str = "'self'") -> str:
 
 
 CLIENT_CLOSED_REQUEST = 499
-"""Status in logs and metrics of a request whose client has disconnected (as in nginx). It is never received."""
+"""Status in logs and metrics of a request whose client has disconnected (as in nginx). No client receives it."""
 
 METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
 
@@ -56,7 +59,7 @@ class RequestMiddleware:
         self.app, self.metrics, self.access_log = app, metrics, access_log
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application."""
+        """Run the application, and add the common headers to its answer. Answer 500, or 503 without resources, if it raises."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -140,7 +143,7 @@ def _request_id_of(scope: Scope) -> str:
 
 
 def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, duration_ms: float) -> None:
-    """Add the headers that all answers have."""
+    """Add the headers that all answers have, with the total ``duration_ms`` so far, and those that depend on the request's state."""
     headers[REQUEST_ID] = id_
     headers["X-Content-Type-Options"] = "nosniff"
     timings = headers.get("Server-Timing")
@@ -162,11 +165,11 @@ def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, duratio
 
 
 def _route(scope: Scope) -> str:
-    """Return the path template of the route, without parts that a client can choose."""
+    """Return the path template of a request's route, without parts that a client can choose; ``other`` without a route."""
     route = scope.get(CACHED_ROUTE_KEY) or getattr(scope.get("route"), "path", None)
     return str(route) if route else "other"
 
 
 def _loggable(text: str) -> str:
-    """Return a client's text for a log: at most 500 characters on one line."""
+    """Return a client's text for a log: at most 500 printable ASCII characters, with ``?`` for all others."""
     return re.sub(r"[^\x20-\x7e]", "?", text[:500])

@@ -24,7 +24,7 @@ _PAGE = """<!doctype html>
 </body>
 </html>
 """
-"""Its links are relative, to work behind any path prefix."""
+"""The page. Its links are relative, so it works behind a proxy that adds a path prefix."""
 
 _START = """SwaggerUIBundle({
   url: 'openapi.json',
@@ -34,7 +34,7 @@ _START = """SwaggerUIBundle({
   validatorUrl: null, // no external validator gets the document
 });
 """
-"""A separate file, since the content security policy forbids inline scripts."""
+"""The script that starts Swagger UI. It is a separate file, since the content security policy forbids inline scripts."""
 
 
 def install_docs(app: FastAPI) -> None:

@@ -27,19 +27,19 @@ from skugga.api.workers.process_life import open_descriptors
 from skugga.terrain.level.level_source import LevelSource
 
 SHUTDOWN_GRACE_S = 3
-"""Time that a stopping server gives clients to read their answers."""
+"""Seconds that a stopping server gives clients to read their answers."""
 
 DESCRIPTORS_PER_WORKER = 10
 """File descriptors reserved for each render process: its pipe, its sentinel and its start."""
 
 DESCRIPTORS_PER_FILM = 4
-"""File descriptors reserved for each film in progress; a finished film has one."""
+"""File descriptors reserved for each film that is being drawn. A finished film needs one."""
 
 RESERVED_DESCRIPTORS = 16
 """File descriptors reserved for files of levels and the viewer, and for logs."""
 
 FOLDER_RETRY_S = 5.0
-"""Delay of the next attempt to read the folder of levels, if no thread can be started."""
+"""Seconds until the next attempt to read the folder of levels, if no thread can be started for it."""
 
 MIN_CONNECTIONS = 8
 BACKLOG = 2048
@@ -48,7 +48,7 @@ BACKLOG = 2048
 def log_config(settings: Settings) -> dict[str, Any]:
     """Return the logging configuration. All logs go to standard error.
 
-    uvicorn logs errors only. Its warnings are about single bad requests, so clients could fill a disk with them.
+    uvicorn logs errors only. Its warnings are about single bad requests, so clients could fill a disk by sending bad requests.
     """
     loggers = {"skugga": "INFO", "uvicorn.error": "ERROR", "uvicorn.access": "ERROR"}
     return {
@@ -64,9 +64,10 @@ log = logging.getLogger("skugga")
 
 
 class Server(uvicorn.Server):
-    """A uvicorn server with a limit of connections, which stops without waiting for pending pictures.
+    """A uvicorn server with a limit of connections. It stops without waiting for pending pictures.
 
-    SIGHUP checks the files of all levels and archives and reads the folder of levels; SIGUSR1 logs the service's status.
+    SIGHUP makes the server check the files of all levels and archives and read the folder of levels again. SIGUSR1 makes it log the
+    service's status.
     """
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
@@ -140,7 +141,7 @@ class Server(uvicorn.Server):
 
 
 def connection_limit(settings: Settings) -> int:
-    """Return the limit of connections: that of the settings, or of the available file descriptors if lower."""
+    """Return the maximum number of connections: ``settings.max_connections``, or fewer if file descriptors do not suffice."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY:
         return settings.max_connections
@@ -159,7 +160,7 @@ def serve(
 ) -> None:
     """Serve levels and archives until SIGINT or SIGTERM.
 
-    ``spawned_worker`` is the first render process, if it was started before. Raises the errors of ``create_app``.
+    ``spawned_worker`` is the first render process, if it has been started already. Raises the errors of ``create_app``.
     """
     app = create_app(settings, levels, archives=archives, spawned_worker=spawned_worker)
     config = uvicorn.Config(

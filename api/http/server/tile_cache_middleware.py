@@ -16,9 +16,9 @@ CACHED_TILE_ROUTE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
 
 
 def tile_versions(service: Service, name: str) -> TileVersions:
-    """Return the versions that the tiles of a level depend on besides their addresses.
+    """Return the versions that the tiles of a level depend on: of the level, the renderer, its plans and its archives.
 
-    It is ``(None,)`` if a check of the level or its archives is due.
+    The result is ``(None,)`` if the files of the level or its archives must be checked first. No cached tile has this version.
     """
     level = service.levels.fresh_level(name)
     archives = None if level is None else service.archives.fresh_archives_of(level)
@@ -34,7 +34,7 @@ class TileCacheMiddleware:
         self.app, self.service = app, service
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send a cached tile, or run the application."""
+        """Send the cached tile of the request's address if there is one, else run the application."""
         tile = self._cached_tile(scope) if scope["type"] == "http" and scope["method"] == "GET" else None
         if tile is None:
             await self.app(scope, receive, send)

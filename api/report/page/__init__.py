@@ -1,1 +1,1 @@
-"""Parts of the page of ``skugga.api.report.report``: markup, plots, pictures, and files with template, style and script."""
+"""Parts of the HTML page that ``skugga.api.report.report`` writes: markup, plots, pictures, and the template, style and script."""

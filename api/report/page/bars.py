@@ -1,4 +1,4 @@
-"""Stacked bar chart of the times of all rows as SVG: one bar per row, one segment per stage, shortest first."""
+"""Stacked bar chart of the rows' times as SVG. Each row (measured plan) has a bar with a segment per stage, shortest bar first."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MIN_REST_SHARE = 0.02
 
 @dataclass(frozen=True)
 class Axis:
-    """The time axis of the bars. Longer bars are scaled to the length of the axis.
+    """The time axis of the bars. Bars that are longer than the axis are scaled down to its length.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Axis:
     end_ms: float
 
     def px(self, ms: float, total_ms: float) -> float:
-        """Return the width in pixels of a segment of ``ms`` in a bar of ``total_ms``."""
+        """Return the width in pixels of a segment of ``ms`` in a bar whose segments add up to ``total_ms``."""
         return ms * (BARS_WIDTH - self.left - TIME_PX) / max(self.end_ms, total_ms)
 
 
@@ -73,7 +73,7 @@ def _swatch(colour: str) -> str:
 
 
 def stages_of(figures: RowFigures) -> dict[str, float]:
-    """Return the milliseconds of a row's stages, and the rest of its median time if it exceeds ``MIN_REST_SHARE``."""
+    """Return the milliseconds of a row's stages. The rest of its median time is added if it exceeds ``MIN_REST_SHARE``."""
     stages = {name: ms for name, ms in figures["stages"].items() if ms > 0.0}
     rest = figures["ms_median"] - sum(stages.values())
     return stages | ({REST_STAGE: rest} if rest > MIN_REST_SHARE * figures["ms_median"] else {})
@@ -90,8 +90,9 @@ def _total_ms(figures: RowFigures) -> float:
 
 
 def _end_ms(figures: list[RowFigures]) -> float:
-    """Return the end of the axis: the longest time, but at most twice the 80th percentile, so that outliers do not shrink
-    all other bars.
+    """Return the time at the end of the axis.
+
+    It is the longest time, but at most twice the 80th percentile. A few long bars thus do not shrink all others.
     """
     times = sorted(map(_total_ms, figures)) or [0.0]
     common = 2.0 * times[(4 * (len(times) - 1)) // 5]

@@ -1,4 +1,4 @@
-"""Marks of algorithms and colours of stages in plots, safe for colour-blind readers and equal in every report.
+"""Plot marks of algorithms and colours of stages. They suit colour-blind readers and are the same in every report.
 
 The colours are those of M. Okabe and K. Ito, Color Universal Design (2008).
 """

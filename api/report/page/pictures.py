@@ -1,7 +1,7 @@
-"""Pictures of a report, small enough to embed: the ground once, and the shadow and errors of each row.
+"""Pictures of a report, small enough to embed: the ground once, and the shadow and errors of each row (measured plan).
 
-A row's picture shows its shadow in grays, false shadow in red and missed shadow in blue. Each colour encodes one level of
-visibility and one class, in lossless WebP. A script can therefore decode both from the pixels and draw the shadow over the ground.
+A row's picture shows its shadow in grays, false shadow in red and missed shadow in blue. Each colour encodes one step of visibility
+and one class of error, in lossless WebP. A script can therefore decode both from the pixels and draw the shadow over the ground.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class Pictures:
     rows, cols
         Size of the pictures, pixels.
     factor
-        Side of the block of view pixels that one picture pixel covers.
+        Number of view pixels along each side of a picture pixel.
     levels
-        Number of visibility levels.
+        Number of steps of visibility from dark to lit.
     """
 
     ground: str
@@ -73,8 +73,8 @@ class ErrorPicture:
 def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], max_characters: int) -> Pictures:
     """Return pictures of at most ``max_characters`` characters, shrunk by the smallest sufficient integer factor.
 
-    ``ground`` is uint8 (rows, cols, 3). At each factor the fewer levels are tried second. Visibility is averaged over a block;
-    a block with any wrong pixel is wrong, so that no error disappears.
+    ``ground`` is uint8 (rows, cols, 3). At each factor, many steps of gray are tried first, then few. Visibility is averaged over a
+    block of pixels. A block with any wrong pixel is wrong, so that no error disappears.
     """
     factor = -(-max(ground.shape[:2]) // MAX_SIDE_PX)
     while True:
@@ -86,7 +86,7 @@ def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], max_characters
 
 
 def indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np.ndarray:
-    """Return the palette indexes, uint8, of a row's picture, shrunk by an integer factor."""
+    """Return the palette indexes, uint8 (rows, cols), of a row's picture that is shrunk by an integer factor."""
     level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((levels - 1) / 255.0))
     false, missed = (_blocks(errors, factor).sum(axis=(1, 3)) for errors in (row.false_shadow, row.missed_shadow))
     errors = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, CORRECT))
@@ -94,9 +94,9 @@ def indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np
 
 
 def palette(levels: int = GRAY_LEVELS) -> np.ndarray:
-    """Return colours uint8 (3 * levels, 3): grays of visibility, then reds, then blues.
+    """Return colours, uint8 (3 * levels, 3): ``levels`` grays of visibility, then as many reds, then as many blues.
 
-    The reds look alike to the eye, and so do the blues.
+    The eye cannot distinguish the reds, nor the blues. Their small differences encode the visibility of wrong pixels.
     """
     level = np.arange(levels)
     grays = np.repeat(np.rint(160 + level * (85 / (levels - 1)))[:, None], 3, axis=1)
@@ -105,7 +105,7 @@ def palette(levels: int = GRAY_LEVELS) -> np.ndarray:
 
 
 def _encoded_pictures(ground: np.ndarray, rows: list[ErrorPicture], factor: int, levels: int, max_characters: int) -> Pictures:
-    """Return the pictures at a factor and a number of levels; stop early once they exceed ``max_characters`` characters."""
+    """Return the pictures at a factor and a number of gray steps. Encoding stops once they exceed ``max_characters`` characters."""
     small = np.rint(_blocks(ground, factor).mean(axis=(1, 3))).astype(np.uint8)
     ground_uri, row_uris = _webp(small, quality=80, method=4), []
     size = len(ground_uri)
@@ -119,7 +119,7 @@ def _encoded_pictures(ground: np.ndarray, rows: list[ErrorPicture], factor: int,
 
 
 def _blocks(values: np.ndarray, factor: int) -> np.ndarray:
-    """Return pixels in blocks (rows, factor, cols, factor, ...), padded with edge values."""
+    """Return pixels grouped into blocks: (rows, factor, cols, factor, ...), padded by repeating the edge."""
     rows, cols = values.shape[:2]
     margins = [(0, -rows % factor), (0, -cols % factor), *[(0, 0)] * (values.ndim - 2)]
     filled = np.pad(values, margins, mode="edge")

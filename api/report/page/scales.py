@@ -37,7 +37,7 @@ class Scale:
         return self.start_px + share * (self.end_px - self.start_px)
 
     def ticks(self) -> list[float]:
-        """Return the powers of ten on the axis; if they are fewer than three, include 2 and 5 times them."""
+        """Return the powers of ten on the axis. If they are fewer than three, include 2 and 5 times the powers."""
         powers = range(floor(log10(self.low)), ceil(log10(self.high)) + 1)
         for factors in ((1,), (1, 2, 5)):
             ticks = [f * 10.0**p for p in powers for f in factors if self.low * 0.999 <= f * 10.0**p <= self.high * 1.001]
@@ -47,9 +47,10 @@ class Scale:
 
 
 def scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:
-    """Return the scale of some values, with a margin as a ratio at both ends and a position for zero if a value is zero.
+    """Return a logarithmic scale for some values.
 
-    It spans at least a decade. If all values are zero, it runs from 0.1 to 1.
+    ``margin`` is a ratio that extends the scale at both ends. The scale has a position for zero if a value is zero. It spans at
+    least a decade. If all values are zero, it runs from 0.1 to 1.
     """
     positive = [value for value in values if value > 0.0] or [0.1 * margin, 1.0 / margin]
     low, high = min(positive) / margin, max(positive) * margin

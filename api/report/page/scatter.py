@@ -27,14 +27,14 @@ TextBox = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class ScatterPoint:
-    """A row in the plot.
+    """A row (measured plan) in the plot.
 
     Attributes
     ----------
     row
         Index of the row.
     figures
-        Its figures.
+        Its measured figures.
     x, y
         Position, pixels.
     """
@@ -48,7 +48,7 @@ class ScatterPoint:
 def scatter_plot(comparison: Comparison) -> str:
     """Return an SVG element of 860 x 540 px: time to the right, error upwards, both logarithmic with a position for zero.
 
-    Rows without shadows are omitted if other rows exist: they take no time and are all wrong, and would only stretch the axes.
+    Rows without shadows are omitted if other rows exist. They take no time and are all wrong, so they would only stretch the axes.
     """
     label = "Error against time of every row"
     return tag(
@@ -144,7 +144,7 @@ def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
 
 
 def _noise_band(y: Scale, exact_to: float) -> Iterator[str]:
-    """Yield the band of errors below the noise of truth, if it is visible."""
+    """Yield the band of errors below the noise of the ray-traced truth, if any of it lies on the axis."""
     top, bottom = y(exact_to), SCATTER_HEIGHT - MARGIN_BOTTOM
     if exact_to > y.low:
         yield tag(
@@ -185,7 +185,7 @@ def _mark(point: ScatterPoint, comparison: Comparison) -> str:
 
 
 def _labels(points: list[ScatterPoint], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
-    """Yield labels of the rows on the front, at positions without overlap with marks, lines, labels or the frame.
+    """Yield labels of the rows on the Pareto front, at positions that overlap no mark, line, label or frame.
 
     A row without such a position gets no label.
     """

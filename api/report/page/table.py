@@ -1,4 +1,4 @@
-"""The table of all rows: figures, settings, stages and counters."""
+"""The table of all rows (measured plans): figures, settings, stages and counters."""
 
 from __future__ import annotations
 

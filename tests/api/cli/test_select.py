@@ -204,9 +204,17 @@ def test_calibrate_saves_and_reports_the_profile(run, monkeypatch):
     assert run("calibrate", "--json")[1] == measured.model_dump_json(indent=2) + "\n"
 
 
+def test_calibrate_on_a_full_disk_measures_nothing(gl, run, monkeypatch, tmp_path, full_disk):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: pytest.fail("minutes of work for nothing"))
+    with full_disk(100):
+        status, out, err = run("calibrate")
+    assert status == 1 and out == "" and err.count("\n") == 1 and str(tmp_path / "skugga" / "devices") in err
+
+
 def test_calibrate_without_a_writable_cache_is_one_line(run, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: profile())
+    monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: pytest.fail("minutes of work for nothing"))
     status, out, err = run("calibrate")
     assert status == 1 and out == "" and err.count("\n") == 1 and "file" in err
