@@ -1,1 +1,1 @@
-"""Where figures come from: scripts that anybody can run again, ``python -m benchmarks.NAME``."""
+"""Scripts that measure the figures in the documentation. Anybody can run them again: ``python -m benchmarks.NAME``."""

@@ -5,24 +5,26 @@
     python -m benchmarks.algorithms thesis [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
     python -m benchmarks.algorithms stencil [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
 
-`frames` draws the SpatialAce level's perspective view at 800 x 600 with one map of 512 x 512 texels. It times whole frames
-(``render_frame``) that take turns; the figures are ratios of medians to frames without cast shadows. ``redrawn``: the sun moves
-before every frame by a step that never repeats, so that no cache holds anything for it; planning is not timed. ``kept``: sun and
-camera rest, and the previous frame's map is looked up again.
+`frames` draws the SpatialAce level's perspective view at 800 x 600 with one shadow map of 512 x 512 texels. It times whole frames
+(``render_frame``) that take turns. The figures are ratios of medians to frames without cast shadows. There are two modes:
 
-`cascades` compares four cascades of 1024 and one map of 2048 texels a side (the same memory) with ray-traced truth. The view is
-from a summit over houses and 20 km of mountains, with shadow edges near and far.
+* ``redrawn``: the sun moves before every frame by a step that never repeats. No cache holds anything for it, so the map is drawn
+  again. Planning is not timed.
+* ``kept``: sun and camera rest, so the cached map of the previous frame is looked up again.
 
-`thesis` lets the algorithms of J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), section 7, take turns in the main views
-of its scenes, each under a spot and under the sun: single maps of 1024 texels a side, the hybrids' of 768. Times are those of the
-shadow alone, between casters and shading; ratios are those of medians to ``shadow_map``. ``redrawn`` includes all costs of a light
-that moves, ``kept`` the remaining costs while light and casters rest. With `--cpu` times are the CPU time of all threads, for
-machines with other load.
+`cascades` compares four cascades of 1024 texels a side with one map of 2048 (the same memory). Both are compared with ray-traced
+truth. The view is from a summit over houses and 20 km of mountains, with shadow edges near and far.
 
-`stencil` compares the ways of counting volumes, and the hybrids with the eye in shadow; ratios are those to ``shadow_volume``.
-``MiB`` is the peak memory of a pass. ``marked`` and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid
-leaves to its volumes. ``differs`` is the share of pixels whose shadow differs from that of ``shadow_volume``. The targets follow
-below.
+`thesis` follows J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), section 7. The thesis's algorithms take turns in the
+main views of its scenes, each under a spot light and under the sun. Single maps have 1024 texels a side, those of the hybrids 768.
+Times are those of the shadow alone, between the collection of casters and shading. Ratios are those of medians to ``shadow_map``.
+``redrawn`` includes all costs of a light that moves, ``kept`` the remaining costs while light and casters rest. With `--cpu` times
+are the CPU time of all threads, for machines with other load.
+
+`stencil` compares the ways of counting shadow volumes, and the hybrids with the eye in shadow. A hybrid uses a shadow map, and
+shadow volumes only in pixels near shadow edges. Ratios are those to ``shadow_volume``. ``MiB`` is the peak memory of a pass.
+``marked`` and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid leaves to its volumes. ``differs`` is
+the share of pixels whose shadow differs from that of ``shadow_volume``. The targets follow below.
 
 The line sweep's speed has a script of its own, `benchmarks/sweep_speed.py`: it needs no OpenGL.
 """
@@ -119,15 +121,15 @@ Row = dict[str, Any]
 
 
 def frames(repeats: int, map_size: int) -> list[Row]:
-    """Measure frame times without shadows, with the map redrawn for every frame, and with a cached map."""
+    """Measure frame times without shadows, with the shadow map redrawn for every frame, and with a cached map."""
     return list(frames_of_sizes(repeats, (map_size,)).values())
 
 
 def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> dict[tuple[str, int], Row]:
-    """Return the rows of ``frames`` for several map sizes that take turns.
+    """Return the rows of ``frames`` for several shadow map sizes that take turns.
 
-    Keys are the state of the map (``none`` without shadows, ``redrawn``, ``kept``) and its size (0 of ``none``). ``settings`` are
-    overrides for every map.
+    Keys are the mode and the map size. The mode is ``none`` (no shadows, with size 0), ``redrawn`` (the sun has moved) or ``kept``
+    (the map is cached). ``settings`` are overrides for every map.
     """
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("main", size=SIZE)
@@ -175,7 +177,7 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
 
 
 def ridges(folder: Path) -> Scene:
-    """Return mountains of 24 x 24 km, seen from a summit over houses and more than 20 km of ground."""
+    """Return a scene of mountains of 24 x 24 km, seen from a summit over houses and more than 20 km of ground."""
     trimesh.creation.box(extents=(12.0, 9.0, 8.0)).export(folder / "house.obj")
     rng, eye = np.random.default_rng(1), np.array(EYE_M)
     forward = -eye / np.linalg.norm(eye)
@@ -195,7 +197,7 @@ def ridges(folder: Path) -> Scene:
 
 
 def cascades() -> list[Row]:
-    """Measure the errors of four cascades and of one map in the same memory."""
+    """Measure the errors of four cascades, and of one map that takes the same memory."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         scene_and_view = ridges(Path(folder))
@@ -225,11 +227,14 @@ class BenchmarkView:
     bands: list[tuple[MultisampledBuffer, Casters]]
 
     def visibility(self, plan: Plan, log: PassLog) -> list[np.ndarray]:
-        """Return the visibility of the one light by the plan's algorithms, band by band."""
+        """Return the visibility of the scene's only light by the plan's algorithms, one array for each band."""
         return [self._of_band(picture, casters, plan, log) for picture, casters in self.bands]
 
     def shadow_mask(self, visibility: list[np.ndarray]) -> np.ndarray:
-        """Return which pixels are in shadow (rows, cols), attached shadow included; False off the surface."""
+        """Return the mask of pixels in cast or attached shadow, bool (rows, cols). Pixels without a surface are False.
+
+        ``visibility`` holds an array for each band.
+        """
         rows = [
             picture.pixel_buffer.valid
             & ((band_visibility[: picture.rows] < 0.5) | attached(picture.pixel_buffer, self.scene, *self.scene.light_names))
@@ -248,7 +253,7 @@ class BenchmarkView:
 
 
 def benchmark_view(level: str, name: str, size: tuple[int, int]) -> BenchmarkView:
-    """Return a perspective view of a bundled level, which has one light."""
+    """Return a perspective view of a bundled level that has a single light."""
     scene = build_scene(load_level(find_level(level)))
     view = scene.view("main" if name == IN_SHADOW else name, size=size)
     assert isinstance(view, PerspectiveView)
@@ -263,7 +268,7 @@ def thesis(args: argparse.Namespace) -> list[Row]:
 
 
 def stencil(args: argparse.Namespace) -> list[Row]:
-    """Measure the ways of counting volumes."""
+    """Measure the ways of counting shadow volumes in the stencil buffer."""
     levels = args.scenes or [level for level in SCENES if _scene(level) in STENCIL_VIEWS]
     shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene(level), ("main",))]
     return [row for level, name in shots for row in _interleaved_rows(level, name, COUNTING_VARIANTS, args)]
@@ -275,10 +280,20 @@ def _scene(level: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class InterleavedTimes:
-    """Times of runs that took turns.
+    """Times of runs (a view with a plan) that took turns, drawn once in each of two modes.
 
-    They hold the milliseconds of each repeat by run and by ``redrawn`` and ``kept``, in total and by pass; the passes of the last
-    redrawn turn; and its shadow.
+    In the mode ``redrawn`` no cache holds data of the light. In the mode ``kept`` the same frame is drawn again with caches.
+
+    Attributes
+    ----------
+    times_ms
+        Milliseconds of each repeat, by run and mode.
+    passes_ms
+        Milliseconds of each pass in each repeat, by run and mode.
+    logs
+        Passes of the last repeat in the mode ``redrawn``, by run.
+    shadow_masks
+        Shadow masks of the last repeat in the mode ``redrawn``, by run.
     """
 
     times_ms: dict[tuple[str, str], list[float]]
@@ -290,7 +305,7 @@ class InterleavedTimes:
 def run_interleaved(
     runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int, clock: Callable[[], float] = time.perf_counter
 ) -> InterleavedTimes:
-    """Let views with plans take turns, forwards and backwards alternately."""
+    """Draw views with plans in turns, in alternating order, and return their times. The first two turns are not timed."""
     result = InterleavedTimes({}, {}, {}, {})
     for number in range(repeats + 2):
         for key in [*runs][:: 1 if number % 2 else -1]:
@@ -309,7 +324,7 @@ def run_interleaved(
 
 
 def plans_of(view_under_test: BenchmarkView, overrides_by_key: dict[str, dict[str, Any]]) -> dict[str, Plan]:
-    """Return the plans of the named overrides."""
+    """Return plans by name for a view; ``overrides_by_key`` holds the names and the overrides of the level's ``shadows``."""
     descriptor = describe(view_under_test.scene, view_under_test.view, "main")
     return {
         key: make_plan(descriptor, view_under_test.scene.loaded.level, overrides) for key, overrides in overrides_by_key.items()
@@ -317,7 +332,7 @@ def plans_of(view_under_test: BenchmarkView, overrides_by_key: dict[str, dict[st
 
 
 def _interleaved_rows(level: str, name: str, overrides_by_key: dict[str, dict[str, Any]], args: argparse.Namespace) -> list[Row]:
-    """Return a row for each plan; ratios are to the first."""
+    """Return a row for each plan, by default with ratios of its times to those of the first plan."""
     view_shot = benchmark_view(level, name, args.size)
     plans = plans_of(view_shot, overrides_by_key)
     runs = {key: (view_shot, plan) for key, plan in plans.items()}
@@ -367,7 +382,7 @@ def targets(rows: Sequence[Row]) -> list[Row]:
 
 
 def ratios(rows: Sequence[Row]) -> list[Row]:
-    """Return a line for each view: the ratio of each row as redrawn, and as cached."""
+    """Return a table row for each view: the time ratio of each algorithm with a redrawn and with a cached map."""
     lines: dict[tuple[str, str], Row] = {}
     for row in rows:
         if "differs" in row:
@@ -389,7 +404,7 @@ MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
 
 
 def table(rows: list[Row]) -> str:
-    """Return rows as a Markdown table of their numbers and words; the JSON has the rest."""
+    """Return rows as a Markdown table of their numbers and strings. Other values are only in the JSON file."""
     keys = [key for key, value in rows[0].items() if isinstance(value, int | float | str)]
     lines = [keys, ["---"] * len(keys), *([_cell(row[key]) for key in keys] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

@@ -5,13 +5,16 @@
 FOLDER takes 6 GB: COGs of 2,500, 10,000 and 40,000 cells a side and a virtual raster of 100,000 (``benchmarks.big_rasters``). They
 are made if absent, and remain. The overviews of the virtual raster are those of ``skugga overviews``.
 
-**open**: a level and its scene, in a fresh process. **worker**: a render process, warmed up as in the service, and its peak memory
-(``VmHWM``) over one block of 16 tiles, with a fresh process for each zoom; the block's time is that of the first block. **flat**:
-CPU seconds a block for 1, 4, 16 and 64 blocks round the middle, whose ground is evicted before each repeat: adjacent, so that they
-share the ground beside them, and far apart. **sizes**: the same for the middle block of rasters of all sizes over the same ground.
-**shade**: squares of the virtual raster, as by ``skugga shade --bounds``. **far**: where a mountain's shadow ends 60 km away under
-a sun at 2 degrees, in tiles of all zooms and in ``shade``'s grid. Each measurement has a process of its own; figures are medians
-with minimum and maximum.
+* **open**: time of a level and its scene, in a fresh process.
+* **worker**: a render process, warmed up as in the service, draws one block of 16 tiles. The figures are its peak memory
+  (``VmHWM``) and the time of that first block, with a fresh process for each zoom.
+* **flat**: CPU seconds per block for 1, 4, 16 and 64 blocks round the middle. Their ground is evicted before each repeat. The
+  blocks are adjacent, so that they share the ground beside them, or far apart.
+* **sizes**: CPU seconds of the middle block for rasters of all sizes over the same ground.
+* **shade**: squares of the virtual raster, as by ``skugga shade --bounds``.
+* **far**: where a mountain's shadow ends 60 km away under a sun at 2 degrees, in tiles of all zooms and in the grid of ``shade``.
+
+Each measurement has a process of its own. Figures are medians with minimum and maximum.
 """
 
 from __future__ import annotations
@@ -77,7 +80,7 @@ def key_of(raster: Path) -> LevelKey:
 
 
 def zooms_of(scene: Scene) -> dict[str, int]:
-    """Return the zooms of a level that are measured, by label."""
+    """Return the zooms of a level to measure, by label."""
     assert scene.bounds_lon_lat is not None
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     served = zoom_range(matrix_sets.get(MERCATOR_SET), scene.world, scene.bounds_lon_lat, cell_m)
@@ -87,7 +90,7 @@ def zooms_of(scene: Scene) -> dict[str, int]:
 
 
 def block_job(scene: Scene, raster: Path, zoom: int, down: int = 0, right: int = 0) -> BlockJob:
-    """Return the block at the middle of a level, or at an offset of blocks from it."""
+    """Return the job that draws the block at the middle of a level, or a block at an offset (in blocks) from it."""
     view = representative_block(scene, Tiles(matrix_set=MERCATOR_SET, zoom=zoom))
     row, col = int(view.row0) // BLOCK_PX + down, int(view.col0) // BLOCK_PX + right
     request = ProductRequest(sun=SUN)
@@ -108,7 +111,7 @@ def measure_opening(raster: Path) -> dict[str, float]:
 
 
 def measure_first_block(raster: Path, zoom: str) -> dict[str, float | str]:
-    """Measure a render process's memory before and over its first block of a zoom, and the block's time."""
+    """Measure a render process's memory before and during its first block of a zoom, and the block's time."""
     state = WorkerState(warm_up())
     idle_mib = status_mib("VmRSS")
     scene = build_scene(load_level(raster))
@@ -123,7 +126,10 @@ def measure_first_block(raster: Path, zoom: str) -> dict[str, float | str]:
 
 
 def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, spacing: int = 1) -> float:
-    """Return CPU seconds a block, for ``count`` blocks round the middle over new ground; data of the whole level is cached."""
+    """Return CPU seconds per block for ``count`` blocks round the middle, ``spacing`` blocks apart.
+
+    Their ground is not cached; data of the whole level is.
+    """
     scene = state.scenes.get(key_of(raster))
     side = int(np.sqrt(count))
     first = -(side // 2)
@@ -138,7 +144,7 @@ def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, spacin
 
 
 def cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, list[float]]:
-    """Return CPU seconds a block for different numbers of blocks."""
+    """Return CPU seconds per block, a value for each repeat, by number of blocks."""
     state = WorkerState(warm_up())
     zoom = zooms_of(state.scenes.get(key_of(raster)))["own"]
     timed_blocks(raster, state, zoom, 4)
@@ -146,7 +152,7 @@ def cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, li
 
 
 def cpu_by_raster_size(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
-    """Return CPU seconds of the middle block of rasters of all sizes, in turns."""
+    """Return CPU seconds of the middle block, a value for each repeat, by raster. The rasters take turns."""
     state = WorkerState(warm_up())
     zoom = zooms_of(state.scenes.get(key_of(rasters[0])))["own"]
     result: dict[str, list[float]] = {}
@@ -159,7 +165,7 @@ def cpu_by_raster_size(rasters: list[Path], repeats: int) -> dict[str, list[floa
 
 
 def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
-    """Run ``skugga shade`` for a square round the middle of a raster; measure CPU a block, total time and peak memory."""
+    """Run ``skugga shade`` for a square round the middle of a raster. Measure CPU time per block, total time and peak memory."""
     start = time.perf_counter()
     scene = build_scene(load_level(raster)).with_sun(SUN)
     half = side_km * 500.0
@@ -179,9 +185,9 @@ def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
 
 
 def far_shadow(raster: Path) -> dict[str, str]:
-    """Return where the mountain's shadow ends along its middle, km from its top, tile by tile and in ``shade``'s grid.
+    """Return where the mountain's shadow ends along its middle line, in km from its top, for tiles of each zoom and for ``shade``.
 
-    The anchor is 60 km west of the mountain, where the sun is 2 degrees high.
+    The level's anchor is 60 km west of the mountain. There the sun is 2 degrees high.
     """
     x, y = mountain_xy()
     crs = CRS.from_epsg(EPSG)
@@ -211,7 +217,10 @@ def far_shadow(raster: Path) -> dict[str, str]:
 
 
 def _shadow_end(scene: Scene, grid: Grid, far: dict[float, tuple[float, float]]) -> str:
-    """Return the distances, km, between which a line of places changes from shadow to sun."""
+    """Return, as text, the two neighbouring distances in km between which places change from shadow to sun.
+
+    ``far`` holds longitude and latitude of places by their distance.
+    """
     lit, (lon, lat) = {}, np.array(list(far.values())).T
     x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(lon, lat)
     plan = None
@@ -249,7 +258,7 @@ CASE_ARGUMENTS: dict[str, tuple[str, ...]] = {
 
 
 def run_case_in_process(args: argparse.Namespace, case: str, of: str) -> Any:
-    """Run a measurement in a fresh process."""
+    """Run a measurement in a fresh process, and return its result."""
     command = [sys.executable, "-m", "benchmarks.big_elevation", str(args.folder), "--case", case, "--of", of]
     process = subprocess.run([*command, "--repeats", str(args.repeats)], capture_output=True, text=True, check=False)
     if process.returncode:

@@ -1,11 +1,11 @@
 """Rasters of 2,500 to 100,000 cells a side over the same real relief, made in a folder for ``benchmarks.big_elevation``.
 
-A mirrored raster of mountains becomes a *sheet* of ``SHEET_CELLS`` cells a side that tiles seamlessly. Every raster repeats it with
-the same cell in the middle, at one place of one CRS: all rasters have the same ground round the middle.
+A mirrored raster of mountains becomes a *sheet* of ``SHEET_CELLS`` cells a side that tiles seamlessly. Every raster repeats the
+sheet. The same cell lies in the middle, at the same place of one CRS. So all rasters have the same ground round the middle.
 
-Up to 40,000 cells a side these are COGs. The one of 100,000 is a virtual raster of 2,377 parts, each a file (hard links, so that
-the disk holds their cells once); 24 more parts are absent (sparse). ``skugga overviews`` makes its overviews. One of its corners is
-a plain with one mountain.
+Up to 40,000 cells a side these are COGs. The one of 100,000 is a virtual raster of 2,377 parts. Each part is a file; the files are
+hard links, so that the disk holds their cells only once. 24 more parts are absent (sparse). ``skugga overviews`` makes its
+overviews. One of its corners is a plain with one mountain.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ STRIP_ROWS = 1024
 
 @dataclass(frozen=True)
 class BigRaster:
-    """A raster: its file, its cells a side, and the seconds that it took (0: it existed)."""
+    """A raster: its file, its cells a side, and the seconds that it took to make (0: it existed)."""
 
     path: Path
     side: int
@@ -58,7 +58,7 @@ class BigRaster:
 
 
 def sheet_of(raster: Path) -> np.ndarray:
-    """Return a seamless sheet (SHEET, SHEET) of int16 metres: a raster's first band, mirrored and repeated."""
+    """Return a seamless sheet, int16 (``SHEET_CELLS``, ``SHEET_CELLS``) in metres: a raster's first band, mirrored and repeated."""
     with rasterio.open(raster) as dataset:
         heights = dataset.read(1, masked=True)[8:-8, 8:-8].astype(np.float64)
     quarter = np.ma.filled(heights, heights.mean())
@@ -71,13 +71,13 @@ def sheet_of(raster: Path) -> np.ndarray:
 
 
 def transform_of(side: int) -> Affine:
-    """Return the geotransform of a raster of ``side`` cells round the middle."""
+    """Return the geotransform of a raster of ``side`` x ``side`` cells, whose middle is the same for all sides."""
     half_m = side / 2 * CELL_M
     return Affine(CELL_M, 0.0, MIDDLE_XY[0] - half_m, 0.0, -CELL_M, MIDDLE_XY[1] + half_m)
 
 
 def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
-    """Write a COG of ``side`` cells, deflated, with overviews, strip by strip."""
+    """Write a deflated COG of ``side`` x ``side`` cells with overviews, strip by strip."""
     path, start = folder / f"relief_{side}.tif", time.perf_counter()
     if path.is_file():
         return BigRaster(path, side, 0.0)
@@ -100,7 +100,7 @@ def _write_sheet(path: Path, sheet: np.ndarray) -> None:
 
 
 def mountain_m() -> np.ndarray:
-    """Return the mountain's sheet: a round hill on the plain."""
+    """Return heights of a round hill on the plain, int16 (``SHEET_CELLS``, ``SHEET_CELLS``) in metres."""
     distance_cells = np.arange(SHEET_CELLS) - SHEET_CELLS / 2 + 0.5
     bell = np.exp(-(distance_cells[:, None] ** 2 + distance_cells[None, :] ** 2) / (2.0 * MOUNTAIN_SIGMA_CELLS**2))
     return np.rint(PLAIN_M + MOUNTAIN_M * bell).astype(np.int16)
@@ -113,7 +113,7 @@ def mountain_xy() -> tuple[float, float]:
 
 
 def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
-    """Write the virtual raster of ``VRT_CELLS`` a side."""
+    """Write the virtual raster of ``VRT_CELLS`` x ``VRT_CELLS`` cells."""
     path, start = folder / f"relief_{VRT_CELLS}.vrt", time.perf_counter()
     if path.is_file():
         return BigRaster(path, VRT_CELLS, 0.0)
@@ -158,7 +158,7 @@ def _within(part: tuple[slice, slice], row: int, col: int) -> bool:
 
 
 def make_rasters(folder: Path, raster: Path) -> list[BigRaster]:
-    """Make all rasters, in order of size; existing ones remain."""
+    """Make all rasters, in order of size. Existing ones are not made again."""
     folder.mkdir(parents=True, exist_ok=True)
     sheet = sheet_of(raster)
     return [*(make_cog(folder, sheet, side) for side in COG_SIDES), make_vrt(folder, sheet)]

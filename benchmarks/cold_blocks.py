@@ -1,9 +1,9 @@
-"""Time of blocks of tiles that are drawn once, as in seeding: CPU time of this process, by passes.
+"""Time of blocks of tiles that are drawn only once, as in seeding: CPU time of this process, by passes.
 
     taskset -c 0 python -m benchmarks.cold_blocks FILE --zoom 13     # a raster or a level; on one core, as a render process has it
 
-It draws the first blocks of a pyramid in several rounds. Before each round it clears all caches except the entries of the very
-first block, which does not count. The result is the round with the least CPU time.
+It draws the first blocks of a pyramid in several rounds. Before each round it clears all caches, and then draws the very first
+block, which is not measured. The result is the round with the least CPU time.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ TILES, CPU, ENCODING = "tiles", "CPU of the block", "encoding"
 
 
 def time_block(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
-    """Draw a task's block; return CPU milliseconds by passes, of encoding and in total, and the number of tiles with data."""
+    """Draw a task's block and encode its tiles. Return CPU milliseconds by pass, of encoding and in total.
+
+    The counter also has the number of tiles with data.
+    """
     view, request = block_of_grid(tile_grid(matrix_sets.get(MATRIX_SET), task.zoom), task.x, task.y), run.spec.request(task.sun)
     begin = time.process_time()
     picture = draw_picture(scene, view, request.product_record, run.spec.plan_by_sun_and_zoom[task.sun, task.zoom])

@@ -1,4 +1,4 @@
-"""Cost of compiling until the first product: CPU seconds of each loop, and of numba's own helpers.
+"""Cost of compiling loops up to the first product: CPU seconds of each loop, and of numba's own helper functions.
 
 `python -m benchmarks.start --compile` calls this module in a fresh process without a cache of compiled loops.
 """
@@ -46,11 +46,11 @@ class Compilation:
     signature : str
         Types of its arguments.
     cause : str
-        The loop of ours that is compiled meanwhile; of a loop of ours its own name.
+        The project's loop that caused the compilation; the loop itself if it is one of the project.
     own_s, total_s : float
-        CPU seconds without and with what it calls.
+        CPU seconds without and with the functions that it calls.
     front_s : float
-        Share of ``own_s`` before machine code is made: type inference and the like.
+        The part of ``own_s`` before machine code is generated, such as type inference, in seconds.
     """
 
     loop: str
@@ -62,13 +62,13 @@ class Compilation:
 
     @property
     def is_ours(self) -> bool:
-        """Whether it is a loop of this project, not a helper of numba."""
+        """Whether the loop is one of this project, rather than a helper function of numba."""
         return self.loop.split(".")[0] in OUR_PACKAGES
 
 
 @dataclass
 class Profile(event.Listener):
-    """The CPU time of compiler passes, by loop and signature."""
+    """Record the CPU time of numba's compiler passes, by loop and signature."""
 
     done: list[Compilation] = field(default_factory=list)
     _state: local = field(default_factory=local)
@@ -79,7 +79,7 @@ class Profile(event.Listener):
         return self._state.stack
 
     def on_start(self, event: Any) -> None:
-        """Begin a pass, possibly nested in one of a caller."""
+        """Record the start of a compiler pass, which may be nested in a pass of the caller."""
         stack = self._stack()
         siblings = self._state.siblings[-1]
         module, name = event.data["module"], event.data["qualname"]
@@ -93,7 +93,7 @@ class Profile(event.Listener):
         stack.append([siblings[key], time.thread_time(), 0.0])
 
     def on_end(self, event: Any) -> None:
-        """End the innermost pass."""
+        """Record the end of the innermost compiler pass."""
         stack = self._stack()
         self._state.siblings.pop()
         compilation, begin, nested_s = stack.pop()
@@ -107,7 +107,7 @@ class Profile(event.Listener):
 
 
 def yardstick_s() -> float:
-    """Return CPU seconds of compiling a fixed small loop: the median of some rounds."""
+    """Return the CPU seconds of compiling a fixed small loop, the median of some rounds. They serve to compare machines."""
     seconds = []
     for number in range(YARDSTICK_ROUNDS + 1):  # the first round imports numba's modules
         source = _yardstick_loop(number)
@@ -132,7 +132,7 @@ def _yardstick_loop(number: int) -> Callable[[np.ndarray, float], float]:
 
 
 def bare_raster(folder: Path) -> Path:
-    """Write the plain raster; return its file."""
+    """Write a raster of a plain, and return its file."""
     heights = mountains(SIDE)
     heights[100:120, 200:230] = -9999.0
     path = folder / "mountains.tif"
@@ -187,7 +187,7 @@ PRODUCTS: dict[str, Callable[[str, Path], None]] = {
 
 
 def profile_of(product: str, file: str | None) -> dict[str, Any]:
-    """Make a product once in a fresh process with an empty cache of compiled loops; return the compilations."""
+    """Compute a product once in a fresh process with an empty cache of compiled loops. Return the record of all compilations."""
     with tempfile.TemporaryDirectory() as folder:
         if file is None:
             file = str(WOODED_LEVEL if product == "render" else bare_raster(Path(folder)))
@@ -209,7 +209,7 @@ def _measure(product: str, file: str, folder: str, answer: str) -> None:
 
 
 def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
-    """Format the profile: the sum, this project's loops by their own time, numba's helpers by theirs."""
+    """Format a profile as lines: the total, this project's loops by their own time, and numba's helpers by theirs."""
     compilations = [Compilation(**compilation) for compilation in profile["loops"]]
     own_loops, helpers = (
         [compilation for compilation in compilations if compilation.is_ours],

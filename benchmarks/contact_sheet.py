@@ -3,10 +3,10 @@
     python -m benchmarks.contact_sheet [-o docs/images/algorithms.webp] [--width 400] [--most 1500] [--repeats 3]
                                        [--columns boxgrid rocks ...] [--rows shadow_map hybrid ...] [--json FILE] [--markdown FILE]
 
-Rows are algorithms, columns are views. A cell shows the picture and its errors against ray-traced truth, false shadow red, missed
-shadow blue. Pictures are drawn at their display width, ``width`` pixels. Below each stand ``wrong_cast``, the 95th percentile of
-the displacement of shadow edges, and the median milliseconds of the shadow's own work with everything redrawn. If an algorithm
-refuses a view, the cell shows its message.
+Rows are algorithms, columns are views. A cell shows the picture and its errors against ray-traced truth: false shadow red, missed
+shadow blue. Pictures are drawn at their display width, ``width`` pixels. Three figures stand below each picture. These are
+``wrong_cast``, the 95th percentile of the displacement of shadow edges, and the median milliseconds of the shadow's own work with
+empty caches. If an algorithm refuses a view, the cell shows its message.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ QUALITIES = range(90, 9, -5)
 
 @dataclass(frozen=True)
 class SheetCell:
-    """An algorithm in a view: its picture and its errors (none where it refuses), figures, and its caption."""
+    """An algorithm in a view: its picture and its error picture (``None`` if it refuses the view), its figures, and its caption."""
 
     pictures: tuple[Image.Image, Image.Image] | None
     figures: dict[str, float]
@@ -81,7 +81,7 @@ class SheetCell:
 
 
 def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | PerspectiveView:
-    """Return a view of a level, or one of the two of Jacksboro."""
+    """Return a view of a level by name. ``map`` and ``ridges`` are views of the level Jacksboro that its file does not define."""
     if name == "map":
         return scene.view(name, bounds=FAULT_BOUNDS, size=size)
     if name != "ridges":
@@ -92,7 +92,7 @@ def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | Perspec
 
 
 def column(level: str, name: str, algorithms: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
-    """Return the cells of a view, one for each algorithm."""
+    """Yield the cells of a view, one for each algorithm."""
     scene = build_scene(load_level(find_level(level)))
     view = view_of(scene, name, size)
     descriptor = describe(scene, view, "map" if name == "map" else "main")
@@ -112,7 +112,7 @@ def column(level: str, name: str, algorithms: Sequence[str], size: tuple[int, in
 
 
 def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
-    """Draw all cells, by row and column, under their names."""
+    """Draw all cells in a grid with names of rows and columns."""
     height = round(width / ASPECT)
     step_x, step_y = 2 * width + GAP_PX, SHEET_HEAD_PX + height + FOOT_PX + GAP_PX
     page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAPER)
@@ -134,7 +134,7 @@ def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns:
 
 
 def sheet_bytes(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
-    """Encode the page as PNG, or as WebP in the best quality within a size; in the lowest quality if none fits."""
+    """Encode the page as PNG, or as WebP in the best quality of at most ``max_bytes``; in the lowest quality if none fits."""
     for quality in QUALITIES:
         buffer = BytesIO()
         page.save(buffer, suffix.removeprefix("."), quality=quality, method=6)
@@ -144,7 +144,7 @@ def sheet_bytes(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
 
 
 def table(cells: dict[tuple[str, str], SheetCell]) -> str:
-    """Return ``wrong_cast`` in per cent and ``edge_p95`` in pixels as a Markdown table: a line a view, a column an algorithm."""
+    """Return ``wrong_cast`` in per cent and ``edge_p95`` in pixels as a Markdown table: a line per view, a column per algorithm."""
     rows, columns = list(dict.fromkeys(key for key, _ in cells)), list(dict.fromkeys(name for _, name in cells))
     lines = [["view", *rows], ["---"] * (1 + len(rows))]
     for name in columns:

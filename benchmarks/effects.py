@@ -1,30 +1,32 @@
-"""Cost of effects, and savings of leaving them out: ratios within one run, for milliseconds do not compare between machines.
+"""Cost of effects, and savings from omitting them: ratios within one run, because milliseconds do not compare between machines.
 
     python -m benchmarks.effects levels [--levels jacksboro ...] [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects plain [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects blocks [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects each [--effects haze ...] [--repeats 5] [--json FILE] [--markdown FILE]
 
-`levels` draws the bundled levels' main views, and the map where there is relief. The plan's frame and the frame with all effects
-forced on take turns. Forced effects include those that the level's weather does not call for. A level without snow or haze has none
-to draw, so the saving is the cost of their code without any effect.
+`levels` draws the bundled levels' main views, and the map where there is relief. The frame as planned and the frame with all
+effects forced on take turns. Forced effects include those that the level's weather does not call for. A level without snow or haze
+has none to draw, so the saving is the cost of their code without any effect.
 
-`plain` draws a plain at noon without trees, as a map and as a camera sees it. Its reference is a frame made without any code of
-effects or plans: geometry, attached shadow and shading alone, and a frame's data layers. Both pictures are identical to the bit.
-The target applies to the frame with its plan; ``all on`` is the ratio of a frame with all effects forced on.
+`plain` draws a plain at noon without trees, as a map and in perspective. Its reference is a frame made without any code of effects
+or plans: geometry, attached shadow and shading alone, and a frame's data layers. Both pictures are identical to the bit. The target
+applies to the frame with its plan. ``all on`` is the ratio of a frame with all effects forced on.
 
 `blocks` draws random blocks of tiles on bundled levels of terrain only, ``--repeats`` of each zoom and sun, as the map service
-does: with all steps of their plans, and as they are drawn, without steps that a block provably does not need. It counts the blocks
-that skipped outside ground and the sweep, and those in which these changed nothing; the pictures are identical to the bit.
+does. It draws them with all steps of their plans, and without steps that a block provably does not need. It counts the blocks that
+skipped the search for casters outside and the sweep, and those in which these changed nothing. The pictures are identical to the
+bit.
 
-`each` draws a scene that calls for an effect, with it and without it. ``ms/Mpx`` is its own pass, ``of shading`` that as a ratio to
-the frame's pass of shading, ``facts_ms`` the plan's time for its facts. Shadows have no pass of their own: they have the frame's
-ratio only. Effects with a pass are drawn without cast shadows, beside which they would hardly show in the frame's ratio.
+`each` draws a scene that calls for an effect, with it and without it. ``ms/Mpx`` is the time of the effect's own pass. ``of
+shading`` is its ratio to the frame's pass of shading. ``facts_ms`` is the time that planning spends on the facts by which it
+decides on the effect. Shadows have no pass of their own, so they only have the ratio of the frame. Effects with a pass are drawn
+without cast shadows, beside which they would hardly change the ratio of the frame.
 
 Whole frames are timed by the CPU time of all threads (llvmpipe draws with several), which other load on the machine disturbs
-little; ``wall`` is the same ratio by wall time. Passes and facts are one thread's work, timed by the wall and compared in one
-frame. Every frame starts without cached shadow maps. The first round, which compiles and bakes the level's caches (such as the
-horizons of ``sky_view``), does not count. All figures are medians.
+little. ``wall`` is the same ratio by wall time. Passes and facts are work of one thread. They are timed by wall time and compared
+within one frame. Every frame starts without cached shadow maps. The first round does not count: it compiles loops and computes the
+level's caches, such as the horizons of ``sky_view``. All figures are medians.
 """
 
 from __future__ import annotations
@@ -121,9 +123,20 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class TimedFrame:
-    """A frame's passes with their wall milliseconds, and the CPU milliseconds of all threads: its plan's, and both together.
+    """Times of a frame. It does not hold the frame itself, so that the next frame can reuse its memory.
 
-    ``wall_ms`` is their wall time. It does not hold the frame itself, so that the next frame can reuse its memory.
+    Attributes
+    ----------
+    effects
+        Effects that were drawn.
+    passes_ms
+        Wall milliseconds of each pass.
+    plan_ms
+        CPU milliseconds of all threads for the plan.
+    ms
+        CPU milliseconds of all threads for plan and frame.
+    wall_ms
+        Wall milliseconds for plan and frame.
     """
 
     effects: frozenset[EffectName]
@@ -134,7 +147,7 @@ class TimedFrame:
 
 
 def draw_planned_frame(scene: Scene, view: MapView | PerspectiveView, name: str) -> TimedFrame:
-    """Draw a frame that pays for all its work, its plan included."""
+    """Plan and draw a frame without cached results, and return its times."""
     clear_caches("light")
     wall, start = time.perf_counter(), time.process_time()
     plan = make_plan(describe(scene, view, name), scene.loaded.level)
@@ -146,14 +159,17 @@ def draw_planned_frame(scene: Scene, view: MapView | PerspectiveView, name: str)
 
 
 def cpu_ms_of(work: Callable[..., object], *of: object) -> float:
-    """Return the milliseconds of all threads for a call."""
+    """Return the CPU milliseconds of all threads that a call takes."""
     start = time.process_time()
     work(*of)
     return 1000.0 * (time.process_time() - start)
 
 
 def interleaved(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
-    """Return the results of each function, round by round; they alternate in starting, and the first round does not count."""
+    """Return the results of each function, one for each round. The functions take turns in starting a round.
+
+    The first round does not count.
+    """
     results: list[list[T]] = [[] for _ in works]
     for number in range(repeats + 1):
         for which in [*range(len(works))][:: 1 if number % 2 else -1]:
@@ -164,14 +180,14 @@ def interleaved(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
 
 
 def with_forced_effects(scene: Scene, effects: dict[EffectName, str]) -> Scene:
-    """Return the same scene in a level that forces effects."""
+    """Return a scene whose level forces some effects on or off."""
     own_level = scene.loaded.level
     level = own_level.model_copy(update={"effects": {**({} if own_level.effects == "auto" else own_level.effects), **effects}})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": level}))
 
 
 def levels(args: argparse.Namespace) -> list[Row]:
-    """Compare the plan's frame with the frame with all effects on."""
+    """Compare the frame as planned with the frame with all effects on."""
     rows = []
     for path in [find_level(name) for name in args.levels] or bundled_levels():
         scene = build_scene(load_level(path))
@@ -196,7 +212,7 @@ def levels(args: argparse.Namespace) -> list[Row]:
 
 
 def plain(args: argparse.Namespace) -> list[Row]:
-    """Compare a plain at noon with geometry, attached shadow and shading alone."""
+    """Compare a planned frame of a plain at noon with geometry, attached shadow and shading alone."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         scene = flat_land(Path(folder))
@@ -227,7 +243,7 @@ def plain(args: argparse.Namespace) -> list[Row]:
 
 
 def flat_land(folder: Path) -> Scene:
-    """Return a plain with decimetres of relief in UTM, under a clear sky at noon."""
+    """Return a scene of a plain in UTM with decimetres of relief, under a clear sky at noon."""
     y, x = np.mgrid[0:SIDE_PX, 0:SIDE_PX] * (2.0 * np.pi * CELL_M / WAVE_M)
     heights = (100.0 + 0.5 * RELIEF_M * np.sin(x) * np.sin(y)).astype(np.float32)
     transform = Affine(CELL_M, 0.0, 500_000.0, 0.0, -CELL_M, 5_300_000.0)
@@ -242,9 +258,9 @@ def flat_land(folder: Path) -> Scene:
 
 
 def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
-    """Return colours, visibility, heights and, in perspective, places of a view, as in a ``Frame``.
+    """Return the arrays of a ``Frame``: colours, visibility, heights and, in perspective, positions.
 
-    It draws geometry, attached shadow and shading only: no cast shadows, no effects.
+    They are drawn with geometry, attached shadow and shading only: no cast shadows, no effects.
     """
     blocks = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     arrays: list[np.ndarray] = []
@@ -273,7 +289,7 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
 
 
 def blocks(args: argparse.Namespace) -> list[Row]:
-    """Compare blocks of tiles with all steps of their plans, and as they are drawn."""
+    """Compare blocks of tiles that are drawn with all steps of their plans, and without steps that they do not need."""
     random, rows = np.random.default_rng(0), []
     for name in args.levels or BARE_LEVELS:
         base = build_scene(load_level(find_level(name)))
@@ -330,7 +346,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
 
 
 def _drawn_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
-    """Draw a block as ``skugga.shadows.draw`` does, as one block wherever it lies; ``draw`` would cut it from up to four."""
+    """Draw a block as ``skugga.shadows.draw`` does, but as a single block wherever it lies. ``draw`` may cut it from up to four."""
     if heights_suffice(scene, view, plan, SHADED):
         log = PassLog()
         picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADED, log)
@@ -352,7 +368,7 @@ def measure_each_effect(args: argparse.Namespace) -> list[Row]:
 
 
 def _views_with_effect(effect: EffectName, folder: Path) -> Iterator[tuple[Scene, str]]:
-    """Yield scenes and names of their views that call for an effect, if such a view can."""
+    """Yield scenes that call for an effect, with the name of a view that shows it."""
     if effect in OTHER_VIEWS:
         level, name = OTHER_VIEWS[effect]
         yield build_scene(load_level(find_level(level))), name
@@ -386,7 +402,7 @@ def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int)
 
 
 def facts_ms(scene: Scene, view: MapView | PerspectiveView) -> dict[EffectName, float]:
-    """Return the milliseconds that a description spends on each effect's facts."""
+    """Return by effect the milliseconds that describing a view takes for the facts by which planning decides on the effect."""
     with _facts_timed() as milliseconds:
         describe(scene, view)
     return milliseconds
@@ -394,7 +410,7 @@ def facts_ms(scene: Scene, view: MapView | PerspectiveView) -> dict[EffectName, 
 
 @contextmanager
 def _facts_timed() -> Iterator[dict[EffectName, float]]:
-    """Record the milliseconds of effects' facts."""
+    """Record by effect the milliseconds that its facts take, while the context manager is active."""
     milliseconds: dict[EffectName, float] = {}
     untimed = dict(EFFECTS)
 
@@ -419,7 +435,7 @@ def _median(values: Iterable[float]) -> float:
 
 
 def _ratio(frames: Sequence[TimedFrame], other_frames: Sequence[TimedFrame], key: str) -> float:
-    """Return the median of the ratios of frames of the same round."""
+    """Return the median over rounds of the ratio of two frames' figure ``key``, such as ``ms``."""
     return _median(getattr(frame, key) / getattr(other, key) for frame, other in zip(frames, other_frames, strict=True))
 
 
@@ -432,7 +448,7 @@ MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
 
 
 def table(rows: list[Row]) -> str:
-    """Return rows as a Markdown table of their numbers and words; the JSON has the rest."""
+    """Return rows as a Markdown table of their numbers and strings. Other values are only in the JSON file."""
     keys = [key for key, value in rows[0].items() if isinstance(value, int | float | str)]
     lines = [keys, ["---"] * len(keys), *([_cell(row[key]) for key in keys] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

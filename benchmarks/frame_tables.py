@@ -1,4 +1,4 @@
-"""Results of ``benchmarks.frames`` as targets met or missed and as Markdown tables."""
+"""Format results of ``benchmarks.frames``: whether targets are met, and Markdown tables."""
 
 from __future__ import annotations
 
@@ -36,7 +36,23 @@ class FrameKey(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A target and the measured figure; one that does not count stands beside another that does."""
+    """A target and its measured figure.
+
+    Attributes
+    ----------
+    what
+        Description of the figure.
+    most
+        Upper bound of the figure.
+    wall
+        The figure by wall time, or another figure.
+    cpu
+        The figure by CPU time; ``None`` without one.
+    unit
+        Unit of the figure.
+    counts
+        Whether the target must be met; if not, the line is only printed beside one that must.
+    """
 
     what: str
     most: float
@@ -47,29 +63,29 @@ class Target(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether the wall time (or the other figure in ``wall``) meets the target."""
+        """Whether the figure ``wall`` meets the target."""
         return self.wall <= self.most
 
     @property
     def line(self) -> str:
-        """Return one line of text."""
+        """The target, its figure and whether it is met, as one line of text."""
         cpu = "" if self.cpu is None else f" (CPU time {self.cpu:.2f})"
         word = "beside" if not self.counts else "met   " if self.met else "MISSED"
         return f"{word} {self.what}: {self.wall:.2f}{self.unit}{cpu}, at most {self.most:g}{self.unit}"
 
 
 def paired_ratio(rows: Sequence[Row], base_rows: Sequence[Row], value: str = "ms") -> float:
-    """Return the median of the ratios of two lists of rows that were drawn in turns: other load affects both rows of a turn."""
+    """Return the median ratio of a value in two lists of rows that were drawn in turns. Other load affects both rows of a turn."""
     return statistics.median(row[value] / other[value] for row, other in zip(rows, base_rows, strict=True))
 
 
 def median_of(rows: Sequence[Row], value: str) -> float:
-    """Return the median of a value of some rows."""
+    """Return the median of a value over rows."""
     return float(statistics.median(row[value] for row in rows))
 
 
 def median_passes(rows: Sequence[Row]) -> dict[str, float]:
-    """Return milliseconds of each pass, medians, in the order of the first frame."""
+    """Return the median milliseconds of each pass, in the order of the first frame."""
     names = list(dict.fromkeys(name for row in rows for name in row["passes_ms"]))
     return {name: statistics.median(row["passes_ms"].get(name, 0.0) for row in rows) for name in names}
 
@@ -118,7 +134,7 @@ def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list
 def as_markdown(
     result: dict[str, Any], frames: dict[FrameKey, Rows], firsts: dict[str, Rows], differences: dict[FrameKey, Row]
 ) -> str:
-    """Format all tables. ``differences`` compare pictures with the other commit's."""
+    """Format all tables. ``differences`` hold comparisons of pictures with those of the other commit."""
     parts = [
         f"{result['renderer']}, {result['cpus']} CPU cores, load {result['load']:.1f}, {result['repeats']} turns; before: "
         f"{result['base'] or 'not measured'}.",
@@ -132,7 +148,7 @@ def as_markdown(
 
 
 def replace_between_marks(text: str, table: str) -> str:
-    """Replace the text between a page's marks. Raises ``ValueError`` if it has none."""
+    """Replace the text between the marks of a page. Raises ``ValueError`` if the page has no marks."""
     pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
     if not pattern.search(text):
         raise ValueError(f"no marks: {BEGIN} ... {END}")
@@ -191,7 +207,10 @@ def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row])
 
 
 def _format_equality(differs: Row | None) -> list[str]:
-    """Return how many frames have the same colours and the same visibilities, and the difference of the last frame."""
+    """Return two table cells: the number of frames with equal colours, and with equal visibilities, on both sides.
+
+    If they differ, a cell also tells by how much the last frame differs.
+    """
     if differs is None:
         return ["", ""]
     color = f"; {differs['pixels']} pixels differ, by up to {differs['most']}" if differs["most"] else ""

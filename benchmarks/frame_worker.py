@@ -7,10 +7,10 @@ benchmarks before a ``yardstick`` request, and from the packages only modules th
 level's name or a file, OVERRIDES a JSON object: name of a plan -> its overrides. Each input line is a JSON object with ``do``:
 
 ``plan``
-    make the plans, each of the view as it stands;
+    make the plans of the view, with sun and camera at their current places;
 ``frame``
-    draw a frame by the plan ``plan``, with sun and camera at their places of numbers ``sun`` and ``camera``; with ``clear``, a
-    list of lifetimes, caches are emptied before;
+    draw a frame by the plan named ``plan``, with sun and camera at the places with the numbers ``sun`` and ``camera``; with
+    ``clear``, a list of cache lifetimes, such caches are emptied before;
 ``yardstick``
     draw the same by ``benchmarks.yardstick``, with a depth map of ``map_size`` texels (0: none) and ``taps``;
 ``save``
@@ -63,14 +63,14 @@ CAMERA_TRAVEL_M = 3.0
 
 
 class Costs:
-    """Counters of one frame."""
+    """Counters of one frame: the number and bytes of reads of pictures from the device."""
 
     def __init__(self) -> None:
         self.reads, self.read_bytes, self._within = 0, 0, 0
 
     @contextmanager
     def read(self, array: Any) -> Iterator[None]:
-        """Count a read-back; calls nested in it do not count again."""
+        """Count a read from the device. Reads nested in it are not counted again."""
         self._within += 1
         try:
             yield
@@ -85,7 +85,7 @@ COSTS = Costs()
 
 
 def count_reads() -> None:
-    """Count all read-backs from OpenGL from now on, by any call of moderngl or PyOpenGL."""
+    """Count, from now on, all reads from OpenGL by any call of moderngl or PyOpenGL."""
     from OpenGL import GL
 
     kinds = ("Framebuffer", "Texture", "TextureArray", "Texture3D", "TextureCube", "Buffer")
@@ -108,14 +108,14 @@ def _counting_wrapper(call: Any) -> Any:
 
 
 class ViewVariants:
-    """The level's sun and view, and variants of them by number."""
+    """The level's scene and view, and numbered variants of them with moved sun or camera."""
 
     def __init__(self, scene: Scene, view: PerspectiveView) -> None:
         self.scene, self.view = scene, view
         self._moved: dict[int, Scene] = {0: scene}
 
     def with_sun_number(self, number: int) -> Scene:
-        """Return the scene under the numbered sun; 0 is the level's own."""
+        """Return the scene under the sun with a number; 0 is the level's own sun."""
         if number not in self._moved:
             sun, share = self.scene.sun, number * GOLDEN_RATIO % 1.0
             assert sun is not None
@@ -127,7 +127,7 @@ class ViewVariants:
         return self._moved[number]
 
     def with_camera_number(self, number: int) -> PerspectiveView:
-        """Return the view from the numbered camera position; 0 is the level's own."""
+        """Return the view from the camera position with a number; 0 is the level's own position."""
         if number == 0:
             return self.view
         right = self.view.earth_from_camera[:, 0]
@@ -135,7 +135,7 @@ class ViewVariants:
 
 
 class Worker:
-    """A view of a level with its plans."""
+    """The view of a level with its plans, which answers requests."""
 
     def __init__(self, level: str, view: str, size: tuple[int, int], overrides: dict[str, dict[str, Any]]) -> None:
         start = time.perf_counter()
@@ -217,7 +217,7 @@ class Worker:
 
 
 def profile_digest(arrays: list[np.ndarray]) -> str:
-    """Return a digest that identifies arrays."""
+    """Return a digest of the contents of arrays, 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -232,7 +232,7 @@ def peak_gb() -> float:
 
 
 def main() -> None:
-    """Answer lines until the input ends."""
+    """Read requests from standard input and answer each with a line, until the input ends."""
     level, view, size, overrides = sys.argv[1:]
     width, height = (int(side) for side in size.split("x"))
     answers, sys.stdout = sys.stdout, sys.stderr  # printed text is no answer

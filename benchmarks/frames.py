@@ -7,8 +7,8 @@ All sides draw in turns, each in a process of its own: this checkout; ``--base``
 Lambert's cosine and one colour of sky. It draws without shadows, and with a depth map of 512 x 512 texels of 16 bits, redrawn for
 each frame, that is compared in one texel or in 3 x 3. All its data is uploaded before, and each picture is read back within the
 timed section. Ratios are medians of the ratios of successive frames, by wall time and by the CPU time of all threads. Only ratios
-of one run are comparable. The target is a ratio to the yardstick with one tap, which our own plan has there; lines with "beside"
-are no targets.
+of one run are comparable. The target is a ratio to the yardstick with one tap, because the plan also uses one there. Lines with
+"beside" are no targets.
 
 Pictures: the SpatialAce level's ``main`` at 800 x 600 as planned (by the rules for a device without a calibration, as in ``skugga
 render``), by ``shadow_map`` alone and without cast shadows; the views ``valley`` and ``village`` of the wooded level at 1280 x 1024
@@ -31,9 +31,9 @@ Changes from one frame to the next:
 With ``--base``, each frame's colours and visibilities are compared with those of the other commit, bit by bit. Where they differ,
 the report shows the number of differing pixels, and of those that are lit in one only, of the last frame.
 
-A first frame is that of a new process with a full numba cache: load the level, make the plan, draw the frame; then plan and draw
-five new views. The target applies to the frame; the time to the frame with its plan stands beside it. Peak memory is that of a
-whole process that plans and draws new frames of the million trees.
+A first frame is that of a new process with a full numba cache: load the level, make the plan, draw the frame. The process then
+plans and draws five new views. The target applies to the frame. The time of plan and frame together is shown beside it. Peak memory
+is that of a whole process that plans and draws new frames of the million trees.
 """
 
 from __future__ import annotations
@@ -80,7 +80,21 @@ FIRST_REPEATS, WARM_AFTER_FIRST = 3, 5
 
 @dataclass(frozen=True)
 class Picture:
-    """A view to draw, its plans (name -> overrides and the changes to measure), and the share of the SpatialAce level's turns."""
+    """A view to draw.
+
+    Attributes
+    ----------
+    level, view, size
+        Name of the level, name of its view, and (width, height) in pixels.
+    plans
+        Overrides of a level's ``shadows``, by name of the plan.
+    moves
+        Changes between frames to measure, by name of the plan.
+    turns_share
+        Number of turns, as a share of those of the SpatialAce level.
+    has_first
+        Whether the first frames of new processes are measured too.
+    """
 
     level: str
     view: str
@@ -105,14 +119,14 @@ PICTURES = {
 
 
 class FrameProcess:
-    """A process that draws one picture's frames with the code in a folder."""
+    """A process that draws frames of one picture with the code in a folder."""
 
     def __init__(self, process: subprocess.Popen[str], stderr: IO[bytes]) -> None:
         self._process, self._stderr = process, stderr
         self.ready = self._answer()
 
     def ask(self, operation: str, **parameters: Any) -> Row:
-        """Send a request, and return its costs. Raises ``RuntimeError`` if it fails."""
+        """Send a request to the process, and return the costs that it reports. Raises ``RuntimeError`` if it fails."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps({"do": operation, **parameters}) + "\n")
@@ -133,7 +147,7 @@ class FrameProcess:
 
 @contextmanager
 def frame_process(folder: Path, picture: Picture, level: str) -> Iterator[FrameProcess]:
-    """Run a side as a context manager."""
+    """Run the process of a side (this checkout, the other commit, or the yardstick) as a context manager."""
     size = f"{picture.size[0]}x{picture.size[1]}"
     command = [sys.executable, "-P", str(WORKER), level, picture.view, size, json.dumps(picture.plans)]
     with tempfile.TemporaryFile() as stderr:
@@ -152,8 +166,22 @@ def frame_process(folder: Path, picture: Picture, level: str) -> Iterator[FrameP
 
 @dataclass
 class FrameMeasurements:
-    """Measurements: rows by kind of frame and side, plans and first frames by picture and side, differences from the other
-    commit's pictures, and the machine's load.
+    """Measurements of all pictures. Sides are this checkout, the other commit, and the yardstick.
+
+    Attributes
+    ----------
+    frames
+        Rows of costs, by kind of frame and side.
+    plans
+        Costs of plans, by picture and side.
+    firsts
+        Rows of costs of first frames, by picture and side.
+    differences
+        Differences from the other commit's pictures, by kind of frame.
+    renderer
+        Name of the OpenGL renderer.
+    load
+        The machine's load by other processes.
     """
 
     frames: dict[FrameKey, Rows] = field(default_factory=dict)
@@ -167,7 +195,7 @@ class FrameMeasurements:
 def measure_interleaved(
     name: str, picture: Picture, level: str, folders: dict[str, Path], turns: int, measurements: FrameMeasurements
 ) -> None:
-    """Draw a picture's frames: every kind by every side in each turn, the sides in alternating order."""
+    """Draw a picture's frames. In each turn every side draws every kind of frame; the order of the sides alternates."""
     with ExitStack() as stack:
         sides = {side_name: stack.enter_context(frame_process(folder, picture, level)) for side_name, folder in folders.items()}
         drawers = {side_name: process for side_name, process in sides.items() if side_name != YARDSTICK}
@@ -203,7 +231,7 @@ def measure_interleaved(
 
 
 def _difference(rows: Rows, drawers: dict[str, FrameProcess], folder: Path) -> Row:
-    """Return how many frames have the same colours and visibilities on both sides, and the difference of the last frame."""
+    """Return the number of frames with equal colours and with equal visibilities on both sides, and how the last frame differs."""
     equal_counts = {
         quantity: sum(row[quantity] == other[quantity] for row, other in zip(rows[NOW], rows[BASE], strict=True))
         for quantity in ("color", "visibility")
@@ -219,7 +247,10 @@ def _difference(rows: Rows, drawers: dict[str, FrameProcess], folder: Path) -> R
 
 
 def _position_numbers(move: str, number: int, before: tuple[int, int]) -> tuple[int, int]:
-    """Return the place numbers of sun and camera in the next frame."""
+    """Return the numbers of the sun's and the camera's places in the next frame.
+
+    ``move`` is the change between the frames. ``before`` holds the numbers of the previous frame, and ``number`` is the new one.
+    """
     return number if move in ("new", "sun") else before[0], number if move in ("new", "camera") else before[1]
 
 
@@ -229,7 +260,7 @@ def _add_row(measurements: FrameMeasurements, key: FrameKey, side_name: str, row
 
 
 def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Path], measurements: FrameMeasurements) -> None:
-    """Measure first frames of fresh processes, one side after the other."""
+    """Measure the first frames of new processes, one side after the other."""
     for _ in range(FIRST_REPEATS):
         for side_name, folder in folders.items():
             with frame_process(folder, picture, level) as process:

@@ -3,8 +3,8 @@
     python -m benchmarks.map_accuracy FOLDER [--algorithm shadow_map] [--map-size 4096] [--filter 1] [--pixels 400]
                                       [--markdown FILE]
 
-Every terrain or surface raster below FOLDER is drawn at its own resolution (at most ``--pixels`` a side, from its middle), steepest
-first by the 95th percentile of slope. Truth applies to the drawn triangles, for the sweep as for all others.
+Every terrain or surface raster below FOLDER is drawn at its own resolution (at most ``--pixels`` a side, from its middle). Rasters
+with the steepest 95th percentile of slope come first. Truth is ray-traced on the drawn triangles, for the sweep as for all others.
 """
 
 from __future__ import annotations

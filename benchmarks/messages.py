@@ -42,7 +42,7 @@ class Message:
 
 
 def messages(root: Path = ROOT) -> list[Message]:
-    """Return all messages of the four layers in the order of kinds, files and lines."""
+    """Return all messages in the packages' source, ordered by kind, file and line."""
     result = []
     for layer in LAYERS:
         for path in sorted((root / layer).rglob("*.py")):
@@ -59,7 +59,7 @@ def messages_of(source: str, path: Path) -> Iterator[Message]:
 
 
 def _kind(function: ast.expr) -> str | None:
-    """Return the kind of message that a call makes, or ``None``."""
+    """Return the kind of message that a call of ``function`` makes, or ``None`` if it makes none."""
     if isinstance(function, ast.Name):
         return function.id if function.id.endswith("Error") else None
     if not isinstance(function, ast.Attribute) or not isinstance(function.value, ast.Name):
@@ -73,7 +73,7 @@ def _kind(function: ast.expr) -> str | None:
 
 
 def _text(node: ast.expr) -> str:
-    """Return a string as it is written, other expressions in braces."""
+    """Return a string as it is written in the source, with other expressions in braces."""
     if isinstance(node, ast.Constant):
         return str(node.value)
     if isinstance(node, ast.JoinedStr):

@@ -1,4 +1,4 @@
-"""Reject private names for which the field has a term, and commit subjects that are too long.
+"""Reject names that only this project uses although graphics or GIS have a term, and commit subjects that are too long.
 
 python scripts/check_words.py                     # all Python files under version control
 python scripts/check_words.py FILE...             # some of them
@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 MAX_SUBJECT = 72
-"""Characters of a commit's subject that ``git log --oneline`` shows in a terminal of 80 columns."""
+"""Maximum characters of a commit's subject: as many as ``git log --oneline`` shows in a terminal of 80 columns."""
 
 FIELD_TERMS = {
     r"_?(MOST|LEAST)_[A-Z0-9_]+": "MAX_..., MIN_...",
@@ -35,13 +35,13 @@ FIELD_TERMS = {
     "there": "valid",
     "because": "reason",
 }
-"""Private names (regular expressions) and the field's terms for them."""
+"""Names that only this project used (regular expressions), and the usual terms in graphics and GIS."""
 
 _FORBIDDEN = {re.compile(pattern): term for pattern, term in FIELD_TERMS.items()}
 
 
 def forbidden_names(path: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield the line, the name and the field's term for each private name in a Python file."""
+    """Yield the line number, the name and the usual term for each name in a Python file that ``FIELD_TERMS`` rejects."""
     with tokenize.open(path) as file:
         for token in tokenize.generate_tokens(file.readline):
             if token.type == tokenize.NAME:
@@ -61,7 +61,7 @@ def subject_problem(message: str) -> str | None:
 
 
 def main(arguments: list[str]) -> int:
-    """Print all problems; return the exit status."""
+    """Print all problems and return the exit status: 1 if there are any, else 0."""
     if arguments[:1] == ["--commit-message"]:
         problem = subject_problem(Path(arguments[1]).read_text(encoding="utf-8"))
         if problem is not None:

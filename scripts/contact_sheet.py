@@ -1,6 +1,6 @@
 """Render every view of every bundled level onto one sheet of labelled pictures.
 
-Run it from anywhere: ``python scripts/contact_sheet.py -o docs/images/scenes.encode_webp``.
+Run it from anywhere: ``python scripts/contact_sheet.py -o docs/images/scenes.webp``.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def render_view(scene: Scene, name: str, width: int) -> Image.Image:
 
 
 def make_sheet(entries: Sequence[LabelledPicture], columns: int, width: int) -> Image.Image:
-    """Return the sheet with ``columns`` pictures a row, each ``width`` pixels wide with its label below."""
+    """Return a sheet of pictures, ``columns`` in a row. Each is ``width`` pixels wide, with its label below."""
     height = round(width / ASPECT)
     step_x, step_y = width + GAP_PX, height + LABEL_PX + GAP_PX
     rows = -(-len(entries) // columns)
@@ -76,7 +76,7 @@ def make_sheet(entries: Sequence[LabelledPicture], columns: int, width: int) -> 
 
 
 def encode_webp(page: Image.Image, max_bytes: int) -> bytes:
-    """Return the page as WebP at the best quality that fits into a size; at the lowest quality if none does."""
+    """Return the page as WebP at the best quality that fits into ``max_bytes``; at the lowest quality if none does."""
     for quality in QUALITIES:
         buffer = BytesIO()
         page.save(buffer, "WEBP", quality=quality, method=6)

@@ -1,6 +1,7 @@
-"""Build a wheel with the viewer and with all loops compiled for x86-64-v3: ``python scripts/make_wheel.py [FOLDER]`` (dist).
+"""Build a wheel with the viewer and with all loops compiled for x86-64-v3.
 
-The compiled loops fit this Python and the installed numba and NumPy. With other versions the wheel compiles its loops on first use.
+Run ``python scripts/make_wheel.py [FOLDER]``; the default folder is ``dist``. The compiled loops fit this version of Python and the
+installed versions of numba and NumPy. With other versions an installed wheel compiles its loops on first use.
 """
 
 from __future__ import annotations
@@ -27,11 +28,17 @@ compile_ahead(PRODUCTS, int(sys.argv[1]))
 for _, name in named_tasks(PRODUCTS):
     shutil.copy(loop_store().folder / (name + SUFFIX), sys.argv[2])
 """
-"""Script that compiles all loops into the user's store, for another processor than this one, and copies them."""
+"""Python code of a subprocess: compile all loops for ``NUMBA_TARGET`` and copy the machine code into a folder.
+
+Its arguments are the number of cores and the folder.
+"""
 
 
 def main(folder: Path) -> None:
-    """Compile the loops, build the wheel, and remove the compiled loops: a clone compiles for its own processor."""
+    """Compile the loops, build the wheel in ``folder``, and remove the compiled loops from the source tree.
+
+    A checkout has no compiled loops, since it compiles them for its own processor.
+    """
     shutil.rmtree(FOLDER, ignore_errors=True)
     shutil.rmtree(ROOT / "build", ignore_errors=True)  # leftovers of an earlier build would get into the wheel
     try:

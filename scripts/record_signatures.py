@@ -1,10 +1,10 @@
-"""Record the loops that each product needs, with their argument types, in ``terrain/compiling/signatures.json``.
+"""Record the numba loops that each product compiles, with their argument types, in ``terrain/compiling/signatures.json``.
 
     python scripts/record_signatures.py                          # all products, some minutes
-    python scripts/record_signatures.py "hours of sun" points    # the others are unchanged
+    python scripts/record_signatures.py "hours of sun" points    # entries of other products stay
 
-Each product is computed in its own process with an empty store, so that all its loops are compiled, including callees. The script
-writes the rasters: projected and geographic ones, floats and integers, with and without nodata. Bundled levels cover trees and
+Each product is computed in its own process, without stored machine code, so that all its loops are compiled, callees too. The
+script writes rasters as input: projected and geographic ones, floats and integers, with and without nodata. Bundled levels cover trees and
 buildings.
 """
 
@@ -28,7 +28,10 @@ TIME = "2024-10-21T16:30:00+00:00"
 
 
 def write_rasters(folder: Path) -> list[Path]:
-    """Write hills: float32 in UTM with nodata, int16 in degrees, and float32 in an engineering CRS."""
+    """Write three rasters of hills and return their paths.
+
+    They are float32 in UTM with nodata, int16 in degrees, and float32 in an engineering CRS.
+    """
     import numpy as np
     import rasterio
     from affine import Affine
@@ -57,7 +60,11 @@ def write_rasters(folder: Path) -> list[Path]:
 
 
 def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
-    """Draw tiles of levels: colours at the coarsest, the native and the finest zoom under some suns; other layers at one zoom."""
+    """Draw one block of tiles of each level for each zoom and layer.
+
+    Colours are drawn at the coarsest, the native and the finest zoom, under the level's sun and ``suns`` (azimuth, altitude). The
+    other layers are drawn at the native zoom.
+    """
     from skugga.api.http.server.first_blocks import first_block
     from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
     from skugga.api.matrices import OVERZOOMS
@@ -177,7 +184,10 @@ PRODUCERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
 
 
 def record(product: str) -> list[tuple[str, Any]]:
-    """Compute a product in this process, whose store is empty; return the compiled loops with their encoded types."""
+    """Compute a product in this process, and return the loops that it compiled with their encoded argument types.
+
+    The process must have no stored machine code.
+    """
     from skugga.terrain.compiling.hooks import compile_lazily
     from skugga.terrain.compiling.loop_cache import recorders
     from skugga.terrain.compiling.signatures import decode_type, encode_type
@@ -200,7 +210,7 @@ def record(product: str) -> list[tuple[str, Any]]:
 
 
 def main(products: Sequence[str]) -> None:
-    """Record products, each in a process with an empty store, two at a time, and write the signatures."""
+    """Record products, two at a time, and write the signatures. Each runs in a process without stored machine code."""
     from skugga.terrain.compiling.signatures import SIGNATURES_FILE, recorded_signatures
 
     def recorded(product: str) -> list[tuple[str, Any]]:

@@ -1,6 +1,7 @@
 """Colour of the visible surface: a style's tint, Lambert's law and sky light, in linear light, encoded as sRGB.
 
-This module prepares a scene's light and look. ``skugga.terrain.shading_loops`` has the loops over pixels.
+This module prepares a scene's light and its shading parameters (``Look``). ``skugga.terrain.shading_loops`` has the loops over
+pixels.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ MAP_FOLIAGE_FACTOR = 2.0
 """Factor of foliage's albedo in maps. Woods seen from above, with their own shadows, would be nearly black."""
 
 LEAF_GLOW = 0.3
-"""Share of its light that foliage shows independently of its normal. Leaves are translucent and lie in all directions."""
+"""Share of foliage's light that does not depend on its normal. Leaves are translucent and lie in all directions."""
 
 CLOUD_LIGHT = (0.94, 0.97, 1.00)
 """Linear colour of the light that passes through clouds."""
@@ -90,7 +91,8 @@ class Daylight:
 def daylight_of(scene: Scene) -> Daylight:
     """Return the daylight over a level.
 
-    An overcast sky has no direct sun. Under other clouds the effect ``clouds`` attenuates it. Clouds make the sky's light grey.
+    Under an overcast sky the sun's direct light is 0. Under other clouds the effect ``clouds`` attenuates it later, pixel by pixel.
+    Clouds make the sky's light grey.
     """
     cover, style = scene.loaded.level.weather.cloud_cover, scene.style
     clear_sky_light, grey = (
@@ -104,8 +106,9 @@ def daylight_of(scene: Scene) -> Daylight:
 def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> Look:
     """Return the shading parameters of a scene in a view, for the compiled loops.
 
-    ``frame`` gives the direction of north, which matters where tints depend on latitude. Clouds remove the sky's colour and its
-    bright side. Without a sun the sky has neither, and the veil of air is missing. A perspective view has no veil by height.
+    ``frame`` is the local frame of the direction of north, which is needed only where tints depend on latitude. Clouds reduce the
+    desaturation in sky light and the sky's brighter side towards the sun, in proportion to their cover. Without a sun both are 0.
+    The veil of air applies only to maps with a sun.
     """
     style = scene.style
     clear_sky_share = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
@@ -122,7 +125,10 @@ def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | N
 
 
 def tints_of(scene: Scene) -> Tints:
-    """Return the tints of a scene's ground. In a flat world they do not depend on latitude."""
+    """Return the tints of a scene's ground. In a flat world they do not depend on latitude.
+
+    Level ground without relief has the grey ``FLAT_GROUND_ALBEDO``.
+    """
     style, (low, high) = scene.style, scene.height_range_m
     return _tints(style.ramp, style.has_climate and not scene.world.flat) if high > low else _tints(None, False)
 
@@ -144,7 +150,7 @@ def sky_lit_albedo(albedo: np.ndarray, look: Look) -> np.ndarray:
 
 
 def max_sky_factor(scene: Scene) -> float:
-    """Return the maximum factor of the sky's light on a slope, beyond its visible share: towards the sky's bright side."""
+    """Return the largest factor of sky light on a slope, relative to an even sky. Slopes towards the sky's bright side have it."""
     return 1.0 + scene.style.sky_towards_sun * (np.sqrt(2.0) - 1.0)
 
 
@@ -165,7 +171,7 @@ def shade(
     albedo
         (rows, cols, 3), overrides the buffer's albedo.
     skylight
-        (rows, cols), the visible share of the sky. Default: the share that the slope itself leaves.
+        (rows, cols), the visible share of the sky. Default: the share that each slope leaves visible without its surroundings.
     lamplight
         (rows, cols, 3), light of lamps.
 
@@ -194,7 +200,7 @@ def daylight_in_frame(scene: Scene, frame: LocalFrame) -> DaylightInFrame:
 def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
     """Return the sRGB colour (rows, cols, 3) uint8 of bare ground: ``srgb_encoded`` of ``shade``, in one pass.
 
-    ``sunlight`` (rows, cols) is the visible share of the sun's direct light. Pixels without ground are black.
+    ``sunlight`` (rows, cols) is the visible share of the sun's direct light, 0 to 1. Pixels without ground are black.
     """
     assert scene.sun is not None
     out = np.zeros((*ground.valid.shape, 3), np.uint8)
@@ -248,7 +254,7 @@ def srgb_encoded(linear: np.ndarray) -> np.ndarray:
 
 
 def exposure_of(altitude_deg: float | None) -> float:
-    """Return the exposure for a sun's altitude at the anchor (``None``: no sun, but lamps of its strength).
+    """Return the exposure for the sun's altitude in degrees at the anchor; ``None`` if lamps are the only lights.
 
     Level, sunlit, white ground keeps its brightness down to ``EXPOSURE_FLOOR_DEG``. Its sky light is the same for every sun.
     """

@@ -1,6 +1,6 @@
 """Loops of shading: light on slopes, tints, and the tone curve of the display.
 
-All loops that are compiled together are in this file: a change of a loop's own file invalidates its stored machine code.
+Loops that are compiled together are in this one file, since a change of a loop's file invalidates its stored machine code.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ MIN_SKY_FACTOR = 0.3
 """Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
 
 MIN_ALTITUDE_COSINE = 0.15
-"""Minimum cosine of the sun's altitude for its horizontal direction. Near the zenith that direction is undefined."""
+"""Lower bound of the cosine of the sun's altitude, by which the loops divide.
+
+Near the zenith the sun's azimuth is undefined.
+"""
 
 MIN_LIT_COSINE = 1e-9
 """Minimum cosine to the sun that counts as lit."""
@@ -30,7 +33,7 @@ AIR_VEIL_COLOR = (0.66, 0.74, 0.84)
 """Linear colour by day of the veil of air over low ground."""
 
 HIGH_SUN_DEG = 6.01
-"""From this altitude of the sun on, direct light and sky light are constant (``shade_rows``, ``dusk_of``).
+"""Altitude of the sun from which on direct light and sky light are constant (``shade_rows``, ``dusk_of``).
 
 It is a hundredth of a degree above the exact limit, since only some points of a map are checked.
 """
@@ -39,7 +42,7 @@ HIGH_SUN_SINE = float(np.sin(np.radians(HIGH_SUN_DEG)))
 
 
 class DaylightInFrame(NamedTuple):
-    """Daylight in a frame.
+    """Daylight in the coordinates of a local frame. Colours are linear RGB.
 
     Attributes
     ----------
@@ -86,7 +89,7 @@ class Look(NamedTuple):
     tints
         The ground's tints.
     north_frame
-        (3,), the direction of the earth's axis in a frame.
+        (3,), the direction of the earth's axis in a local frame; 0 if tints do not depend on latitude.
     sky_greying
         Desaturation in the sky's light, 0 to 1.
     sky_towards_sun
@@ -94,9 +97,9 @@ class Look(NamedTuple):
     terminator
         Share of level ground's direct light below which slopes fade into attached shadow.
     slope_exaggeration, slope_limit
-        Factor of slopes, and the slope (a tangent) that they approach.
+        Factor of slopes in shading, and the upper limit (a tangent) of exaggerated slopes.
     veil
-        (n,), the veil's share by height.
+        (n,), the share of the veil of air in the ground's colour, by height.
     foliage
         Factor of foliage's albedo.
     """
@@ -116,7 +119,7 @@ class Look(NamedTuple):
 def dusk_of(sine):
     """Return the share of the day's sky light for the sine of the sun's altitude.
 
-    All of it from 6 degrees on, none below -12 degrees (nautical dusk).
+    It is 1 from 6 degrees on, and 0 below -12 degrees (nautical dusk).
     """
     if sine > HIGH_SUN_SINE:
         return 1.0
@@ -188,7 +191,10 @@ def _direct_fade(sine):
 
 @compiled
 def slope_sky_rows(first, last, valid, normal, position, centre, out):
-    """Compute the share of the sky that slopes themselves leave, for some rows."""
+    """Compute the share of the sky that each slope leaves visible without its surroundings, into ``out``.
+
+    Rows run from ``first`` to before ``last``. ``centre`` is the point from which "up" points away (``World.up_origin``).
+    """
     for i in range(first, last):
         for j in range(valid.shape[1]):
             if valid[i, j]:
@@ -199,16 +205,17 @@ def slope_sky_rows(first, last, valid, normal, position, centre, out):
 
 @compiled
 def encode_rows(first, last, linear, table, out):
-    """Encode a part of linear display colours as sRGB. ``table`` has even steps from 0 to 1."""
+    """Encode the linear display colours [``first``, ``last``) as sRGB. ``table`` (n,) uint8 has even steps from 0 to 1."""
     for n in range(first, last):
         out[n] = table[min(np.int32(linear[n] * table.size), table.size - 1)]
 
 
 @compiled
 def shade_rows(first, last, shading_inputs, look, daylight_in_frame, centre, glow, albedo, sunlight, skylight, lamplight, out):
-    """Compute the linear display colour of some rows of a buffer.
+    """Compute the linear display colour of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
-    ``glow`` is the foliage's share of light (``LEAF_GLOW``).
+    ``centre`` is the point from which "up" points away (``World.up_origin``). ``glow`` is the share of foliage's light that does
+    not depend on its normal (``LEAF_GLOW``).
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     valid, kind, position, height, normal = shading_inputs
@@ -280,7 +287,10 @@ def _latitude_position(sine, rows):
 
 @internal
 def _tinted(table, sine, tint_index, fraction):
-    """Return the ground's colour at the sine of a latitude and a place in the heights' table."""
+    """Return the ground's linear colour at the sine of a latitude.
+
+    ``tint_index`` and ``fraction`` are the place of a height in the table (``_tint_position``).
+    """
     if table.shape[0] == 1:
         return (
             _tint_at(table, 0, 0, tint_index, fraction),
@@ -309,7 +319,7 @@ def _tint_between(table, row, row_fraction, k, tint_index, fraction):
 
 @compiled
 def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, daylight_in_frame, table, out):
-    """Compute ``srgb_encoded`` of ``shade_rows`` for bare ground, row by row.
+    """Compute the sRGB colour of bare ground row by row: ``srgb_encoded`` of the result of ``shade_rows``.
 
     Inner loops compile to vector instructions; table look-ups run between them.
     """
@@ -368,14 +378,14 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, dayl
 
 @internal
 def _cosines_to_sun(normal, to_sun, out):
-    """Compute the cosines of normals (n, 3) to the sun."""
+    """Compute the cosines between normals (n, 3) and one direction (3,), such as that to the sun."""
     for j in range(out.size):
         out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
 
 
 @internal
 def _cosines_to_zenith(normal, up, out):
-    """Compute the cosines of normals (n, 3) to the zenith, with the zenith's directions ``up`` (n, 3)."""
+    """Compute the cosines between normals (n, 3) and the directions ``up`` (n, 3) to the zenith."""
     for j in range(out.size):
         x, y, z = np.float64(up[j, 0]), np.float64(up[j, 1]), np.float64(up[j, 2])
         out[j] = normal[j, 0] * x + normal[j, 1] * y + normal[j, 2] * z
@@ -383,42 +393,42 @@ def _cosines_to_zenith(normal, up, out):
 
 @internal
 def _exaggerate_row(cos_sun, cos_zenith, sines, exaggeration, limit):
-    """Apply ``_exaggerated_cosines`` to a row, in place."""
+    """Apply ``_exaggerated_cosines`` to a row of pixels, in place."""
     for j in range(cos_sun.size):
         cos_sun[j], cos_zenith[j] = _exaggerated_cosines(cos_sun[j], cos_zenith[j], sines[j], exaggeration, limit)
 
 
 @internal
 def _sky_light_of_row(cos_sun, cos_zenith, sines, directional_share, sky_share, sky_light_share, out):
-    """Compute the sky's light on a row's slopes."""
+    """Compute the sky's light on the slopes of a row of pixels, as a share of the day's sky light on level ground."""
     for j in range(out.size):
         out[j] = sky_share[j] * _slope_sky_factor(cos_sun[j], cos_zenith[j], sines[j], directional_share) * sky_light_share[j]
 
 
 @internal
 def _direct_light_of_row(cos_sun, sines, terminator, direct):
-    """Multiply a row's direct light by its factor on the slopes, in place."""
+    """Multiply the direct light of a row of pixels by ``_slope_direct_light``, in place."""
     for j in range(direct.size):
         direct[j] *= _slope_direct_light(cos_sun[j], sines[j], terminator)
 
 
 @internal
 def _tint_positions(heights, fraction, tint_index):
-    """Apply ``_tint_position`` to a row."""
+    """Apply ``_tint_position`` to a row of pixels."""
     for j in range(heights.size):
         tint_index[j], fraction[j] = _tint_position(heights[j])
 
 
 @internal
 def _latitude_positions(sines, count, row_fraction, rows):
-    """Apply ``_latitude_position`` to a row."""
+    """Apply ``_latitude_position`` to a row of pixels."""
     for j in range(sines.size):
         rows[j], row_fraction[j] = _latitude_position(sines[j], count)
 
 
 @internal
 def _is_one_climate(first_difference, valid, rows, tint_index):
-    """Return whether one row of the tints serves all valid pixels of a row, and its index."""
+    """Return whether all valid pixels of a row have the same tints in the table's rows at their latitudes, and such a table row."""
     first, last, highest = np.int32(first_difference.size), np.int32(-1), np.int32(0)
     for j in range(tint_index.size):
         if valid[j]:
@@ -448,7 +458,10 @@ def _look_up_tint(tints, tint_index, fraction, out):
 
 @internal
 def _srgb_indices(tint, grey, greying, sun, sky, direct, sky_light, veil, sky_light_share, air, table_size, out):
-    """Compute the indices in an sRGB table of ``table_size`` for the colour of lit ground, after tone curve and veil of air."""
+    """Compute the places in an sRGB table of one colour channel of lit ground, for a row of pixels.
+
+    The table has ``table_size`` entries. The colour includes the tone curve and the veil of air.
+    """
     count = np.float32(table_size)
     for j in range(out.size):
         light = tint[j] * (sun * direct[j]) + (tint[j] + greying * (grey[j] - tint[j])) * (sky * sky_light[j])
@@ -467,7 +480,10 @@ def _look_up_srgb(valid, srgb_index, table, out):
 
 @compiled
 def albedo_rows(first, last, shading_inputs, centre, albedo, look, out):
-    """Compute the linear albedo of some rows of a buffer: the tint, unless ``albedo`` has a value."""
+    """Compute the linear albedo of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
+
+    It is ``albedo`` where that has a value, else the ground's tint.
+    """
     valid, _, position, height, _ = shading_inputs
     tints, north = look.tints, look.north_frame
     for i in range(first, last):

@@ -1,12 +1,12 @@
-"""The sky behind a perspective view, which is also the light of infinitely deep air that haze and water use.
+"""The colours of the sky behind a perspective view. Haze and water use them as the light of infinitely deep air.
 
-By day the colour changes from the horizon's to the zenith's with the sine of the altitude. A low sun adds colour by its light's
-path through the air:
+By day the colour changes from the horizon's to the zenith's with the sine of the altitude. The light of a low sun
+takes a long path through the air, which adds colours:
 
-- The colour is white light after the optical air mass of that path (F. Kasten and A. T. Young 1989, "Revised optical air mass
+- Sunlight has the colour of white light after the optical air mass of that path (F. Kasten and A. T. Young 1989, "Revised optical air mass
   tables and approximation formula", Applied Optics 28(22)). Rayleigh scattering removes blue first. Depths are those of a clear
   atmosphere (E. Bruneton and F. Neyret 2008, "Precomputed atmospheric scattering") with a little aerosol.
-- That light colours the horizon, most below the sun and a little opposite to it. Multiple scattering makes it paler, so
+- Sunlight colours the horizon, most below the sun and a little opposite to it. Multiple scattering makes it paler, so
   only a share of the optical depth counts.
 - Towards the zenith red fades first, since thinner air scatters less: orange, yellow, a pale green, blue.
 - Round the sun, air and dust scatter forwards in a wide and a narrow lobe (L. G. Henyey and J. L. Greenstein 1941).
@@ -39,16 +39,16 @@ AIR_DEPTH = (0.105, 0.180, 0.325)
 """Optical depth of the air overhead for red, green and blue light: Rayleigh scattering, ozone and 0.05 of aerosol."""
 
 SINGLE_SCATTERING_SHARE = 0.45
-"""Share of that depth that colours the horizon. Multiple scattering compensates the rest."""
+"""Share of ``AIR_DEPTH`` that colours the horizon. Multiple scattering compensates the rest."""
 
 MAX_AIR_MASS = 22.0
-"""Maximum optical air mass of a path. Light with a larger one (a sun below 1.5 degrees) is lit from above, too."""
+"""Maximum optical air mass of a path, as of a sun at 1.5 degrees. A longer path is lit from above, too."""
 
 LOW_SUN_DEG = (2.0, 16.0)
-"""Altitudes of the sun: up to the first the horizon has the sunlight's full colour, from the second on none."""
+"""Altitudes of the sun at which the horizon has all of the sunlight's colour, and none of it."""
 
 OPPOSITE_SHARE = 0.22
-"""Share of that colour opposite to the sun."""
+"""Share of the sunlight's colour in the horizon opposite to the sun."""
 
 DAY_FADE, LOW_SUN_FADE = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
 """Rates per sine of the altitude at which the horizon's colour fades into the zenith's: under a high sun, and under a low one."""
@@ -98,7 +98,7 @@ class Sky(NamedTuple):
 
 
 def sky_of(scene: Scene) -> Sky:
-    """Return the sky of a scene, by the sun's altitude and the clouds. Dark at night."""
+    """Return the sky of a scene, by the sun's altitude and the clouds. It is dark at night and without a sun."""
     altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
     sine = np.sin(np.radians(altitude_deg))
     brightness, cover = 0.02 + 0.98 * float(dusk_of(sine)), scene.loaded.level.weather.cloud_cover
@@ -121,7 +121,7 @@ def sky_of(scene: Scene) -> Sky:
 def horizon_colors(scene: Scene) -> np.ndarray:
     """Return linear display colours (n, 3) of the horizon, from below the sun to the opposite side.
 
-    Colours in between may be interpolated.
+    Azimuths are those of ``HORIZON_AZIMUTHS``. Colours in between may be interpolated.
     """
     out = np.empty((3, HORIZON_AZIMUTHS))
     azimuths = np.pi * np.linspace(0.0, 1.0, HORIZON_AZIMUTHS) ** 2
@@ -137,7 +137,10 @@ def horizontal_sun_direction(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-    """Return the linear display colour (n, 3) of the sky in some pixels of a view, dithered by up to half an 8-bit step."""
+    """Return the linear display colour (n, 3) of the sky in the pixels ``rows`` and ``cols`` (n,) of a view.
+
+    Colours are dithered by up to half an 8-bit step.
+    """
     up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     horizontal_to_sun = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.to_sun_earth, up)
     pixels = np.array([view.col0, view.row0, view.step])
@@ -200,10 +203,10 @@ def sky_colors(sky, sine, azimuth_cosine, out):
 
 @compiled
 def transmittances(per_length, length, out):
-    """Compute the transmittance (n,) of lengths, exp(-per_length * length); 1 for a negative length.
+    """Compute the transmittance (n,) of air along paths of a length (n,), exp(-per_length * length); 1 for a negative length.
 
-    Evaluated as exp(-per_length * length / 1024)**1024 by its series, since calls of a library's function would take most of the
-    time. The absolute error is below 1e-12.
+    It is evaluated as exp(-per_length * length / 1024)**1024, with a power series for exp, because calls of a library's function
+    would take most of the time. The absolute error is below 1e-12.
     """
     for n in range(out.size):
         x = max(-per_length * max(length[n], 0.0), -80.0) / 1024.0
@@ -249,7 +252,10 @@ def _sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, s
 
 
 def _sunlight_color(altitude_deg: float) -> np.ndarray:
-    """Return the colour (3,) of white sunlight after its path through the air, as far as it colours the horizon."""
+    """Return the colour (3,) that sunlight gives to the horizon: white light after its path through the air.
+
+    Only the share ``SINGLE_SCATTERING_SHARE`` of the air's optical depth counts.
+    """
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
     return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(AIR_DEPTH))

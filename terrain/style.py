@@ -32,7 +32,7 @@ from skugga.terrain.level.parts import StyleSpec
 from skugga.terrain.srgb import linear_of_srgb
 
 TINT_LOW_M, TINT_STEP_M, TINT_COUNT = -512.0, 8.0, 1193
-"""Heights at which a ramp is tabulated: -512 to 9,024 m. Beyond them its colours are constant."""
+"""Heights in metres at which a colour ramp is tabulated: -512 to 9,024 m. Beyond them its colours are constant."""
 
 FINE_CELL_M = 2.5
 """Ground with smaller cells counts as a city's surface, unless it is a wood."""
@@ -77,10 +77,10 @@ class Style:
     aerial_share, aerial_scale_height_m
         Share of the veil at height 0, and the height in metres over which it falls to 1/e.
     slope_exaggeration, slope_limit
-        Factor of slopes in shading, and the slope (a tangent) that they approach.
+        Factor of slopes in shading, and the upper limit (a tangent) of exaggerated slopes.
     exaggeration_from_pixel_m
-        Side of a map's pixels in metres from which on slopes are exaggerated more. Pixels of a country's map are means over whole
-        valleys, whose slopes are too gentle to see.
+        Side of a map's pixels in metres. In maps with larger pixels slopes are exaggerated more (``slope_exaggeration_at``). Pixels
+        of a country's map are means over whole valleys, whose slopes are too gentle to see.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Style:
     exaggeration_from_pixel_m: float = 60.0
 
     def slope_exaggeration_at(self, pixel_m: float) -> float:
-        """Return the factor of slopes in a map with pixels of a side in metres."""
+        """Return the factor of slopes in a map whose pixels have a side of ``pixel_m`` metres."""
         pixel_factor = (pixel_m / self.exaggeration_from_pixel_m) ** EXAGGERATION_POWER
         return self.slope_exaggeration * float(np.clip(pixel_factor, 1.0, MAX_EXAGGERATION))
 
@@ -142,10 +142,11 @@ STYLES = {
 
 
 def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_share: Callable[[], float]) -> Style:
-    """Return the requested style with the level's ramp and exaggeration.
+    """Return the requested style with the level's colour ramp and exaggeration of slopes.
 
-    ``auto`` is ``urban`` on a raster with fine cells or upright blocks, unless it is a wood by the share of ground under crowns.
-    Otherwise it is ``natural``.
+    The style ``auto`` is ``urban`` on a raster with fine cells or upright blocks, unless the ground is a wood. Otherwise it is
+    ``natural``. ``cell_m`` is the side of the raster's cells in metres. ``crown_share`` returns the share of ground under crowns.
+    It is called only if it matters.
     """
     name = spec.name
     if name == "auto":
@@ -174,8 +175,8 @@ def style_spec(level_style: StyleSpec, name: str | None, slope_exaggeration: flo
 def tint_table(ramp: ColorRamp, has_climate: bool = False) -> np.ndarray:
     """Return the ground's linear colours (m, n, 3) by latitude and height.
 
-    Latitudes are ``LATITUDE_ROWS`` steps of the latitude's sine (m = 1: one row for all). Heights are ``TINT_LOW_M + k *
-    TINT_STEP_M``. Colours between a ramp's heights are mixed in sRGB.
+    The m latitudes are ``LATITUDE_ROWS`` even steps of the latitude's sine; without a climate m is 1. The n heights are
+    ``TINT_LOW_M + k * TINT_STEP_M``. Colours between a ramp's heights are mixed in sRGB.
     """
     heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
     return linear_of_srgb(climate_srgb(ramp, heights) if has_climate else ramp_srgb(ramp, heights)[None])
@@ -183,6 +184,9 @@ def tint_table(ramp: ColorRamp, has_climate: bool = False) -> np.ndarray:
 
 @cached("process", MIB)
 def veil_table(share: float, scale_height_m: float) -> np.ndarray:
-    """Return the share (n,) of the veil of air at the heights of ``tint_table``. It is ``share`` at 0 and below."""
+    """Return the share (n,) of the veil of air in the ground's colour, at the heights of ``tint_table``.
+
+    It is ``share`` at height 0 and below, and falls to 1/e of it over ``scale_height_m`` metres.
+    """
     heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
     return share * np.exp(-np.maximum(heights, 0.0) / scale_height_m)

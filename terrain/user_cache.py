@@ -27,7 +27,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def _home_folder() -> Path:
-    """Return the user's home folder. A user unknown to the system, as in a container, has none."""
+    """Return the user's home folder; ``/nonexistent`` for a user whom the system does not know, as in a container."""
     try:
         return Path.home()
     except RuntimeError:

@@ -53,7 +53,7 @@ RAY_GRID = (9, 11)
 """Rows and columns of rays per candidate."""
 
 GROUND_SHARE_POWER = 40.0
-"""Power of the share of rays that meet ground in the score. With a fiftieth of sky the factor is less than a half."""
+"""Power of the share of rays that meet ground in the score. With 2 % of sky the factor is less than a half."""
 
 WIDE_DISTANCE_SHARE = 0.6
 """Median distance of the visible ground from which on a view counts as wide, as a share of the level's shorter side."""
@@ -93,7 +93,7 @@ class _Lattice:
 def good_view(world: World, elevation: Elevation, sun: Sun | None) -> PerspectiveSpec | None:
     """Return a good perspective view of a level under its sun (``None``: lit from above).
 
-    Returns ``None`` where the ground fills no view.
+    Returns ``None`` if no candidate shows enough ground.
     """
     lattice = _lattice(world, elevation, sun)
     rows, cols = lattice.height_m.shape
@@ -165,9 +165,9 @@ def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
 
 
 def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, cells: float) -> tuple[float, float]:
-    """Return the row and column of the centre of the most rugged square with a side of some cells, from the overview.
+    """Return the row and column of the centre of the most rugged square with a side of ``cells`` cells.
 
-    Relief counts for less where the sun stands lower than at the anchor.
+    It is found on the raster's overview. Relief counts for less where the sun stands lower than at the anchor.
     """
     from scipy.ndimage import uniform_filter
 
@@ -189,7 +189,7 @@ def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, cells
 
 
 def _brightness(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.ndarray:
-    """Return the brightness of nodes (rows, cols): the cosine of incidence, 0 in shadow."""
+    """Return the brightness (rows, cols) of nodes: the cosine of the sun's angle of incidence, 0 in shadow."""
     if min(height_m.shape) < 2 or to_sun[2] <= 0.0:
         return np.zeros_like(height_m)
     south, east = np.gradient(height_m, step_m)
@@ -199,7 +199,10 @@ def _brightness(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.n
 
 @compiled
 def _ray_hit(height_m, step_m, row, col, z_m, east, north, up):
-    """Return the intersection of a ray with the ground: its horizontal distance in metres, row and column; NaN without one."""
+    """Return where a ray meets the ground: horizontal distance in metres, row and column of the lattice; NaN if it does not.
+
+    The ray starts above the node ``row``, ``col`` at the height ``z_m``. ``east``, ``north``, ``up`` are its direction.
+    """
     rows, cols = height_m.shape
     horizontal_length = np.sqrt(east**2 + north**2)
     d_row, d_col, rise = -north / horizontal_length / step_m, east / horizontal_length / step_m, up / horizontal_length
@@ -219,7 +222,7 @@ def _ray_hit(height_m, step_m, row, col, z_m, east, north, up):
 
 @compiled
 def _lit_mask(height_m, step_m, east, north, up):
-    """Return the mask (bool) of nodes that a distant light in a direction reaches past the other nodes."""
+    """Return the mask (rows, cols) of nodes from which a ray towards a distant light in a direction meets no ground."""
     rows, cols = height_m.shape
     out = np.zeros(height_m.shape, np.bool_)
     for i in range(rows):

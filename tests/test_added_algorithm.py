@@ -296,7 +296,7 @@ def test_a_probe_detects_a_wrong_error_model(gl, coarse_rays, registered, scene)
         scene, view, overrides={"algorithm": "coarse_rays", **square, "max_error": 0.9}, device=device(**RATES)
     )
     real_error = probe_result.plan.predicted.wrong_cast
-    assert real_error > 0.05 and not any(measurement.interior_noise for measurement in probe_result.seen[SUN])
+    assert real_error > 0.05 and not any(measurement.interior_noise for measurement in probe_result.observations[SUN])
     claimed_constants = replace(ACCURATE_CONSTANTS, floor=real_error / 10.0)
     registered(replace(ALGORITHM, resolve=resolve_coarse, accuracy=Accuracy(constants={"coarse_rays": claimed_constants})))
     overrides = {"max_error": real_error / 3.0}

@@ -124,7 +124,7 @@ class ArchiveSize:
     entries : int
         Number of directory entries.
     contents : int
-        Number of different tile contents that are stored.
+        Number of tile contents that are stored; equal tiles may share one.
     """
 
     file_bytes: int

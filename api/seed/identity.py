@@ -57,7 +57,7 @@ def ground_chunks_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> Gro
 def contents_digest(source: str, table: TaskTable) -> str:
     """Return the digest of a file's bytes, including linked files and sidecar files. For a remote file it is that of its address.
 
-    Files with unchanged stamps (times and size) are not read again. Raises ``OSError``.
+    Files with unchanged stamps (times, size and inode) are not read again. Raises ``OSError``.
     """
     digest = hashlib.blake2b(digest_size=16)
     for path in _files_of(source):

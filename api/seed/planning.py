@@ -127,7 +127,7 @@ def local_renderer() -> str:
 
 
 def plan_run(table: TaskTable, request: SeedRequest, on_status: Callable[[str], None]) -> PlannedRun:
-    """Fill a table with the tasks of a run. Tasks whose inputs have not changed stay done.
+    """Fill a table with the tasks of a run. Tasks whose inputs have not changed keep their state, done or failed.
 
     Raises ``SkuggaError`` and ``OSError``.
     """

@@ -32,10 +32,10 @@ class PlannedZoom(BaseModel):
 
 
 class RunSpec(BaseModel):
-    """A run: level, product, suns (``None``: the level's own), format, and plans, made once.
+    """A run: level, product, suns (``None``: the level's own sun), format of the tiles, and plans, which are made once.
 
-    ``renderer`` is the renderer of the plans; workers with another one are refused. ``ground`` is the version of the level's
-    files.
+    ``renderer`` is the OpenGL renderer for which the plans are made. Workers with another one are refused. ``ground`` is the
+    version of the level's files.
     """
 
     model_config = ConfigDict(frozen=True)

@@ -154,7 +154,7 @@ class TaskTable:
             self._db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", values.items())
 
     def file_digest(self, path: str, stamp: str) -> str | None:
-        """Return the stored digest of a file, if it was stored with this stamp (times and size); otherwise ``None``."""
+        """Return the stored digest of a file, if it was stored with this stamp (times, size and inode); otherwise ``None``."""
         row = self._db.execute("SELECT digest FROM files WHERE path = ? AND stamp = ?", (path, stamp)).fetchone()
         return None if row is None else str(row[0])
 

@@ -1,4 +1,7 @@
-"""Background compilation of the loops that no request has needed yet, at the lowest priority, once a service can draw."""
+"""Background compilation of loops, once a service can draw, at the lowest priority.
+
+A loop is a function that numba compiles to machine code and stores in a cache on disk. Missing loops are those that the cache lacks.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,22 @@ from skugga.api.workers.jobs import Preparing
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS, Progress, compile_ahead
 
 RETRY_DELAY_S = 60.0
-"""Minimum delay before a retry after a failure."""
+"""Minimum seconds between a failed compilation and the next one."""
 
 log = logging.getLogger("skugga")
 
 
 class BackgroundCompile:
-    """Compiles all missing loops once, in a separate process, and retries after failures. For use from one event loop.
+    """Compiles all missing loops once, in a separate process. After a failure the next ``begin`` retries.
+
+    Use it from one event loop.
 
     Parameters
     ----------
     processes
         Number of cores to use.
     on_progress
-        Called in the event loop with the progress, and with ``None`` at the end.
+        Called in the event loop with the progress, and with ``None`` when the compilation has ended.
     """
 
     def __init__(self, processes: int, on_progress: Callable[[Preparing | None], None]) -> None:
@@ -43,7 +48,10 @@ class BackgroundCompile:
         return self._task is not None and not self._task.done()
 
     def begin(self, missing_loops: int) -> None:
-        """Start the compilation, unless no loops are missing, it is done already, or it failed less than ``RETRY_DELAY_S`` ago."""
+        """Start the compilation of the missing loops, whose number is ``missing_loops``. Return at once.
+
+        It does not start if no loops are missing, it runs or is done already, or it failed less than ``RETRY_DELAY_S`` ago.
+        """
         if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._not_before_s:
             return
         if missing_loops:
@@ -51,7 +59,7 @@ class BackgroundCompile:
             self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
 
     async def close(self) -> None:
-        """End the compilation."""
+        """Kill the compiling process and wait for its end. Loops that it has compiled stay stored."""
         self._closed = True
         if self._farm is not None:
             self._farm.kill()

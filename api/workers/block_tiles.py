@@ -1,4 +1,7 @@
-"""Tiles of a computed block: their positions in it, and their files."""
+"""Cut a block into tiles, and encode them as files.
+
+A block is a square of 4 x 4 tiles (1024 x 1024 pixels) that a render process computes as one picture or array.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,13 @@ from skugga.terrain.scene import Scene
 BLOCK_TILES = BLOCK_PX // TILE_PX
 
 TilePosition = tuple[int, int]
-"""Row and column of a tile in its block, counted in tiles of its size."""
+"""Row and column of a tile in its block, from the north-west, in units of the tile's own size."""
 
 
 def block_and_position(x: int, y: int, tiles: int) -> tuple[TilePosition, TilePosition]:
-    """Return the block (x, y) that holds tile (x, y) of a zoom, and the tile's position in the block.
+    """Return the column and row of the block that holds tile (``x``, ``y``) of a zoom, and the tile's position in the block.
 
-    The position counts pictures of ``tiles`` x ``tiles`` tiles.
+    The position is that of the file with the tile, if each file covers ``tiles`` x ``tiles`` tiles.
     """
     return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles, x % BLOCK_TILES // tiles)
 
@@ -32,9 +35,9 @@ def block_and_position(x: int, y: int, tiles: int) -> tuple[TilePosition, TilePo
 def tiles_of_picture(
     picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat, tiles: int = 1
 ) -> dict[TilePosition, bytes | None]:
-    """Return the files of a drawn block, one for each part of ``tiles`` x ``tiles`` tiles.
+    """Return the encoded files of a drawn block by position, one for each part of ``tiles`` x ``tiles`` tiles.
 
-    A part without a surface is ``None``. In array formats every part has a file.
+    ``view`` is the view of the block. A part without data is ``None``, except in array formats, where every part has a file.
     """
     files: dict[TilePosition, bytes | None] = {}
     for position, part_view, window in _tiles_of(view, tiles):
@@ -45,7 +48,7 @@ def tiles_of_picture(
 
 
 def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat) -> bytes:
-    """Return a product's file of one part of a drawn block."""
+    """Return a product's encoded file of one part of a drawn block. ``picture`` and ``view`` are those of the part."""
     product = request.product_record
     if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque.all():
         array = picture.color  # avoids an alpha channel that encoding would drop
@@ -57,7 +60,7 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
 def tiles_of_array(
     array: np.ndarray, request: ProductRequest, world: World, view: MapView, format: MapFormat, tiles: int = 1
 ) -> dict[TilePosition, bytes]:
-    """Return the files of a block's array, one for each part of ``tiles`` x ``tiles`` tiles."""
+    """Return the encoded files of a block's array by position, one for each part of ``tiles`` x ``tiles`` tiles."""
     colored_array = colored(array, request.product_record, request.options, world, format)
     return {
         position: encode(np.ascontiguousarray(colored_array[window]), request.product_record, format, part_view)
@@ -66,7 +69,7 @@ def tiles_of_array(
 
 
 def _tiles_of(view: MapView, tiles: int) -> Iterator[tuple[TilePosition, MapView, tuple[slice, slice]]]:
-    """Yield the position, the view and the pixel window of each part of a block."""
+    """Yield the position, the view, and the rows and columns in pixels of each part of ``tiles`` x ``tiles`` tiles of a block."""
     side = tiles * TILE_PX
     for row in range(BLOCK_TILES // tiles):
         for col in range(BLOCK_TILES // tiles):
@@ -76,13 +79,16 @@ def _tiles_of(view: MapView, tiles: int) -> Iterator[tuple[TilePosition, MapView
 
 @cached("process", 4 * MIB)
 def empty_tile(request: ProductRequest, format: MapFormat, tiles: int = 1, lowest_m: float = 0.0) -> bytes:
-    """Return the file of a tile without data; ``lowest_m`` is the level's lowest ground, which height formats fill in."""
+    """Return the file of a tile without data. ``lowest_m`` is as in ``empty_file``."""
     return empty_file(request, (tiles * TILE_PX, tiles * TILE_PX), format, lowest_m)
 
 
 def empty_file(
     request: ProductRequest, shape: tuple[int, int], format: MapFormat, lowest_m: float, view: MapView | None = None
 ) -> bytes:
-    """Return the file of a map of ``shape`` (rows, cols) without data."""
+    """Return the encoded file of a map of ``shape`` (rows, cols) without data.
+
+    ``lowest_m`` is the height of the level's lowest ground in metres, from which heights without data are made.
+    """
     make_empty = request.product_record.empty_array if format in ARRAY_FORMATS else request.product_record.empty_picture
     return encode(make_empty(*shape, lowest_m), request.product_record, format, view)

@@ -1,4 +1,4 @@
-"""Views of blocks of tile matrices."""
+"""Make map views of blocks (squares of ``BLOCK_PX`` pixels) in a tile matrix set."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 
 @cached("process", MIB, size_of=lambda _: 512)
 def grid_of_zoom(matrix_set: str, zoom: int) -> Grid:
-    """Return the grid of a zoom of a tile matrix set, by the set's name. Cached: constructing a set takes milliseconds."""
+    """Return the pixel grid of a zoom of a tile matrix set, by the set's name. Cached, since constructing a set takes milliseconds."""
     return tile_grid(matrix_sets.get(matrix_set), zoom)
 
 
 def block_of_grid(grid: Grid, x: int, y: int) -> MapView:
-    """Return the view of block (x, y) on a tile matrix's grid, at the matrix's own pixels."""
+    """Return the view of the block in column ``x`` and row ``y`` of a tile matrix's grid, at the grid's own pixels."""
     return MapView(grid, float(y * BLOCK_PX), float(x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)

@@ -1,4 +1,4 @@
-"""A child process for an event loop: start, wait, end. All blocking calls run in threads."""
+"""A child process that an event loop starts, waits for and ends. All blocking calls run in threads."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ log = logging.getLogger("skugga")
 
 
 class ChildProcess:
-    """A piped process and the thread that waits for it. Call ``start``, then ``in_new_thread`` to wait for it, then ``end``.
+    """A child process with a pipe, and the thread that reads from the pipe.
 
-    Cancelling a wait does not stop its thread; the thread ends with the process. For use from one event loop.
+    Call ``start``, then ``in_new_thread`` with functions that use ``pipe``, then ``end``. Cancelling a wait does not stop its thread.
+    The thread ends when the process ends. Use it from one event loop.
     """
 
     def __init__(self, piped: PipedProcess, threads: Executor) -> None:
@@ -30,7 +31,7 @@ class ChildProcess:
 
     @property
     def pid(self) -> int | None:
-        """Process id, once started."""
+        """Process id; ``None`` before the start."""
         return self._piped.process.pid
 
     @property
@@ -48,7 +49,7 @@ class ChildProcess:
         await asyncio.shield(self.in_new_thread(self._piped.start))
 
     def in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
-        """Run a function in a thread, one at a time. Raises ``ExhaustedError`` if no thread is available."""
+        """Run a function in a thread. Call it for one function at a time. Raises ``ExhaustedError`` if no thread is available."""
         running = run_in_pool(self._threads, function)
         running.add_done_callback(lambda future: future.cancelled() or future.exception())
         self._in_thread = running
@@ -59,7 +60,7 @@ class ChildProcess:
         await process_end(self._piped.process)
 
     async def end(self) -> None:
-        """Kill the process and close its pipe. No state is lost."""
+        """Kill the process and close its pipe."""
         if self._in_thread is not None and self.pid is None:
             await asyncio.wait({self._in_thread})  # the process is still starting
         if self.pid is not None:

@@ -1,5 +1,7 @@
-"""A circuit breaker per kind of job: kinds that keep failing are refused for a while, so that they do not use up render
-processes.
+"""A circuit breaker for each kind of job.
+
+After failures in a row the circuit of a kind opens: jobs of the kind are refused for a while, so that they do not end one render
+process after another.
 """
 
 from __future__ import annotations
@@ -13,10 +15,10 @@ from skugga.api.workers.jobs import BlockJob, DescribedPlanJob, DescriptorJob, J
 from skugga.terrain.cache import MIB, Cache, Missing
 
 FAILURE_THRESHOLD = 2
-"""Failures in a row after which the circuit opens."""
+"""Number of failures in a row after which a circuit opens."""
 
 INITIAL_OPEN_S, MAX_OPEN_S = 30.0, 600.0
-"""Duration of the open state: first and maximum. It doubles with each further failure."""
+"""Seconds that a circuit stays open: the first time, and at most. The time doubles with each further failure."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +31,9 @@ class _Record:
 class CircuitBreaker:
     """Circuit breakers of all kinds of jobs.
 
-    Failures of plain pictures (without overrides of shadows) open the circuit of the whole level. Failures of other pictures
-    affect only jobs with the same overrides.
+    Blocks, plans and descriptors with the level's own shadow settings also count for the whole level: if they fail, all jobs of
+    the level are refused. Failures of other jobs affect only jobs of the same kind (``kind_of_job``), which includes the shadow
+    settings.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -38,11 +41,11 @@ class CircuitBreaker:
         self._records: Cache[_Record] = Cache("skugga.api.workers.circuit_breaker", "process", MIB, lambda _: 512)
 
     def seconds_left(self, job: Job) -> float:
-        """Return how long the circuit of a job stays open, in seconds; 0 if it is closed."""
+        """Return the seconds until jobs like ``job`` are accepted again; 0 if its circuits are closed."""
         return max(max((self._record(key).open_until_s - self._clock() for key in _keys(job)), default=0.0), 0.0)
 
     def record_failure(self, job: Job) -> None:
-        """Record a job that timed out or crashed its process."""
+        """Record that a job timed out or ended its process. Its circuits may open."""
         for key in _affected_keys(job):
             record = self._record(key)
             record = replace(record, failures=record.failures + 1)
@@ -54,7 +57,7 @@ class CircuitBreaker:
             self._records.put(key, value=record)
 
     def record_success(self, job: Job) -> None:
-        """Record a job that succeeded."""
+        """Record that a job succeeded. Its circuits forget earlier failures."""
         for key in _affected_keys(job):
             self._records.drop(key)
 
@@ -69,6 +72,6 @@ def _keys(job: Job) -> list[Hashable]:
 
 
 def _affected_keys(job: Job) -> list[Hashable]:
-    """Return the keys whose circuits an outcome of a job affects."""
+    """Return the keys of the circuits that record the outcome of a job: its kind, and its level if the job has no shadow settings."""
     is_plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
     return _keys(job) if is_plain else _keys(job)[:1]

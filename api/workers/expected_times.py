@@ -1,4 +1,4 @@
-"""Expected durations of jobs, learnt from finished jobs of the same kind. The queue orders jobs by them."""
+"""Expected durations of jobs, learnt from finished jobs of the same kind. The queue uses them to order jobs."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ INITIAL_ESTIMATE_S: dict[type, float] = {
     BlockJob: 0.5, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
     PointJob: 0.1, PointsJob: 1.0, FilmCheckJob: 0.5, FrameJob: 2.5,
 }  # fmt: skip
-"""Seconds of a job before any of its kind was measured; of a snapshot, map or frame of ``REFERENCE_PX``.
+"""Expected seconds of a job whose kind was not measured yet, by type. Those of snapshots, maps and frames are for ``REFERENCE_PX``.
 
-Measured with a software rasteriser on two cores.
+The values were measured with a software rasteriser on two cores.
 """
 
 INITIAL_ESTIMATE_OF_DATES_S = 3.0
-"""The same for a block of tiles of a product of whole dates, which needs many suns."""
+"""Expected seconds, before any measurement, of a block of a product of whole dates (hours of sun), which needs many suns."""
 
 REFERENCE_PX = 1280 * 1024
 
@@ -38,14 +38,15 @@ SMOOTHING_FACTOR = 0.3
 """Weight of the newest duration in the exponential moving average."""
 
 MAX_LIGHT_S = 3.0
-"""Jobs known to take at most this long are light."""
+"""Expected seconds up to which a measured kind of job counts as light."""
 
 
 class ExpectedTimes:
-    """Moving averages of job durations; those of snapshots, maps and frames are per pixel.
+    """Moving averages of job durations in seconds.
 
-    Averages are kept per kind of job, and per variant of a kind (``_variant_of``). A variant without measurements is expected
-    to take as long as its kind.
+    There is an average for each kind of job (``kind_of_job``) and for each variant of a kind (``_variant_of``). A variant without
+    measurements is expected to take as long as its kind. Durations of snapshots, maps and frames are scaled to ``REFERENCE_PX``
+    pixels.
     """
 
     def __init__(self) -> None:
@@ -57,12 +58,12 @@ class ExpectedTimes:
         return (_initial_estimate_s(job) if average_s is None else average_s) * _size_of(job)
 
     def is_light(self, job: Job) -> bool:
-        """Return whether jobs of this kind were measured and were short."""
+        """Return whether a job is light: its kind was measured, and it is expected to take at most ``MAX_LIGHT_S``."""
         average_s = self._average_s(job)
         return average_s is not None and average_s * _size_of(job) <= MAX_LIGHT_S
 
     def learn(self, job: Job, seconds: float) -> None:
-        """Add the measured duration of a job."""
+        """Update the averages with the measured duration of a job in seconds."""
         unit_seconds = seconds / _size_of(job)
         for key in _keys_of(job):
             average_s = self._seconds.get(key)
@@ -89,27 +90,28 @@ def _is_of_days(job: Job) -> bool:
 
 
 def _keys_of(job: Job) -> tuple[Hashable, Hashable]:
-    """Return the keys of a job's averages, the finest first."""
+    """Return the keys of a job's averages: that of its variant, then that of its kind."""
     kind = kind_of_job(job)
     return (kind, _variant_of(job)), kind
 
 
 def _variant_of(job: Job) -> Hashable:
-    """Return what affects a job's duration besides its kind: the product, the scale, and how many bytes are encoded."""
+    """Return the variant of a job within its kind, which affects its duration: the product, the zoom, the format and the tile size."""
     product = job.request.product if isinstance(job.request, ProductRequest) else None
     return product, *(getattr(job, name, None) for name in ("matrix_set", "zoom", "format", "tiles"))
 
 
 def kind_of_job(job: Job) -> Hashable:
-    """Return the kind of a job. Jobs of one kind take about as long.
+    """Return the kind of a job, as a key. Jobs of one kind take about the same time.
 
-    A kind is the type of job, a version of a level, the overrides of its shadows and the view.
+    A kind consists of the type of job, the level and its version, the request's shadow settings, the view, and whether the product
+    is of whole dates.
     """
     level = None if isinstance(job, DescribedPlanJob) else (str(job.level.path), job.level.version)
     return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None), _is_of_days(job)
 
 
 def _size_of(job: Job) -> float:
-    """Return the size of a job relative to the unit in which its kind is measured."""
+    """Return the pixels of a snapshot, map or frame as a multiple of ``REFERENCE_PX``, at least 0.01; 1 for other jobs."""
     size = job.size if isinstance(job, SnapshotJob | MapJob | FrameJob) else None
     return 1.0 if size is None else max(size[0] * size[1] / REFERENCE_PX, 0.01)

@@ -1,4 +1,7 @@
-"""Films in render processes: check a film before it is drawn, then draw one frame per job. Each plan continues the one before."""
+"""Films in render processes: check a film before it is drawn, then draw one frame per job.
+
+The plan (choice of algorithms) of a frame depends on that of the previous frame, so that the shadows do not jump.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,10 @@ from skugga.terrain.scene import Scene
 
 
 def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan, FrameMoment]:
-    """Return the plan of a film's first frame, after checking that every frame has a view. Raises ``SkuggaError``."""
+    """Return the plan, time and view of a film's first frame, after a check of all frames.
+
+    Raises ``SkuggaError`` if a frame cannot be drawn, for example because the camera goes under the ground.
+    """
     moment = frame_moments(scene, job.film_request())[0]
     return _replanner(job, moment, scene, basis).plan(
         describe(moment.scene(scene), moment.view, job.film_request().view_name),
@@ -23,7 +29,7 @@ def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan,
 
 
 def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
-    """Draw a frame of a film. Raises ``SkuggaError``."""
+    """Draw one frame of a film. Return its colours and the planning state for the next frame. Raises ``SkuggaError``."""
     moments = frame_moments(scene, job.film_request(), only=job.number)
     replanner = _replanner(job, moments[0], scene, basis, job.previous_plans)
     (frame,) = film_frames(scene, job.film_request(), moments, replanner)

@@ -1,6 +1,7 @@
-"""The device calibration of a service: loaded, or measured in idle time if missing.
+"""The calibration of a service's device: loaded from a file, or measured in idle time if missing.
 
-The file lies in the user's cache and is reloaded when it changes.
+A calibration has the measured costs of the shadow algorithms on a device (graphics card, or software rasteriser) and its driver.
+Plans predict times with it. The file lies in the user's cache folder, and the service reloads the file when it changes.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 CHECK_EVERY_S = 2.0
-"""Interval between checks of the calibration's file."""
+"""Seconds between two checks of the calibration's file for changes."""
 
 CalibrationState = Literal["calibrated", "waiting", "running", "paused", "failed", "off", "none"]
 
@@ -28,14 +29,14 @@ log = logging.getLogger("skugga")
 
 
 def measured_profile() -> DeviceProfile:
-    """Calibrate this process's device. Raises ``GraphicsError``."""
+    """Measure and return the calibration of this process's device. Raises ``GraphicsError``."""
     from skugga.selector.cost.calibration import calibrate
 
     return calibrate()
 
 
 class IdleCalibration:
-    """Maintains the calibration of a service, and measures a missing one once, as idle work.
+    """Watches the file of the device's calibration, and has a missing calibration measured once, as idle work.
 
     Parameters
     ----------
@@ -44,11 +45,11 @@ class IdleCalibration:
     idle
         The queue of idle work.
     device
-        Returns the calibration in use.
+        Returns the calibration that the service's plans use; ``None`` without one.
     set_profile
-        Sets the calibration to use.
+        Sets the calibration that the service's plans use.
     measure
-        Calibrates the device.
+        Measures and returns the calibration of the device, in a process of its own.
     """
 
     def __init__(
@@ -66,7 +67,11 @@ class IdleCalibration:
 
     @property
     def state(self) -> CalibrationState:
-        """The state of the calibration; ``none`` if there is no OpenGL device to calibrate."""
+        """The state of the calibration.
+
+        It is ``calibrated``; ``waiting`` for idle time, ``running`` or ``paused``; ``failed``; ``off`` if calibration in idle time is
+        disabled; ``none`` if there is no OpenGL device to calibrate.
+        """
         if self._device() is not None:
             return "calibrated"
         if self._expected:
@@ -75,11 +80,15 @@ class IdleCalibration:
 
     @property
     def is_expected(self) -> bool:
-        """Whether a calibration is still to come, as far as is known; plans change with it."""
+        """Whether the device will be calibrated in idle time. Plans may change then."""
         return self._expected and self._device() is None
 
     def begin(self, renderer: str, version: str) -> None:
-        """Start with the renderer of the render processes. An empty ``version`` means that nothing can be calibrated."""
+        """Load the calibration of a device, or request its measurement, and watch its file. Later calls do nothing.
+
+        ``renderer`` and ``version`` are OpenGL's names of the device and the driver in the render processes. An empty ``version``
+        means that there is no OpenGL, so nothing is calibrated.
+        """
         if self._version:
             return
         self._renderer, self._version, self._expected = renderer, version, self._enabled and bool(version)
@@ -125,7 +134,7 @@ class IdleCalibration:
         log.warning("%s could not be calibrated, so fixed rules still choose: %s", self._renderer, reason)
 
     async def _watch(self) -> None:
-        """Load the calibration, or request one, and reload the file whenever ``skugga calibrate`` writes it."""
+        """Load the calibration, or request its measurement. Then reload the file whenever ``skugga calibrate`` writes it."""
         path = profile_path(self._renderer, self._version)
         last_stamp = await self._read(path, None)
         if self._device() is None:
@@ -135,7 +144,7 @@ class IdleCalibration:
             last_stamp = await self._read(path, last_stamp)
 
     async def _read(self, path: Path, last_stamp: ProfileStamp | None) -> ProfileStamp | None:
-        """Load the file if its stamp differs from ``last_stamp``, and return its current stamp."""
+        """Load the file if its stamp (time, inode, size) differs from ``last_stamp``. Return the stamp of the file as last loaded."""
         stamp = await asyncio.to_thread(_stamp, path)
         if stamp is None or stamp == last_stamp:
             return last_stamp

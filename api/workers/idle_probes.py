@@ -1,6 +1,8 @@
-"""Probes of the levels that a service draws maps of: loaded from the user's cache, or made in idle time if missing.
+"""Probes of the levels that a service draws maps of: loaded from the user's cache folder, or made in idle time if missing.
 
-Probes that a command writes meanwhile are loaded, too.
+A probe draws sample blocks of a level's maps with several shadow algorithms, and observes errors and times. Observations correct the
+predictions of plans. They are grouped by scale and by class of suns: suns of similar altitude. The service also loads probes that a
+command writes while it runs.
 """
 
 from __future__ import annotations
@@ -22,19 +24,19 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 BUDGET_S = 10.0
-"""Time budget of a probe of one scale. No request waits for it."""
+"""Seconds that a probe may spend on one scale. No request waits for it."""
 
 READ_EVERY_S = 2.0
-"""Interval between checks for new probes in the user's cache."""
+"""Seconds between two checks for new probes in the user's cache folder."""
 
 Probe = Callable[[LevelKey, int, "DeviceProfile"], MapProbes]
-"""Signature of a function that probes a level's maps under a class of suns, with a device's calibration."""
+"""Type of a function that probes a level's maps under a class of suns (``MapClass.sun``), with a device's calibration."""
 
 log = logging.getLogger("skugga")
 
 
 def probed_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
-    """Probe a level's maps of all scales under the sun of a class. Raises ``SkuggaError``."""
+    """Probe a level's maps at all scales under a representative sun of the class ``sun``. Raises ``SkuggaError``."""
     from skugga.api.map_probing import probe_maps, under_class_sun
 
     scene = build_scene(load_level(level))
@@ -45,7 +47,7 @@ def probed_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
 
 
 class IdleProbes:
-    """Maintains the probes of levels. Makes a missing probe once per version of a level and class of suns, as idle work.
+    """Loads the probes of levels, and has missing ones made as idle work, once for each version of a level and class of suns.
 
     Parameters
     ----------
@@ -54,13 +56,13 @@ class IdleProbes:
     idle
         The queue of idle work.
     device
-        Returns the calibration in use.
+        Returns the calibration that the service's plans use; ``None`` without one.
     probes_in_use
-        Returns the probes in use, by version of their level.
+        Returns the probes that the service's plans use, as JSON by the version of their level.
     add_probes
-        Adds probes to those in use.
+        Adds such probes to those that plans use.
     probe
-        Makes a probe.
+        Probes a level, in a process of its own.
     """
 
     def __init__(
@@ -89,11 +91,15 @@ class IdleProbes:
 
     @property
     def waiting(self) -> int:
-        """Number of probes that are still to be made, each of a level under a class of suns."""
+        """Number of requested probes that are not made yet. Each is of one level under one class of suns."""
         return len(self._requested)
 
     def begin(self, renderer: str, version: str) -> None:
-        """Start with the renderer of the render processes. An empty ``version`` means that nothing can be probed."""
+        """Load the stored probes of a device, and watch their folder for new ones. Later calls do nothing.
+
+        ``renderer`` and ``version`` are OpenGL's names of the device and the driver in the render processes. An empty ``version``
+        means that there is no OpenGL, so nothing is probed.
+        """
         if self._folder is None and version:
             self._folder = probes_folder(renderer, version)
             self._add_new_probes(
@@ -108,7 +114,10 @@ class IdleProbes:
             await asyncio.gather(self._watching, return_exceptions=True)
 
     def request_probe(self, level: LevelKey, unprobed: MapClass) -> None:
-        """Request a probe for a map that was planned without one."""
+        """Request the probe of a level for a map whose plan had none. ``unprobed`` is the class of the map: its scale and sun.
+
+        Nothing is requested without a calibration, or if such a probe exists, is requested already or has failed.
+        """
         device, key = self._device(), (level.version, unprobed.sun)
         if not self._enabled or self._folder is None or device is None or key in self._requested | self._failed:
             return
@@ -153,7 +162,7 @@ class IdleProbes:
             self._add_new_probes(await asyncio.to_thread(self._read_changed_files))
 
     def _read_changed_files(self) -> dict[str, MapProbes]:
-        """Return the probes of files that have changed since they were read, by version of their level."""
+        """Return the probes in files that were written since they were last read, by the version of their level."""
         changed_probes: dict[str, MapProbes] = {}
         assert self._folder is not None
         for path in self._folder.glob("*.json"):

@@ -1,6 +1,6 @@
-"""Idle work: jobs without a waiting request, run one at a time in separate processes while the render processes are idle.
+"""Idle work: jobs that no request waits for. They run one at a time, in separate processes, while the render processes are idle.
 
-A job's process has the lowest priority. It is stopped (SIGSTOP) while requests wait or run. Requests do not wait for it, and
+A job's process has the lowest priority. It is stopped (SIGSTOP) while requests wait or run. So requests do not wait for it, and
 the times that it measures are those of an idle machine. The process ends with the service. A failed job is not retried.
 """
 
@@ -27,27 +27,28 @@ QUIET_S = 5.0
 """Seconds without a waiting or running request before idle work starts or resumes."""
 
 QUIET_CHECK_S = 0.25
-"""Interval between checks for idleness."""
+"""Seconds between two checks whether the service is idle."""
 
 JOB_TIMEOUT_S = 900.0
-"""Timeout of a job, without its pauses."""
+"""Seconds after which a job is given up, not counting its pauses."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdleJob:
-    """A call ``function(*args)`` that runs in a separate process. The function belongs to a module, and the values are
-    picklable.
+    """A call ``function(*args)`` that runs in a separate process.
+
+    The function must be importable from a module, and its arguments and result must be picklable.
 
     Attributes
     ----------
     function, args
-        The call.
+        The function to call, and its arguments.
     on_result
         Called in the event loop with the result.
     on_failure
-        Called in the event loop with the reason of a failure.
+        Called in the event loop with the reason if the job fails.
     is_wanted
-        Returns whether the result is still needed; otherwise the job is dropped.
+        Returns whether the result is still needed. The job is dropped, or its process killed, if not.
     """
 
     function: Callable[..., Any]
@@ -58,15 +59,15 @@ class IdleJob:
 
 
 class _FailedError(Exception):
-    """A job failed; the text is the reason."""
+    """The job has failed. The message is the reason."""
 
 
 class _ObsoleteJobError(Exception):
-    """The result is no longer needed."""
+    """The result of the running job is no longer needed."""
 
 
 class IdleWork:
-    """A queue of jobs for idle time, first in, first out. For use from one event loop.
+    """A queue of jobs for idle time, first in, first out. Use it from one event loop.
 
     Parameters
     ----------
@@ -92,21 +93,21 @@ class IdleWork:
         return None if self._child is None else self._child.pid
 
     def add(self, job: IdleJob) -> None:
-        """Queue a job. The idle period that it needs starts now at the earliest."""
+        """Queue a job. It starts after ``QUIET_S`` seconds without requests, counted from now at the earliest."""
         self._last_activity_s = asyncio.get_running_loop().time()
         self._jobs.put_nowait(job)
 
     def pause_for_requests(self) -> None:
-        """Pause idle work, because a request has arrived."""
+        """Stop the process of the running job, because a request has arrived. It resumes after ``QUIET_S`` seconds without requests."""
         self._last_activity_s = asyncio.get_running_loop().time()
         self._pause(True)
 
     def start(self) -> None:
-        """Start processing jobs."""
+        """Start a task that runs the queued jobs. Return at once."""
         self._task = asyncio.create_task(self._process_jobs())
 
     async def close(self) -> None:
-        """End the running job and start no others."""
+        """Kill the process of the running job, and start no other jobs."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -158,7 +159,10 @@ class IdleWork:
                 await child.end()
 
     async def _watch(self, job: IdleJob, answer: asyncio.Future[Any]) -> None:
-        """Wait for an answer; pause and resume the process as requests come and go."""
+        """Wait for the answer of a job's process. Stop the process while requests wait or run, and resume it when they are done.
+
+        Raises ``_FailedError`` after ``JOB_TIMEOUT_S``, and ``_ObsoleteJobError`` if the result is no longer needed.
+        """
         left_s = JOB_TIMEOUT_S
         while not answer.done():
             await asyncio.wait({answer}, timeout=QUIET_CHECK_S)
@@ -179,7 +183,10 @@ class IdleWork:
 
 
 def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    """Run an idle job in its process, and send the result or the reason of the failure. Temporary files go to ``folder``."""
+    """Run ``function(*args)`` in a process for idle work, and send the outcome through the pipe.
+
+    The outcome is ``(True, result)`` or ``(False, reason)``. Temporary files go to ``folder``.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
     if pipe.poll(0):  # the pipe is closed, since nothing is ever sent: the service ended before this process watched it

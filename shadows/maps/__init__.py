@@ -1,1 +1,1 @@
-"""Depth maps: `shadow_map` and `perspective_shadow_map`, their windows, their drawing and their look-ups."""
+"""Depth maps: `shadow_map` and `perspective_shadow_map`, their windows in light space, their drawing and their look-ups."""

@@ -33,7 +33,7 @@ MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 M = TypeVar("M")
 
 TEXTURE_STEP = 512
-"""Sides of textures of larger maps are multiples of this."""
+"""Textures with a side above this number of texels have sides that are multiples of it."""
 
 POLYGON_OFFSET = 1.1, 4.0
 """Factor of the slope and units of the smallest step by which ``polygon_offset`` shifts depths: the values of Cesium and QGIS."""
@@ -51,8 +51,8 @@ def draw_map(
 ) -> Framebuffer:
     """Draw a map, or take it from the cache, and return its depth-only framebuffer.
 
-    Its content lasts until the next map but one is drawn. The content of a block's map, which is not cached, lasts until the next
-    one.
+    The content of a perspective view's map is cached, and lasts at least until the next map but one is drawn. The content of a
+    block's map is not cached, and lasts until the next map is drawn.
     """
     meshes = caster_meshes(scene, buffer, kinds)
     trees = _map_trees(depth_map, buffer, settings.filter == "sun")
@@ -117,16 +117,17 @@ def draw_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator[
 def read_depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndarray:
     """Return a map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts.
 
-    The light's up is the upper row.
+    Row 0 is the row farthest along the light's up axis.
     """
     texels = gl.read(target, -1, size=depth_map.texture_size)
     return texels if depth_map.uniforms["lamp"] else texels[::-1]
 
 
 def _rounded_texture_side(side: int) -> int:
-    """Return a texture side that has room for a map; larger ones are rounded up to a multiple of ``TEXTURE_STEP``.
+    """Return the side of a texture with room for a map's ``side``, in texels.
 
-    The sizes of maps that follow a camera or the sun differ a little. Rounding lets them share a texture.
+    A side above ``TEXTURE_STEP`` is rounded up to a multiple of it. The sizes of maps that follow a camera or the sun differ a
+    little. Rounding lets them share a texture.
     """
     return min(-(-side // TEXTURE_STEP) * TEXTURE_STEP, device().max_size) if side > TEXTURE_STEP else side
 
@@ -134,7 +135,10 @@ def _rounded_texture_side(side: int) -> int:
 def _meshes_with_culling(
     meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling
 ) -> list[tuple[Mesh, bool]]:
-    """Return the meshes and ground to draw, each with whether its front faces are culled: those of closed bodies alone."""
+    """Return the meshes and ground to draw, each with whether its front faces are culled.
+
+    Front faces of closed bodies alone are culled, if ``culling`` asks for it.
+    """
     if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]
     *ground, (vertices, triangles) = meshes
@@ -143,14 +147,14 @@ def _meshes_with_culling(
 
 
 def _is_mirrored(depth_map: DepthMap) -> bool:
-    """Return whether corners counter-clockwise as seen from the light are clockwise in the map."""
+    """Return whether the map mirrors triangles: counter-clockwise ones as seen from the light are clockwise in it."""
     return bool(np.linalg.det(np.array(depth_map.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
 
 
 def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
     """Return the cache key of a map: all that its drawing reads.
 
-    Numbers count by value, and immutable geometry by array identity.
+    Numbers are compared by value, and immutable arrays by identity.
     """
     all_trees = [] if depth_map.trees is None else [depth_map.trees]
     geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *all_trees))

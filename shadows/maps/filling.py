@@ -1,4 +1,4 @@
-"""Visibility by depth maps: draw each map and sample it at its points."""
+"""Compute visibility by depth maps: draw each map, and look points up in it."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def visibility_by_maps(
     passes: tuple[str, str],
     log: PassLog,
 ) -> np.ndarray:
-    """Draw maps of a light and look a buffer's points up in them.
+    """Draw a light's depth maps, and return the visibility of a buffer's points by looking them up.
 
     Parameters
     ----------
     maps
-        The maps to draw. Without any, all points are lit, and the second pass is recorded without work.
+        The maps to draw. Without any, all points are lit, and the look-up pass is recorded without work.
     buffer, scene, light, kinds, casters, settings, log
         As in ``Fill``.
     passes

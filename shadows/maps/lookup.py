@@ -1,4 +1,4 @@
-"""Look points up in a depth map."""
+"""Look points up in a depth map: compare their depths with the map's, by a shader or on the CPU."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LOOKUP_COLS, LOOKUP_ROWS = 2048, 384
 """Columns and rows of the textures in which points of a perspective view are looked up: 50 MB."""
 
 MAX_GATHERED_SHARE = 0.5
-"""Threshold of the valid share of a map's pixels below which only valid pixels are gathered and looked up."""
+"""Share of a map view's pixels with a surface below which only these pixels are gathered and looked up."""
 
 CREASE_EPSILON = np.float32(1e-9)
 
@@ -39,10 +39,10 @@ DEPTH_MAP_UNIT = 5
 """Texture unit of the depth map."""
 
 MIN_DEPTH_UNIT = 6
-"""Texture unit of the minimum depths of its blocks."""
+"""Texture unit of the minimum depths of the depth map's blocks of texels."""
 
 POINT_LOOKUP = "shadows/maps/point_lookup"
-"""Label in the record of the loop over a perspective view's points."""
+"""Label of the CPU loop over a perspective view's points, in the record of passes."""
 
 
 def look_up(
@@ -55,7 +55,11 @@ def look_up(
     visibility: np.ndarray,
     record: PassRecord,
 ) -> None:
-    """Fill the visibility (rows, cols) of a map's points. ``light_frame`` is the position of the light whose map it is."""
+    """Write the visibility of the points that a depth map serves to ``visibility`` (rows, cols) float32.
+
+    ``target`` is the framebuffer of the drawn map. ``light_frame`` is the position of the map's light in the buffer's frame. Other
+    points of the buffer keep their visibility.
+    """
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _bind_min_depths(gl, depth_map, target, settings):
         if isinstance(view, MapView) and buffer.columns is not None:
@@ -139,9 +143,9 @@ def _comparison(settings: MapSettings, taps: int) -> DepthComparison:
 
 
 def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int | str, triangle_flags: dict[str, bool]) -> Program:
-    """Return the program that samples a map, with all uniforms but those of the points.
+    """Return the shader program that samples a map, with all uniforms set but those of the points.
 
-    ``triangle_flags`` says which triangles are known.
+    ``triangle_flags`` are constants of the shader: from where it reads the triangles round a point, if they are known.
     """
     from moderngl import Uniform
 
@@ -204,7 +208,11 @@ def _bind_min_depths(gl: Device, depth_map: DepthMap, target: Framebuffer, setti
 def _run_lookup(
     gl: Device, program: Program, arrays: list[np.ndarray], target: Framebuffer, depth_map: DepthMap, record: PassRecord
 ) -> np.ndarray:
-    """Run the look-up for points (rows, cols, 3), normals with creases, and further arrays; return visibility (rows, cols)."""
+    """Run a look-up program on points, and return their visibility (rows, cols).
+
+    ``arrays`` become the textures 0, 1, and so on: positions (rows, cols, 3), normals with creases (rows, cols, 4), and further
+    arrays of the program.
+    """
     rows, cols = arrays[0].shape[:2]
     textures = [gl.texture(array) for array in arrays]
     for unit, texture in enumerate(textures):
@@ -229,9 +237,9 @@ def _reshape_to_rows(values: np.ndarray) -> np.ndarray:
 
 
 def _nodes_with_cuts(sheet: Sheet) -> np.ndarray:
-    """Return a sheet's nodes (rows, cols, 4) float32 with the cut of the quad south-east of each.
+    """Return a sheet's nodes (rows, cols, 4) float32, each with the diagonal that cuts the quad south-east of it.
 
-    The cut is 1 where it runs to the south-east.
+    The fourth number is 1 where the diagonal runs from north-west to south-east, and 0 otherwise.
     """
     out = np.zeros((*sheet.position_frame_m.shape[:2], 4), np.float32)
     out[..., :3] = sheet.position_frame_m
@@ -241,7 +249,7 @@ def _nodes_with_cuts(sheet: Sheet) -> np.ndarray:
 
 @compiled
 def _gather(chosen, position, normal, crease, corners, points, normals_and_creases, triangles):
-    """Gather some of a buffer's points (n, k) as float32: positions, normals with creases, and triangles."""
+    """Copy a buffer's points at the indices ``chosen`` to float32 arrays: positions, normals with creases, and triangles."""
     for n in range(len(chosen)):
         i = chosen[n]
         for k in range(3):

@@ -51,7 +51,7 @@ SAMPLE_SIZE = 1024
 """Number of receivers from which a map's matrix is chosen. The map is fitted to all receivers."""
 
 MAX_FIT_ROUNDS = 8
-"""Upper bound of the rounds in which the outermost receivers join the sample, before the map is widened to hold them."""
+"""Upper bound of the rounds in which the outermost receivers join the sample. Afterwards the map is widened to hold them."""
 
 MAX_OVERSHOOT = 1.125
 """Upper bound of the map coordinates of receivers outside of the sample, as a multiple of the map's inner half width."""
@@ -81,7 +81,7 @@ def fill(
     settings: PerspectiveMapSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Return the visibility of a light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters.
+    """Return a light's visibility at a buffer's points where only some kinds of casters block it, float32 (rows, cols) in [0, 1].
 
     The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
@@ -127,11 +127,11 @@ def perspective_maps(
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
 ) -> list[FittedMap]:
-    """Return the maps of a light for a perspective view's receivers (rows, cols), at least one, from the eye outwards.
+    """Return the maps of a light for a perspective view's receivers in a mask (rows, cols), from the nearest to the farthest.
 
-    One map suffices if its texels cover at most ``MAX_TEXEL_PX``. Otherwise the receivers are split at distances in a geometric
-    series along the view's axis. The result is the smallest number of ranges that keeps to this bound, or else the split into up to
-    ``MAX_RANGES`` whose coarsest texels are smallest.
+    The mask holds at least one receiver. One map suffices if its texels cover at most ``MAX_TEXEL_PX``. Otherwise the receivers are
+    split into ranges of distance, at a geometric series along the view's axis. The result is the smallest number of ranges that
+    keeps to this bound. If no number up to ``MAX_RANGES`` does, it is the split with the smallest coarsest texels.
     """
     assert isinstance(buffer.view, PerspectiveView)
     best = [perspective_map(buffer, receivers, scene, light, settings, trees)]
@@ -159,7 +159,7 @@ def perspective_map(
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
 ) -> FittedMap:
-    """Return the map of a light for some receivers (rows, cols) of a perspective view, at least one."""
+    """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one."""
     chosen = np.flatnonzero(receivers)
     sampled = chosen[:: max(len(chosen) // SAMPLE_SIZE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
@@ -210,9 +210,10 @@ def perspective_map(
 
 
 def _min_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
-    """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error (n,) of the positions (n, 3).
+    """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error of positions.
 
-    They apply to a single receiver, or to a few at one place, where finer texels would resolve rounding only.
+    ``error_m`` (n,) are the errors of the positions ``points`` (n, 3). The bounds apply to a single receiver, or to a few at one
+    place, where finer texels would resolve rounding only.
     """
     w = horizon_distance(matrix, points)[:, None]
     projected_xy = project_points(matrix, points)[:, :2]
@@ -221,11 +222,12 @@ def _min_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map
 
 
 def _start_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, reach: float) -> np.ndarray:
-    """Return the depths at which the map has to begin for points (n, 3) on triangles (n, 3, 3): z (n,) of a matrix to texels and z.
+    """Return the largest depth (n,) at which a map may begin, for each of the points (n, 3) on triangles (n, 3, 3).
 
-    The map clamps casters in front of its first depth to that depth. Such a caster shades a point under two conditions: the point
-    is deeper by all that the comparison subtracts, and its triangle begins no earlier at the texels up to ``reach`` beside it. The
-    bound takes twice the amount that the shader subtracts, but not its share of the whole range.
+    Depths are the z of ``matrix``, which maps to texels in x and y. A map clamps casters in front of its first depth to that depth.
+    Such a caster shades a point under two conditions. The point is deeper by all that the comparison subtracts. The point's
+    triangle begins no earlier than the map at the texels up to ``reach`` beside the point. The result allows for twice the amount
+    that the shader subtracts, except for the shader's share of the whole depth range.
     """
     w = horizon_distance(matrix, points)[:, None]
     in_map = project_points(matrix, points)
@@ -265,11 +267,11 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
 
 @compiled
 def _bounds(matrix, plane, nearest, position, chosen):
-    """Return the bounds of the chosen ones among points (m, 3) in a map, and the outermost of them.
+    """Return the bounds, in a map, of the points (m, 3) at the indices ``chosen``, and the outermost of these points.
 
-    The bounds are minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane ``plane``
-    (4,). The outermost points (5,) are indices: both ends in x and in y, and the nearest to the map's horizon. Points nearer than
-    ``nearest`` to the plane do not count in z.
+    The bounds are the minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane
+    ``plane`` (4,). The outermost points (5,) are indices: both ends in x and in y, and the point nearest to the map's horizon (w =
+    0). Points nearer than ``nearest`` to the plane do not count in z.
     """
     low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, chosen[0])
     v = np.empty(4)
@@ -314,7 +316,7 @@ def _texel_m(
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-    """Yield the sizes and taps to calibrate, to the extent of ``grid``."""
+    """Yield the settings that a calibration measures: sizes and taps, as many as its extent ``grid`` asks for (``Cost``)."""
     map_overrides = calibration_overrides(descriptor, light, grid)
     for overrides in [
         *map_overrides.sizes,

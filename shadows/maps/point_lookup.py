@@ -1,10 +1,10 @@
-"""Look points of a perspective view up in the sun's map, by a loop on the processor.
+"""Look points of a perspective view up in the sun's map, by a loop on the CPU.
 
 The loop does the work of ``shaders/receiver.glsl`` and ``shaders/shadow_map.frag.glsl`` for points on triangles of their own, in
 the same float32 operations and the same order.
 
-A look-up is little work for each of many points. A software rasteriser pays more for the transfer of points and results than for
-the look-ups. A hardware one has to transfer sixteen numbers per point over its bus.
+A look-up is little work for each of many points. A software rasteriser spends more time on the transfer of points and results than
+on the look-ups. A graphics card has to transfer sixteen numbers per point over its bus.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 
 
 class SunMap(NamedTuple):
-    """A map of the sun, as the loop reads it. Floats are float32; fields without a description are as in ``DepthMap.uniforms``.
+    """A map of the sun, as the loop reads it. Floats are float32.
 
     Attributes
     ----------
     depths
-        uint16 or float32 (rows, cols), in steps; rows run upwards in light space.
+        uint16 in depth steps, or float32 in [0, 1], (rows, cols); rows run upwards in light space.
     step_count
-        Number of steps in the whole depth.
+        The largest value of ``depths``: the number of steps in the whole depth, or 1 for float32.
     light_from_frame
         (3, 3): rotation from the frame to the map.
     light_offset_m
@@ -56,15 +56,15 @@ class DepthComparison(NamedTuple):
     Attributes
     ----------
     uses_triangles
-        Whether depths are compared on known triangles.
+        Whether a point's depth is compared on the plane of its own triangle, where that is known.
     uses_offset
-        Whether points without one are moved along their normals.
+        Whether points without a known triangle are moved along their normals.
     bias_scale
-        Factor of the derived offset.
+        Factor of the offset along the normal, and of the depth's change along the triangle.
     taps
-        Taps along a side.
+        Taps (sampled texels) along a side.
     taps_without_triangle
-        Taps along a side where no triangle is known.
+        Taps along a side for points without a known triangle.
     """
 
     uses_triangles: bool
@@ -84,7 +84,7 @@ class LookupPoints(NamedTuple):
     normal
         (n, 3): unit normals of their triangles.
     crease
-        (n,): creases.
+        (n,): creases (``GeometryBuffer.crease``).
     corners
         (n, 9): corners of their triangles in the frame, metres.
     """
@@ -96,7 +96,10 @@ class LookupPoints(NamedTuple):
 
 
 def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
-    """Return a drawn map for the loop, with its depths (rows, cols) as read: float32, or uint16 in steps."""
+    """Return a drawn map in the form that the loop reads.
+
+    ``depths`` (rows, cols) are as read from the texture: float32 in [0, 1], or uint16 in steps.
+    """
     uniforms = depth_map.uniforms
     single = np.float32
     return SunMap(
@@ -110,7 +113,7 @@ def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
 def look_up_points(
     sun: SunMap, comparison: DepthComparison, points: LookupPoints, chosen: np.ndarray, visibility: np.ndarray
 ) -> None:
-    """Write the share of lit texels around the ``chosen`` points (indices) to ``visibility`` (n,) float32."""
+    """Write the share of lit texels around the points at the indices ``chosen`` to ``visibility`` (n,) float32."""
     run_in_chunks(len(chosen), _look_up, sun, comparison, points, chosen, visibility)
 
 
@@ -140,9 +143,9 @@ def _look_up(first, last, sun, comparison, points, chosen, visibility):
 
 @internal
 def _rotate_to_light(sun, vectors, i, first):
-    """Return three numbers of a row, from ``first`` on, along the light's axes.
+    """Return the vector ``vectors[i, first : first + 3]`` along the light's axes, as a tuple.
 
-    They are a tuple, since allocating an array would cost more than all other work.
+    Allocating an array would cost more than all other work.
     """
     x, y, z = np.float32(vectors[i, first]), np.float32(vectors[i, first + 1]), np.float32(vectors[i, first + 2])
     axes = sun.light_from_frame
@@ -176,7 +179,10 @@ def _move_off_surface(sun, comparison, p, n, crease):
 
 @internal
 def _first_tap(sun, p, count):
-    """Return the first texel (column, row) of a square of taps around a point, and the square's offset from its corner."""
+    """Return the first texel (column, row) of a square of taps around a point, and the square's offset from the texel's corner.
+
+    The square has ``count`` taps along a side.
+    """
     half = np.float32(0.5) * np.float32(count - 1)
     x, y = p[0] / sun.texel_m[0] - half, p[1] / sun.texel_m[1] - half
     left, low = np.floor(x), np.floor(y)
@@ -185,7 +191,7 @@ def _first_tap(sun, p, count):
 
 @internal
 def _is_empty(sun, p, count):
-    """Return whether the map holds no caster in a square of taps around a point."""
+    """Return whether the map holds no caster in a square of ``count`` x ``count`` taps around a point."""
     left, low, _, _ = _first_tap(sun, p, count)
     rows, cols = sun.depths.shape
     for r in range(max(low, 0), min(low + count, rows)):
@@ -253,7 +259,7 @@ def _weights_on_triangle(sun, comparison, p, corners, i):
 
 @internal
 def _lit_share_without_triangle(sun, comparison, moved_point):
-    """Return the lit share of the taps around a point that was moved clear, wherever their texels lie."""
+    """Return the lit share of the taps around a point that was moved off its surface, wherever their texels lie."""
     count, zero, one = comparison.taps_without_triangle, np.float32(0.0), np.float32(1.0)
     rounding = np.float32(0.5) * sun.depth_step if comparison.uses_offset else zero
     left, low, fraction_x, fraction_y = _first_tap(sun, moved_point, count)

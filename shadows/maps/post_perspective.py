@@ -1,8 +1,11 @@
-"""The matrix of a perspective shadow map: from a frame to the light's clip space, through a camera's. Float64, without OpenGL.
+"""Compute the matrix of a perspective shadow map, from a frame through a camera's projection to the light's clip space.
 
 It follows Stamminger and Drettakis 2002, "Perspective shadow maps", with the cases of Kozlov 2004, "Perspective shadow maps: care
 and feeding" (GPU Gems, chapter 14). ``docs/perspective-shadow-maps.md`` derives the light's perspective, one formula for its three
-kinds; why no caster is lost; and the choice of the slide-back.
+kinds. It also shows why no caster is lost, and how the slide-back is chosen. The computation is in float64, without OpenGL.
+
+- The *virtual camera* is the one through which the map is projected. It stands behind the real one by the *slide-back*.
+- The *horizon* of a map is the plane on which the homogeneous coordinate w of its matrix is 0.
 """
 
 from __future__ import annotations
@@ -21,18 +24,18 @@ UNIFORM_MAP_CONE_DEG = 3.0
 """Angle between a light and the view's axis, in either direction, up to which the light gets a uniform map."""
 
 HORIZON_MARGIN = 1e-3
-"""Lower bound of a receiver's distance from the horizon, as a share of the farthest receiver's distance.
+"""Lower bound of a receiver's distance from a map's horizon, as a share of the farthest receiver's distance.
 
 It leaves float32 enough precision.
 """
 
 SLIDE_BACK_DOUBLINGS = 6
-"""Number of doublings of the far plane's distance for the longest slide-back, and fewest halvings for the shortest."""
+"""Number of doublings of the far plane's distance for the longest slide-back, and least number of halvings for the shortest."""
 
 MIN_EXTENT = 1e-3
 """Lower bound of the depth and of the half width, as shares of the distance, of a virtual camera.
 
-A wall or a single pixel needs it.
+It keeps the projection regular if the receivers are a wall or a single pixel.
 """
 
 MAP_ROTATIONS = np.radians(np.arange(0.0, 90.0, 5.0))
@@ -93,11 +96,11 @@ class PostPerspective:
     clip_from_frame
         (4, 4): the matrix. It maps the sampled receivers into the inner part of -1 to 1 in x and y.
     kind
-        The kind of the light; ``None`` for a uniform map.
+        The kind of the light after the camera's projection; ``None`` for a uniform map.
     slide_m
-        The slide-back, metres; infinity for a uniform map.
+        The slide-back (distance from the real camera back to the virtual one), metres; infinity for a uniform map.
     texel
-        Root mean square of the size in the picture, in tangents, of half the map's width.
+        Size in the picture of half the map's width: the root mean square over the sampled receivers, in tangents of angles.
     note
         The reason for a uniform map; empty otherwise.
     """
@@ -112,7 +115,8 @@ class PostPerspective:
 def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_m: float) -> np.ndarray:
     """Return the projection (4, 4) of the virtual camera, which stands ``slide_m`` behind the real one.
 
-    The planes' distances are measured from the real camera. Raises ``ValueError`` unless 0 < near < far for the virtual camera.
+    ``tangent`` is that of half the angle of view. The planes' distances are measured from the real camera. Raises ``ValueError``
+    unless 0 < near < far for the virtual camera.
     """
     near, far = near_m + slide_m, far_m + slide_m
     if not 0.0 < near < far:
@@ -130,7 +134,7 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
 def kind_of(light: np.ndarray) -> PostPerspectiveLightKind:
     """Return the kind of a light (4,) in a camera's clip space.
 
-    ``parallel`` includes lights that rounding does not tell from it.
+    A light that differs from ``parallel`` by no more than rounding counts as ``parallel``.
     """
     if abs(light[3]) <= 1e-12 * np.linalg.norm(light[:3]):
         return "parallel"
@@ -138,7 +142,7 @@ def kind_of(light: np.ndarray) -> PostPerspectiveLightKind:
 
 
 def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Return the light's perspective (4, 4) in a camera's cube or in plain space.
+    """Return the light's perspective (4, 4) in the space in which ``light`` is given: a camera's clip space, or a frame.
 
     It maps a light (4,) of any kind to (0, 0, -1, 0), and the point ``middle`` (3,) to (0, 0, 0, 1).
     """
@@ -154,7 +158,10 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 
 def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
-    """Return the light's perspective (4, 4) in plain space: uniform texels across the sun's rays, or across a lamp's axis."""
+    """Return the light's perspective (4, 4) in the frame, without a camera: the matrix of a uniform map.
+
+    Its texels have one size across the sun's rays, or across a lamp's axis.
+    """
     return light_matrix(light.homogeneous, light.lit_point_m if light.homogeneous[3] else _centre(points))
 
 
@@ -163,9 +170,9 @@ def post_perspectives(
 ) -> list[PostPerspective]:
     """Return the candidate maps for receivers (n, 3) in front of the eye, the best one first.
 
-    The last one is the uniform map; candidates with larger texels than the uniform map are left out. The maps are chosen by
-    ``points``, and also hold the points on the ``rim`` (m, 3). If another receiver lies beyond the horizon of a map, the caller
-    takes the next one. ``inner`` is the part of the map's half width that receivers may fill.
+    The last one is the uniform map. Candidates with larger texels than the uniform map are left out. The maps are chosen by
+    ``points``, and also hold the points ``rim`` (m, 3). If another receiver lies beyond the horizon of a map, the caller takes the
+    next candidate. ``inner`` is the part of the map's half width that receivers may fill.
     """
     uniform = uniform_matrix(light, points)
     outline = np.concatenate([points[_outline(project_points(uniform, points)[:, :2])], rim])
@@ -210,14 +217,17 @@ def post_perspectives(
 
 
 def texel_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
-    """Return the root mean square of the size in the picture, in tangents, of half a map's width at points (n, 3)."""
+    """Return the size in the picture of half a map's width, the root mean square over points (n, 3).
+
+    Sizes in the picture are tangents of angles from the view's axis.
+    """
     return float(_texel(matrix, points, *_in_picture(camera, light, points)))
 
 
 def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two directions across a light's rays at points (n, 3), and the derivatives of the picture's coordinates along them.
+    """Return two directions across a light's rays at points (n, 3), and the picture's derivatives along them.
 
-    The directions are (n, 3, 2).
+    The directions are unit vectors (n, 3, 2). The derivatives (n, 2, 2) are those of the picture's coordinates, per metre.
     """
     directions = light.homogeneous[:3] - light.homogeneous[3] * points
     directions = np.broadcast_to(directions / np.linalg.norm(directions, axis=-1, keepdims=True), points.shape)
@@ -226,9 +236,10 @@ def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.nd
 
 
 def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, front_share: float = 0.0) -> np.ndarray:
-    """Return a map's matrix, scaled so that bounds (3,) of x and y map to -``inner`` and ``inner``.
+    """Return a map's matrix, scaled so that the bounds of x and y map to -``inner`` and ``inner``.
 
-    The bounds of z map to -1 and 1, with the share ``front_share`` of that range in front of them.
+    ``low`` and ``high`` (3,) are the bounds of x, y and z. Those of z map to -1 and 1, with the share ``front_share`` of that range
+    in front of them.
     """
     span = np.maximum(high - low, 1e-9 * (1.0 + np.abs(high)))
     low, high = low - np.array([0.0, 0.0, front_share / (1.0 - front_share) * span[2]]), low + span
@@ -245,12 +256,16 @@ def project_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def horizon_distance(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the distance w of points (n, 3) in front of a map's horizon, in the map's own unit."""
+    """Return the w (n,) of points (n, 3): their distance in front of a map's horizon (w = 0), in the map's own unit."""
     return points @ matrix[3, :3] + matrix[3, 3]
 
 
 def is_clear_of_horizon(distances: np.ndarray) -> bool:
-    """Return whether all distances from a horizon (n,), as shares of those in the uniform map, are well above 0."""
+    """Return whether points lie clearly in front of a map's horizon (w = 0).
+
+    ``distances`` (n,) are the points' w in the map, divided by their w in the uniform map. All must be finite and at least
+    ``HORIZON_MARGIN`` times the largest.
+    """
     return bool(np.isfinite(distances).all() and distances.min() >= HORIZON_MARGIN * distances.max() > 0.0)
 
 
@@ -260,20 +275,29 @@ def _centre(points: np.ndarray) -> np.ndarray:
 
 
 def _off_axis_deg(camera: Camera, light: Light, from_m: np.ndarray) -> float:
-    """Return the angle between the view's axis, in either direction, and the direction from a point (3,) to a light."""
+    """Return the angle, in degrees, between the view's axis and the direction from a point (3,) to a light.
+
+    The axis counts in either direction, so the angle is at most 90.
+    """
     to_light = light.homogeneous[:3] - light.homogeneous[3] * from_m
     sine = np.linalg.norm(np.cross(camera.axis, to_light))
     return float(np.degrees(np.arctan2(sine, abs(camera.axis @ to_light))))
 
 
 def _outline(image: np.ndarray) -> np.ndarray:
-    """Return the points (n, 2) that are farthest in some direction. A homography preserves this outline."""
+    """Return the indices of the points (n, 2) that are farthest in some direction, of ``OUTLINE_DIRECTIONS`` in all.
+
+    A homography maps the outline of points to the outline of their images.
+    """
     angle = np.arange(OUTLINE_DIRECTIONS) * 2.0 * np.pi / OUTLINE_DIRECTIONS
     return np.unique(np.argmax((image - image.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
 
 
 def _fit_rotation(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray:
-    """Return a matrix with the map rotated about its axis and scaled so that an outline (n, 3) fills its inner part best."""
+    """Return a matrix with the map rotated and scaled so that an outline (n, 3) fills its inner part best.
+
+    The map rotates about its centre, by one of ``MAP_ROTATIONS``.
+    """
     axes = np.stack([np.cos(MAP_ROTATIONS), np.sin(MAP_ROTATIONS), -np.sin(MAP_ROTATIONS), np.cos(MAP_ROTATIONS)], axis=1).reshape(
         -1, 2, 2
     )
@@ -299,7 +323,7 @@ def perpendicular_axes(normals: np.ndarray) -> np.ndarray:
 
 
 def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np.ndarray) -> np.ndarray:
-    """Return the derivatives of the picture's coordinates (tangents) along two directions (n, 3, 2).
+    """Return the derivatives (n, 2, 2) of the picture's coordinates (tangents) along two directions (n, 3, 2), per metre.
 
     The points (n, 3) are in camera coordinates.
     """
@@ -309,7 +333,10 @@ def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np
 
 @compiled
 def _texel(matrix, points, ray_axes, picture_derivatives):
-    """Return the root mean square size in the picture, in tangents, of half a map's width along two directions."""
+    """Return the size in the picture of half a map's width, the root mean square over points (n, 3) and two directions.
+
+    It is in tangents of angles. ``ray_axes`` and ``picture_derivatives`` are those of ``_in_picture``.
+    """
     total = 0.0
     for n in range(len(points)):
         p = points[n]

@@ -1,9 +1,9 @@
-"""The trees that a map of the sun has to hold: those that may shade one of its receivers.
+"""Find the trees that a map of the sun has to hold: those that may shade one of its receivers.
 
 Along the sun's rays, the visible points of a camera are sparse: far woods hide most of the ground between their trees. A coarse
 mask of the map stores where receivers lie, and the depth of the farthest of them from the sun (J. Bittner, O. Mattausch, A.
-Silvennoinen and M. Wimmer 2011, "Shadow Caster Culling for Efficient Shadow Mapping"). A tree beside or behind all of them changes
-no look-up.
+Silvennoinen and M. Wimmer 2011, "Shadow Caster Culling for Efficient Shadow Mapping"). A tree beside or behind all receivers
+changes no look-up.
 """
 
 from __future__ import annotations
@@ -51,7 +51,10 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> n
 
 @compiled
 def _farthest_receivers(first, last, parts, position, chosen, rotation, translation, cells, farthest):
-    """Store in each cell the largest depth from the sun of the receivers, for each share of the receivers."""
+    """Store in each cell of a mask the largest depth of its receivers, as seen from the sun.
+
+    The receivers are divided into shares, which threads process in parallel. Each share has a mask of its own.
+    """
     rows, cols = farthest.shape[1:]
     for share in range(first, last):
         share_cells = farthest[share]

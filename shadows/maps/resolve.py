@@ -80,7 +80,7 @@ class CalibrationOverrides:
 
 
 def calibration_overrides(descriptor: Descriptor, light: str, grid: str) -> CalibrationOverrides:
-    """Return the overrides to calibrate, to the extent of ``grid`` (``skugga.shadows.algorithm.Cost``)."""
+    """Return the overrides that a calibration tries; ``grid`` is its extent (``skugga.shadows.algorithm.Cost``)."""
     sizes = {"few": (1024, 2048)}.get(grid, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
     taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if grid == "full" else ()
     return CalibrationOverrides(
@@ -89,13 +89,19 @@ def calibration_overrides(descriptor: Descriptor, light: str, grid: str) -> Cali
 
 
 def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
-    """Return the settings of a light's shadow map, and the reasons for automatic values. Raises ``UnsupportedError``."""
+    """Return the settings of a light's shadow map, and the reasons for automatic values.
+
+    Raises ``UnsupportedError`` for the penumbra of a lamp without a radius.
+    """
     settings, reasons = resolve_uniform_map(replace(request, shadows=request.effective_shadows))
     return settings, [*request.hard_edges_reasons, *reasons]
 
 
 def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[NamedReason]]:
-    """Return the settings of a map with uniform texels, and the reasons for automatic values, except for hard edges."""
+    """Return the settings of a map with uniform texels, and the reasons for automatic values.
+
+    The reasons for hard edges are not among them.
+    """
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
@@ -158,7 +164,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
 
 
 def _taps(request: SettingsRequest) -> tuple[MapFilter, list[NamedReason]]:
-    """Return the taps of a lamp's map, or of a perspective one, and the reasons.
+    """Return the taps of a lamp's map or of a perspective map, and the reasons for them.
 
     Raises ``UnsupportedError`` for the penumbra of a point light.
     """
@@ -193,7 +199,10 @@ def lamp_map_settings(
     taps_reasons: list[NamedReason],
     points: int = MAX_POINTS,
 ) -> tuple[LampMapSettings, list[NamedReason]]:
-    """Return the settings of a lamp's map. A texel at the lamp's reference distance keeps to ``MAX_TEXEL_PX``."""
+    """Return the settings of a lamp's map, and the reasons for automatic values.
+
+    If the size is automatic, a texel at the lamp's reference distance keeps to ``MAX_TEXEL_PX`` where the largest size allows it.
+    """
     width_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
     if size == "auto":
@@ -212,7 +221,10 @@ def lamp_map_settings(
 
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
-    """Return the settings of a light's perspective map, and the reasons for automatic values. Raises ``UnsupportedError``."""
+    """Return the settings of a light's perspective map, and the reasons for automatic values.
+
+    Raises ``UnsupportedError`` for the penumbra of a lamp without a radius.
+    """
     light, shadows = request.light, request.effective_shadows
     prefix = "" if light == SUN else f"{light}: "
     reasons = [
@@ -250,10 +262,11 @@ def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:
 def _cascades(
     descriptor: Descriptor, shadows: Shadows, altitude: float, reasons: list[NamedReason]
 ) -> list[tuple[float | None, np.ndarray, float]]:
-    """Return for each cascade its far distance, its receivers' extent in light space (3,), and a pixel's side; all in metres.
+    """Return the far distance, the receivers' extent and a pixel's side of each cascade, all in metres.
 
-    The number of cascades and the automatic size follow from the largest footprint of a texel. Of the splits that keep to it (a
-    requested size has no bound), the one with the smallest mean footprint over the visible ground is chosen.
+    The far distance is ``None`` for the last cascade. The extent (3,) is in light space. The number of cascades and the automatic
+    size follow from the largest footprint of a texel (``_target_px``). Of the splits into cascades that keep to it, the one with
+    the smallest mean footprint over the visible ground is chosen. A requested size does not bound the footprint.
     """
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
@@ -295,11 +308,13 @@ def _automatic_size(texels: float, max_size: int) -> int:
 
 @cached("process", 16 * MIB)
 def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the extents, starts and summed shares of all runs of n consecutive bands.
+    """Return the extents, near distances and sums of shares of all runs of consecutive bands.
 
-    The extents (n, n, 3) in light space, from the first band to the last of a run, are in metres, rounded up; NaN where the last
-    precedes the first. The starts (n,) of the bands are metres from the eye. The sums (n, n) add each band's share divided by its
-    start.
+    A band is a range of distances from the eye. Run (i, j) consists of the bands i to j, of n bands in all.
+
+    - Extents (n, n, 3): sides of the run's bounds in light space, metres, rounded up to powers of ``EXTENT_STEP``; NaN where j < i.
+    - Near distances (n,): where each band starts, metres from the eye.
+    - Sums (n, n): over the run's bands, each band's share of the visible surfaces divided by its near distance.
     """
     near_m = np.array([band.near_m for band in bands])
     cumulative = np.concatenate([[0.0], np.cumsum([band.share for band in bands] / near_m)])
@@ -312,9 +327,9 @@ def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 @cached("process", 16 * MIB)
 def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return all ways to split bands into ``count`` runs of neighbours, or into as many runs as bands if those are fewer.
+    """Return all ways to split bands into ``count`` runs of consecutive bands, at most one run for each band.
 
-    The result holds the numbers of the first and of the last band of each run, int64 (ways, runs) each.
+    The result is the numbers of the first and of the last band of each run, int64 (ways, runs) each.
     """
     count = min(count, bands)
     cuts_of_runs = list(combinations(range(1, bands), count - 1))
@@ -324,5 +339,5 @@ def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ground_footprint(extent_m: np.ndarray, altitude: float) -> np.ndarray:
-    """Return the extent's sides right and up (2,) on level ground."""
+    """Return the sides (2,) that an extent's right and up sides cover on level ground, metres."""
     return extent_m[:2] / np.array([1.0, np.sin(altitude)])

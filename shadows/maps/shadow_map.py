@@ -41,7 +41,7 @@ def fill(
     settings: ShadowMapSettings | LampMapSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Return the visibility of a light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters.
+    """Return a light's visibility at a buffer's points where only some kinds of casters block it, float32 (rows, cols) in [0, 1].
 
     The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
@@ -62,15 +62,15 @@ def fill(
 
 
 def _is_tunable(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
-    """Return whether a number of cascades makes sense for a light of a view.
+    """Return whether a value of a setting makes sense for a light of a view.
 
-    That is under the sun, in a perspective view with at least as many bands of distance.
+    Only ``cascades`` is limited: to the sun, in a perspective view with at least as many bands of distance.
     """
     return key != "cascades" or (light == SUN and value <= len(descriptor.bands))
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-    """Yield the sizes, cascades and taps to calibrate, to the extent of ``grid``."""
+    """Yield the settings that a calibration measures: sizes, cascades and taps; ``grid`` is its extent (``Cost``)."""
     map_overrides = calibration_overrides(descriptor, light, grid)
     for overrides in [
         *map_overrides.sizes,

@@ -1,4 +1,4 @@
-"""The sun's disc for depth maps: its samples, and its width across the map."""
+"""The sun's disc for depth maps: its samples, and its width across a map."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BLOCK_TEXELS = 16
 """Side in texels of the blocks whose minimum depth is stored."""
 
 MAX_HALF_DISC_TEXELS = 64
-"""Upper bound of half the disc's width across the map. Penumbrae of farther casters do not get wider."""
+"""Upper bound of half the disc's width across a map, in texels. Penumbrae of farther casters do not get wider."""
 
 MIN_DISC_TAPS = 3
 """Taps along a side of the filter where casters are so near that the disc is under two texels wide."""
@@ -34,10 +34,10 @@ MIN_DISC_TAPS = 3
 
 @cached("process", MIB)
 def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
-    """Return the bits of the disc's samples in front of each of ``EDGE_STEPS + 1`` positions in [-1, 1], (``EDGE_STEPS + 1``, 4)
-    uint32.
+    """Return which samples of the disc lie before an edge, as bits, for edges at ``EDGE_STEPS + 1`` positions in [-1, 1].
 
-    The first array is along right, the second along up. The samples are Vogel's spiral (1979), of equal areas.
+    Both arrays are uint32 (``EDGE_STEPS + 1``, 4), with one bit for each sample. Positions run to the right in the first array, and
+    upwards in the second. The samples are Vogel's spiral (1979), of equal areas.
     """
     number = np.arange(DISC_SAMPLES)
     angle, radius = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / DISC_SAMPLES)

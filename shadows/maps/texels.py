@@ -1,4 +1,4 @@
-"""Texel sizes of depth maps: in pixels, predicted from a descriptor, and in metres, at the points of a picture."""
+"""Compute texel sizes of depth maps: in pixels, predicted from a descriptor, and in metres, at the points of a picture."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from skugga.terrain.scene import Scene
 def shadow_map_texel_px(
     descriptor: Descriptor, light: str, settings: ShadowMapSettings | LampMapSettings, band: CastBand, perspective: float
 ) -> float:
-    """Return a texel's side of the sun's map or a lamp's in a band, in pixels, across the light.
+    """Return the side of a texel of the sun's map or a lamp's, in pixels, in a band of distances from the eye.
 
-    It is the geometric mean of both sides.
+    It is the geometric mean of both sides, perpendicular to the light. ``perspective`` is not used.
     """
     if isinstance(settings, LampMapSettings):
         return _uniform_px(descriptor, light, band) / settings.map_size
@@ -33,9 +33,9 @@ def shadow_map_texel_px(
 def perspective_map_texel_px(
     descriptor: Descriptor, light: str, settings: PerspectiveMapSettings, band: CastBand, perspective: float
 ) -> float:
-    """Return a texel's side of a perspective map in a band, in pixels, across the light.
+    """Return the side of a perspective map's texel, in pixels, in a band of distances from the eye.
 
-    ``perspective`` is the number of its texels per pixel's side.
+    It is perpendicular to the light. ``perspective`` is the number of the map's texels per pixel's side.
     """
     map_px = perspective * sqrt(descriptor.rows * descriptor.cols)
     return min(map_px, _uniform_px(descriptor, light, band)) / settings.map_size
@@ -58,7 +58,7 @@ def shadow_map_texel_m(
     settings: ShadowMapSettings | LampMapSettings,
     buffer: GeometryBuffer,
 ) -> float | np.ndarray:
-    """Return a texel's larger side on level ground, metres, at a buffer's points (rows, cols), or everywhere.
+    """Return a texel's larger side on level ground, metres, at a buffer's points (rows, cols), or one number for all.
 
     It is 0 without a sun.
     """

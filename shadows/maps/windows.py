@@ -1,4 +1,4 @@
-"""The depth maps of a light: their windows in light space, their sizes and their contents."""
+"""Make the depth maps of a light: their windows in light space, their sizes and their contents."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class DepthMap:
         Bounds of the trees that matter: rotation, translation, low and high, as ``skugga.terrain.casters.casting.occluding_trees``
         takes them. ``None``: all trees matter.
     shaders
-        Shader parts of the light's clip space and of the comparison with the map.
+        Names of two shader parts: the light's clip space, and the comparison of points with the map.
     """
 
     uniforms: dict[str, Any]
@@ -100,8 +100,8 @@ def sun_maps(
 ) -> list[DepthMap]:
     """Return the maps of the cascades that have receivers.
 
-    Depths start at ``nearest_m`` if that is in front of the receivers. Surfaces that face away from the sun need no map. The stable
-    windows of a map view, however, follow all of its ground, whatever the sun.
+    Depths start at ``nearest_m`` (the nearest caster) if that is in front of the receivers. Surfaces that face away from the sun
+    need no map. The stable windows of a map view, however, follow all of its ground, whatever the sun.
     """
     view = buffer.view
     stable = isinstance(view, MapView) and settings.fit == "stable"
@@ -131,7 +131,7 @@ def _sun_map(
     trees: TreeInstances | None,
     nearest_m: float,
 ) -> DepthMap:
-    """Return the map of a cascade whose receivers are ``receivers``."""
+    """Return the map of a cascade for the receivers in the mask ``receivers`` (rows, cols)."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, receivers, rotation, translation)
@@ -240,11 +240,11 @@ def _distances(first, last, points, eye, out):
 def _depth_margin_m(
     normal: np.ndarray, corners: np.ndarray, position: np.ndarray, mask: np.ndarray, rotation: np.ndarray, tap_reach_m: np.ndarray
 ) -> float:
-    """Return the largest depth, metres, by which the map may store a point's own triangle in front of the point.
+    """Return the largest depth, metres, by which a map may store a point's own triangle in front of the point.
 
-    The maximum is over the points (rows, cols) in ``mask``. The map samples the triangle at texel centres up to
-    ``tap_reach_m`` (2,) right and up of the point. It clamps depths in front of its first depth, and a triangle that starts there
-    could not be distinguished from its casters.
+    The maximum is over the points (rows, cols) in ``mask``. The map samples the triangle at texel centres up to ``tap_reach_m``
+    (2,) right and up of the point. It clamps depths in front of its first depth. A triangle that starts there could not be
+    distinguished from its casters.
     """
     row_margins_m = np.empty(len(mask))
     run_in_chunks(len(mask), _write_depth_margins, normal, corners, position, mask, rotation, tap_reach_m, row_margins_m)
@@ -295,16 +295,16 @@ def _farthest_corners(first, last, corners, mask, out):
 
 
 def depth_steps(depth_bits: int) -> int:
-    """Return the number of steps from depth 0 to depth 1. Those of a float are no larger near 1."""
+    """Return the number of steps from depth 0 to depth 1. For 32-bit floats it is that of 24 bits, their step near 1."""
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 
 def _window(
     low: np.ndarray, high: np.ndarray, texel: np.ndarray, border: np.ndarray, stable: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first texel and the size in texels of the map over light bounds and a border.
+    """Return the first texel (2,) and the size (2,), in texels, of a map over light-space bounds and a border.
 
-    A stable map lies on the lattice of texels that starts at the anchor.
+    A stable map lies on a lattice of texels through the origin of light space.
     """
     first = (np.floor(low[:2] / texel) if stable else low[:2] / texel) - border
     size = np.floor(high[:2] / texel - first).astype(np.int64) + 1 + border
@@ -312,9 +312,9 @@ def _window(
 
 
 def _stable_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
-    """Return depth 0 and the depth step, metres, on the lattice of steps.
+    """Return the position of depth 0 and the depth step, in metres of light space, on a lattice of steps.
 
-    The steps are coarser where the plan expected a smaller range.
+    The step is doubled until the depths reach ``high_m``, if the plan expected a smaller range.
     """
     while True:
         near = float(np.floor(low_m / (step_m * 256))) * 256 * step_m
@@ -324,5 +324,5 @@ def _stable_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tu
 
 
 def _tight_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
-    """Return depth 0 and the depth step, metres, of the bounds themselves."""
+    """Return the position of depth 0 and the depth step, in metres of light space, that just cover the bounds."""
     return low_m, (high_m - low_m) / steps * (1.0 + 1e-6)

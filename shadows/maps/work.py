@@ -1,4 +1,4 @@
-"""The work of depth maps: drawing them and looking them up."""
+"""Count the work of depth maps: drawing them and looking points up in them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Wo
 
 
 def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: float) -> Counts:
-    """Return the counts of drawing depth maps and looking them up.
+    """Return the counts of drawing depth maps and looking ``looked_up`` points up in them.
 
     They are counted together, since a device may defer the drawing until the look-up needs it.
     """

@@ -1,4 +1,4 @@
-"""Directions from a point, sorted by azimuth, so that a search for those towards an object skips all others."""
+"""Directions from a point, sorted by azimuth, so that the directions towards an object are found without a test of all others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from skugga.terrain.compiled import internal
 
 AZIMUTH_BINS = 3600
-"""Bins of azimuths, of a tenth of a degree."""
+"""Number of bins into which azimuths are sorted. A bin is a tenth of a degree wide."""
 
 
 class Directions(NamedTuple):
@@ -20,9 +20,9 @@ class Directions(NamedTuple):
     azimuth
         (n,) degrees, ascending in [0, 360).
     sine, cosine
-        (n,): of the azimuths.
+        (n,): sine and cosine of the azimuths.
     first
-        int (AZIMUTH_BINS + 1,): the first direction at or after the start of each bin.
+        int (AZIMUTH_BINS + 1,): the index of the first direction at or after the start of each bin.
     input_index
         int (n,): the index of each direction in the caller's order.
     """
@@ -35,7 +35,7 @@ class Directions(NamedTuple):
 
 
 def sort_directions(azimuth_deg: np.ndarray) -> Directions:
-    """Return azimuths (n,) in degrees as sorted directions."""
+    """Sort azimuths (n,) in degrees, and return them as directions."""
     azimuth = np.asarray(azimuth_deg, np.float64) % 360.0
     order = np.argsort(azimuth, kind="stable")
     azimuth = azimuth[order]
@@ -46,9 +46,10 @@ def sort_directions(azimuth_deg: np.ndarray) -> Directions:
 
 @internal
 def direction_range(directions, low, high):
-    """Return the range [begin, end) of directions with azimuths from ``low`` to ``high`` degrees.
+    """Return a range [begin, end) of indices that contains all directions with azimuths from ``low`` to ``high`` degrees.
 
-    ``low`` lies in [0, 360). Indices beyond the last direction wrap around to the first. A few further directions may be in it.
+    ``low`` lies in [0, 360). The caller takes indices modulo the number of directions, since a range may include north. The range
+    may contain a few directions outside of the interval.
     """
     count = len(directions.azimuth)
     if high - low >= 360.0:

@@ -1,7 +1,8 @@
 """The horizon profile of a point by all casters, and the objects that hide the sun from it.
 
-A point is lit if its ray towards the centre of the sun's disc meets nothing and the sun is above the level plane through the eye.
-Below that plane no ground is lit (``Scene.sun_is_up``): beyond the edge of a level's data the terrain is unknown.
+A point is lit if two conditions hold. Its ray towards the centre of the sun's disc meets nothing, and the sun is above the horizontal
+plane through the eye. With a sun below that plane no point is lit (``Scene.sun_is_up``), because the terrain beyond the edge of a
+level's data is unknown.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ HORIZON_DIRECTIONS = 720
 """Default number of directions of a horizon: every half degree."""
 
 WHOLE_TREES_M = 1e-3
-"""Pixel size in metres of a map that draws every tree: it is so small that none is dropped."""
+"""Pixel size in metres for which the tree instances of a map are requested: so small that no tree is dropped as invisible."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,11 @@ class SunCaster:
     azimuth_deg
         Azimuth, clockwise from true north.
     elevation_deg
-        Elevation angle above the eye's level.
+        Elevation angle above the horizontal plane through the eye.
     height_m
-        Height of the highest point of the caster in this direction, metres.
+        Height above sea level of the highest point of the caster in this direction, metres.
     lon_deg, lat_deg
-        Its longitude and latitude; ``None`` in a flat world.
+        Longitude and latitude of this point; ``None`` in a flat world.
     """
 
     kind: CasterType
@@ -58,18 +59,18 @@ class SunCaster:
 
 @dataclass(frozen=True, eq=False)
 class PointHorizon:
-    """The horizon profile: elevation angles above the eye's level, in degrees.
+    """The horizon profile around a point: elevation angles above the horizontal plane through the eye, in degrees.
 
     Attributes
     ----------
     azimuth_deg
         (n,), clockwise from true north.
     relief_deg
-        (n,): of the highest ground; -90 without any.
+        (n,): elevation angle of the ground; -90 without any.
     solids_deg
-        (n,): of the highest building or mesh; -90 without any.
+        (n,): elevation angle of buildings and meshes; -90 without any.
     forest_deg
-        (n,): of the highest leaf; -90 without any.
+        (n,): elevation angle of leaves; -90 without any.
     """
 
     azimuth_deg: np.ndarray
@@ -79,7 +80,7 @@ class PointHorizon:
 
     @property
     def elevation_deg(self) -> np.ndarray:
-        """The highest of all (n,)."""
+        """The elevation angle of the horizon by all casters, degrees (n,)."""
         return np.maximum(np.maximum(self.relief_deg, self.solids_deg), self.forest_deg)
 
 
@@ -134,7 +135,10 @@ def horizon_profile(surroundings: Surroundings, azimuth_deg: np.ndarray | None =
 
 
 def sees_sun(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
-    """Return whether rays towards suns at azimuths and altitudes (n,) meet nothing: bool (n,), False for suns that are not up."""
+    """Return whether rays towards suns at azimuths and altitudes (n,) meet no caster: bool (n,).
+
+    The result is False for suns with an altitude of at most 0.
+    """
     azimuth, altitude = (np.asarray(v, np.float64) for v in (azimuth_deg, altitude_deg))
     lit = altitude > 0.0
     up = np.flatnonzero(lit)
@@ -155,10 +159,10 @@ def clears_objects(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude
 
 
 def sun_occluders(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> list[SunCaster | None]:
-    """Return the occluder of each sun (n,); ``None`` where nothing hides it or it is not up.
+    """Return the caster that hides each of n suns; ``None`` for a sun that is not hidden, or not up.
 
-    Of several kinds of casters on the ray, it is the one that reaches highest in the sun's azimuth. Its position is the highest
-    point there.
+    If ground, a solid and leaves hide the same sun, the one with the largest elevation angle in this azimuth is returned. The
+    position of the result is the caster's highest point in this azimuth.
     """
     azimuth, altitude = (np.atleast_1d(np.asarray(v, np.float64)) for v in (azimuth_deg, altitude_deg))
     ground = relief_horizon(surroundings.scene, surroundings.place, azimuth)
@@ -190,7 +194,10 @@ def _trees_around(scene: Scene, place: PointPlace) -> VisibleTrees | None:
 
 
 def _highest_objects(surroundings: Surroundings, directions: Directions) -> tuple[Sighting, Sighting]:
-    """Return the highest solids and leaves towards directions, in the caller's order."""
+    """Return the solids and the leaves with the largest elevation angles towards directions.
+
+    The results have the order of the azimuths before they were sorted.
+    """
     count = len(directions.azimuth)
     solids, leaves = empty_sighting(count), empty_sighting(count)
     highest_solids(surroundings.point_enu_m, surroundings.triangles, directions, solids)
@@ -202,7 +209,10 @@ def _highest_objects(surroundings: Surroundings, directions: Directions) -> tupl
 def _nearest_occluders(
     surroundings: Surroundings, azimuth_deg: np.ndarray, tangent: np.ndarray, kinds: tuple[str, ...] = ("meshes", "forest")
 ) -> list[Sighting]:
-    """Return the nearest object of each kind that rays meet, in the caller's order."""
+    """Return, for each kind of objects, the nearest one that each ray meets.
+
+    A ray has an azimuth in degrees and the tangent of its elevation angle, (n,) each. The results have the order of the rays.
+    """
     directions = sort_directions(azimuth_deg)
     ordered, sightings = tangent[directions.input_index], []
     for kind in kinds:

@@ -1,9 +1,12 @@
-"""The horizon of a point by ground: on each line of sight, the ground with the largest elevation angle above the eye's level.
+"""The horizon of a point by ground: the largest elevation angle of the ground along each line of sight.
 
-A line crosses the triangles that cast shadows (or, for ``surface: blocks``, the tops and walls of columns). Between two crossings
-of edges the ground is straight, so its elevation angle is largest at one of them. Whole tiles and pages are skipped if their
-highest ground, moved to their near end, would stay below the horizon found so far. Other pages are read, the nearest first. So far
-ground costs little although no quad is left out: the horizon is that of all quads.
+Elevation angles are measured from the horizontal plane through the eye. A line of sight crosses the triangles that cast shadows (or,
+for ``surface: blocks``, the tops and walls of columns). Between two crossings of edges the ground is straight along the line, so
+its elevation angle is largest at one of them.
+
+The ground is stored in pages of 256 quads a side, and a page has tiles of 16 quads a side. A page or tile is skipped if it cannot
+exceed the horizon found so far. For this test its highest ground is assumed to lie at its near end. All other pages are read, the
+nearest first. So distant ground costs little time, but the horizon is that of all quads.
 """
 
 from __future__ import annotations
@@ -24,10 +27,10 @@ NO_GROUND = -1e30
 """Tangent of a horizon without any ground."""
 
 ENTRY_STEP_NODES = 1e-7
-"""Step in nodes by which a line enters the next quad."""
+"""Distance in nodes behind an edge at which a line is located, to find the quad that it enters."""
 
 MIN_DISTANCE_NODES = 1e-4
-"""Distance in nodes within which ground counts as the ground under the eye."""
+"""Distance from the eye in nodes within which ground is ignored, since it is the ground below the eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ class ReliefHorizon:
     azimuth_deg
         (n,), clockwise from true north.
     tangent
-        (n,): of the elevation angle; ``NO_GROUND`` without ground.
+        (n,): tangent of the elevation angle; ``NO_GROUND`` without ground.
     distance_m, height_m
         (n,): distance and height of the ground that forms the horizon; NaN without any.
     """
@@ -58,7 +61,7 @@ class PageArrays(NamedTuple):
     bound
         ``PagedLevel.bound_m``.
     first_row, first_col
-        The page of ``bound[0, 0]``.
+        Row and column of the page of ``bound[0, 0]``, counted in pages from the grid's origin.
     number
         ``PagedLevel.number``.
     height
@@ -107,16 +110,18 @@ class LineArrays(NamedTuple):
 
 
 class WalkStates(NamedTuple):
-    """The state and the results of lines.
+    """The state and the results of walks along n lines of sight.
+
+    A line consists of straight pieces between the distances of ``SightLines``.
 
     Attributes
     ----------
     piece, share
-        (n,): the position of each line: the piece between two of its distances, and the share of the piece.
+        (n,): the position of each walk: the index of the piece, and the position on it in [0, 1].
     ended
-        bool (n,): lines that are complete.
+        bool (n,): whether the walk is complete.
     tangent, distance, height
-        (n,): the highest ground so far.
+        (n,): the ground with the largest elevation angle so far: tangent of the angle, distance and height in metres.
     """
 
     piece: np.ndarray
@@ -128,16 +133,17 @@ class WalkStates(NamedTuple):
 
 
 def relief_horizon(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray) -> ReliefHorizon:
-    """Return the horizon that a level's ground forms around a place, towards azimuths (n,)."""
+    """Return the horizon that a level's ground forms around a place, towards azimuths (n,) in degrees."""
     azimuth = np.asarray(azimuth_deg, np.float64)
     walks = _walk_to_ground(scene, place, azimuth, np.full(len(azimuth), NO_GROUND), stops_at_first_occluder=False)
     return ReliefHorizon(azimuth, walks.tangent, walks.distance, walks.height)
 
 
 def is_ground_occluded(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Return whether a level's ground blocks rays from a place, with ``tangent`` (n,) above its level: bool (n,).
+    """Return whether a level's ground blocks rays from a place: bool (n,).
 
-    This is faster than the horizon, since ground below a ray is skipped.
+    A ray has an azimuth in degrees and the tangent of its elevation angle, (n,) each. This is faster than ``relief_horizon``, since
+    ground below a ray is skipped.
     """
     walks = _walk_to_ground(
         scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), stops_at_first_occluder=True
@@ -148,7 +154,11 @@ def is_ground_occluded(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray,
 def _walk_to_ground(
     scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, stops_at_first_occluder: bool
 ) -> WalkStates:
-    """Return the walks to the highest, or to the first, ground above tangents (n,), which are overwritten."""
+    """Walk along lines of sight, and return the ground that exceeds an elevation angle.
+
+    It is the ground with the largest elevation angle, or, if ``stops_at_first_occluder``, the first ground found. ``tangent`` (n,)
+    holds the tangents of the angles to exceed, and is overwritten.
+    """
     ground = paged_relief(scene)
     lines = sight_lines(ground, place, azimuth_deg, farthest_m(scene, place))
     count = len(azimuth_deg)
@@ -174,9 +184,9 @@ def _walk_to_ground(
 
 
 def farthest_m(scene: Scene, place: PointPlace) -> float:
-    """Return an upper bound in metres for the distance of ground above the horizon of a place.
+    """Return an upper bound in metres for the distance of ground that is visible from a place.
 
-    It is the distance to the raster's corners, limited by the earth's curvature.
+    It is the distance to the raster's corners with a margin, or less if the earth's curvature hides ground so far away.
     """
     bounds = scene.elevation.bounds
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(bounds[0], bounds[2], 5), np.linspace(bounds[1], bounds[3], 5)))
@@ -198,7 +208,10 @@ def _farthest_nodes(lines: SightLines) -> float:
 
 @compiled
 def _walk(pages, lines, walks, needed_pages):
-    """Follow each line until it is complete or needs a page that is not read; mark that page in ``needed_pages``."""
+    """Follow each line until its end, or until it needs a page that is not read yet.
+
+    Such pages are marked in ``needed_pages``, bool. Results and positions go to ``walks``.
+    """
     for n in range(len(lines.row)):
         if not walks.ended[n]:
             _follow(pages, lines, walks, needed_pages, n)
@@ -284,7 +297,11 @@ def _follow(pages, lines, walks, needed_pages, n):
 
 @internal
 def _exit_share(r0, dr, c0, dc, top, left, side, after):
-    """Return the share of a piece at which it leaves a square of the grid; always at least ``after``."""
+    """Return the position on a piece of a line, as a share of its length, at which it leaves a square of the grid.
+
+    The piece starts at row ``r0`` and column ``c0`` and leads ``dr`` rows and ``dc`` columns on. The square has its first corner at
+    ``top`` and ``left``, and a side of ``side`` quads. The result is at least ``after``.
+    """
     share = np.inf
     if dr > 0.0:
         share = (top + side - r0) / dr
@@ -299,7 +316,11 @@ def _exit_share(r0, dr, c0, dc, top, left, side, after):
 
 @internal
 def _can_exceed(high, eye, best, kappa, near, far):
-    """Return whether ground up to a height, between two distances, may exceed a tangent."""
+    """Return whether ground may exceed the tangent ``best`` of an elevation angle.
+
+    The ground is at most ``high`` metres high, and lies between the distances ``near`` and ``far`` in metres. ``eye`` is the height
+    of the eye, and ``kappa`` the earth's curvature, 1 / metres.
+    """
     if high == -np.inf:
         return False
     theta = kappa * near
@@ -310,7 +331,10 @@ def _can_exceed(high, eye, best, kappa, near, far):
 
 @internal
 def _raise_horizon(walks, n, best, h, eye, kappa, s, distance, nudge_m):
-    """Return the maximum of a tangent and of the tangent of ground of a height at a distance; store the ground if it is higher."""
+    """Return the maximum of the tangent ``best`` and of the tangent up to ground of height ``h`` at the distance ``s``, metres.
+
+    If the ground exceeds ``best``, store ``distance`` and ``h`` as the result of line ``n``.
+    """
     if not s > nudge_m * MIN_DISTANCE_NODES / ENTRY_STEP_NODES:
         return best
     theta = kappa * s

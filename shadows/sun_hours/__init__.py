@@ -1,1 +1,1 @@
-"""Hours of sun: `sun_hours`, intervals of direct sun in daily windows, with their ends located between time steps."""
+"""Hours of sun: `sun_hours` computes the intervals of direct sun at the cells of a map, within a window of time of each day."""

@@ -1,11 +1,11 @@
-"""The horizon of single cells towards the sun between two time steps, by walks over the ground that casts shadows. Compiled loops.
+"""The horizon of single cells towards the sun at a moment, by walks over the ground that casts shadows. Compiled loops.
 
-A walk follows a line from a node towards the sun, row by row of the grid, or column by column if it runs along these. The line is
-compared with the ground where it crosses rows, columns and the diagonals of quads. The surface has its kinks along the line there,
-as in the line sweep (``skugga.shadows.sweep.lines``), so the horizon is that of the triangles that cast shadows. Both diagonals of
-a quad are tested: the lower one lies below the surface. Whole tiles are skipped if their highest node stays below the horizon found
-so far (maximum mipmaps: Tevs, Ihrke and Seidel 2008, with one level). A line ends where it rises above all ground. The earth is
-round: a line of sight rises above the level with the square of its length.
+A walk follows a line of sight from a node towards the sun. It goes row by row of the grid, or column by column if the line is
+closer to a row. The line is compared with the ground where it crosses rows, columns and the diagonals of quads. Along the line the
+surface has its kinks there, as in the line sweep (``skugga.shadows.sweep.lines``). So the horizon is that of the triangles that
+cast shadows. Both diagonals of a quad are tested, since the lower one lies below the surface and has no effect. Whole tiles are
+skipped if their highest node stays below the horizon found so far (maximum mipmaps: Tevs, Ihrke and Seidel 2008). A walk ends where
+the line rises above all ground. The earth is round: a level line of sight rises above the ground with the square of its length.
 """
 
 from __future__ import annotations
@@ -29,32 +29,33 @@ PASSED_TILE, PASSED_BLOCK = 8, 64
 """Quads along a side of the tiles, and of the blocks of tiles, that a walk skips at once."""
 
 EARTH_DROP_PER_M2 = 0.5 / EARTH_RADIUS_M
-"""Height that a level line of sight gains above the ground, per square metre of its length."""
+"""Height in metres that a level line of sight gains above the round earth, per square metre of its length."""
 
 SEARCH_TANGENT, SEARCH_FACTOR = 0.02, 1.0
-"""Tangent, and multiple of the step's change of altitude, whose sum bounds the search for a horizon below the sun.
+"""Limits of the search for a horizon below the sun: a tangent, and a multiple of the sun's change of tangent in the time step.
 
-A lower horizon is not searched: nearer ground determines the crossing.
+A horizon that is lower than the sun by more than their sum is not searched.
 """
 
 TRACK_TIMES = 3
-"""Moments of a step at which the sun's direction is exact; between them it follows their parabola."""
+"""Number of moments of a time step at which the sun's direction is exact. A parabola through them gives all other moments."""
 
 
 class WalkedGround(NamedTuple):
-    """Heights of grids, concatenated, the finest first.
+    """Heights of k grids, one for each level of detail, the finest first, in shared arrays.
 
     Attributes
     ----------
     height
-        float32: the heights of all grids.
+        float32, metres: the heights of all grids, one grid after the other.
     top
-        float32: the maxima of all tiles and blocks.
+        float32, metres: the maximum heights of the tiles and of the blocks of all grids.
     origin
-        int64 (k, 8), for each grid: its start in ``height`` and of its tiles in ``top``; its first row and column; its rows and
-        columns; its node distance in nodes of the finest grid; and the start of its blocks in ``top``.
+        int64 (k, 8): for each grid, the index of its first height in ``height`` and of its first tile in ``top``; its first row and
+        column; its number of rows and of columns; the distance of its nodes, in nodes of the finest grid; and the index of its
+        first block in ``top``.
     highest
-        (k,): the maximum of each grid.
+        (k,), metres: the maximum height of each grid.
     """
 
     height: np.ndarray
@@ -64,20 +65,22 @@ class WalkedGround(NamedTuple):
 
 
 class SunTrack(NamedTuple):
-    """The sun over the cells of a turned grid between two moments.
+    """The direction to the sun over a block of cells between two moments.
+
+    The cells are in the order of a turned grid, which is rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
     begin, end
         The two moments, minutes.
     towards
-        (3, TRACK_TIMES, 6): quadratics over the cells, at both moments and midway between them. They give the rows and the columns
-        per metre towards the sun, and the tangent of the sun's altitude.
+        (3, TRACK_TIMES, 6): coefficients of quadratics over the cells, at the two moments and midway between them. They give rows
+        per metre towards the sun, columns per metre towards the sun, and the tangent of the sun's altitude.
     cell
-        int64 (2, 3): map from turned positions to rows and to columns of the grid: offset, step per turned row, step per turned
-        column.
+        int64 (2, 3): affine map from turned positions to rows and to columns of the grid. Each row holds an offset, a step per
+        turned row and a step per turned column.
     last
-        (2,): the last turned row and column, at least 1.
+        (2,): index of the last turned row and of the last turned column, at least 1.
     """
 
     begin: float
@@ -88,7 +91,7 @@ class SunTrack(NamedTuple):
 
 
 def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) -> WalkedGround:
-    """Return the ground of a block and of patches beside it."""
+    """Return the heights of a block and of patches of ground beside it, with the maxima of their tiles."""
     view, block = nodes.view, nodes.surface
     windows: dict[int, list[NodeHeights]] = {0: [block]}
     for detail in sorted({patch.lod for patch in patches}):
@@ -118,7 +121,7 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
 
 
 def _span(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
-    """Return the first row and column, and the rows and columns, of the area that windows cover."""
+    """Return the bounding rectangle of windows: its first row and column, and its number of rows and of columns."""
     row0, col0 = min(w.row0 for w in windows), min(w.col0 for w in windows)
     return row0, col0, max(w.row0 + w.shape[0] for w in windows) - row0, max(w.col0 + w.shape[1] for w in windows) - col0
 
@@ -129,7 +132,10 @@ def _copy_heights(window: NodeHeights, out: np.ndarray) -> None:
 
 
 def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridOrientation, ends: tuple[float, float]) -> SunTrack:
-    """Return the sun over a block's turned cells between two moments, minutes after the window's start."""
+    """Return the direction to the sun over a block's cells, in the order of a turned grid, between two moments.
+
+    ``ends`` are the moments, minutes after the start of the day's window of time.
+    """
     view = nodes.view
     row, col = (values.ravel() for values in lattice_of(view))
     steps = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
@@ -158,9 +164,10 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridO
 
 @internal
 def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
-    """Return by how much the tangent of the sun's altitude exceeds the horizon's, and the change of the first per minute.
+    """Return the tangent of the sun's altitude less that of the horizon, and the change per minute of the sun's tangent.
 
-    They hold at a moment, for a turned cell seen from ``eye_height_m`` metres above its node.
+    They hold at the moment ``minutes``, for an eye ``eye_height_m`` metres above the node at row ``i`` and column ``j`` of the
+    turned grid.
     """
     cell, a = track.cell, track.towards
     row, col = cell[0, 0] + i * cell[0, 1] + j * cell[0, 2], cell[1, 0] + i * cell[1, 1] + j * cell[1, 2]
@@ -179,10 +186,10 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
 
 @compiled
 def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
-    """Return the maximum of ``min_tangent`` and of the tangent of the horizon angle, seen from ``eye_height_m`` metres above a
-    node.
+    """Return the tangent of the horizon angle in one direction, or ``min_tangent`` if that is larger.
 
-    The direction leads on by ``down`` rows and ``right`` columns per metre.
+    The eye is ``eye_height_m`` metres above the node at ``row`` and ``col``. A step of one metre in the direction leads ``down``
+    rows and ``right`` columns further on the finest grid.
     """
     height, top, origin, highest = ground
     best = min_tangent
@@ -273,7 +280,7 @@ def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
 
 @internal
 def _max_tangent(best, height, eye_m, far):
-    """Return the maximum of a tangent and of the tangent up to ground of a height at the distance ``far``."""
+    """Return the maximum of the tangent ``best`` and of the tangent up to ground of ``height`` metres, ``far`` metres away."""
     rise = height - eye_m - EARTH_DROP_PER_M2 * far * far
     return rise / far if rise > best * far else best
 

@@ -1,16 +1,19 @@
-"""Intervals of direct sun (spells) of each cell: from clearances at moments to hours, first and last sun, and the longest spell.
+"""Intervals of direct sun (spells) of each cell: hours, first and last sun and the longest spell, from clearances at moments.
 
-A *clearance* is the margin by which a cell sees the sun: it is sunlit if the clearance is at least 0. Between two moments with
-different signs the clearance crosses 0 once. Linear interpolation between them is inaccurate, since the nearest occluder changes:
-by day it is mostly the cell's own neighbour, then a distant ridge. So the line through the two clearances before is extrapolated,
-and the line through the two after. Each counts if it leads to a time between the moments (as in essentially non-oscillatory
-schemes). In shadow the occluder is mostly the same ridge throughout, so the shadow's side has more weight. Where neither line leads
-to such a time, a new occluder has appeared or an old one has gone. Clearances tell little about that time. The halfway time between
-direct interpolation and the middle has the smallest error.
+A *clearance* is the margin by which a cell sees the sun. The cell is sunlit if it is at least 0. If the clearances at two
+successive moments have different signs, it is assumed to cross 0 once between them, at a time that is estimated as follows.
 
-This is a first estimate. With long steps it is refined: a walk finds the cell's horizon towards the sun at that moment
-(``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives the next moment, ``MAX_WALKS`` times at most.
-The loops are compiled.
+- Linear interpolation between the two moments is inaccurate, because the ground that limits the clearance changes. In sunlight it
+  is mostly the cell's own neighbour, in shadow a distant ridge.
+- So two lines are extrapolated: the one through the last two clearances before the crossing, and the one through the first two
+  after it. A line counts if it crosses 0 between the moments (as in essentially non-oscillatory schemes).
+- In shadow the occluder is mostly the same ridge at both moments. So the line through clearances in shadow has more weight.
+- If neither line counts, an occluder has appeared or disappeared. Then the estimate is halfway between the result of linear
+  interpolation and the middle of the two moments, which had the smallest error.
+
+With long time steps this estimate is refined. A walk along the line of sight finds the cell's horizon towards the sun at the
+estimated time (``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives a better time, and so on, with at
+most ``MAX_WALKS`` walks. The loops are compiled.
 """
 
 from __future__ import annotations
@@ -27,43 +30,43 @@ from skugga.shadows.sweep.grid import GridOrientation, copy_into
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 UNSHADED = np.float32(1e6)
-"""Clearance without an occluder: its true value is unknown."""
+"""Clearance that stands for the absence of any occluder."""
 
 SHADOW_SIDE_WEIGHT = 0.75
-"""Weight of the time extrapolated from clearances in shadow, if those in the sun give another time."""
+"""Weight of the time extrapolated from clearances in shadow, against that from clearances in the sun."""
 
 FLOOR_MARGIN_SINE = 0.002
-"""Sine below the floor, about a tenth of a degree, at which clearances are meaningless.
+"""Depth of the sun below the minimum altitude that counts, as a sine, from which clearances are ignored: a tenth of a degree.
 
-Across a wide block such a sun has long risen elsewhere, and level ground hides it. A cell that is sunlit at the other moment is
-then lit from its own sunrise, or until its own sunset.
+Such a low sun occurs at one side of a wide block, while it has risen at the other side. A cell that is sunlit at the next moment
+then counts as lit from its own sunrise on. A cell that was sunlit at the moment before counts as lit until its own sunset.
 """
 
 MAX_WALKS = 3
-"""Maximum number of walks to a cell's horizon between two moments."""
+"""Maximum number of walks along a cell's line of sight to refine one crossing."""
 
 CROSSING_TOLERANCE_MIN = 1.0
-"""Tolerance in minutes for the last correction of a crossing: the remaining error is a tenth of that."""
+"""Correction of a crossing's time, minutes, below which no further walk follows. The remaining error is a tenth of it."""
 
 BAND_ROWS = 128
 """Rows that a thread processes at a time."""
 
 
 class SunSpells(NamedTuple):
-    """Spells of direct sun of cells so far, float32 (n, m).
+    """Spells (unbroken intervals) of direct sun at cells up to a moment, float32 (n, m) each.
 
     Attributes
     ----------
     since
-        Start of the current spell, minutes from the window's start; -1 in shade.
+        Start of the current spell, minutes after the start of the day's window of time; -1 in shade.
     day
-        Minutes of sun of the current date.
+        Minutes of sun on the current date.
     first, last
-        Clock times of the first and the last sun of any date, minutes; NaN: never.
+        Earliest and latest clock time of sun on any date, minutes from midnight; NaN without sun.
     longest
-        The longest spell, minutes.
+        The longest spell on any date, minutes.
     total
-        Minutes of sun of all complete dates.
+        Minutes of sun on all complete dates.
     days
         Number of dates with enough sun.
     """
@@ -78,16 +81,16 @@ class SunSpells(NamedTuple):
 
 
 class OcclusionTrack(NamedTuple):
-    """The occlusion of cells between two moments.
+    """The input of walks that find the horizons of cells between two moments.
 
     Attributes
     ----------
     ground
         The ground that casts shadows.
     track
-        The sun.
+        The direction to the sun.
     eye_height_m
-        Metres of the eyes above their nodes.
+        Height of the eyes above the nodes of the ground, metres.
     """
 
     ground: WalkedGround
@@ -96,16 +99,16 @@ class OcclusionTrack(NamedTuple):
 
 
 class ClockReading(NamedTuple):
-    """A clock during a window.
+    """The readings of a clock during a day's window of time, which may include a change to or from summer time.
 
     Attributes
     ----------
     start
-        Its time at the window's start, minutes from midnight.
+        Reading at the window's start, minutes from midnight.
     change
-        Minutes after that start at which the clock is put forward.
+        Time of the clock change, minutes after the window's start.
     advance_min
-        Minutes by which it is put forward; 0: not at all.
+        Minutes by which the clock is put forward then; 0 without a change.
     """
 
     start: float
@@ -115,16 +118,16 @@ class ClockReading(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ClearanceSample:
-    """Clearances at a moment.
+    """The clearances of cells at a moment: the margins by which they see the sun.
 
     Attributes
     ----------
     minutes
-        The moment, minutes from the window's start.
+        The moment, minutes after the start of the day's window of time.
     clearance
-        float32 (n, m): clearances of the cells.
+        float32 (n, m): clearances of the cells, at least 0 in sunlight.
     above
-        (k,): the sine of the sun's altitude less that of its floor, at the positions of a lattice.
+        (k,): the sine of the sun's altitude less that of the minimum altitude that counts, at k positions of the block.
     """
 
     minutes: float
@@ -133,19 +136,19 @@ class ClearanceSample:
 
 
 def empty_spells(shape: tuple[int, int]) -> SunSpells:
-    """Return the spells of cells before the first moment."""
+    """Return the initial spells of cells (n, m) of a given shape, without any sun."""
     zeros = [np.zeros(shape, np.float32) for _ in range(4)]
     initial = [np.full(shape, value, np.float32) for value in (-1.0, np.nan, np.nan)]
     return SunSpells(initial[0], zeros[0], initial[1], initial[2], zeros[1], zeros[2], zeros[3])
 
 
 def turned_spells(spells: SunSpells, before: GridOrientation, after: GridOrientation) -> SunSpells:
-    """Return spells in the order of another turned grid."""
+    """Return spells of the grid turned by ``before`` in the order of the grid turned by ``after``."""
     return SunSpells(*(turned_copy(values, before, after) for values in spells))
 
 
 def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
-    """Return values (n, m) of one turned grid in the order of another one."""
+    """Return a copy of values (n, m) of the grid turned by ``before`` in the order of the grid turned by ``after``."""
     view = after.turned(before.restored(values))
     out = np.empty(view.shape, view.dtype)
     copy_into(view, out)
@@ -161,10 +164,12 @@ def add_between(
     occlusion: OcclusionTrack | None,
     cores: int,
 ) -> None:
-    """Add the sun between the second and the third of four moments.
+    """Add the sun between the second and the third of four successive moments to ``spells``.
 
-    The first may equal the second, and the fourth the third, at the ends of a span. ``begins`` marks the first step of a span.
-    ``fit`` is a ``quadratic_fit``. ``occlusion``, if given, refines the crossings.
+    The outer two moments improve the estimate of crossings. At the start of a span (an interval with the sun up) the first moment
+    equals the second one, and at its end the fourth equals the third one. ``begins`` tells whether this is the first time step of a
+    span. ``fit`` is the ``quadratic_fit`` for ``ClearanceSample.above``. ``occlusion``, unless it is ``None``, refines the
+    crossings by walks.
     """
     before, start_moment, end_moment, after = moments
     times = np.array([moment.minutes for moment in moments])
@@ -180,19 +185,26 @@ def add_between(
 
 
 def end_spells(spells: SunSpells, minutes: float, clock: ClockReading) -> None:
-    """End all current spells at a moment."""
+    """End all current spells at a moment, ``minutes`` after the start of the day's window of time."""
     _end_all_spells(spells, minutes, clock)
 
 
 def end_day(spells: SunSpells, threshold_min: float) -> None:
-    """Add a date's minutes to the total, and begin the next date."""
+    """Add the current date's minutes of sun to the total, and set them to 0 for the next date.
+
+    A date with at least ``threshold_min`` minutes of sun counts in ``SunSpells.days``.
+    """
     np.add(spells.total, spells.day, out=spells.total)
     np.add(spells.days, spells.day >= np.float32(threshold_min), out=spells.days, casting="unsafe")
     spells.day[:] = 0.0
 
 
 def clearances(ray_height: np.ndarray, shade: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int) -> np.ndarray:
-    """Write to ``out`` (n, m), and return, the clearances of eyes ``eye_height_m`` above the cells' levels."""
+    """Compute the clearances of eyes above the cells' nodes into ``out`` float32 (n, m), and return it.
+
+    ``ray_height`` and ``shade`` (n, m), metres, are those of ``NodeClearance`` (``skugga.shadows.sweep.sweep``). ``eye_height_m``
+    is the height of the eyes, converted to ray height.
+    """
 
     def band(rows: slice) -> None:
         _compute_clearances(ray_height[rows], shade[rows], np.float32(eye_height_m), out[rows])
@@ -262,7 +274,10 @@ def _add_sun(spells, before, start, stop, after, times, floors, begins, floored,
 
 @internal
 def _estimate_crossing(before, e0, e1, after, times):
-    """Estimate when a clearance crosses 0 between the second and the third of four moments."""
+    """Estimate the time at which a clearance crosses 0 between the second and the third of four moments.
+
+    ``before``, ``e0``, ``e1`` and ``after`` are the clearances at ``times`` (4,), minutes.
+    """
     tb, t0, t1, ta = times[0], times[1], times[2], times[3]
     by_before = by_after = np.nan
     if tb < t0 and before < UNSHADED and e0 < UNSHADED and before != e0:
@@ -283,7 +298,10 @@ def _estimate_crossing(before, e0, e1, after, times):
 
 @internal
 def _refine_crossing(occlusion, i, j, lit0, crossing, t0, t1):
-    """Refine the estimate of when the sun passes a cell's horizon; ``lit0``: the cell is sunlit at the earlier moment."""
+    """Refine the estimated time ``crossing`` at which the sun passes a cell's horizon, between ``t0`` and ``t1``, by walks.
+
+    ``lit0`` tells whether the cell is sunlit at ``t0``. Times are in minutes.
+    """
     low, high = t0, t1
     t, before, clearance_before = crossing, np.nan, np.nan
     for _ in range(MAX_WALKS):
@@ -309,7 +327,7 @@ def _clock_time(clock, t):
 
 @internal
 def _end_spell(spells, i, j, since, until, clock):
-    """End a cell's spell of sun."""
+    """Record a cell's spell of sun from ``since`` to ``until``, minutes after the start of the day's window of time."""
     length = until - since
     if length <= 0.0:
         return

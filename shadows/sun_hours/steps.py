@@ -1,8 +1,8 @@
 """The time step between samples of the sun: the longest for which a block's hours of sun remain accurate.
 
-For some cells, walks find the horizon towards the sun for each minute of one day (``skugga.shadows.sun_hours.sight_walks``). They
-show what longer steps would miss: glimpses of sun through narrow gaps, and shadows of narrow objects, that begin and end between
-two samples. Mountains have almost none; roofs and tree crowns have many.
+For some cells, walks along lines of sight find the horizon towards the sun for each minute of one day
+(``skugga.shadows.sun_hours.sight_walks``). They show what longer steps would miss. That is sun through narrow gaps and shadows of
+narrow objects, which begin and end between two samples. In mountains both are rare; at roofs and tree crowns both are frequent.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.scene import Scene
 
 LONG_STEP_MIN, SHORT_STEP_MIN = 3.0, 1.0
-"""Minutes between two samples, on ground where long steps miss little, and on all other ground.
+"""Minutes between two samples: the long step for ground where it misses little, and the short step for all other ground.
 
-Over 4.2 million cells, the long step takes less time than still longer steps with walks for every crossing. Its hours are accurate
-to a third of a minute.
+A block of 4.2 million cells takes less time with the long step than with still longer steps, which need more walks. With the long
+step hours of sun are accurate to a third of a minute.
 """
 
 SAMPLED_CELLS = 1000
-"""Cells of a block that are tested."""
+"""Number of cells of a block, chosen at random, that are tested."""
 
 TRACK_MIN = 15
 """Minutes during which the sun's path is approximated by a parabola."""
@@ -39,16 +39,20 @@ IDENTITY = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=Fal
 
 
 def sampling_step_min(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> float:
-    """Return the minutes between two samples of a day's sun, for a block of bare ground with eyes ``height_m`` above it.
+    """Return the minutes between two samples of a day's sun, for a block of ground without objects.
 
-    Ground beside the block is ignored: it is far from most cells, and distant ground casts long-lasting shadows.
+    Points ``height_m`` metres above the ground are tested, while the sun is above ``least_altitude_deg``. Ground beside the block
+    is ignored. It is far from most cells, and distant ground casts shadows that last longer than a step.
     """
     missed_min = missed_minutes(lit_by_minute(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MIN))
     return LONG_STEP_MIN if missed_min.mean() <= MAX_MISSED_MIN else SHORT_STEP_MIN
 
 
 def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
-    """Return whether sampled cells of a block see the sun, in each minute that it is up: bool (cells, minutes)."""
+    """Return whether some cells of a block see the sun, for each minute that it is up: bool (cells, minutes).
+
+    The arguments are those of ``sampling_step_min``. At most ``SAMPLED_CELLS`` cells are chosen at random.
+    """
     rows, cols = np.nonzero(nodes.shows_ground)
     sample = np.random.default_rng(0).choice(len(rows), min(SAMPLED_CELLS, len(rows)), replace=False)
     cells = np.stack([rows[sample], cols[sample]], axis=1)
@@ -64,9 +68,10 @@ def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude
 
 
 def missed_minutes(lit: np.ndarray, step: int) -> np.ndarray:
-    """Return the errors in minutes (n,) of a day's sun of cells, if only every ``step``-th minute is sampled.
+    """Return the absolute errors of a day's minutes of sun at n cells, if only every ``step``-th minute is sampled: (n,).
 
-    ``lit`` (n, minutes) is the truth. Between two samples that differ, the first crossing is found; between equal ones, none is.
+    ``lit`` bool (n, minutes) is the truth. If two successive samples differ, the first change between them is assumed to be located
+    exactly. If they are equal, all changes between them are missed.
     """
     error_min = np.zeros(len(lit))
     for begin in range(0, lit.shape[1] - 1, step):

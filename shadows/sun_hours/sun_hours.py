@@ -1,12 +1,14 @@
 """Hours of sun: the duration, the first and last time, and the number of days of direct sun at the cells of a map's block.
 
-The sun is sampled in even time steps, and at its rise and set. Without a given step, each block's ground determines it
-(``skugga.shadows.sun_hours.steps``). For bare ground the line sweep (``skugga.shadows.sweep``) gives the clearance by which each
-cell sees the sun. The times at which clearances change their signs are derived from it (``skugga.shadows.sun_hours.spells``). With
-steps longer than ``MIN_WALK_STEP_MIN``, walks over the ground refine them. Where objects stand on the ground, a plan's algorithms
-give the visible share of the sun: a cell has sun if at least half of it is visible.
+The sun is sampled in even time steps, and at its rise and set. If no step is requested, each block's ground determines it
+(``skugga.shadows.sun_hours.steps``). For ground without objects the line sweep (``skugga.shadows.sweep``) gives the clearance, the
+margin by which each cell sees the sun. The times at which clearances change their signs are derived from it
+(``skugga.shadows.sun_hours.spells``). With steps longer than ``MIN_WALK_STEP_MIN``, walks along lines of sight refine these times.
+If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half of it is
+visible.
 
-Cells keep the order of the sweep's turned grid from step to step, which changes only three or four times a day.
+The sweep uses a turned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the turned grid
+from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis of the grid.
 """
 
 from __future__ import annotations
@@ -50,26 +52,25 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LINES_PER_COLUMN = 8
-"""Lines per column of nodes (``skugga.shadows.sweep.lines``); with four, the errors of hours on surfaces of trees double."""
+"""Sweep lines per column of nodes (``skugga.shadows.sweep.lines``). With four lines, errors on surfaces of trees are doubled."""
 
 CASTER_SEARCH_MIN = 15.0
-"""Minutes of sun between two searches for casting ground beside a block.
+"""Minutes between two searches for ground beside a block that casts shadows on it.
 
-Ground that hides the sun in between hides it at one of the two ends, too, unless it is about fifteen times as far away as the block
-is wide.
+Ground that hides the sun only between two searches is missed. Such ground is about fifteen times as far away as the block is wide.
 """
 
 DRAWN_STEP_MIN = 2.0
-"""Default minutes between two pictures, where objects stand on the ground."""
+"""Default minutes between two samples if objects stand on the ground. Each sample is a rendered picture of the shadows."""
 
 MIN_WALK_STEP_MIN = 3.0
-"""Minutes between two moments beyond which walks refine a crossing; clearances suffice for shorter steps."""
+"""Time step, minutes, beyond which walks along lines of sight refine the time of a change between sun and shade."""
 
 RIM_TOLERANCE_PX = 1e-6
-"""Tolerance in pixels for a raster's edge on the edge of a pixel."""
+"""Tolerance in pixels for the test whether a block contains the whole raster."""
 
 RIM_SAMPLES = 33
-"""Rows and columns of positions that determine the extent of a raster on another grid."""
+"""Number of rows, and of columns, of positions of a raster that are projected to find its extent on another grid."""
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,11 @@ class SunRules:
     step_min
         Minutes between two samples; ``None``: each block's ground determines it.
     threshold_h
-        Hours from which on a day counts.
+        Minimum hours of sun of a day that counts in ``SunHours.days``.
     least_altitude_deg
-        Lowest apparent altitude of the sun at a cell that counts.
+        Minimum apparent altitude of the sun at a cell. A lower sun does not count.
     height_m
-        Height of the eye above the ground, metres.
+        Height above the ground for which sun is computed, metres.
     """
 
     step_min: float | None = None
@@ -96,16 +97,16 @@ class SunRules:
 
 @dataclass(frozen=True, eq=False)
 class SunHours:
-    """The sun of a block's cells, float32 (rows, cols); NaN where no surface is valid.
+    """The direct sun at a block's cells, float32 (rows, cols) each; NaN at cells without a surface.
 
     Attributes
     ----------
     hours
         Mean hours of sun per date.
     first, last
-        First and last sun of any date, minutes from midnight of the window's clock; NaN: never.
+        Earliest and latest time of sun on any date, minutes from midnight by the clock of the windows; NaN without sun.
     longest
-        Longest unbroken spell of any date, hours.
+        Longest unbroken interval of sun on any date, hours.
     days
         Number of dates with at least ``SunRules.threshold_h``.
     """
@@ -125,21 +126,21 @@ def sun_hours(
     plan_of: Callable[[Scene], Plan],
     on_day: Callable[[], None] | None = None,
 ) -> SunHours:
-    """Return the direct sun of days at the cells of a map's block. Clouds are ignored.
+    """Compute the hours of direct sun at the cells of a map's block over several days. Clouds are ignored.
 
     Parameters
     ----------
     scene
         The scene.
     view
-        The cells.
+        The block, whose pixels are the cells.
     days
-        The sun during the daily windows.
+        The path of the sun during the window of time of each day.
     rules
         The definition of direct sun.
     plan_of
-        Function that returns the plan for a scene under a sun. It is called only where objects stand on the ground, or where cells
-        are not nodes.
+        Function that returns the plan (algorithms and settings) for a scene. It is called only if objects stand on the ground, or if
+        cells are not nodes of the map's grid.
     on_day
         Function to call after each day.
 
@@ -186,7 +187,17 @@ def sun_hours(
 
 @dataclass(frozen=True, eq=False)
 class _BlockSpells:
-    """The sun of a block's cells so far, in the order of a turned grid."""
+    """The sun at a block's cells up to a moment, in the order of a turned grid.
+
+    Attributes
+    ----------
+    view
+        The block.
+    orientation
+        How the grid is turned.
+    spells
+        The intervals of sun so far, (n, m) in the order of the turned grid.
+    """
 
     view: MapView
     orientation: GridOrientation
@@ -201,7 +212,7 @@ class _BlockSpells:
 
     @property
     def fit(self) -> np.ndarray:
-        """The ``quadratic_fit`` of the block's lattice."""
+        """The ``quadratic_fit`` for values at the positions ``lattice_of`` the block, in the order of the turned grid."""
         row, col = lattice_of(self.view)
         i, j = self.orientation.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
         return quadratic_fit(i, j, self.spells.day.shape)
@@ -210,7 +221,7 @@ class _BlockSpells:
 def _add_span(
     block_spells: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
 ) -> _BlockSpells:
-    """Add a span of a day."""
+    """Return the sun at a block's cells after a span, an interval of a day with the sun up."""
     moments: list[ClearanceSample] = []
     begins = True
 
@@ -235,7 +246,7 @@ def _add_span(
 
 
 class _TerrainBlock:
-    """Clearances of bare ground, metres, by the line sweep."""
+    """A block of ground without objects, with clearances (margins by which cells see the sun) in metres by the line sweep."""
 
     def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
         self._scene, self._nodes, self._rules, self._height_m = scene, nodes, rules, rules.height_m
@@ -248,11 +259,14 @@ class _TerrainBlock:
         return self._nodes.shows_ground
 
     def step_min(self, day: WindowSun) -> float:
-        """Return the minutes between two samples, from a representative day."""
+        """Return the minutes between two samples that are accurate enough on a representative day."""
         return sampling_step_min(self._scene, self._nodes, day, self._rules.least_altitude_deg, self._height_m)
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
-        """Yield the orientation and the clearances (n, m) at each moment of a span. The fifth ones reuse the array of the first."""
+        """Yield, for each moment of a span, how the grid is turned and the clearances (n, m) of its cells.
+
+        An array is overwritten four moments later.
+        """
         arrays: list[np.ndarray] = []
         for minutes, patches in self._casters(day, span):
             self._recent_patches.append(patches)
@@ -272,7 +286,10 @@ class _TerrainBlock:
             yield node_clearance.orientation, arrays[-1]
 
     def occlusion(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> OcclusionTrack | None:
-        """Return the occlusion of cells between two moments, if they are far enough apart for walks."""
+        """Return the input of walks between two moments, or ``None`` if the moments are so close that walks are not needed.
+
+        ``ends`` are the moments, minutes after the window's start. ``orientation`` is that of the cells' turned grid.
+        """
         if ends[1] - ends[0] <= MIN_WALK_STEP_MIN:
             return None
         patches = tuple(dict.fromkeys(patch for recent in self._recent_patches for patch in recent))
@@ -285,7 +302,7 @@ class _TerrainBlock:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
 
     def _casters(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
-        """Yield each sampled moment, with the ground beside the block that may cast shadows on it then."""
+        """Yield each moment of a span in minutes, with the patches of ground that may cast shadows on the block at that moment."""
         first, last = span.sample_min(0), span.sample_min(len(span.samples_min) - 1)
         end = -np.inf
         before: tuple[Patch, ...] = ()
@@ -304,7 +321,7 @@ class _TerrainBlock:
 
 
 class _RenderedBlock:
-    """Clearances by a plan's algorithms: the visible share of the sun, less a half."""
+    """A block with objects, whose shadows a plan's algorithms render. The clearance of a cell is the visible share of the sun - 0.5."""
 
     def __init__(self, scene: Scene, view: MapView, plan_of: Callable[[Scene], Plan]) -> None:
         self._scene, self._view, self._plan_of = scene, view, plan_of
@@ -314,17 +331,17 @@ class _RenderedBlock:
         return self._render(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).valid
 
     def step_min(self, day: WindowSun) -> float:
-        """Return the minutes between two pictures; the same for all days."""
+        """Return the minutes between two samples, which are the same for all days."""
         return DRAWN_STEP_MIN
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
-        """Do as ``_TerrainBlock.clearances``, in the order of the cells."""
+        """Yield, for each moment of a span, ``IDENTITY`` and the clearances (rows, cols) of the cells."""
         for number in range(len(span.samples_min)):
             frame = self._render(day.sun(span.sample_min(number), self._scene.world))
             yield IDENTITY, frame.visibilities[SUN] - np.float32(0.5)
 
     def occlusion(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> None:
-        """Return ``None``: pictures give no occlusion between two moments."""
+        """Return ``None``: rendered shadows are not refined by walks."""
 
     def _render(self, sun: Sun) -> Frame:
         scene = replace(self._scene, sun=sun)
@@ -332,7 +349,7 @@ class _RenderedBlock:
 
 
 def _under_clear_sky(scene: Scene) -> Scene:
-    """Return a scene without clouds that hide its sun."""
+    """Return the scene, with the cloud cover set to 0 if it is overcast."""
     level = scene.loaded.level
     if not level.weather.is_overcast:
         return scene
@@ -341,7 +358,7 @@ def _under_clear_sky(scene: Scene) -> Scene:
 
 
 def _holds_all_ground(scene: Scene, view: MapView) -> bool:
-    """Return whether a block holds all ground of its level."""
+    """Return whether a block contains the whole raster of its level, so that no ground lies beside it."""
     (top, bottom), (left, right) = ground_extent(scene, view)
     rows, cols = (
         (-0.5 - RIM_TOLERANCE_PX, view.rows - 0.5 + RIM_TOLERANCE_PX),
@@ -351,7 +368,9 @@ def _holds_all_ground(scene: Scene, view: MapView) -> bool:
 
 
 def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the minimum and maximum row, and column, of a level's raster, in pixels of a view from its first one.
+    """Return the minimum and maximum row, and the minimum and maximum column, of a level's raster in pixels of a view.
+
+    They are counted from the centre of the view's first pixel.
 
     The limits are infinite where PROJ cannot transform them.
     """
@@ -363,7 +382,7 @@ def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tup
     row, col = (grid.row(y) - view.row0) / view.row_step, (grid.col(x) - view.col0) / view.col_step
     if not (np.isfinite(row).all() and np.isfinite(col).all()):
         return (-np.inf, np.inf), (-np.inf, np.inf)
-    if grid.crs.is_geographic:  # shift by whole turns to the turn of the view
+    if grid.crs.is_geographic:  # shift by multiples of 360 degrees, as near to the view as possible
         period = 360.0 / (grid.step * view.col_step)
         if np.ptp(col) > period * (1.0 - 1.0 / RIM_SAMPLES):
             return (float(row.min()), float(row.max())), (-np.inf, np.inf)

@@ -1,7 +1,8 @@
-"""The moments at which a day's sun is sampled over a block: in even steps, and where it rises above a floor and sets.
+"""The moments at which a day's sun is sampled over a block of cells.
 
-The sun's position is computed for each minute at the level's anchor, with refraction. Between two minutes its direction is
-interpolated, which is accurate to 2e-6 of a radian.
+They are even time steps, and the times at which the sun rises above a minimum altitude (the floor) and falls below it. The sun's
+position is computed for each minute at the level's anchor, with refraction. Between two minutes its direction is interpolated,
+which is accurate to 2e-6 of a radian.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from skugga.terrain.geo.sun_path import PRESSURE_PA, TEMPERATURE_C, sun_path
 from skugga.terrain.geo.world import World
 
 BLOCK_SAMPLES = 5
-"""Rows and columns of positions that represent a block."""
+"""Number of rows, and of columns, of a lattice of positions that represent a block of cells."""
 
 MIN_REFRACTED_DEG = -0.8333
-"""Altitude below which the formula has no refraction: no part of the sun's disc is visible."""
+"""Altitude below which refraction is set to 0, because no part of the sun's disc is visible."""
 
 HORIZON_OFFSET_MIN = 0.02
-"""Minutes after a rise, and before a set, of the sun that is used there."""
+"""Minutes by which the first moment of a span is moved forward, and the last one back, so that the sun is above the horizon."""
 
 MIN_SPACING_MIN = 0.25
 """Minimum minutes between two samples."""
@@ -34,7 +35,7 @@ MIN_SPACING_MIN = 0.25
 
 @dataclass(frozen=True, eq=False)
 class WindowSun:
-    """The sun during a window of a date, at n times.
+    """The sun during a window of time of one date, at n times.
 
     Attributes
     ----------
@@ -45,11 +46,11 @@ class WindowSun:
     towards_earth
         (n, 3): earth-fixed unit vectors towards the apparent sun.
     unrefracted_earth
-        (n, 3): the same without refraction.
+        (n, 3): earth-fixed unit vectors towards the sun without refraction.
     azimuth_deg, altitude_deg
-        (n,): apparent azimuths and altitudes at the level's anchor.
+        (n,), degrees: apparent azimuths and altitudes at the level's anchor.
     lift_deg
-        (n,): refraction.
+        (n,), degrees: refraction, by which the apparent sun is higher than the true one.
     """
 
     window: DailyWindow
@@ -66,7 +67,7 @@ class WindowSun:
         return towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
     def sun(self, minutes: float, world: World) -> Sun:
-        """Return the sun at so many minutes after the window's start."""
+        """Return the sun at ``minutes`` after the window's start."""
         towards = self.direction(np.array([minutes]))[0]
         east, north, up = world.earth_from_anchor.T @ towards
         azimuth = float(np.degrees(np.arctan2(east, north))) % 360.0
@@ -76,27 +77,32 @@ class WindowSun:
 
 @dataclass(frozen=True, eq=False)
 class SunSpan:
-    """A span of time with the sun up: from a rise in a block, or the window's start, to a set or the window's end.
+    """An interval of time during which the sun is above the floor (a minimum altitude) somewhere in a block.
+
+    It begins when the sun rises above the floor or at the window's start, and ends when the sun sets or at the window's end.
 
     Attributes
     ----------
     samples_min
         (k,): sampled moments, minutes after the window's start.
     above
-        (k, BLOCK_PLACES, BLOCK_PLACES): the sine of the altitude less that of the floor, at positions of the block.
+        (k, BLOCK_SAMPLES, BLOCK_SAMPLES): the sine of the sun's altitude less that of the floor, at positions of the block.
     """
 
     samples_min: np.ndarray
     above: np.ndarray
 
     def sample_min(self, number: int) -> float:
-        """Return the moment whose sun is used at a knot, minutes: it lies inside of the span."""
+        """Return the moment, in minutes, for which the sun of sample ``number`` is computed.
+
+        At the ends of the span it is moved inwards by ``HORIZON_OFFSET_MIN``.
+        """
         first, last = self.samples_min[0] + HORIZON_OFFSET_MIN, self.samples_min[-1] - HORIZON_OFFSET_MIN
         return float(np.clip(self.samples_min[number], first, max(first, last)))
 
 
 def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]:
-    """Return the sun during daily windows.
+    """Return the sun during windows of time, one for each date.
 
     Raises ``UnsupportedError`` off the earth, and ``InputError`` for years outside of the sun's ephemeris.
     """
@@ -119,7 +125,8 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
 def refracted_sine(sine: np.ndarray) -> np.ndarray:
     """Return the sine of the sun's apparent altitude, from the sine of its altitude without refraction.
 
-    The formula is that of ``sun_path`` (Reda & Andreas 2004, eq. 42). So each position in a wide block has its own sunrise.
+    The formula for refraction is that of ``sun_path`` (Reda & Andreas 2004, eq. 42). It is applied to each position, so that each
+    part of a wide block has its own sunrise.
     """
     altitude = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
     air = PRESSURE_PA / 101000.0 * 283.0 / (273.0 + TEMPERATURE_C)
@@ -129,14 +136,20 @@ def refracted_sine(sine: np.ndarray) -> np.ndarray:
 
 
 def lattice_of(view: MapView) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns (BLOCK_PLACES, BLOCK_PLACES) of the positions that represent a block, in pixels from its first."""
+    """Return the rows and the columns of a lattice of positions that represent a block: (BLOCK_SAMPLES, BLOCK_SAMPLES) each.
+
+    They are counted in pixels from the block's first pixel.
+    """
     row, col = (np.linspace(0.0, count - 1.0, BLOCK_SAMPLES) for count in (view.rows, view.cols))
     rows, cols = np.meshgrid(row, col, indexing="ij")
     return rows, cols
 
 
 def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, step_min: float) -> list[SunSpan]:
-    """Return the spans with the sun above a floor (degrees, apparent) anywhere in a block, with their sampled moments."""
+    """Return the spans during which the sun is above a minimum altitude somewhere in a block, with their sampled moments.
+
+    ``floor_deg`` is the minimum apparent altitude. ``step_min`` is the time between two samples, minutes.
+    """
     row, col = lattice_of(view)
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     _, up = world.ground(view.grid.crs, x, y)
@@ -158,7 +171,10 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
 
 
 def _above_zero(times: np.ndarray, values: np.ndarray) -> list[tuple[float, float]]:
-    """Return the intervals of time during which values, linear between times, are over 0."""
+    """Return the intervals (start, end) during which a function of time is over 0.
+
+    The function is linear between ``times`` (n,), where it has ``values`` (n,).
+    """
     over = np.concatenate([[False], values > 0.0, [False]])
     starts, ends = np.flatnonzero(over[1:] & ~over[:-1]), np.flatnonzero(over[:-1] & ~over[1:]) - 1
 

@@ -234,7 +234,7 @@ class GroundWindow:
     begin: int = 0
 
     def tilted(self, angle: float) -> TurnedGrid:
-        """Return the turned grid for a sun that is higher by ``angle``, radians. This needs ``towards_m`` unless it is 0."""
+        """Return the turned grid for a sun that is higher by ``angle``, radians. Angles other than 0 need ``towards_m``."""
         if angle == 0.0:
             return self.turned_grid
         ray_height = np.float32(np.cos(angle)) * self.turned_grid.ray_height - np.float32(np.sin(angle)) * self.towards_m
@@ -246,8 +246,8 @@ def grounds_of_block(
 ) -> list[GroundWindow]:
     """Return the ground that casts shadows on a map's block, by level of detail: the coarsest first, the block's own last.
 
-    ``soft`` tells whether to compute ``GroundWindow.towards_m``. Patches in ``culled`` cast no shadow on the block, so their heights
-    are not read.
+    ``soft`` tells whether to compute ``GroundWindow.towards_m``. The heights of ``culled`` patches are not read, since they cast no
+    shadow on the block.
     """
     patches = [patch for patch in patches if not (patch.lod and _lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []

@@ -55,7 +55,8 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
     """Estimate the number of triangles of the ground patches between a block and the sun.
 
     ``skugga.terrain.casters.reach`` lays out these patches. They are as wide as the block plus the margin of a patch, and as long
-    as the longest shadow of the level's relief. Their resolution halves at each doubling of the distance.
+    as the longest shadow of the level's relief. Their resolution halves at each doubling of the distance. ``rows`` and ``cols`` are
+    the size of the block in nodes, ``node_m`` is the distance between nodes in metres.
     """
     if not scene.sun_is_up or scene.light is None or np.ptp(scene.height_range_m) <= 0.0:
         return 0
@@ -97,9 +98,9 @@ def _forest_facts(trees: TreeInstances) -> CasterFacts:
 
 @cached("process", MIB)
 def leaf_gaps() -> np.ndarray:
-    """Return the mean width of leaves and gaps in each texture of a tree, shape (2 * variants,), as a share of the texture's side.
+    """Return the mean width (2 * variants,) of leaves and gaps in each picture of a tree, as a share of the picture's side.
 
-    The width is the mean length of runs of leaf texels and of gap texels along the rows, within the outline of the tree.
+    The width is the mean length of successive leaf texels, or of successive gap texels, along the rows within the tree's outline.
     """
     means = []
     for alpha in foliage().mip_levels[0][..., 3]:

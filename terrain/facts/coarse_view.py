@@ -1,7 +1,7 @@
 """Coarse software rasteriser of a perspective view: the visible triangle in every few pixels, without OpenGL.
 
 There are few pixels and many triangles, and most triangles are smaller than the spacing of the pixels. The rasteriser therefore
-tests rays in place and saves the time of sending all triangles to OpenGL. A pixel's ray r hits a triangle a, b, c (all in camera
+tests rays on the CPU and saves the time of sending all triangles to OpenGL. A pixel's ray r hits a triangle a, b, c (all in camera
 axes) if r . (b x c), r . (c x a) and r . (a x b) have the same sign. No corner needs to be in front of the eye (M. Olano, T. Greer
 1997, "Triangle scan conversion using 2D homogeneous coordinates").
 
@@ -124,7 +124,8 @@ def coarse_view_of(scene: Scene, view: PerspectiveView) -> CoarseView:
 def _sample_every(scene: Scene, view: PerspectiveView, px: int, edge_samples: NeighbourSamples | None = None) -> CoarseView:
     """Return the view sampled every ``px`` pixels.
 
-    A view of every pixel receives the ``edge_samples`` of the coarse one, since its own would need too much memory in the cache.
+    The result holds ``edge_samples`` if they are given, else samples of its own. A view of every pixel gets those of the coarse
+    view, since its own would need too much memory in the cache.
     """
     coarse_camera = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     frame = view.frame(scene.world)
@@ -185,7 +186,11 @@ def rasterize_triangles(
 
 @compiled
 def _projected(vertices, eye, rotation, tangents):
-    """Return vertices (n, 3) in camera axes, and their columns and rows (n, 2), which are valid in front of the eye only."""
+    """Return vertices (n, 3) in camera axes, and their columns and rows (n, 2) in the picture.
+
+    Columns and rows are valid for vertices in front of the eye only. ``tangents`` are the tangents of the first column and row, and
+    the step of a pixel.
+    """
     camera_position, pixel = np.empty((len(vertices), 3)), np.empty((len(vertices), 2))
     for n in range(len(vertices)):
         x, y, z = vertices[n, 0] - eye[0], vertices[n, 1] - eye[1], vertices[n, 2] - eye[2]
@@ -198,7 +203,7 @@ def _projected(vertices, eye, rotation, tangents):
 
 @internal
 def _is_outside_frustum(a, b, c, tangents, reach, rows, cols):
-    """Return whether a triangle lies entirely beyond one side of the view frustum, which is wider by ``reach`` pixels."""
+    """Return whether a triangle lies entirely beyond one side of the view frustum widened by ``reach`` pixels."""
     for k in range(2):
         low = tangents[k] - reach * tangents[2]
         high = low + ((cols if k == 0 else rows) - 1 + 2.0 * reach) * tangents[2]

@@ -1,7 +1,7 @@
 """Ray casting through foliage: the first hit with a leaf of the trees as a view draws them.
 
 The result is exact except for two simplifications that do not matter on average. The alpha of a texture is read at the nearest
-texel, and all trees stand along the third axis of their frame, at any distance from its origin. A uniform grid of cells holds the
+texel. All trees stand along the third axis of the frame, even far from its origin, where the earth's vertical differs. A uniform grid of cells holds the
 trees. Rays traverse its cells in order (J. Amanatides, A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
 """
 
@@ -24,7 +24,7 @@ MAX_CELLS_PER_SIDE = 512
 """Maximum number of cells along a side of the grid."""
 
 MIN_LEAF_DISTANCE_M = 0.01
-"""Minimum hit distance. A leaf closer to the start of a ray is the leaf that the ray starts from."""
+"""Minimum hit distance. A nearer leaf is the one on which the ray starts."""
 
 
 class TreeGrid(NamedTuple):

@@ -32,7 +32,10 @@ MIN_INCIDENCE_SINE = 2.0**-20
 """Minimum sine of the angle between a light and a surface. A lower light counts as below the surface."""
 
 EDGE_TEXEL_SIZES = 6
-"""Number of entries of ``TEXEL_SIZES_PX`` that detect an edge near a point: up to 8 pixels, about the spacing of the points."""
+"""Number of entries of ``TEXEL_SIZES_PX`` whose rays detect a shadow edge near a point.
+
+The largest of these texels is 8 pixels wide, about the spacing of the points.
+"""
 
 CUBE_FACE_PARTS = 8
 """Subdivision of a side of each cube-map face of an omni light, for the estimate of the visible share of its sphere."""
@@ -87,7 +90,7 @@ class ViewProbes:
 
 
 def facts_of_lights(view_probes: ViewProbes, sun_area_share: float, lamps: Iterable[str]) -> dict[str, LightFacts]:
-    """Return the facts of the sun and of some lamps by name. ``sun_area_share`` is the ``area_share`` of the sun."""
+    """Return the facts of the sun and of some lamps by name. ``sun_area_share`` is the sun's ``LightFacts.area_share``."""
     facts: dict[str, LightFacts] = {}
     if view_probes.scene.sun is not None:
         facts[SUN] = _facts(view_probes, None, sun_area_share)
@@ -160,11 +163,11 @@ class RayOcclusion:
     at_probes
         Whether the ray from each of the n probes is blocked (n,), bool.
     at_offsets
-        Whether the rays from k places beside the probes ``indices`` are blocked (k, m), bool.
+        Whether the rays from the k places beside each of the m probes ``indices`` are blocked (k, m), bool.
     indices
-        Indices of the probes with rays from beside them (m,).
+        Indices of the m probes that have rays from places beside them (m,).
     thrown_m
-        Distances from blocked probes to their occluders, metres, or ``None`` if they are unknown.
+        Distances from blocked probes to their occluders, metres; ``None`` if they are unknown.
     """
 
     at_probes: np.ndarray

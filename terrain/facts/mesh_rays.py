@@ -69,7 +69,10 @@ def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) ->
 
 
 def any_hit(tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
-    """Return whether each ray hits a triangle within its length (...), bool. Starts (..., 3) are relative to the BVH's origin."""
+    """Return whether each ray hits a triangle within its length (...), bool.
+
+    Starts (..., 3) are in metres from the origin of the BVH.
+    """
     return np.isfinite(_find_hits(tree, start_m, direction, length_m, False)[0])
 
 
@@ -118,7 +121,10 @@ def bvh_of(vertices: np.ndarray, triangles: np.ndarray) -> Bvh:
 
 @compiled
 def _build_bvh(box_low, box_high, leaf, bins):
-    """Return the order of triangles with boxes (m, 3), and the nodes of their BVH. Node 0 is the root."""
+    """Return the order of m triangles in the leaves of their BVH, and the arrays of its nodes as in ``Bvh``.
+
+    ``box_low`` and ``box_high`` (m, 3) are the corners of the triangles' boxes. Node 0 is the root.
+    """
     m = len(box_low)
     order = np.arange(m)
     middle = 0.5 * (box_low + box_high)

@@ -1,8 +1,10 @@
 """Probes: sampled visible points of a view, with rays from them and from places beside them to a light.
 
 A nearest-neighbour look-up in a shadow map gives a point the visibility of the centre of its texel, compared on the plane of the
-visible triangle. Suppose that a ray through the point and one through another place in its texel differ. The share of such points
-is the error of a map with these texels. The position of the texel grid is random. The other place is therefore drawn from a square
+visible triangle. The look-up is wrong if only one of the rays from the point and from the texel's centre reaches the light. The share of
+such points is the error of a map with these texels.
+
+The position of the texel grid is random, so a random place stands for the texel's centre. It is drawn from a texel-sized square
 round the point, perpendicular to the light. The quasirandom sequence is the same in every process (R2: M. Roberts 2018, "The
 unreasonable effectiveness of quasirandom sequences").
 """
@@ -20,10 +22,10 @@ MAX_PROBES = 1000
 """Maximum number of probes that send rays to a light."""
 
 MIN_CAST_SHARE = 0.5 / MAX_PROBES
-"""Assumed share of shadows that no probe has hit: half the share of one probe."""
+"""Share of shadows to assume where no probe lies in shadow: half the share of one probe."""
 
 MAX_PROBES_AMONG_TREES = 500
-"""The same limit in a scene with trees, whose leaves make rays expensive."""
+"""``MAX_PROBES`` in a scene with trees, whose leaves make rays expensive."""
 
 MAX_PLANE_SLOPE = 8.0
 """Maximum offset along the light of a place beside a point, as a multiple of its offset perpendicular to the light.

@@ -22,7 +22,7 @@ SKIP_BLOCK_CELLS = 16
 """Side of the blocks of cells that a ray can skip at once."""
 
 MIN_OCCLUDER_CELLS = 1.0
-"""Minimum distance of an occluder from the start of a ray, in cells. Closer ground is the ground that the ray starts on."""
+"""Minimum distance of an occluder from the start of a ray, in cells. Nearer ground is that on which the ray starts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +93,9 @@ def _dual_basis(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.nda
 def blocked_by_relief(
     world: World, elevation: Elevation, probe_positions: OverviewProbes, probes: Probes, rays: ProbeRays
 ) -> np.ndarray:
-    """Return whether the ground blocks each ray (1 + k, n), bool. ``probe_positions`` holds the positions of the probes on the
-    overview.
+    """Return whether the ground blocks each ray (1 + k, n), bool.
+
+    ``probe_positions`` are the positions of the probes on the raster's overview.
     """
     return _is_hidden(world, elevation, probe_positions, rays.start_frame_m - probes.point_frame_m, rays)
 
@@ -123,7 +124,10 @@ def _is_hidden(
 
 @cached("scene", 256 * MIB)
 def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    """Return the overview's heights, with -1e9 for nodata, and the maximum of each block of cells with the ring round it."""
+    """Return the overview's heights, with -1e9 for nodata, and the maximum of each block of cells.
+
+    A block's maximum includes the cells that adjoin the block.
+    """
     from scipy.ndimage import maximum_filter
 
     heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)

@@ -35,7 +35,7 @@ class MeshEdges:
     ends
         Vertex numbers (e, 2), int32.
     triangle_pair
-        Adjacent triangles (e, 2), int32; -1 is none. An edge of more than two triangles has two of them.
+        Adjacent triangles (e, 2), int32; -1 for none. If more than two triangles share an edge, it lists two of them.
     """
 
     ends: np.ndarray
@@ -58,7 +58,7 @@ def mesh_edges(merged_triangles: np.ndarray, triangles: np.ndarray) -> MeshEdges
 
 @cached("scene", 256 * MIB)
 def _edges_of_bodies(placement: Placement) -> MeshEdges:
-    """Return the edges of all casting bodies, which do not depend on time. Bodies share no edges."""
+    """Return the edges of all bodies that cast shadows. They do not depend on time. Bodies share no edges."""
     merged_triangles, triangles, merged_count, vertex_count = [], [], 0, 0
     for placed in placement.casting:
         merged = placed.body.merged_triangles
@@ -71,7 +71,10 @@ def _edges_of_bodies(placement: Placement) -> MeshEdges:
 
 @cached("scene", 256 * MIB)
 def _face_normals_and_corners(objects: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normals (m, 3) and corners (m, 3) of the casting triangles, earth-fixed. Normals are twice the area long."""
+    """Return the normals (m, 3) and the first corners (m, 3) of the triangles that cast shadows, earth-fixed.
+
+    The length of a normal is twice the area of its triangle.
+    """
     solids = objects.solids
     assert solids is not None
     a, b, c = np.moveaxis(solids.caster_vertices_earth_m[solids.caster_triangles], 1, 0)
@@ -115,7 +118,7 @@ def projected_length(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray)
 
 @compiled
 def _clipped_length(ends, low, high):
-    """Clip edges at the sides of the view frustum (M. Cyrus, J. Beck 1978), project them and return their total length."""
+    """Return the total length of projected edges, clipped at the sides of the view frustum (M. Cyrus, J. Beck 1978)."""
     total = 0.0
     for e in range(len(ends)):
         first, last = 0.0, 1.0
@@ -147,10 +150,10 @@ def _clipped_length(ends, low, high):
 def mean_volume_layers(
     ends_earth_m: np.ndarray, light_earth: np.ndarray, is_positional: bool, start_earth_m: np.ndarray, segment_m: np.ndarray
 ) -> float:
-    """Return the mean number of shadow-volume sides that rays cross.
+    """Return the mean number of shadow-volume sides that a ray crosses.
 
-    The sides start at edges (k, 2, 3) and extend away from the light. The rays are segments ``segment_m`` (n, 3) from starts (n,
-    3).
+    The sides start at edges (k, 2, 3) and extend away from the light. Ray i runs from ``start_earth_m[i]`` along ``segment_m[i]``;
+    both arrays are (n, 3).
     """
     if not len(ends_earth_m) or not len(segment_m):
         return 0.0

@@ -1,6 +1,6 @@
 """Sample the visible points of a view as probes (ground, meshes and trees), and measure the share of pixels with an edge.
 
-Neither depends on the light.
+The probes and that share do not depend on the light.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ MAX_LEAF_EDGE_PIXELS = 300
 
 
 def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> Probes:
-    """Return the probes of a map: one in each of ``MAP_STRATA_PER_SIDE`` squared strata of the raster, on the surface visible from
-    above.
+    """Return the probes of a map, on the surface that is visible from above.
+
+    There is one in each of ``MAP_STRATA_PER_SIDE`` squared strata of the raster.
     """
     probes = _points_in_map(scene.objects, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
@@ -46,7 +47,7 @@ def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> 
 def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeInstances | None) -> Probes:
     """Return the probes of a perspective view: all points of its coarse view.
 
-    In a scene with trees at most ``MAX_LEAF_PROBES`` points are used, and leaves in front of them replace them.
+    In a scene with trees they are at most ``MAX_LEAF_PROBES`` of these points. A leaf in front of a point replaces it.
     """
     return _coarse_view_probes(coarse_view, view.pixel) if trees is None else _probes_with_leaves(coarse_view, view.pixel, trees)
 
@@ -99,7 +100,10 @@ def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:
 
 @cached("scene", MIB)
 def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> float:
-    """Return the edge share with trees: the share without trees from many pixels, plus the difference measured in some of them."""
+    """Return the share of pixels with an edge in a view with trees.
+
+    It is the share without trees, from many pixels, plus the difference that trees make in some of them.
+    """
     edge_samples = coarse_view.edge_samples
     chosen = stratified_indices(len(edge_samples.number), MAX_LEAF_EDGE_PIXELS)
     number, depth_m = edge_samples.number[chosen], edge_samples.distance_m[chosen]
@@ -159,7 +163,10 @@ def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes
 def _move_to_roofs(
     objects: SceneObjects, ground_probes: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
 ) -> tuple[Probes, np.ndarray]:
-    """Move the probes below meshes onto the meshes. Return them and their depths (n,) below the starts (n, 3), metres."""
+    """Move the probes below meshes onto the meshes.
+
+    Returns the probes, and their depths (n,) below the starts (n, 3) of the vertical rays, in metres.
+    """
     hit_m, normal = first_mesh_hits(objects, ground_probes.frame, start, down, length)
     is_roof = np.isfinite(hit_m)
     length = np.where(is_roof, hit_m, length)
@@ -172,7 +179,10 @@ def _move_to_roofs(
 
 @cached("scene", 64 * MIB)
 def ground_points(world: World, elevation: Elevation) -> Probes:
-    """Return stratified points of a level's bare ground, bilinear between the cells of its overview."""
+    """Return points of a level's bare ground: one at a quasirandom place in each stratum of the raster.
+
+    Heights are bilinear between the cells of the overview. There are ``MAP_STRATA_PER_SIDE`` squared strata.
+    """
     heights, factor = elevation.overview.heights_m, 2**elevation.overview.lod
     jitter = quasirandom(np.arange(MAP_STRATA_PER_SIDE**2)).reshape(MAP_STRATA_PER_SIDE, MAP_STRATA_PER_SIDE, 2)
     stratum = np.stack(tuple(np.mgrid[:MAP_STRATA_PER_SIDE, :MAP_STRATA_PER_SIDE]), axis=-1)

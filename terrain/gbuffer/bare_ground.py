@@ -88,7 +88,7 @@ def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround 
     Returns
     -------
     BareGround | None
-        The ground; ``None`` if ground is only one node wide somewhere, where no smooth normal exists.
+        The ground; ``None`` if ground is somewhere too narrow for a smooth normal.
     """
     return _bare_ground(scene.world, scene.elevation, view, sky)
 

@@ -25,7 +25,7 @@ from skugga.terrain.ground.surface import Surface, SurfaceWindow
 MAX_STENCIL_RADIUS = 16
 """Maximum half width, in nodes, of the central difference that gives the shading normal.
 
-It limits the time. On grids with more than 16 nodes per raster cell single facets become visible.
+On grids with more nodes per raster cell than this, the facets of the bilinear ground become visible.
 """
 
 

@@ -1,8 +1,9 @@
 """Lift points of ground triangles to the smooth surface that the triangles approximate.
 
 Triangles are chords of the smooth ground: where the ground is convex, it lies a little above them. Under grazing light this makes a
-visible error, the shadow terminator problem: a triangle that faces away from the light is dark, though the smooth ground there is
-lit. The remedy is to lift the points of such triangles (J. Hanika, Hacking the Shadow Terminator, Ray Tracing Gems II, 2021). Each
+visible error, the shadow terminator problem: a triangle that faces away from the light lies in the shadow of the triangle before it,
+though the smooth ground there is lit. The remedy is to lift the points of such triangles to the smooth ground (J. Hanika, Hacking the
+Shadow Terminator, Ray Tracing Gems II, 2021). Each
 corner of the triangle has a tangent plane, perpendicular to the smooth normal there. A point's lift is the mean of its distances to
 the three tangent planes, with barycentric weights.
 

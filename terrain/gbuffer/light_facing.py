@@ -1,12 +1,15 @@
-"""Choose the normal that a light uses at each point of the ground, and where its shadow ray starts.
+"""Choose the normal that a light uses at each point of the ground, and the offset of the shadow ray's start from the point.
 
-**Shared points** of a map's ground lie on its nodes, between two of them, or on the diagonals of its quads: several facets meet
-there, and the point has no normal of its own. All of these facets decide whether light reaches it. The point is turned away from a
-light only if all of them are: otherwise it can be seen from the light. So a light uses the facet that faces it most. Quantities
-without a direction use the mean of all. Neither prefers a side.
+A facet is a triangle of the ground.
 
-**Between the raster's nodes** a facet is a chord of smooth ground. Shading uses the smooth normal, and so do shadows: the ground is
-turned away from a light where its smooth normal is. ``skugga.terrain.gbuffer.smooth_ground`` moves the start of the shadow ray.
+**Shared points** of a map's ground lie on its nodes, on the sides of its quads, or on their diagonals. Several facets meet there,
+and the point has no normal of its own. It faces away from a light only if all of these facets do; otherwise the light reaches it
+over one of them. So a light uses the normal of the facet that faces it most. Quantities without a direction use the mean normal of
+the facets. Neither choice prefers a side.
+
+**Between the raster's nodes** a facet is a chord of smooth ground. Shading uses the smooth normal there, and so do shadows: ground
+faces away from a light where its smooth normal does. ``skugga.terrain.gbuffer.smooth_ground`` moves the starts of shadow rays to the
+smooth ground.
 """
 
 from __future__ import annotations
@@ -25,20 +28,23 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.lights import LightPosition
 
 MIN_UPWARD = 1.0 / 32.0
-"""Minimum upward component of a facet's unit normal, to limit the lift of a ray's start: steeper walls lift no ray higher."""
+"""Lower bound of the upward component of a facet's unit normal, in the lift of a ray's start. It limits the lift at steep walls."""
 
 MIN_LIGHT_SINE = 2.0**-20
-"""Sine of the angle (0.2 seconds of arc) up to which a light counts as below a surface. Unit normals in float32 cannot resolve
-the side that it is on, and it would contribute a millionth of its light.
+"""Sine of the light's angle above a surface up to which the light counts as below it: 0.2 seconds of arc.
+
+At smaller angles float32 normals cannot tell on which side of the surface the light is. It would contribute a millionth of its
+light.
 """
 
 MIN_LIFT_M = 1e-3
-"""Minimum lift that separates a point from its facet in float32, metres. Where the smooth ground lies no higher, as in a hollow,
-a facet that is turned away shades the point.
+"""Minimum height of the smooth ground above a facet, metres, to which a point is lifted. A smaller lift is lost in float32.
+
+Where the smooth ground is lower, as in a hollow, a facet that faces away from the light shades its points.
 """
 
 PARALLEL = 1e-6
-"""Tangent of the angle in plan below which light is parallel to a side of a facet."""
+"""Tangent of the angle, as seen from above, below which light counts as parallel to a side of a facet."""
 
 
 class FacingNormals(NamedTuple):
@@ -47,20 +53,21 @@ class FacingNormals(NamedTuple):
     Attributes
     ----------
     normal_frame
-        float32 (rows, cols, 3), the unit normal of the facet that faces the light most. The smooth normal where that one does not
-        face the light, and where the point is lifted.
+        float32 (rows, cols, 3), the unit normal of the facet that faces the light most. It is the smooth normal instead where the
+        smooth normal faces away from the light, and where the point is lifted.
     crease
-        float32 (rows, cols), ``crease`` of a ``GeometryBuffer``, measured from that normal.
+        float32 (rows, cols), ``crease`` of a ``GeometryBuffer``, measured from ``normal_frame``.
     lift_frame
-        float32 (rows, cols, 3), the vector that lifts a point off all of its facets by one metre or a little more; ``None`` where
-        it is the buffer's normal everywhere. A point on one facet uses that normal. From a shared point the normal of one facet
-        may lead below another, so the vector points up. Where light is parallel to the rim of the ground it points inwards, too:
-        a ray along the rim hits it.
+        float32 (rows, cols, 3), the vector that lifts a point off all of its facets by at least one metre. For a point on one facet
+        it is the facet's normal. For a shared point it points up, since the normal of one facet may lead below another facet. On the
+        rim of the ground, if light is parallel to a side of a facet, it also points inwards, so that a ray along the rim hits the
+        rim. ``None`` if it is the buffer's normal everywhere.
     blocked
-        bool (rows, cols), whether the ray from a shared point to the light at once passes below one of the point's own facets,
-        which faces away.
+        bool (rows, cols), whether one of a shared point's own facets blocks the light: the facet faces away from the light, and the
+        ray from the point to the light starts below it.
     lifted
-        bool (rows, cols), whether the smooth normal faces the light, no facet does, and the smooth ground lies above the facet.
+        bool (rows, cols), whether a point is to be moved to the smooth ground. There the smooth normal faces the light, no facet
+        does, and the smooth ground lies above the facet.
     """
 
     normal_frame: np.ndarray
@@ -71,9 +78,9 @@ class FacingNormals(NamedTuple):
 
 
 def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bool:
-    """Return whether the light is directional and the view is in perspective.
+    """Return whether the normals for a light do not depend on the points' positions within their triangles.
 
-    Then the result is the same for any points on the same triangles.
+    This holds for a directional light, where the buffer has no nodes of a map's smooth ground.
     """
     return buffer.surface is None and light.w == 0.0
 
@@ -86,7 +93,7 @@ def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ..
 
 @cached("light", 512 * MIB, key=_cache_key, max_entries=8)
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
-    """Return the normals that a light uses. Values off the surface are undefined."""
+    """Return the normals that a light uses at a buffer's points. Values in pixels without a surface are undefined."""
     nowhere = np.zeros(buffer.valid.shape, bool)
     facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
     view, surface, ground = buffer.view, buffer.surface, buffer.kind == RELIEF
@@ -109,7 +116,10 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
 
 @compiled
 def _write_facing_facets(nodes, faces, is_cut_nw_se, centre, row, col, ground, position, light, facing):
-    """Write normal, crease, lift and blocking of the facet that faces a light most, where several share a point of the ground."""
+    """Write the fields of ``facing`` (``FacingNormals``) at points of a map's ground that several facets share.
+
+    Normal and crease are those of the facet that faces the light most. Lifts are also written at points on the rim of the ground.
+    """
     normal, crease, lift, blocked, _ = facing
     facets, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
     for i in range(row.size):
@@ -147,10 +157,10 @@ def _write_facing_facets(nodes, faces, is_cut_nw_se, centre, row, col, ground, p
 
 @compiled
 def _write_smooth_normals(first, last, ground, smooth_normals, lift, position, light, facing):
-    """Write the smooth ground's values in two cases.
+    """Write the smooth normals to ``facing`` (``FacingNormals``) where they decide about the light instead of the facets.
 
-    In the first its normal faces away from the light. In the second its normal alone faces the light, and the smooth ground lies
-    above the facet.
+    They do in two cases: where the smooth normal faces away from the light, and where it faces the light, no facet does and the
+    smooth ground lies above the facet.
     """
     normal, crease, _, blocked, lifted = facing
     for i in range(first, last):
@@ -178,7 +188,10 @@ def _dot(vector, axis):
 
 @internal
 def _write_local_axes(point, centre, out):
-    """Write two horizontal unit axes and the one up at a point as rows (3, 3). In a flat world they are the frame's axes."""
+    """Write three orthogonal unit axes at a point as rows (3, 3): two horizontal ones, then up.
+
+    Up points away from ``centre``. In a flat world the axes are the frame's.
+    """
     up = out[2]
     up_at(point, centre, up)
     first = 0 if abs(up[0]) < 0.7 else 1
@@ -193,16 +206,17 @@ def _write_local_axes(point, centre, out):
 
 @internal
 def _plan_offset(node, p, axes):
-    """Return a node's position in plan, relative to a point."""
+    """Return the horizontal offset (x, y) of a node from the point ``p``, along the first two ``axes``."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
 
 
 @internal
 def _enters_facet(nodes, is_cut_nw_se, facet, p, axes, east, north):
-    """Return whether a ray from a point on a facet's side or corner leads, in plan, over the facet.
+    """Return whether a ray from a point on a facet's side or corner runs over the facet, as seen from above.
 
-    It does if none of the point's barycentric coordinates that are 0 decreases along the ray.
+    It does if no barycentric coordinate of the point that is 0 decreases along the ray. ``east`` and ``north`` are the ray's
+    components along the first two ``axes``.
     """
     r, c, half = facet
     corners = facet_corners(is_cut_nw_se[r, c], half)
@@ -225,7 +239,7 @@ def _enters_facet(nodes, is_cut_nw_se, facet, p, axes, east, north):
 def _is_on_rim(is_cut_nw_se, facets, count, row, col):
     """Return whether a position on a node or between two nodes lies on the rim of the ground.
 
-    There a quad round it is missing, or the other half of a quad on whose diagonal it lies.
+    On the rim a quad beside the position is missing, or the position lies on a quad's diagonal and half of the quad is missing.
     """
     quads = 0
     for k in range(count):
@@ -245,7 +259,10 @@ def _is_on_rim(is_cut_nw_se, facets, count, row, col):
 
 @internal
 def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, north):
-    """Return whether a ray from a point is parallel, in plan, to a side of one of its facets."""
+    """Return whether a ray from a point runs, as seen from above, towards a corner of one of the point's facets.
+
+    From a point on a side of a facet such a ray is parallel to that side. ``east`` and ``north`` are the ray's horizontal components.
+    """
     for k in range(count):
         r, c, half = facets[k]
         for down, right in facet_corners(is_cut_nw_se[r, c], half):
@@ -258,7 +275,7 @@ def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, nort
 
 @internal
 def _inward_direction(nodes, is_cut_nw_se, facets, count, p, axes):
-    """Return the horizontal unit vector from a point to the middle of its facets."""
+    """Return the components (east, north) of the horizontal unit vector from a point to the middle of its facets."""
     east, north = 0.0, 0.0
     for k in range(count):
         r, c, half = facets[k]

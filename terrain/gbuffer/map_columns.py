@@ -1,6 +1,6 @@
-"""Geometry buffers of maps of upright columns (``skugga.terrain.ground.columns``).
+"""Geometry buffers of maps whose ground is upright columns (``skugga.terrain.ground.columns``).
 
-A pixel shows the middle of its column's top.
+Each raster cell is a column with a flat top. A pixel shows the middle of the top of its column.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from skugga.terrain.ground.surface import Surface
 
 
 def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, pixel_mask: np.ndarray | None = None) -> GeometryBuffer:
-    """Return the geometry buffer of the columns in a map view (a block).
+    """Return the geometry buffer of the columns in a map view, such as a block.
 
-    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError``.
+    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError`` if the view spans too many cells.
     """
     row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
     columns, tops = find_columns(surface, row, col, frame)
@@ -32,7 +32,10 @@ def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, pixel_ma
 
 
 def column_top_corners(buffer: GeometryBuffer) -> np.ndarray:
-    """Return ``corners_frame_m`` of a ``GeometryBuffer``, completed with one of the two triangles of each visible column's top."""
+    """Return ``corners_frame_m`` of a buffer of columns, with the corners of the ground's triangles added.
+
+    The result is float32 (rows, cols, 9). A pixel of the ground holds one of the two triangles of its column's top.
+    """
     columns, corners = buffer.columns, buffer.corners_frame_m
     assert columns is not None
     corners = np.zeros((*buffer.valid.shape, 9), np.float32) if corners is None else corners.copy()

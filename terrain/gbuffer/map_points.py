@@ -1,6 +1,7 @@
-"""Compute the points that a map's pixels show, by arithmetic.
+"""Compute the points that a map's pixels show, by arithmetic instead of rasterising.
 
-A pixel's centre selects the quad and the triangle of the sheet, and these the float64 point.
+The ground is a sheet: a mesh of nodes in rows and columns, whose quads are cut into two triangles (facets) each. The position of a
+pixel's centre on the sheet selects a quad and one of its triangles. The point is computed on this triangle in float64.
 """
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.lift import is_smooth, lift_distance, up_at
 
 EDGE_TOLERANCE = 1e-6
-"""Tolerance, in cells, within which a point lies on a facet's edge. Facets on both sides share it, whatever the rounding."""
+"""Distance, in nodes, within which a point counts as lying on a facet's edge, so that the facets on both sides share it."""
 
 
 @compiled
 def map_points(position, height, node_valid, is_cut_nw_se, faces, smooth_normals, row, col, pixel_mask):
-    """Return the points at fractional rows and columns of a sheet of nodes, with the other arrays of a geometry buffer.
+    """Return the arrays of a ``GeometryBuffer`` for pixels at fractional rows and columns of a sheet of nodes.
 
-    A wanted pixel shows a surface if the nearest node does and the pixel lies on a triangle. Half-way between nodes, one of the
-    nearest nodes suffices.
+    The results are valid mask, points, heights, normals, smooth normals, creases and triangles. A pixel that ``pixel_mask`` selects
+    shows a surface if it lies on a triangle and the nearest node is valid. Half-way between nodes one valid node of the nearest ones
+    suffices. ``faces`` (rows, cols, 2, 3) are the triangles' normals.
     """
     rows, cols = row.size, col.size
     valid = np.empty((rows, cols), np.bool_)
@@ -55,12 +57,12 @@ def map_points(position, height, node_valid, is_cut_nw_se, faces, smooth_normals
 
 @compiled
 def map_lifts(position, is_cut_nw_se, faces, smooth_normals, centre, row, col, point, triangle, reach):
-    """Return the height of the smooth ground above ``map_points``, float32 (rows, cols), metres.
+    """Return the height of the smooth ground above each point of ``map_points``, float32 (rows, cols), metres.
 
-    The smooth ground passes through the corners of a point's facet. Single facets are too small to estimate it where the sheet is
-    finer than the raster, with ``reach`` nodes per cell. Then it passes through the points half a cell away along both axes, and
-    the lift is doubled: half a chord bulges a quarter as much. NaN on a node as exact as the raster's own nodes, and beside a
-    crease.
+    The smooth ground is estimated from the tangent planes at the corners of the point's facet (``skugga.terrain.gbuffer.lift``).
+    If the sheet is finer than the raster, with ``reach`` > 1 nodes per cell, single facets are too small for that. Then the tangent
+    planes at four points are used, half a cell away along both axes. The mean of their four lifts is doubled. The result is NaN
+    beside a crease, and on nodes unless the sheet is finer than the raster.
     """
     rows, cols = row.size, col.size
     out = np.empty((rows, cols), np.float32)
@@ -103,7 +105,7 @@ def map_lifts(position, is_cut_nw_se, faces, smooth_normals, centre, row, col, p
 
 @internal
 def _interpolate(values, row, col, out):
-    """Interpolate vectors at nodes bilinearly at a fractional row and column."""
+    """Write the vector (3,) at a fractional row and column, interpolated bilinearly between ``values`` (rows, cols, 3) at nodes."""
     r, c = int(np.floor(row)), int(np.floor(col))
     fr, fc = row - r, col - c
     for k in range(3):
@@ -117,10 +119,11 @@ def _interpolate(values, row, col, out):
 
 @internal
 def facets_at(faces, is_cut_nw_se, row, col, facets):
-    """Return the number of facets that a position on a sheet lies on, and write them to ``facets`` (8, 3).
+    """Write the facets that a position on a sheet lies on to ``facets`` (8, 3), and return their number.
 
-    A facet is the row and the column of its quad, and 0 or 1: ``faces`` (rows, cols, 2, 3) holds its normal, NaN if a corner is
-    missing. Facets of the quad south-east of the position come first.
+    A facet is stored as row and column of its quad, and 0 for the triangle on the quad's north side or 1 for the other. ``faces``
+    (rows, cols, 2, 3) holds the facets' normals, NaN if a corner is missing. Facets of the quad south-east of the position come
+    first.
     """
     r0, c0 = int(np.floor(row + EDGE_TOLERANCE)), int(np.floor(col + EDGE_TOLERANCE))
     fr0, fc0 = row - r0, col - c0
@@ -142,9 +145,9 @@ def facets_at(faces, is_cut_nw_se, row, col, facets):
 
 @internal
 def crease_at(faces, is_cut_nw_se, row, col, normal):
-    """Return the largest distance between a unit normal (3,) and those of the facets round the nearest node.
+    """Return the largest distance between a unit normal (3,) and the unit normals of the facets round the nearest node.
 
-    Half-way between nodes, the facets round each of the nearest nodes count.
+    ``row`` and ``col`` are a position on the sheet. Half-way between nodes, the facets round each of the nearest nodes count.
     """
     first_r, last_r, first_c, last_c = _nearest(row, col)
     widest = _crease_round(faces, is_cut_nw_se, first_r, first_c, normal)
@@ -159,7 +162,7 @@ def crease_at(faces, is_cut_nw_se, row, col, normal):
 
 @internal
 def _crease_round(faces, is_cut_nw_se, near_r, near_c, normal):
-    """Return the largest distance between a unit normal (3,) and those of the facets round a node of a sheet."""
+    """Return the largest distance between a unit normal (3,) and the unit normals of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
         down, right, half = k // 4, k // 2 % 2, k % 2
@@ -178,7 +181,10 @@ def _crease_round(faces, is_cut_nw_se, near_r, near_c, normal):
 
 @internal
 def _nearest(row, col):
-    """Return first and last row and column of the nearest nodes: two of each, where a position is half-way between nodes."""
+    """Return first row, last row, first column and last column of the nodes nearest to a position.
+
+    First and last differ where the position is half-way between nodes.
+    """
     return (
         int(np.ceil(row - 0.5 - EDGE_TOLERANCE)), int(np.floor(row + 0.5 + EDGE_TOLERANCE)),
         int(np.ceil(col - 0.5 - EDGE_TOLERANCE)), int(np.floor(col + 0.5 + EDGE_TOLERANCE)),
@@ -193,9 +199,10 @@ def _is_nearest_shown(node_valid, row, col):
 
 @internal
 def facet_corners(is_cut_nw_se, half):
-    """Return row and column offsets, from a quad's north-west corner, of a facet's three corners.
+    """Return the row and column offsets of a facet's three corners from its quad's north-west corner.
 
-    The corner off the diagonal comes first, then the next ones counter-clockwise.
+    The corner that is not on the quad's diagonal comes first, then the others counter-clockwise. ``half`` is 0 for the facet on the
+    quad's north side, 1 for the other.
     """
     if is_cut_nw_se:
         return ((0, 1), (0, 0), (1, 1)) if half == 0 else ((1, 0), (1, 1), (0, 0))
@@ -204,7 +211,10 @@ def facet_corners(is_cut_nw_se, half):
 
 @internal
 def _barycentric(is_cut_nw_se, half, fr, fc):
-    """Return barycentric coordinates of a position in a quad: the weights of the second and third of ``facet_corners``."""
+    """Return the weights of the second and third corner of ``facet_corners`` at a position in a quad.
+
+    ``fr`` and ``fc`` are the position's row and column from the quad's north-west corner.
+    """
     if is_cut_nw_se:
         return (1.0 - fc, fr) if half == 0 else (fc, 1.0 - fr)
     return (fr, fc) if half == 0 else (1.0 - fr, 1.0 - fc)
@@ -217,9 +227,9 @@ def _is_same_quad(facets, first, second):
 
 @internal
 def _mean_normal(faces, facets, count, out):
-    """Write the mean unit normal of some facets.
+    """Write the mean unit normal (3,) of ``count`` facets.
 
-    Both facets of a quad together count once, so that the cut of a plane quad does not matter.
+    Two facets of one quad have half the weight each, so that the diagonal along which a plane quad is cut does not matter.
     """
     if count == 1:
         for k in range(3):
@@ -237,7 +247,10 @@ def _mean_normal(faces, facets, count, out):
 
 @internal
 def _smooth_normal(smooth_normals, row, col, normal, out):
-    """Write the bilinear smooth normal of the nodes that have one; the facets' own normal if none has."""
+    """Write the smooth unit normal (3,) at a position: the bilinear mean over the nodes round it that have a smooth normal.
+
+    If none of them has one, the result is ``normal``, that of the facets.
+    """
     r0, c0 = int(np.floor(row)), int(np.floor(col))
     fr, fc = row - r0, col - c0
     x, y, z = 0.0, 0.0, 0.0

@@ -1,9 +1,10 @@
 """Compute the float64 point, the normals and the albedo of each pixel from the number of its triangle.
 
-* Perspective: intersect the pixel's ray with the triangle's plane (T. Moeller and B. Trumbore 1997).
-* Map: take the pixel's centre in the triangle's plan.
+* In perspective the point is the intersection of the pixel's ray with the triangle's plane (T. Moeller and B. Trumbore 1997).
+* In a map it is the triangle's point vertically below the pixel's centre.
 
-Barycentric coordinates are clamped to the triangle, since rasterisers snap corners to 1/256 of a pixel.
+Barycentric coordinates are clamped to the triangle. Otherwise points could lie outside, since rasterisers snap corners to 1/256 of a
+pixel.
 """
 
 from __future__ import annotations
@@ -20,16 +21,17 @@ CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
 """Height of a crown's middle, and half the crown's height, as shares of the tree's height."""
 
 CROWN_LEAN = 0.25
-"""Added to the upward component of a crown's unit normals."""
+"""Value that is added to the upward component of a crown's unit normals, since leaves lean upwards."""
 
 NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 """The kinds of surface that a pixel shows."""
 
 
 class ResolvedPoints(NamedTuple):
-    """The arrays of a geometry buffer, per pixel (``skugga.terrain.gbuffer.geometry``).
+    """The per-pixel arrays of a ``GeometryBuffer`` (``skugga.terrain.gbuffer.geometry``) while they are computed.
 
-    ``cells`` are positions in the ground's imagery, empty without imagery. ``lift_m`` is 0 where no ground is seen.
+    ``cells`` (rows, cols, 2) are the points' rows and columns in the ground's imagery, empty without imagery. ``lift_m`` is 0 in
+    pixels that show no ground.
     """
 
     valid: np.ndarray
@@ -51,17 +53,17 @@ class PixelCamera(NamedTuple):
     Attributes
     ----------
     tangents
-        float64 (3,), x / z and y / z of the first pixel, and their step from pixel to pixel.
+        float64 (3,), x / z and y / z of the first pixel in camera axes, and their increase from pixel to pixel.
     finer_tangents
-        The same of a finer view of the camera.
+        float64 (3,), the tangents of a finer view of the same camera, whose pixels are the anti-aliasing samples.
     finer_row, finer_col
-        int64 (n, cols), pixels of the finer view. They follow the picture's own rows.
+        int64 (n, cols), rows and columns in the finer view of the samples. They fill n rows below the picture's own rows.
     picture_rows
         The number of the picture's own rows.
     eye_frame_m
         float64 (3,), the eye in the frame.
     frame_from_camera
-        float64 (3, 3), the rotation.
+        float64 (3, 3), the rotation from the camera's axes to the frame.
     """
 
     tangents: np.ndarray
@@ -74,16 +76,16 @@ class PixelCamera(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """The ground's mesh.
+    """The mesh of a perspective view's ground.
 
     Attributes
     ----------
     position_frame_m, height_m, normal_frame
-        Positions (n, 3), heights (n,) and smooth normals (n, 3) of the nodes.
+        Positions (n, 3), heights (n,) and smooth unit normals (n, 3) of the nodes; metres.
     triangles, crease
-        Node indices (t, 3) and creases (t,) of the triangles.
+        Node indices (t, 3) of the triangles, and their creases (t,) as in ``GeometryBuffer``.
     cells
-        (n, 2), the nodes' positions in the ground's imagery; (0, 2) without imagery.
+        (n, 2), the nodes' rows and columns in the ground's imagery; (0, 2) without imagery.
     """
 
     position_frame_m: np.ndarray
@@ -106,7 +108,7 @@ class Faces(NamedTuple):
     normals_frame
         float32 (t, 3, 3), unit normals at the corners.
     crease
-        float32 (t,).
+        float32 (t,), the triangles' creases as in ``GeometryBuffer``.
     """
 
     triangles: np.ndarray
@@ -116,7 +118,7 @@ class Faces(NamedTuple):
 
 
 class SolidsInPerspective(NamedTuple):
-    """Meshes in perspective: positions (n, 3) and heights (n,) of their vertices, and their faces."""
+    """Meshes in perspective: positions (n, 3) and heights (n,) of their vertices, metres, and their faces."""
 
     position_frame_m: np.ndarray
     height_m: np.ndarray
@@ -124,7 +126,17 @@ class SolidsInPerspective(NamedTuple):
 
 
 class SolidsInMap(NamedTuple):
-    """Meshes in a map: their vertices (n, 3), the vertices' columns, rows and heights in the map (n, 3), and their faces."""
+    """Meshes in a map.
+
+    Attributes
+    ----------
+    position_frame_m
+        (n, 3), the vertices in the frame, metres.
+    px
+        (n, 3), the vertices' columns and rows in the map, in pixels, and their heights, metres.
+    faces
+        The meshes' triangles.
+    """
 
     position_frame_m: np.ndarray
     px: np.ndarray
@@ -149,7 +161,7 @@ class TreesInMap(NamedTuple):
     base_frame_m, shape, yaw_cos_sin, curvature
         As in ``skugga.terrain.gbuffer.tree_instances.TreeInstances``.
     px
-        (n, 3), columns, rows and heights of the trees' feet.
+        (n, 3), columns and rows of the trees' feet in the map, in pixels, and their heights, metres.
     px_from_m
         (2, 2), the map's pixels per metre along the frame's first two axes.
     """
@@ -170,9 +182,10 @@ def resolve_perspective(
     trees: TreesInPerspective,
     sqrt_albedo: np.ndarray,
 ) -> ResolvedPoints:
-    """Return the points that the numbered triangles (rows, cols) show.
+    """Return the points that a camera's pixels show.
 
-    ``sqrt_albedo`` (rows, cols, 3) holds square roots of the albedo of visible leaves.
+    ``number`` (rows, cols) is the number of the triangle in each pixel, from 1: of the ground, then of the meshes, then of the trees;
+    0 without one. ``sqrt_albedo`` (rows, cols, 4) holds the square roots of the albedo of visible leaves, times 255.
     """
     size = number.shape
     points = ResolvedPoints(
@@ -296,9 +309,10 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
 
 @compiled
 def resolve_map(number, solids, trees, sqrt_albedo, points):
-    """Write the objects on a map's ground over the ground's ``points`` where they are higher, in place.
+    """Replace the ground's points in ``points`` by those of meshes and trees where these are higher, in place.
 
-    ``number`` (rows, cols) counts triangles from 1: first those of ``SolidsInMap``, then those of ``TreesInMap``.
+    ``number`` (rows, cols) is the number of the triangle in each pixel, from 1: of ``solids``, then of ``trees``; 0 without one.
+    ``sqrt_albedo`` is that of ``resolve_perspective``.
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_px, tree_shape, tree_yaw, curvature, px_from_m = trees
@@ -367,7 +381,8 @@ def _tree_triangle(p, base, shape, yaw_cos_sin, curvature, part):
 
 @internal
 def _barycentric_on_ray(p, eye, ray):
-    """Return the clamped barycentric coordinates of the intersection of a ray with a triangle's plane."""
+    """Return the weights of a triangle's second and third corner at the intersection of a ray with its plane, clamped to the triangle.
+    """
     e1x, e1y, e1z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     e2x, e2y, e2z = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
     hx, hy, hz = ray[1] * e2z - ray[2] * e2y, ray[2] * e2x - ray[0] * e2z, ray[0] * e2y - ray[1] * e2x
@@ -413,10 +428,11 @@ def _face_normal(p, out):
 
 @compiled
 def _shade_leaf(point, ray, base, shape, sqrt_albedo, shading_normal, albedo):
-    """Set the normal of a rounded crown and the leaf's albedo.
+    """Write the shading normal and the albedo of a visible leaf.
 
-    The normal is that of the crown's ellipsoid where the ray to the point meets it, or passes nearest to it. It is the same on each
-    of the crossed quads, so that the quads do not show. It leans upwards a little, as leaves do.
+    A tree is drawn as crossed quads. The normal is instead that of an ellipsoid with the size of the crown, at the place where the
+    ray to the point meets it or passes nearest to it. So it does not depend on the quad, and the quads are not visible. It is
+    tilted upwards by ``CROWN_LEAN``, as leaves are.
     """
     half_width, half_height = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF * shape[2], 1e-3)
     qx, qy, qz = (

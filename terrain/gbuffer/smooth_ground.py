@@ -1,4 +1,7 @@
-"""Move shadow-ray starts to the smooth ground between nodes where it faces a light and the facet does not."""
+"""Move the starts of shadow rays from a triangle to the smooth ground above it.
+
+They move only where the smooth ground faces the light and the triangle does not.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,10 @@ from skugga.terrain.lights import LightPosition
 
 
 def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBuffer:
-    """Return a buffer whose points lie on the smooth ground where only the smooth ground faces a light.
+    """Return a buffer whose points are moved to the smooth ground where it faces a light and the point's triangle does not.
 
-    These points (``skugga.terrain.gbuffer.lift``) lie on no triangle. Returns the same buffer if no point moves, or if its points
-    were moved already.
+    The moved points (``skugga.terrain.gbuffer.lift``) lie on no triangle. The result is ``buffer`` itself if no point moves, or if
+    its points were moved already.
     """
     if buffer.lift_m is None or buffer.lifted is not None:
         return buffer
@@ -43,7 +46,11 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
 
 @compiled
 def _move_lifted_points(first, last, points, triangles, lifted, lift, origin, in_map, position, corners):
-    """Copy points, and move the lifted ones: up, away from a centre, in a map; else towards the eye, at most half-way."""
+    """Copy points and triangles' corners, and move the lifted points by ``lift`` metres.
+
+    In a map they move up, away from the point ``origin``. In perspective they move towards the eye ``origin``, at most half-way. All
+    three corners of a lifted point become the point itself.
+    """
     direction = np.empty(3)
     for i in range(first, last):
         for j in range(lifted.shape[1]):

@@ -1,4 +1,4 @@
-"""Subsample views: take every n-th pixel as it is in the full view, without filtering."""
+"""Subsample views: select every n-th pixel of a view, without filtering, as it is in the full view."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PIXEL_ARRAYS = (
 
 
 def subsampled_view(view: MapView | PerspectiveView, stride: int) -> MapView | PerspectiveView:
-    """Return the view of every n-th pixel along rows and columns, from the first one. Pixels keep their width."""
+    """Return the view of every ``stride``-th pixel along rows and columns, from the first pixel on. Pixels keep their width."""
     rows, cols, share = -(-view.rows // stride), -(-view.cols // stride), view.pixel_share / stride
     if isinstance(view, MapView):
         row_step, col_step = view.row_step * stride, view.col_step * stride
@@ -27,9 +27,9 @@ def subsampled_view(view: MapView | PerspectiveView, stride: int) -> MapView | P
 
 
 def subsampled_points(buffer: GeometryBuffer, stride: int, first: tuple[int, int] = (0, 0)) -> GeometryBuffer:
-    """Return a buffer with the points of every n-th pixel from ``first`` (row, column) on, unchanged, for shadow queries.
+    """Return a buffer with the points of every ``stride``-th pixel, counted from the pixel ``first`` (row, column) on.
 
-    Albedo and columns are left out.
+    The points do not change. The buffer serves shadow queries only: its ``albedo`` and ``columns`` are ``None``.
     """
     row, col = first
     view = subsampled_view(buffer.view.part(row, col, buffer.view.rows - row, buffer.view.cols - col), stride)

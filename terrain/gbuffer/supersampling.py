@@ -2,12 +2,14 @@
 
 Heights that are averaged over a pixel lose the ridges that cast shadows. So where a map's pixels are larger than the raster's cells
 (or than the level's ``resolution``, if that is coarser), shadows are computed on finer nodes. Pixels are divided into 2 x 2, 4 x 4,
-8 x 8 ... sub-pixels until the sub-pixels are nearest to the data's resolution, within the maximum number of nodes in a block.
+8 x 8 ... sub-pixels. The division whose sub-pixels are nearest to the data's resolution is chosen, unless it gives a block more
+nodes than the maximum.
 
-The nodes are the centres of the sub-pixels: for a tile they are the centres of the pixels of tiles one, two or three zooms deeper.
-In maps that are no tiles, pixels cut through the squares round nodes. These squares count by the share that lies in the pixel.
+The nodes are the centres of the sub-pixels. For a tile they are the centres of the pixels of tiles one, two or three zooms deeper.
+In maps that are not tiles, the sides of pixels cut through the squares round nodes. A square's weight in a pixel is the share of the
+square that lies in the pixel.
 
-All positions are counted from the level's raster, its anchor and the pixels' size: every tile has the same ones.
+The positions of the nodes depend on the level's raster, its anchor and the pixels' size only, so that all tiles share them.
 """
 
 from __future__ import annotations
@@ -24,20 +26,25 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 PixelSampling = Literal["means", "points"]
-"""The content of a map's pixels: means of the nodes that they cover, or their own points, by which accuracy is measured."""
+"""How a map's pixels are computed: as means of the nodes that they cover, or at their centres only. The latter serves measurements
+of accuracy.
+"""
 
 MAX_BARE_NODES = 16 * BLOCK_PX**2
-"""Maximum nodes in a block of tiles on bare ground under the sun alone, where heights suffice: 4 x 4 in a pixel of a block that
-is full of ground, more where the level is smaller.
+"""Maximum number of nodes in a block of tiles whose only casters are smooth ground and whose only light is the sun.
+
+These are 4 x 4 nodes per pixel of a block that is full of ground, and more where ground fills only a part of the block.
 """
 
 MAX_NODES = 4 * BLOCK_PX**2
-"""Maximum nodes in a block where objects stand on the ground, where there are lamps, and where a block of sub-pixels is wider than
+"""Maximum number of nodes in any other block: with objects on the ground, with lamps, or where a block of sub-pixels is wider than
 ``MAX_PARALLEL_RAYS_M``.
 """
 
 MAX_PARALLEL_RAYS_M = 150e3
-"""Width of a block above which shadow maps serve it: the sun's rays bend across wider ones."""
+"""Width of a block, metres, above which shadow maps are used. Relative to the curved ground, the sun's rays are not parallel across
+wider blocks.
+"""
 
 SIDE_TOLERANCE = 1e-6
 """Tolerance, in nodes, within which a pixel's side coincides with the side of a node's square."""
@@ -56,9 +63,9 @@ def ground_pixels(scene: Scene, view: MapView) -> float:
 
 
 def subdivision_level(scene: Scene, view: MapView) -> int:
-    """Return how many times a map's pixels are halved until their sides are nearest to the data's resolution.
+    """Return how many times the sides of a map's pixels are halved, so that they come nearest to the data's resolution.
 
-    The result is smaller where a block would have too many nodes.
+    The result is 0 if pixels are not divided. It is smaller where a block would have too many nodes.
     """
     pixel_m, cell_m = map_pixel_m(scene.world, view), scene.elevation.cell_size_m(scene.world.metres_per_unit)
     block = ground_pixels(scene, view)
@@ -72,13 +79,13 @@ def subdivision_level(scene: Scene, view: MapView) -> int:
 
 
 def subpixel_grid(view: MapView, count: int) -> Grid:
-    """Return the grid whose nodes are the centres of a map's sub-pixels after halving pixels ``count`` times."""
+    """Return the grid whose nodes are the centres of a map's sub-pixels, after the pixels' sides are halved ``count`` times."""
     view_halvings = np.log2(np.sqrt(view.row_step * view.col_step))  # a view's pixels may be larger than its grid's step
     return view.grid.subdivided(max(int(np.rint(count - view_halvings)), 0))
 
 
 def covered_nodes(view: MapView, grid: Grid) -> MapView:
-    """Return the nodes of a finer grid that a map's pixels cover, as pixels of a view."""
+    """Return the view whose pixels are the nodes of a finer grid that a map's pixels cover."""
     ends = []
     for sides in _sides(view, grid):
         first, last = int(np.floor(sides[0] + SIDE_TOLERANCE)), int(np.ceil(sides[-1] - SIDE_TOLERANCE))
@@ -90,15 +97,20 @@ def covered_nodes(view: MapView, grid: Grid) -> MapView:
 def supersampled_view(
     scene: Scene, view: MapView | PerspectiveView, pixel_sampling: PixelSampling = "means"
 ) -> MapView | PerspectiveView:
-    """Return the view whose visibility is computed for a view: for a coarse map the nodes that it covers, else the view itself."""
+    """Return the view at whose pixels the lights' visibility is computed for a view.
+
+    For a coarse map its pixels are the finer nodes that the map covers. Otherwise it is ``view`` itself, also if ``pixel_sampling``
+    is ``points``.
+    """
     count = subdivision_level(scene, view) if isinstance(view, MapView) and pixel_sampling == "means" else 0
     return covered_nodes(view, subpixel_grid(view, count)) if isinstance(view, MapView) and count else view
 
 
 def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the sides of a map's pixels cross a finer grid: the rows (rows + 1,) and columns (cols + 1,) of node squares.
+    """Return the positions of the sides of a map's pixels on a finer grid: rows (rows + 1,) and columns (cols + 1,).
 
-    The square of node n extends from n to n + 1. Nodes of the map's own grid are nodes of the finer grid, or half-way between.
+    They count squares round nodes: the square of node n extends from n to n + 1. Nodes of the map's own grid are nodes of the finer
+    grid, or lie half-way between two of them.
     """
     steps = float(np.rint(view.grid.step / grid.step))
     offsets = (view.grid.y0 - grid.y0) / (grid.step * grid.stretch), (grid.x0 - view.grid.x0) / grid.step
@@ -111,7 +123,10 @@ def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return means (rows, cols) float32 of values at the valid nodes that each pixel covers; NaN without valid nodes."""
+    """Return the mean of the values at the valid nodes that each pixel covers, float32 (rows, cols); NaN without valid nodes.
+
+    ``nodes`` is the view of the nodes (``covered_nodes``). ``values`` and ``valid`` have its shape.
+    """
     row, col = _sides_in(view, nodes)
     if values.dtype == np.bool_ and (down := _uniform_weights(row)) and (right := _uniform_weights(col)):
         return _means_of_bool(values, valid, *down, *right, view.rows, view.cols)
@@ -119,9 +134,10 @@ def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, valid: np
 
 
 def _uniform_weights(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
-    """Return the squares from pixel to pixel, and twice the share of each square that the first pixel covers, from square 0 on.
+    """Return the weights of the node squares in a pixel along one axis, if they are the same for all pixels; else ``None``.
 
-    ``None`` unless the sides of all pixels cut squares alike.
+    The first value is the number of squares from one pixel to the next. The second one (n,) int64 is twice the share of each square
+    that the first pixel covers, from square 0 on. ``sides`` are those of ``_sides_in``.
     """
     step = int(np.rint(sides[1] - sides[0]))
     if np.abs(np.diff(sides) - step).max() > SIDE_TOLERANCE or abs(sides[0] * 2.0 - np.rint(sides[0] * 2.0)) > SIDE_TOLERANCE:
@@ -131,7 +147,7 @@ def _uniform_weights(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
 
 
 def largest_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarray:
-    """Return the maximum (rows, cols) of values at the nodes that each pixel covers."""
+    """Return the maximum of the values at the nodes that each pixel covers, (rows, cols). Values must be 0 or more."""
     return _largest(values, *_sides_in(view, nodes))
 
 
@@ -142,13 +158,13 @@ def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
 
 @internal
 def _squares(sides, i):
-    """Return the first square between two sides, and the exclusive end."""
+    """Return the first square that pixel ``i`` covers along an axis, and the exclusive end. ``sides`` bound the pixels."""
     return int(np.floor(sides[i] + SIDE_TOLERANCE)), int(np.ceil(sides[i + 1] - SIDE_TOLERANCE))
 
 
 @internal
 def _overlap(sides, i, n):
-    """Return the share of square ``n`` between two sides; exactly 1 where it lies between them up to rounding."""
+    """Return the share of square ``n`` that pixel ``i`` covers along an axis; exactly 1 if it covers all of it up to rounding."""
     share = min(sides[i + 1], n + 1.0) - max(sides[i], np.float64(n))
     return 1.0 if share > 1.0 - SIDE_TOLERANCE else share
 
@@ -176,7 +192,10 @@ def _means(values, valid, row, col):
 
 @compiled
 def _means_of_bool(values, valid, down, row_weights, right, col_weights, rows, cols):
-    """Return ``_means`` of bool values, where all pixels cover squares alike (``_uniform_weights``), in integer arithmetic."""
+    """Return the result of ``_means`` for bool values, in integer arithmetic.
+
+    All pixels have the same weights. ``down`` and ``row_weights``, ``right`` and ``col_weights`` are those of ``_uniform_weights``.
+    """
     out = np.empty((rows, cols), np.float32)
     node_cols = valid.shape[1]
     down_weight, right_weight = 0, 0
@@ -236,9 +255,9 @@ def _add_weighted(values, weight, out):
 
 @internal
 def _sum_along(values, weights, out):
-    """Write weighted sums of ``weights.size`` consecutive values, from each position on.
+    """Write the weighted sum of each value and the ``weights.size`` - 1 values after it to ``out``.
 
-    Positions too near to the end for a full sum are left as they are.
+    The last elements of ``out``, where too few values follow for a sum, do not change.
     """
     count = values.size - weights.size + 1
     for k in range(weights.size):

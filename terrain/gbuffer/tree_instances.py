@@ -1,11 +1,12 @@
-"""Select and scale the trees that a view draws: decimated where they are too small to tell apart, with the same shade.
+"""Select and scale the trees that a view draws. Small trees are decimated in a way that preserves the share of shaded ground.
 
-Where trees are smaller than a few pixels, a share k of them is drawn, evenly spread over the stand
-(``skugga.terrain.trees.thinning``). The remaining trees are enlarged by 1 / sqrt(k) in all directions: the stand keeps its shape
-on a coarser scale. Light from any direction falls on and through both alike, so that the shaded share of the stand and its ground
-is preserved. The grain and the length of single trees' shadows are not. The picture, shadow maps and rays use the same trees.
+Where trees are smaller than a few pixels, only a share k of them is drawn. They are spread evenly over the stand, a group of trees
+(``skugga.terrain.trees.thinning``). The drawn trees are enlarged by 1 / sqrt(k) in all directions, so that they cover the same area.
+The thinned stand intercepts as much light from any direction as the full stand, so the shaded shares of crowns and ground are the
+same. Single shadows become coarser and longer. The picture, shadow maps and rays use the same trees.
 
-In perspective k depends on the distance from the eye (not on the direction of view); a map has one k for each zoom level.
+In perspective k depends on a tree's distance from the eye, not on the direction of view. In a map k depends on the size of the
+pixels and of the tree's crown.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from skugga.terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
 from skugga.terrain.trees.trees import Trees
 
 FULL_STAND_TREE_PX = 6.8
-"""Tree height in pixels from which a perspective view draws all trees."""
+"""Height of a tree, in pixels, above which a perspective view decimates no trees."""
 
 FULL_STAND_CROWN_PX = 1.5
-"""Crown diameter in pixels from which a map draws all trees."""
+"""Diameter of a crown, in pixels, above which a map decimates no trees."""
 
 MIN_DRAWN_SHARE = 1.0 / 16.0
 """Lower bound of the share of trees that is drawn."""
 
 QUAD_TRIANGLES = np.array([[4 * quad + a, 4 * quad + b, 4 * quad + c] for quad in range(3) for a, b, c in ((0, 1, 2), (0, 2, 3))])
-"""Corner indices (6, 3) of a tree's triangles: two for each quad."""
+"""Corner indices (6, 3) of a tree's triangles: two for each of its three quads, which have four corners each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +42,12 @@ class TreeInstances:
     Attributes
     ----------
     number
-        int64 (n,), their rows in ``Trees``.
+        int64 (n,), the trees' indices in the arrays of ``Trees``.
     base_frame_m, base_height_m
-        float64 (n, 3) and (n,), the feet and their heights, metres.
+        float64 (n, 3) and (n,), the feet of the trees in the frame, and their heights, metres.
     shape
-        float32 (n, 4), metres: half the width of the upright quads, half the width of the level quad, the tree's height, and
-        the height of the level quad.
+        float32 (n, 4), metres. A tree is drawn as two upright quads and a horizontal one. The values are half the width of the
+        upright quads, half the width of the horizontal quad, the tree's height, and the height of the horizontal quad.
     yaw_cos_sin
         float32 (n, 2), cosine and sine of the rotation about the stem.
     variant
@@ -85,7 +86,8 @@ class TreeInstances:
     def in_frustum(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
         """Return the indices of the trees whose bounding spheres intersect a viewing pyramid.
 
-        The apex is ``eye``, the axis the third row of ``rotation``; ``tangents`` are the minimum and maximum of x / z and of y / z.
+        The apex is ``eye``. ``rotation`` (3, 3) maps to the camera's axes x, y and z, of which z is the pyramid's axis. ``tangents``
+        (2, 2) are the minimum and maximum of x / z and of y / z.
         """
         is_inside = np.empty(len(self), np.bool_)
         run_in_chunks(len(self), _mark_trees_in_frustum, self.base_frame_m, self.shape, eye, rotation, tangents, is_inside)
@@ -94,16 +96,16 @@ class TreeInstances:
     def front_to_back(self, indices: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return indices of trees, sorted front to back along a direction (3,).
 
-        A rasteriser need not colour what earlier trees hide.
+        In this order a rasteriser does not shade pixels that nearer trees hide.
         """
         return indices[np.argsort(self.base_frame_m[indices] @ direction, kind="stable")]
 
     def corners(self) -> np.ndarray:
-        """Return the quads' corners (n, 3, 4, 3) float64 in the frame: two upright quads, then the level one."""
+        """Return the corners (n, 3, 4, 3) float64 of the trees' quads in the frame: two upright quads, then the horizontal one."""
         return tree_corners(self.base_frame_m, self.shape, self.yaw_cos_sin, self.curvature)
 
     def outlines(self) -> np.ndarray:
-        """Return the corners (n, 3, k, 3) in the frame of convex polygons on the quads that contain all leaves."""
+        """Return the corners (n, 3, k, 3) of convex polygons in the frame. Each contains all leaves of one of the trees' quads."""
         corners, pictures = self.corners(), leaf_outlines()
         uv = pictures[2 * self.variant[:, None] + np.array([0, 0, 1])]
         right, up = (corners[:, :, end] - corners[:, :, 0] for end in (1, 3))
@@ -111,19 +113,19 @@ class TreeInstances:
 
 
 def _cache_key(objects: SceneObjects, *key_parts: object) -> tuple[object, ...]:
-    """Return the cache key. It leaves out meshes: trees stand still while meshes move."""
+    """Return a cache key that ignores the meshes, so that moving meshes do not invalidate the trees."""
     return objects.elevation, objects.trees, *key_parts
 
 
 @cached("scene", 512 * MIB, key=_cache_key)
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
-    """Return the trees of a map, also beyond its rim; ``None`` without trees."""
+    """Return the drawn trees of a level in a map with pixels ``pixel_m`` metres wide, also outside the map; ``None`` without trees."""
     trees = objects.trees
     return None if trees is None else _drawn_trees(objects, trees, frame, trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))
 
 
 def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
-    """Return whether a map draws at least one tree, or thins all of them out."""
+    """Return whether a map with pixels ``pixel_m`` metres wide draws at least one tree after decimation."""
     return bool((trees.rank < _drawn_share(trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))).any())
 
 
@@ -131,7 +133,7 @@ def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
 def tree_instances_in_perspective(
     objects: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> TreeInstances | None:
-    """Return the trees in all directions from an eye; ``None`` without trees."""
+    """Return the drawn trees in all directions from an eye; ``None`` without trees. ``focal_px`` is the focal length in pixels."""
     trees = objects.trees
     if trees is None:
         return None
@@ -168,16 +170,16 @@ def _yaws(trees: Trees) -> np.ndarray:
 
 @cached("scene", 256 * MIB, key=_cache_key)
 def _bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
-    """Return the feet (n, 3) of all trees in a frame, which several eyes share."""
+    """Return the feet (n, 3) of all trees in a frame, metres. They are cached, since views from several eyes share a frame."""
     assert objects.trees is not None
     return frame.points_from_earth(objects.trees.base_earth_m)
 
 
 @compiled
 def _write_relative_sizes(first, last, base, eye, height_px, out):
-    """Write the trees' heights in pixels as shares of the height from which all trees are drawn.
+    """Write each tree's height in pixels, divided by ``FULL_STAND_TREE_PX``.
 
-    ``height_px`` are their heights in pixels at a distance of 1 m.
+    ``height_px`` (n,) are the trees' heights in pixels at a distance of 1 m from the eye.
     """
     for n in range(first, last):
         x, y, z = base[n, 0] - eye[0], base[n, 1] - eye[1], base[n, 2] - eye[2]
@@ -190,7 +192,7 @@ def _drawn_share(size: np.ndarray) -> np.ndarray:
 
 @internal
 def tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner):
-    """Return one corner (x, y, z) of one quad of a tree. Its texture coordinate u is 0 at corners 0 and 3, else 1."""
+    """Return one corner (x, y, z) of one quad of a tree, in the frame. The texture coordinate u is 0 at corners 0 and 3, else 1."""
     cosine, sine = np.float64(yaw_cos_sin[0]), np.float64(yaw_cos_sin[1])
     x, y = base[0] * curvature, base[1] * curvature
     scale = 1.0 / np.sqrt(1.0 + x * x + y * y)
@@ -212,7 +214,7 @@ def tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner):
 
 @internal
 def tree_radius(shape):
-    """Return the radius of a bounding sphere of a tree's quads round the middle of its stem."""
+    """Return the radius of the bounding sphere of a tree's quads, whose centre is half-way up the stem."""
     half_width = max(shape[0], 1.4143 * shape[1])
     return np.sqrt(half_width * half_width + 0.25 * shape[2] * shape[2])
 

@@ -65,10 +65,25 @@ def geometry_buffer(
     pixel_mask: np.ndarray | None = None,
     nodes: MapNodes | None = None,
 ) -> GeometryBuffer:
-    """Return the geometry buffer of a view (of a block, if it is a map).
+    """Return the geometry buffer of a perspective view or of a block of a map.
 
-    ``pixel_mask`` (rows, cols) selects pixels of a map; the others show nothing. ``nodes`` are those that a map shares with other
-    views (``shared_nodes``). Raises ``GraphicsError``.
+    Parameters
+    ----------
+    scene, view
+        The scene and the view.
+    frame
+        The local frame of the buffer; by default ``view_frame``. It must be that frame in perspective.
+    max_triangles
+        The maximum number of the ground's triangles in perspective.
+    pixel_mask
+        (rows, cols), selects pixels of a map; the others show nothing.
+    nodes
+        The nodes of a map's ground, if several views share them (``shared_nodes``).
+
+    Raises
+    ------
+    GraphicsError
+        If OpenGL is needed and fails.
     """
     frame = frame or view_frame(scene, view)
     if isinstance(view, PerspectiveView):
@@ -77,7 +92,10 @@ def geometry_buffer(
 
 
 def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame: LocalFrame) -> MapNodes | None:
-    """Return the nodes of smooth ground that several map views of one grid share; ``None`` where they share none."""
+    """Return the nodes of smooth ground that the pixels of several map views of one grid are interpolated from.
+
+    ``None`` if no view is a map, or for ground of upright columns.
+    """
     maps = [view for view in views if isinstance(view, MapView)]
     if not maps or scene.elevation.surface == "blocks":
         return None
@@ -85,7 +103,7 @@ def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame
 
 
 class RasterisedTriangles(Protocol):
-    """The rasterised triangles of a camera, before ``resolve_buffer`` computes points from them."""
+    """The visible triangles of a camera's pixels. ``resolve_buffer`` computes the visible points from them."""
 
     @property
     def frame(self) -> LocalFrame: ...
@@ -104,7 +122,10 @@ class RasterisedTriangles(Protocol):
 
 
 class RasterisedView:
-    """The triangles that a camera sees, in all pixels or in those that ``pixel_mask`` (rows, cols) selects."""
+    """The visible triangles of a camera's pixels, rasterised with OpenGL.
+
+    ``kinds`` may leave out trees (``forest``). ``pixel_mask`` (rows, cols) selects pixels; the others stay empty.
+    """
 
     def __init__(
         self,
@@ -127,7 +148,7 @@ class RasterisedView:
 
 
 PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.ndarray]]
-"""A view, its rasterised triangles, and rows and columns (n, cols) of some of its pixels."""
+"""A view, its rasterised triangles, and the rows and columns (n, cols) of the selected pixels."""
 
 
 def resolve_buffer(
@@ -243,9 +264,10 @@ def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
 
 
 def _pixels(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
-    """Return columns and rows from the corner of a view's first pixel, and heights (n, 3), of map positions and heights (n, 3).
+    """Convert map positions x, y and heights (n, 3) to columns, rows and heights (n, 3).
 
-    Longitudes are unwrapped to the turn nearest to the view's middle: columns continue beyond the antimeridian.
+    Columns and rows are pixels from the corner of the view's first pixel. Longitudes change by 360 degrees where that brings them
+    nearer to the view's middle, so that columns continue beyond the antimeridian.
     """
     grid, x = view.grid, map_xyz[:, 0]
     if grid.crs.is_geographic:
@@ -267,12 +289,12 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
 
 @cached("scene", 512 * MIB)
 def _imagery(elevation: Elevation, source: str, stamp: tuple[int, int]) -> Imagery:
-    """Return imagery, cached by path, modification time and size: a rewritten file is read again."""
+    """Return the imagery in a file. The cache key includes modification time and size (``stamp``), so a changed file is read again."""
     return Imagery(source)
 
 
 def ground_imagery(scene: Scene) -> Imagery | None:
-    """Return the level's ground imagery, or ``None``. Raises ``SourceError``."""
+    """Return the level's ground imagery; ``None`` without any. Raises ``SourceError`` if it cannot be read."""
     source = scene.loaded.level.terrain.imagery
     if source is None:
         return None
@@ -290,9 +312,9 @@ def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
 
 
 def _draped_albedo(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
-    """Return the imagery's albedo (rows, cols, 3) on a map's ground.
+    """Return the imagery's linear albedo (rows, cols, 3) on a map's ground.
 
-    Positions in the imagery are exact on every 16th pixel and bilinear between.
+    Positions in the imagery are exact on every ``CELL_STEP_PX``-th pixel and interpolated bilinearly between.
     """
     from scipy.ndimage import map_coordinates
 

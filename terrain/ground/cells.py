@@ -1,4 +1,6 @@
-"""Look up the raster cell under a position, for ground that is drawn as blocks.
+"""Look up the raster cell under a position, for ground that is drawn as blocks (a flat top for each cell).
+
+Positions are (fractional) rows and columns, with whole numbers at the cells' centres.
 
 A position on the border of several cells belongs to the highest of them, so no compass direction is preferred.
 """
@@ -15,9 +17,9 @@ BORDER_TOLERANCE = 1e-6
 
 @internal
 def highest_cell(height, row, col):
-    """Return row and column of the cell that contains a position, or (-1, -1) where no cell there has a height.
+    """Return row and column of the cell that contains a position, or (-1, -1) if that cell has no height.
 
-    The highest of the cells wins where several meet.
+    On a border it returns the highest of the cells that meet there. ``height`` is (rows, cols), NaN where a cell has no height.
     """
     best_row, best_col = -1, -1
     if not (np.isfinite(row) and np.isfinite(col)):
@@ -32,7 +34,10 @@ def highest_cell(height, row, col):
 
 @compiled
 def cell_heights(values, cell_valid, row, col):
-    """Return the heights (n, m) float32 of the cells at positions (n, m), NaN where no cell has one, and the valid mask (n, m)."""
+    """Return heights (n, m) float32 and the valid mask (n, m) of the cells under positions ``row``, ``col`` (n, m).
+
+    Heights are NaN where no cell has one. ``values`` (rows, cols) are the cells' heights, ``cell_valid`` is their valid mask.
+    """
     out = np.full(row.shape, np.nan, np.float32)
     valid = np.zeros(row.shape, np.bool_)
     for i in range(row.shape[0]):

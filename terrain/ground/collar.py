@@ -1,21 +1,29 @@
 """Detect collars: undeclared nodata cells round the data, such as the zeros that warping leaves behind.
 
-A collar is one value, such as 0 or -9999, in connected cells at the raster's border. So are the sea, lakes and dammed rivers.
-The height step at the edge tells them apart. At a shore the ground comes down to the water: heights change across it about as
-much as they do one cell farther inland. A collar cuts through ground of any height: heights change far more across its rim, and
-the cut ground stands about as high above the value as all ground does. A value counts as a collar if all these hold:
+A collar consists of connected cells at the raster's border that all have one value, such as 0 or -9999. The sea, lakes and dammed
+rivers do so, too. The height step across the rim, where the value's cells meet the ground, tells collar and water apart:
 
-* It fills at least ``MIN_BORDER_SHARE`` of the border's cells (``MIN_HIGH_BORDER_SHARE`` if it lies above the ground, as no sea
-  does).
-* At most ``MAX_FAR_SIDE_SHARE`` of the ground lies on its far side. The ground is mostly one piece, and not an object on a plain.
-* At least ``MIN_CLIFF_SHARE`` of the rim is a cliff: ``MIN_CLIFF_M`` high, and ``MIN_CLIFF_RATIO`` times the step behind it.
-* Those cliffs are at least ``MIN_CLIFF_HEIGHT_SHARE`` of the usual height of the ground above the value. No quay or dam is.
+* A shore slopes down to the water. Heights change across the rim about as much as they do one cell farther inland.
+* A collar cuts through ground of any height. Heights change far more across the rim than farther inland, and the ground at the rim
+  stands about as high above the value as the ground elsewhere.
 
-The rule comes from measurements. Of collars made round nine real rasters (plains, hills, coastal towns, mountains) 31 to 100 % of
-the rim was cliff. Of coasts (cells of 7 m to 1 degree), lakes and rivers at most 15 % was.
+A value counts as a collar if all these conditions hold:
 
-Known limits: the rule misses collars less than ``MIN_CLIFF_M`` below the ground, rasters with nearly all ground at the rim at sea
-level, and rasters that are mostly collar. It mistakes a long ice front or a coast that is mostly cliffs for a collar.
+* The value fills at least ``MIN_BORDER_SHARE`` of the border's cells. If it lies above the ground, as no sea does, it fills at
+  least ``MIN_HIGH_BORDER_SHARE``.
+* At most ``MAX_FAR_SIDE_SHARE`` of the ground is on the other side of the value: below a low value, or above a high one.
+* The largest connected piece of ground has at least half of all ground cells and ``MIN_GROUND_SHARE`` of all cells.
+* At least ``MIN_CLIFF_SHARE`` of the rim is a cliff. A cliff is at least ``MIN_CLIFF_M`` high and ``MIN_CLIFF_RATIO`` times as high
+  as the next step inland.
+* The cliffs' median height is at least ``MIN_CLIFF_HEIGHT_SHARE`` of the ground's median height above the value. No quay or dam is
+  as high.
+
+The rule comes from measurements. Collars were made round nine real rasters (plains, hills, coastal towns, mountains): 31 to 100 %
+of their rims was cliff. Of the rims of coasts (cells of 7 m to 1 degree), lakes and rivers at most 15 % was cliff.
+
+Known limits: the rule misses collars less than ``MIN_CLIFF_M`` below the ground, and rasters that are mostly collar. It also misses
+rasters whose ground along the rim is nearly all at sea level. It mistakes a long ice front or a coast that is mostly cliffs for a
+collar.
 """
 
 from __future__ import annotations
@@ -38,16 +46,16 @@ MIN_CLIFF_SHARE = 0.25
 MIN_CLIFF_HEIGHT_SHARE = 0.4
 
 MIN_RIM_CELLS = 16
-"""Minimum number of rim positions that a decision needs."""
+"""Minimum number of height steps across the rim that a decision needs."""
 
 MAX_RIM_WINDOWS = 64
-"""Number of full-resolution windows along the rim that are read of a raster larger than its overview."""
+"""Approximate number of windows along the rim that are read at full resolution, from a raster larger than its overview."""
 
 BORDER_CELLS = 32
-"""Depth in cells of the full-resolution strips along the border: the overview does not show a thin collar."""
+"""Width in cells of the strips along the border that are read at full resolution: the overview does not show a thin collar."""
 
 BORDER_SAMPLES = 4096
-"""Maximum number of samples along a strip."""
+"""Maximum number of samples in a strip's direction along the border."""
 
 _MAX_CANDIDATES = 2
 _EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
@@ -114,9 +122,9 @@ class _Region:
     cells
         bool (rows, cols): the value's cells that are connected to the border.
     ground
-        bool (rows, cols): the ground that they may surround.
+        bool (rows, cols): the largest connected piece of the other cells with heights.
     border_share
-        Share of the border that they fill, in [0, 1].
+        Share of the border that ``cells`` fill, in [0, 1].
     """
 
     cells: np.ndarray
@@ -151,7 +159,7 @@ def detect_collar(elevation: Elevation) -> Collar | None:
 
 
 def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]]:
-    """Yield the most common values of the border, each with its cells that are connected to the border."""
+    """Yield the most common values of the border's cells, each with the region of this value along the border."""
     border = cells_read.border(cells_read.values)[cells_read.border(cells_read.has_height)]
     values, count = np.unique(border, return_counts=True)
     for index in np.argsort(count)[::-1][:_MAX_CANDIDATES]:
@@ -174,7 +182,11 @@ def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]
 def _collar_from_steps(
     cells_read: _StoredCells, region: _Region, value: np.generic, rim_steps_m: np.ndarray, inner_steps_m: np.ndarray, unit_m: float
 ) -> Collar | None:
-    """Return the collar if the steps (n,) across a region's rim and behind it are those of a collar, else ``None``."""
+    """Return the collar if a region meets the module's conditions, else ``None``.
+
+    ``rim_steps_m`` (n,) are the height steps from the value's cells to the first ground cell, ``inner_steps_m`` (n,) those from
+    there to the second ground cell. ``unit_m`` is the height in metres of a step of 1 in the stored values.
+    """
     if len(rim_steps_m) < MIN_RIM_CELLS:
         return None
     above_m = (cells_read.values[region.ground].astype(np.float64) - float(value)) * unit_m
@@ -191,9 +203,10 @@ def _collar_from_steps(
 
 
 def _height_steps(values: np.ndarray, cells: np.ndarray, ground: np.ndarray, value: np.generic) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps (n,) of the stored values across a region's rim, and those (n,) from the first ground cell to the second.
+    """Return the absolute steps of stored values across a region's rim (n,), and one cell farther inland (n,).
 
-    Both cover all four directions.
+    The first is from ``value`` to the first ground cell, the second from there to the next ground cell. All four directions of the
+    rim are covered.
     """
     rim_steps, inner_steps = [], []
     for quarter_turns in range(4):
@@ -206,7 +219,10 @@ def _height_steps(values: np.ndarray, cells: np.ndarray, ground: np.ndarray, val
 
 
 def _full_resolution_steps(elevation: Elevation, region: _Region, value: np.generic, factor: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same steps, read in full-resolution windows along a rim found in cells of ``factor`` raster cells a side."""
+    """Return the steps of ``_height_steps`` from full-resolution windows along a region's rim.
+
+    The region's cells are ``factor`` raster cells a side.
+    """
     rows, cols = region.cells.shape
     is_beside_ground = np.zeros_like(region.cells)
     for axis in (0, 1):
@@ -228,7 +244,10 @@ def _full_resolution_steps(elevation: Elevation, region: _Region, value: np.gene
 
 
 def _strips(elevation: Elevation) -> Iterator[_StoredCells]:
-    """Yield the cells along the four sides, at full resolution across the strip."""
+    """Yield a strip of cells along each of the raster's four sides.
+
+    Strips have full resolution across, and are decimated to at most ``BORDER_SAMPLES`` cells along the side.
+    """
     rows, cols = elevation.shape
     strip_rows, strip_cols = min(BORDER_CELLS, rows), min(BORDER_CELLS, cols)
     along_row, along_col = min(cols, BORDER_SAMPLES), min(rows, BORDER_SAMPLES)

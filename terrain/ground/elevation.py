@@ -1,15 +1,18 @@
 """Read heights from any raster that GDAL opens, by windows and overviews only.
 
-A raster describes the bilinear surface through its cells' centres. Where a level asks for blocks, it describes its cells as they
-are (``skugga.terrain.ground.columns``). Cells are addressed as (row, col), with whole numbers at the centres. Zoomed out, cells are
-averaged 2 x 2, 4 x 4, ... from the raster's corner, so a window reads the same wherever it begins. At the south and east borders
-less than one such cell is lost.
+By default the surface is bilinear between the centres of the raster's cells. If the level file sets blocks, each cell has a flat
+top instead (``skugga.terrain.ground.columns``). Cells are addressed as (row, col), with whole numbers at the centres.
 
-Holes (nodata) are invalid in the image but are filled for casting shadows. The fill is smooth from their rims, so no wall and no
-pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
+Level of detail ``lod`` has cells that are averages of ``2**lod`` x ``2**lod`` raster cells. They are counted from the raster's
+north-west corner, so that the cells do not depend on the window read. Raster cells that fill no whole such cell at the south and
+east borders are ignored.
 
-A raster's cells reach half a cell beyond their centres. So ground that casts continues for one node beyond a grid's outermost nodes
-on the raster, at the height of the raster's border (``heights_with_rim``). Visible ground ends at the outermost nodes.
+Holes (cells without data) are not visible, but they are filled for casting shadows. The fill continues the heights at the hole's
+edge smoothly, so it makes no walls and no pits. Cells farther than ``FILL_CELLS`` from any data stay empty and cast no shadows.
+
+A raster's cells reach half a cell beyond their centres. So the ground that casts shadows continues for one node beyond the
+outermost nodes of a grid on the raster. These rim nodes have the height of the raster's border (``heights_with_rim``). Visible
+ground ends at the outermost nodes.
 
 Standing water is part of the surface: no returned height lies below it. Shores run where the bilinear ground rises out of the
 water, not along cells.
@@ -43,10 +46,13 @@ from skugga.terrain.level.level_source import remedy
 from skugga.terrain.level.parts import GroundSurface, Positive, Units
 
 FILL_CELLS = 64
-"""Maximum distance from their rims to which holes are filled, in cells of the level of detail read."""
+"""Maximum distance from its edge to which a hole is filled, in cells of the level of detail that is read."""
 
 PLAUSIBLE_M = (-11500.0, 9500.0)
-"""Lowest and highest height on earth, metres; anything else (infinities, undeclared sentinels such as -32768) is a hole."""
+"""Lowest and highest plausible height on earth, metres.
+
+Cells with other values are holes: infinities, and undeclared sentinels (values that stand for missing data) such as -32768.
+"""
 
 PLAUSIBLE_OFF_EARTH_M = (-32000.0, 32000.0)
 """Lowest and highest height on other celestial bodies, metres.
@@ -90,7 +96,7 @@ class Elevation:
     vertical
         Unit and direction of the file's numbers, as used.
     undeclared_nodata
-        Counts of the cells that cannot be heights although nothing declares them empty.
+        Counts of the cells that cannot be heights, although the file does not declare them as nodata.
 
     Raises
     ------
@@ -182,9 +188,9 @@ class Elevation:
         return bytes_of(self.overview)
 
     def stored(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cells of a window as stored in the file, and which of them hold heights (bool).
+        """Return the values of a window's cells as stored in the file, and a mask of the cells that hold heights.
 
-        A smaller ``shape`` decimates them by nearest neighbour.
+        A ``shape`` smaller than the window decimates the cells by nearest neighbour.
         """
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
         stored, _, is_nodata, plausible = self._cells(window, shape, Resampling.nearest)
@@ -196,14 +202,14 @@ class Elevation:
         return float(self._scale)
 
     def surface_range_m(self, cells: np.ndarray) -> tuple[float, float]:
-        """Return the lowest and highest surface of some stored cells, metres: at least the height of standing water."""
+        """Return the lowest and highest surface of cells with some stored values, metres: at least the height of water."""
         ends = np.array([cells.min(), cells.max()], np.float64) * self._scale + self._offset
         low, high = sorted(max(float(end), self.water_m) for end in ends)
         return low, high
 
     @property
     def overview_factors(self) -> tuple[int, ...]:
-        """Factors by which the file's overviews, as far as they are used, are coarser than its cells."""
+        """Factors by which the file's overviews are coarser than its cells. Overviews that are not used are omitted."""
         return tuple(self._dataset.overviews(1))
 
     def close(self) -> None:
@@ -233,7 +239,7 @@ class Elevation:
         return inside if self._wrap_period else inside & (col >= -0.5) & (col <= self.cols - 0.5)
 
     def ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
-        """Return heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface.
+        """Return heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off the raster and in holes.
 
         Longitudes are wrapped. Cells are read in blocks of ``READ_BLOCK_CELLS`` a side.
         """
@@ -241,14 +247,17 @@ class Elevation:
         return np.where(valid, height, np.nan)
 
     def filled_ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
-        """Return the same heights as ``ground_m``, with holes filled as for casting; NaN off the raster and far from any data.
+        """Return heights as ``ground_m`` does, but with holes filled; NaN off the raster and far from any data.
 
         Objects on the ground use these heights: ground models often have holes just where buildings are.
         """
         return self._at_points(x, y)[0]
 
     def _wrap_longitudes(self, x: float | np.ndarray) -> float | np.ndarray:
-        """Return longitudes shifted by whole turns to those nearest to the raster's centre, and other coordinates unchanged."""
+        """Return longitudes shifted by multiples of 360 degrees to the nearest ones to the raster's centre.
+
+        In a CRS that is not geographic, x is unchanged.
+        """
         if not self.crs.is_geographic:
             return x
         middle = float(self.xy(0, (self.cols - 1) / 2)[0])
@@ -273,7 +282,8 @@ class Elevation:
     def cell_size_m(self, metres_per_unit: float) -> float:
         """Return the side of a cell on the ground at the raster's centre, metres: the square root of its area.
 
-        On the globe a projection's units may differ from it: Web Mercator's are twice as long at 60 degrees.
+        On the globe this differs from the cell size in a projection's units. At 60 degrees of latitude, a cell of Web Mercator is
+        half as long on the ground.
         """
         row, col = (self.rows - 1) / 2, (self.cols - 1) / 2
         xs, ys = self.xy(np.array([row, row, row - 0.5, row + 0.5]), np.array([col - 0.5, col + 0.5, col, col]))
@@ -289,20 +299,20 @@ class Elevation:
         return float(np.sqrt(abs(self._transform.determinant))) * metres_per_unit
 
     def heights_at(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights in metres (float32) at (fractional) cells of the raster, and the valid mask (bool).
+        """Return heights in metres (float32) at (fractional) rows and columns of the raster, and the valid mask (bool).
 
-        Heights are bilinear between cells of ``lod`` (2**lod raster cells a side), or those of the cells themselves if
-        ``surface`` is blocks. NaN means no data nearby.
+        Heights are bilinear between the centres of cells of ``2**lod`` raster cells a side. If ``surface`` is blocks, they are the
+        heights of these cells. NaN means no data nearby.
         """
         row, col, ends = self._positions_at_lod(lod, row, col)
         return self._heights_at_lod(lod, row, col, ends)
 
     def heights_with_rim(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return heights, valid mask and rim mask of the inner nodes of a grid (rows + 2, cols + 2).
+        """Return heights, valid mask and rim mask (rows, cols) of the nodes at (fractional) rows and columns of the raster.
 
-        Rim nodes lie off the raster, next to a node on it along a row, a column or a diagonal. They have the height of the raster's
-        border and are not valid. Casters must end with the cells and not with their centres: a ray that passes just beside the
-        outermost centre is still above a cell.
+        ``row`` and ``col`` (rows + 2, cols + 2) include a margin of one node. Rim nodes lie off the raster, next to a node on it
+        along a row, a column or a diagonal. They have the height of the raster's border and are not valid. The ground that casts
+        shadows must end with the cells, not with their centres: a ray just beyond the outermost centre is still above a cell.
         """
         on_row, on_col, ends = self._positions_at_lod(lod, row, col)
         if not np.isfinite(ends).all():
@@ -321,13 +331,16 @@ class Elevation:
         return height[1:-1, 1:-1].copy(), valid[1:-1, 1:-1].copy(), rim[1:-1, 1:-1].copy()
 
     def covers_cells(self, lod: int, row: np.ndarray, col: np.ndarray) -> bool:
-        """Return whether all (fractional) cells of the raster lie on the cells of a level of detail."""
+        """Return whether all (fractional) rows and columns of the raster lie within the cells of a level of detail."""
         rows, cols = (count * 2**lod for count in self._lod_shape(lod))
         inside = (row >= -0.5) & (row <= rows - 0.5) & np.isfinite(col)
         return bool((inside if self._wrap_period else inside & (col >= -0.5) & (col <= cols - 0.5)).all())
 
     def _positions_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rows and columns at a level of detail for those of the raster, NaN off it, and both ranges (2, 2)."""
+        """Convert rows and columns of the raster to rows and columns at a level of detail, NaN off the raster.
+
+        The third result (2, 2) is the minimum and maximum row, then the minimum and maximum column.
+        """
         from skugga.terrain.ground.elevation_loops import to_lod  # imported here: only heights need numba
 
         rows, cols = self._lod_shape(lod)
@@ -337,7 +350,7 @@ class Elevation:
         return to_lod(row, col, 2.0**lod, rows, np.float64(cols))
 
     def _clamped_positions(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest rows and columns between a level of detail's outermost centres for those (n,) of the raster.
+        """Convert rows and columns (n,) of the raster to a level of detail, clamped to the centres of its outermost cells.
 
         They are NaN beyond a pole.
         """
@@ -350,7 +363,10 @@ class Elevation:
         return np.where(is_position, on_row, np.nan), np.where(is_position, on_col, np.nan)
 
     def _heights_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``heights_at`` for rows and columns at a level of detail; ``ends`` (2, 2) are their minima and maxima."""
+        """Return heights and valid mask as ``heights_at`` does, for rows and columns at a level of detail.
+
+        ``ends`` (2, 2) are the minimum and maximum row, then the minimum and maximum column.
+        """
         from skugga.terrain.ground.cells import cell_heights
         from skugga.terrain.ground.elevation_loops import bilinear
 
@@ -369,13 +385,13 @@ class Elevation:
         return self._above_water(height), valid
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:
-        """Return the surface over ground, float32: water where it is higher, NaN where the ground is missing."""
+        """Return the higher one of ground and standing water, metres, float32; NaN where the ground is missing."""
         return height_m if self.water_m == -np.inf else np.maximum(height_m, np.float32(self.water_m))
 
     def _filled(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cells of a window with holes filled, and which cells are valid.
+        """Return the heights of a window's cells, metres, with holes filled, and the valid mask (``False`` in holes).
 
-        The fill reads a rim of ``FILL_CELLS``, so it is the same in every window.
+        The fill reads a margin of ``FILL_CELLS`` round the window, so that a hole is filled alike in every window.
         """
         values = self._read(lod, row0, row1, col0, col1)
         valid = np.isfinite(values)
@@ -423,7 +439,7 @@ class Elevation:
         return height_m.astype(np.float32)
 
     def _cells(self, window: Window, shape: tuple[int, int] | None, resampling: Resampling) -> tuple[np.ndarray, ...]:
-        """Return stored cells, their heights in metres (float64), and two masks: declared empty, and plausible as heights."""
+        """Return stored values, heights in metres (float64), and two masks: declared as nodata, and plausible as heights."""
         try:
             data = self._dataset.read(1, window=window, out_shape=shape, masked=True, resampling=resampling)
         except RasterioIOError:
@@ -440,9 +456,9 @@ class Elevation:
     def _columns_at_lod(self, lod: int, col: np.ndarray) -> np.ndarray:
         """Return (fractional) columns at a level of detail from columns of the raster, which wraps round the earth.
 
-        Less than one cell may be left over at the end of a turn. Columns between the last cell's centre and the first
-        one's are stretched over that remainder. So a position has the same column, up to whole turns, from whichever side it is
-        reached.
+        Less than one cell of the level of detail may be left over at the end of a turn round the earth. The columns between the
+        last cell's centre and the first one's are stretched over that remainder. So a position has the same column, up to whole
+        turns, whether it is reached from the west or from the east.
         """
         factor, cols_per_turn = 2**lod, self._columns_per_turn(lod)
         col = (col + 0.5) / factor - 0.5
@@ -470,7 +486,10 @@ class Elevation:
         )  # fmt: skip
 
     def _settle_resampling(self) -> None:
-        """Switch from nearest cells to averages, unless the cells read so far contain an undeclared sentinel."""
+        """Read averages of cells from now on, unless the cells read so far contain an undeclared sentinel.
+
+        Until then, the nearest cells are read. A sentinel is a value that stands for missing data and would spoil averages.
+        """
         self._resampling = Resampling.nearest if self.undeclared_nodata.has_implausible else Resampling.average
         self._is_settled = True
 
@@ -495,7 +514,10 @@ def _dilated(mask: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _GroundReader:
-    """Adapter of an ``Elevation`` for ``read_overview``: the ground without water (the public methods return the surface)."""
+    """Adapter of an ``Elevation`` for ``read_overview``, which reads the ground without water.
+
+    The public methods of ``Elevation`` return the surface, which includes water.
+    """
 
     of: Elevation
 

@@ -10,10 +10,11 @@ from skugga.terrain.ground.extremes import widen
 
 @compiled
 def to_lod(row, col, factor, rows, cols):
-    """Transform rows and columns of level 0 to a level of ``rows`` x ``cols`` cells.
+    """Convert rows and columns of a raster to a level of detail of ``rows`` x ``cols`` cells.
 
-    Returns rows and columns, NaN off the raster, and the minimum and maximum of both (2, 2), infinite if no position is on it. If
-    columns wrap (``cols`` is infinite), the given columns already are those of the level.
+    A cell is ``factor`` raster cells a side. Returns rows and columns, NaN off the raster. Also returns their minima and maxima
+    (2, 2), rows first, which are infinite if no position is on the raster. If columns wrap round the earth, ``cols`` is infinite
+    and ``col`` already holds columns of the level of detail.
     """
     out_row, out_col = np.empty(row.shape), np.empty(row.shape)
     ends = np.empty((4, row.shape[1]))  # minima and maxima by column
@@ -45,9 +46,10 @@ def _row_at_lod(row, col, factor, rows, cols, out_row, out_col):
 
 @compiled
 def bilinear(values, cell_valid, all_valid, row, col, row0, col0):
-    """Return bilinear heights float32 at (row, col) of a window that begins at (row0, col0), and the nearest cells' validity.
+    """Return bilinear heights float32 at positions (``row``, ``col``), and the valid mask of the cells nearest to them.
 
-    Positions beyond the outer centres are clamped. ``all_valid`` is whether all cells are valid.
+    ``values`` are the heights of a window of cells, of which (row0, col0) is the first. ``cell_valid`` is their valid mask, and
+    ``all_valid`` whether all of them are valid. Positions beyond the outermost centres are clamped.
     """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
@@ -70,9 +72,10 @@ def bilinear(values, cell_valid, all_valid, row, col, row0, col0):
 
 @internal
 def _locate_cells(at, first, count, previous, nearest, fraction):
-    """Find the cell before each position and the nearest cell, along an axis of ``count`` cells from ``first`` on, clamped.
+    """Write the indices of the cell before each position and of the nearest cell into ``previous`` and ``nearest``.
 
-    ``fraction`` becomes the fraction of the way to the next cell. It is NaN for a position that is NaN, whose cells are arbitrary.
+    The axis has ``count`` cells, the first of which is cell ``first``. Positions are clamped to their centres. ``fraction`` becomes
+    the fraction of the way to the next cell. It is NaN for a position that is NaN, whose cells are arbitrary.
     """
     last = max(count - 2.0, 0.0)
     for j in range(at.size):
@@ -85,7 +88,7 @@ def _locate_cells(at, first, count, previous, nearest, fraction):
 
 @internal
 def _look_up(values, row, col, out):
-    """Look up the values (4, n) of cells, of those to the right, of those below, and of those below to the right."""
+    """Write the values of n cells and of their neighbours to the east, south and south-east into ``out`` (4, n)."""
     rows, cols = values.shape
     for j in range(row.size):
         r, c = row[j], col[j]

@@ -38,7 +38,7 @@ class Geolocator:
         return float(x), float(y)
 
     def ground_m(self, at: tuple[float, float]) -> float:
-        """Return the ground's height at a position, metres; NaN off its data."""
+        """Return the ground's height at a position, metres; NaN where the ground has no data."""
         x, y = self.xy(at)
         return float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
 
@@ -59,7 +59,7 @@ class Geolocator:
     def above_ground(self, position: tuple[float, float, float], name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the earth-fixed point (3,) at a position and a height above the ground, and the unit up vector there.
 
-        Raises ``LevelError`` with the name ``name`` off the ground's data.
+        Raises ``LevelError``, whose message names the parameter ``name``, where the ground has no data.
         """
         ground_m = self.ground_m(position[:2])
         if not np.isfinite(ground_m):

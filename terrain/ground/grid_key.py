@@ -1,4 +1,4 @@
-"""A cheap part of cache keys that stands for a grid over a scene's ground."""
+"""Identify a grid over a scene's ground in cache keys, without comparing CRSs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from skugga.terrain.ground.elevation import Elevation
 
 
 class GridKey:
-    """Cache-key part for a grid over a scene's ground. It compares by identity; comparing a grid's CRS is slow."""
+    """An object that stands for a grid over a scene's ground in cache keys. It is compared by identity, which is fast."""
 
 
 @cached("scene", MIB, size_of=lambda _: 512)

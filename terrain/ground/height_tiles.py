@@ -1,4 +1,4 @@
-"""Cache heights of a grid's nodes in tiles: neighbouring windows, and the same window under another sun, read them once."""
+"""Cache the heights of a grid's nodes in tiles, so that windows that overlap or recur read each raster cell once."""
 
 from __future__ import annotations
 
@@ -16,13 +16,19 @@ TILE_NODES = 512
 """Side of a tile in nodes, half a block's. Tiles start at multiples of it, counted from the grid's origin."""
 
 RIM_NODES = 8
-"""Nodes round a tile that are read with it, so a block with a small margin needs only its own tiles."""
+"""Width in nodes of the margin that is read round each tile.
+
+A map block with a small margin thus needs only the tiles within the block.
+"""
 
 Heights = tuple[np.ndarray, np.ndarray]
 """Heights float32, metres, NaN where the ground is missing; and the valid mask, bool."""
 
 HeightsAndRim = tuple[np.ndarray, np.ndarray, np.ndarray | None]
-"""The same with the rim that only casts, and the mask of its nodes; ``None`` without any (``Elevation.heights_with_rim``)."""
+"""Heights that include the rim nodes, the valid mask, and the mask of the rim nodes, bool; ``None`` for no rim nodes.
+
+Rim nodes lie just beyond the raster. They cast shadows and are not visible (``Elevation.heights_with_rim``).
+"""
 
 _tiles: Cache[HeightsAndRim | None] = Cache("skugga.terrain.ground.height_tiles", "scene", 192 * MIB)
 
@@ -38,9 +44,10 @@ def tiled_heights(
     cols: int,
     rim: bool,
 ) -> Heights:
-    """Return the result of ``read(row0, col0, rows, cols)`` for a window of a grid's nodes, assembled from cached tiles.
+    """Return the heights and the valid mask of a window of a grid's nodes, assembled from cached tiles.
 
-    ``rim`` keeps the nodes beyond the raster that cast; without it they are NaN.
+    ``read(row0, col0, rows, cols)`` reads the heights of a tile that is not cached. ``rim`` is whether the result includes the
+    heights of rim nodes, which lie beyond the raster and only cast shadows. Otherwise these are NaN.
     """
     owner = grid_key(world, elevation, grid)
     height, valid = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
@@ -64,7 +71,10 @@ def tiled_heights(
 
 
 def _tile_ranges(first: int, count: int) -> list[tuple[int, int, int]]:
-    """Return the fewest tiles along an axis that hold all nodes: each tile's number and its range of nodes, [start, stop)."""
+    """Return the fewest tiles along an axis that, with their margins, hold all nodes of a window.
+
+    Each tile is its number and the range [start, stop) of the nodes that are copied from it.
+    """
     end = first + count
     low = (first + RIM_NODES) // TILE_NODES
     high = max((end - 1 - RIM_NODES) // TILE_NODES, low)

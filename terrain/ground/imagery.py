@@ -24,7 +24,10 @@ MAX_SIDE = 4096
 
 
 class Imagery:
-    """An RGB raster in memory, with mip levels: averages of 2, 4, 8, ... cells a side. Raises ``SourceError``."""
+    """An RGB raster in memory, with mip levels: averages of 2, 4, 8, ... cells a side.
+
+    Raises ``SourceError`` for a file that is no georeferenced raster with three bands of integers.
+    """
 
     def __init__(self, source: str) -> None:
         self.name = source
@@ -53,7 +56,7 @@ class Imagery:
         self._levels = _mip_levels(_linear_colors(data, valid, source), valid)
 
     def cells(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return (fractional) rows and columns (n, 2) of map coordinates (n,); NaN where they have none.
+        """Return (fractional) rows and columns (n, 2) in the imagery of map coordinates (n,); NaN where they have none.
 
         Raises ``SourceError`` if the map's CRS cannot be transformed into the imagery's.
         """
@@ -78,9 +81,10 @@ class Imagery:
         return float(np.sqrt(abs(1.0 / self._cell_from_crs.determinant))) * unit
 
     def albedo(self, cells: np.ndarray, cells_per_pixel: np.ndarray | float) -> np.ndarray:
-        """Return linear albedo (rows, cols, 3) float32 at cells (rows, cols, 2), bilinear in the mip level of a pixel's footprint.
+        """Return the linear albedo (rows, cols, 3) float32 of pixels; NaN off the imagery and where it has no data.
 
-        NaN off the imagery and where it has no data.
+        ``cells`` (rows, cols, 2) are the pixels' (fractional) rows and columns in the imagery. ``cells_per_pixel`` is the width of
+        a pixel in cells, which selects the mip level. Colours are bilinear in that level.
         """
         mip = np.clip(np.floor(np.log2(np.maximum(cells_per_pixel, 1.0)) + 0.5), 0, len(self._levels) - 1).astype(np.int64)
         out = np.full((*cells.shape[:2], 3), np.nan, np.float32)

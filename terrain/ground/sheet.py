@@ -71,9 +71,10 @@ def diagonal_cuts(height):
 
 @compiled
 def sheet_triangles(is_cut_nw_se):
-    """Return node indices (2 quads, 3) int32 of a mesh's triangles: of each quad the one on its north side, then the other.
+    """Return node indices (2 * quads, 3) int32 of a mesh's triangles: for each quad the one on its north side, then the other.
 
-    Cut from south-west to north-east they are NW, SW, NE and SE, NE, SW; cut the other way NE, NW, SE and SW, SE, NW.
+    The corners of a quad cut from south-west to north-east are NW, SW, NE and SE, NE, SW. Those of a quad cut the other way are
+    NE, NW, SE and SW, SE, NW.
     """
     rows, cols = is_cut_nw_se.shape
     out = np.empty((2 * rows * cols, 3), np.int32)

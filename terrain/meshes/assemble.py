@@ -36,13 +36,13 @@ class Placement:
     visible
         The visible bodies.
     casting
-        The casting bodies: the visible ones, or their stand-ins.
+        The bodies that cast shadows: the visible ones, or simpler models (stand-ins) that the level's key ``caster`` names.
     casting_is_building
-        For each casting body whether it is a building, which is an extruded footprint.
+        For each body in ``casting`` whether it is a building (an extruded footprint).
     notes
-        Data read from the files of footprints, in words.
+        Sentences on the data that was read from the files of footprints.
     warnings
-        Data of these files that was not used, in words.
+        Sentences on data of the files of footprints that was ignored.
     """
 
     visible: tuple[PlacedBody, ...]
@@ -54,7 +54,10 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """An earth-fixed point, and a rotation (3, 3) from local east, north, up, or from a body's axes, to earth-fixed axes."""
+    """Position and orientation of a body: an earth-fixed point, and the rotation (3, 3) from the body's to earth-fixed axes.
+
+    Before its motion a body's axes are local east, north and up, except for buildings.
+    """
 
     point_earth_m: np.ndarray
     earth_from_enu: np.ndarray
@@ -63,8 +66,8 @@ class _Pose:
 def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
     """Return a level's meshes and their positions, independent of its clock.
 
-    Raises ``LevelError`` for a key that does not apply, a position off the terrain or a path under the ground, ``SourceError`` for
-    an unusable file.
+    Raises ``LevelError`` for a key that does not apply, a position off the terrain or a path under the ground. Raises
+    ``SourceError`` for an unusable file.
     """
     visible: list[PlacedBody] = []
     casting: list[PlacedBody] = []
@@ -97,7 +100,7 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
 
 
 def solids(placement: Placement, seconds: float) -> Solids:
-    """Return the triangles of placed bodies at a time of the clock."""
+    """Return the triangles of placed bodies at a second of the level's clock."""
     pose_cache: dict[int, _Pose] = {}
     visible = [_pose(placed, seconds, pose_cache) for placed in placement.visible]
     vertices, triangles = _concatenate(visible)
@@ -127,7 +130,10 @@ def _concatenate(bodies: Sequence[tuple[Body, _Pose]]) -> tuple[np.ndarray, np.n
 
 
 def _pose(placed: PlacedBody, seconds: float, pose_cache: dict[int, _Pose]) -> tuple[Body, _Pose]:
-    """Return a body with its origin and rotation at a time of the clock. ``pose_cache`` caches them by the id of the motion."""
+    """Return a body with its position and orientation at a second of the level's clock.
+
+    ``pose_cache`` caches the poses on paths by the ``id`` of their ``BodyMotion``, which several bodies may share.
+    """
     motion = placed.motion
     if motion is None:
         return placed.body, _Pose(placed.origin_earth_m, placed.earth_from_body)
@@ -176,7 +182,7 @@ def _motion(spec: MeshSpec, key_path: str, geolocator: Geolocator) -> BodyMotion
 
 
 def _poses(spec: MeshSpec, motion: BodyMotion | None, key_path: str, geolocator: Geolocator) -> list[_Pose]:
-    """Return the poses of a level's mesh before it moves; for a mesh on a path, that of its first key."""
+    """Return the poses of a level's mesh before it moves. A mesh on a path has the pose of its first keyframe."""
     if motion is None or motion.path is None:
         positions: Sequence[MapPosition | None] = spec.positions or [None]
         return [_ground_pose(position, key_path, geolocator) for position in positions]
@@ -185,7 +191,10 @@ def _poses(spec: MeshSpec, motion: BodyMotion | None, key_path: str, geolocator:
 
 
 def _ground_pose(position: MapPosition | None, key_path: str, geolocator: Geolocator) -> _Pose:
-    """Return the ground at a position of a level (``None``: the anchor). Raises ``LevelError`` off the terrain."""
+    """Return the pose of an upright body on the ground at a position of a level (``None``: at the anchor).
+
+    Raises ``LevelError`` for a position off the terrain.
+    """
     world, elevation = geolocator.world, geolocator.elevation
     x, y = (world.anchor_x, world.anchor_y) if position is None else geolocator.xy(position)
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan

@@ -1,4 +1,4 @@
-"""Triangulate polygons extruded to blocks: roof, walls and floor, closed for every outline."""
+"""Triangulate blocks: polygons extruded upwards, with roof, walls and floor. A block is closed for every outline."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from skugga.terrain.meshes.roofs import Roof
 
 
 def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles (m, 3) of a block over n corners, and a mask (m,) of the roof's triangles.
+    """Return the triangles (m, 3) of a block, and the mask (m,) of those on its roof.
 
-    Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings have the building on their left.
+    ``roof`` (k, 3) are the triangles of the polygon, which has n corners. ``ring_ends`` holds the end index of each of its rings in
+    the corners. Vertices [0, n) of the block are the roof's, [n, 2 n) the floor's. Rings have the building on their left.
     """
     count = int(ring_ends[-1])
     corner, next_corner = np.arange(count), _next_corners(ring_ends)
@@ -25,7 +26,10 @@ def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray
 
 
 def sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same for a block under a sloped roof. The vertices of the ridge follow those of the floor."""
+    """Return the triangles (m, 3) of a block of four corners under a sloped roof, and the mask (m,) of those on its roof.
+
+    Vertices 0 to 3 are the eaves and 4 to 7 the floor. The points of the ridge follow.
+    """
     block, _ = block_triangles(np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([4]))
     slopes = np.where(roof.triangles >= 4, roof.triangles + 4, roof.triangles).astype(np.int32)
     triangles = np.concatenate([slopes, block[2:]])
@@ -33,9 +37,9 @@ def sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
 
 
 def roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
-    """Return counter-clockwise triangles (m, 3) of a polygon's corners (n, 2).
+    """Triangulate a polygon with holes: return counter-clockwise triangles (m, 3) of its corners (n, 2).
 
-    Every edge of every ring is the edge of one triangle.
+    ``ring_ends`` holds the end index of each ring in the corners. Every edge of every ring is the edge of one triangle.
     """
     clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
     triangles = _counter_clockwise(clipped.astype(np.int32), xy)
@@ -45,7 +49,7 @@ def roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
 
 
 def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
-    """Split up to ``missing`` triangles at a corner of the polygon that lies inside one of their edges; return all triangles."""
+    """Split up to ``missing`` triangles at corners of the polygon that lie inside one of their edges; return all triangles."""
     from scipy.spatial import cKDTree
 
     rings = set(zip(range(len(xy)), _next_corners(ring_ends).tolist(), strict=True))
@@ -84,14 +88,14 @@ def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np
 
 
 def _next_corners(ring_ends: np.ndarray) -> np.ndarray:
-    """Return the index (n,) of the next corner of the ring for each corner."""
+    """Return for each corner the index (n,) of the next corner in its ring."""
     next_corner = np.arange(1, int(ring_ends[-1]) + 1)
     next_corner[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
     return next_corner
 
 
 def _counter_clockwise(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Return the triangles that have an area, all counter-clockwise."""
+    """Return the triangles (m, 3) that have an area, all of them counter-clockwise."""
     a, b, c = np.moveaxis(xy[triangles], 1, 0)
     double_area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     oriented = np.where(double_area[:, None] < 0, triangles[:, ::-1], triangles)

@@ -23,8 +23,8 @@ CREASE_DEG = 30.0
 MAX_SMOOTHED_CORNERS = 512
 """Maximum number of corners at a vertex whose normals are smoothed, since their faces are compared pair by pair.
 
-More corners meet in the middle of a large fan, or if faces coincide. Each face then has its own normal, because differences between
-such neighbours are invisible.
+More corners meet in the middle of a large fan, or if faces coincide. Each face then has its own normal. The difference is invisible
+between such faces.
 """
 
 MERGE_TOLERANCE = 1e-8
@@ -46,7 +46,7 @@ class Body:
     Attributes
     ----------
     vertices_m
-        float64 (n, 3): east, north, up from the body's origin, metres. Those of a ``PlacedBody`` may have other axes.
+        float64 (n, 3): east, north, up from the body's origin, metres. ``PlacedBody.earth_from_body`` may define other axes.
     triangles
         int32 (m, 3), counter-clockwise from outside.
     albedo
@@ -121,7 +121,7 @@ class BodyMotion:
     faces_along_path: bool = False
 
     def yaw_deg(self, seconds: float) -> float:
-        """Return the body's rotation at a time of the clock, degrees counter-clockwise."""
+        """Return the body's rotation at a second of the level's clock, degrees counter-clockwise."""
         heading = 180.0 - self.path.azimuth_deg(seconds) if self.faces_along_path and self.path is not None else 0.0
         return heading + self.spin_deg_per_s * seconds
 
@@ -139,7 +139,7 @@ class PlacedBody:
     earth_from_body
         Rotation (3, 3) float64 from the body's to earth-fixed axes.
     motion
-        Motion by the clock; ``None``: the body rests.
+        Motion by the level's clock; ``None`` for a body at rest.
     """
 
     body: Body

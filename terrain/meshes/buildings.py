@@ -52,17 +52,22 @@ MAX_TOTAL_CORNERS = 3_000_000
 METRES_PER_DEGREE = 111_320.0
 
 ROOF_PERCENTILE = 90.0
-"""Percentile of the surface in a footprint that is its roof: below chimneys and overhanging crowns, above light wells and
-blurred eaves."""
+"""Percentile of the surface's heights in a footprint that counts as the height of its roof.
+
+It is below chimneys and overhanging crowns, and above light wells and blurred eaves.
+"""
 
 MIN_MEASURED_HEIGHT_M = 1.5
 """Minimum height of a building in a surface raster. Lower ones are noise, a terrace, or demolished since."""
 
 MIN_VALID_SHARE = 0.5
-"""Minimum share of a footprint with valid ground to be placed, or with a valid surface to be measured."""
+"""Minimum share of a footprint that must have valid ground, or a valid surface if its height is measured."""
 
 MAX_WRONG_FLOOR_SHARE = 0.5
-"""Maximum share of a file's floors not below their roofs that count as single errors of the data."""
+"""Maximum share of a file's floors above their roofs that counts as single errors of the data.
+
+If more floors are wrong, all heights of floors are ignored.
+"""
 
 MAX_SAMPLES_PER_SIDE = 256
 """Maximum number of cells of a surface raster that are sampled along one side of a footprint."""
@@ -86,16 +91,16 @@ ALBEDO_VARIATION = (0.92, 1.06)
 
 @dataclass(frozen=True, eq=False)
 class _Blocks:
-    """Footprints, one row per polygon.
+    """Blocks (extruded footprints), one row per polygon.
 
     Attributes
     ----------
     polygons
         Outlines in the terrain's CRS.
     color_key
-        Centroid (n, 2) of the feature, from which the colours derive.
+        Centroid (n, 2) of the feature that the polygon belongs to. The colours derive from it.
     roof_m, base_m
-        Heights (n,) of roof and floor, metres.
+        Heights (n,) of roof and floor above the elevation's datum, metres.
     height_m
         Height (n,) of the roof above the floor, or above the mean ground if the block stands on it, metres.
     """
@@ -109,7 +114,10 @@ class _Blocks:
 
 @dataclass(frozen=True, eq=False)
 class Buildings:
-    """Blocks over footprints; ``notes`` and ``warnings`` say in words which data of the file was used, and which was not."""
+    """Blocks (extruded footprints) of a file.
+
+    ``notes`` say which data of the file was used, ``warnings`` which data was ignored.
+    """
 
     bodies: list[PlacedBody]
     notes: tuple[str, ...] = ()
@@ -119,10 +127,15 @@ class Buildings:
 def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> Buildings:
     """Return closed blocks over the footprints of ``spec.source`` that lie on the terrain, one per polygon.
 
-    Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else those
-    of the attributes that ``height_attributes`` recognises. Omits a footprint whose height is unknown, not above 0, not above its
-    floor, or measured and below ``MIN_MEASURED_HEIGHT_M``, and one without ground under most of it. ``key_path`` is the
-    path of the mesh's key in the level file, for messages.
+    Heights come from the first of these sources:
+
+    - ``spec.height``: metres, or the name of an attribute.
+    - The heights of the raster ``spec.surface`` above the raster ``spec.ground``.
+    - The attributes that ``height_attributes`` recognises.
+
+    A footprint is omitted if most of it has no ground, or if its height is unknown, not above 0, or not above its floor. It is also
+    omitted if its height is measured in a raster and below ``MIN_MEASURED_HEIGHT_M``. ``key_path`` is the path of the mesh's key in
+    the level file, for messages.
 
     Raises ``SourceError`` for an unusable file, ``LevelError`` if no source of heights exists.
     """
@@ -181,10 +194,10 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
 
 
 def _floor_heights(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the heights (n,) of floors above the ground, metres, and a warning about those that are not below their roofs.
+    """Return the heights (n,) of floors above the ground, metres, and warnings about floors that are not below their roofs.
 
-    Returns 0 for all if a share of more than ``MAX_WRONG_FLOOR_SHARE`` is wrong. Such heights have another reference, such as the
-    sea.
+    If the share of such floors is above ``MAX_WRONG_FLOOR_SHARE``, all heights are 0. They then count from another reference, such
+    as the sea.
     """
     wrong_rows = np.flatnonzero((base > 0.0) & (height <= base))
     if not len(wrong_rows):
@@ -198,7 +211,10 @@ def _floor_heights(base: np.ndarray, height: np.ndarray, features: Features, fea
 
 
 def _height_attributes(spec: MeshSpec, key_path: str, source: str, layer: VectorLayer) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the attributes of heights (none if heights have another source) and the attributes of floor heights."""
+    """Return the names of the attributes of building heights, and those of floor heights.
+
+    The first are empty if heights have another source.
+    """
     if spec.surface is not None and spec.height is not None:
         raise LevelError.conflict(f"{key_path}.height", "surface and ground", "Use either height, or surface and ground")
     available_names = attribute_names(source, layer.name or 0)
@@ -220,7 +236,7 @@ def _open_raster(loaded: LoadedLevel, source: str | None) -> Elevation:
 
 
 def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Return the simplified polygons (n,) of all features, exterior rings counter-clockwise, and the features (n,) of them."""
+    """Return the simplified polygons (n,) of all features, exterior rings counter-clockwise, and the feature's row (n,) of each."""
     parts, feature = shapely.get_parts(features.geometry, return_index=True)
     parts, part = shapely.get_parts(parts, return_index=True)  # multi-polygons inside collections
     is_polygon = shapely.get_type_id(parts) == _POLYGON_TYPE_ID
@@ -244,7 +260,8 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
 def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground: Elevation) -> np.ndarray:
     """Return the height (n,) of each polygon's surface above the mean ground along its outline, metres.
 
-    The height of the surface is its percentile ``ROOF_PERCENTILE`` in the polygon. NaN if the polygon is off the rasters.
+    The height of the surface is the percentile ``ROOF_PERCENTILE`` of its cells in the polygon. It is NaN if the polygon is off the
+    rasters.
     """
     with closing(surface), closing(ground):
         to_surface = _transform(crs, surface)
@@ -261,10 +278,10 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
 
 
 def _sample_cells(polygon: shapely.Polygon, raster: Elevation, to_raster: Transform) -> tuple[np.ndarray, np.ndarray]:
-    """Return coordinates x, y (n,), in a raster's CRS, of the centres of cells that sample a polygon, also off the raster.
+    """Return the coordinates x, y (n,), in a raster's CRS, of the centres of the cells that sample a polygon.
 
     The cells are those with centres at least half a cell inside. Narrow buildings use all cells with centres inside, tiny ones a
-    point inside. NaN if the polygon cannot be transformed into that CRS.
+    point inside. Cells may lie off the raster. Coordinates are NaN if the polygon cannot be transformed into that CRS.
     """
     cells = shapely.transform(polygon, lambda x, y: raster.cell_of(*to_raster(x, y)), interleaved=False)
     if not np.isfinite(cells.bounds).all():

@@ -1,4 +1,4 @@
-"""Normals of triangle meshes, and the bend of a mesh around each of its triangles."""
+"""Normals of triangle meshes, and how far a mesh bends upwards around each of its triangles."""
 
 from __future__ import annotations
 
@@ -70,10 +70,11 @@ def _smooth_normals(first, last, normals, adjacency, out):
 def creases(
     position: np.ndarray, normals: np.ndarray, triangles: np.ndarray, adjacency: NodeFaces, limit: float, selected: np.ndarray
 ) -> np.ndarray:
-    """Return the upward bend (m,) float32 of a mesh around its faces; 0 for faces outside the mask ``selected`` (m,).
+    """Return how far a mesh bends upwards (m,) float32 around each face; 0 for faces outside the mask ``selected`` (m,).
 
-    The bend is the largest distance, below ``limit``, between a face's unit normal and those of faces that share a node with it and
-    rise above its plane. A downward bend does not count: seen from the light it lies behind the plane, so it cannot occlude it.
+    The bend is a distance between unit normals: the normal of the face, and that of a neighbour that shares a node with it and
+    rises above its plane. The largest such distance below ``limit`` counts. A neighbour that bends downwards does not count, since
+    it cannot occlude a face that the light shines on.
     """
     out = np.zeros(len(triangles), np.float32)
     run_in_chunks(len(triangles), _creases, position, normals, triangles, adjacency, limit, selected, out)
@@ -124,7 +125,7 @@ def _creases(first, last, position, normals, triangles, adjacency, limit, select
 
 @internal
 def _is_above_plane(position, corners, point, normal):
-    """Return whether a corner of a triangle lies above a plane by more than rounding."""
+    """Return whether a corner of a triangle lies above the plane through ``point`` with ``normal`` by more than rounding."""
     for k in range(3):
         x, y, z = (
             position[corners[k], 0] - point[0], position[corners[k], 1] - point[1], position[corners[k], 2] - point[2]

@@ -1,4 +1,4 @@
-"""Heights of footprints from their attributes: names, units, and the base heights of buildings above the ground."""
+"""Heights of footprints from attributes in their file: the attributes' names, units, and heights of floors above the ground."""
 
 from __future__ import annotations
 
@@ -60,25 +60,29 @@ class FootprintHeights:
 
 
 def height_attributes(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the attributes of building heights: lengths first, then counts of storeys."""
+    """Return those of the attribute ``names`` that hold building heights: lengths first, then counts of storeys."""
     return _recognised_names(names, (*HEIGHT_NAMES, *HEIGHT_FT_NAMES, *STOREY_NAMES))
 
 
 def base_attributes(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the attributes of the base heights of buildings."""
+    """Return those of the attribute ``names`` that hold the height of a building's lowest part above the ground."""
     return _recognised_names(names, (*BASE_NAMES, *BASE_STOREY_NAMES))
 
 
 def matching_attribute(name: str, names: Sequence[str]) -> str:
-    """Return the attribute with a name, else the only one that differs just in case and punctuation, else the name itself."""
+    """Return the attribute of ``names`` that ``name`` means.
+
+    It is the one with exactly this name, else the only one that differs just in case and punctuation. If neither exists, it is
+    ``name`` itself.
+    """
     matches = _recognised_names(names, (name,))
     return matches[0] if name not in names and len(matches) == 1 else name
 
 
 def footprint_heights(features: Features, tops: Sequence[str], bases: Sequence[str]) -> FootprintHeights:
-    """Read heights from the attributes ``tops``, and base heights from the attributes ``bases``.
+    """Read building heights from the attributes ``tops``, and heights of floors from the attributes ``bases``.
 
-    The first attribute with a value above 0 counts for each feature. Raises ``SourceError`` if ``tops`` hold text but no length.
+    For each feature the first attribute with a value above 0 counts. Raises ``SourceError`` if ``tops`` hold text but no length.
     """
     top, base = _first_lengths(features, tops, "heights"), _first_lengths(features, bases, "base heights")
     if top.invalid and not (top.values_m > 0.0).any():
@@ -132,7 +136,7 @@ def _attribute_text(attribute: str) -> str:
 
 
 def _lengths_m(features: Features, attribute: str) -> tuple[np.ndarray, list[int]]:
-    """Return an attribute as metres, float64 (n,), NaN without a value, and the rows whose text is not a length."""
+    """Return an attribute's values in metres, float64 (n,), NaN without a value, and the rows whose text is not a length."""
     values, factor = features.attributes[attribute], _METRES_PER_UNIT_BY_NAME.get(_normalized(attribute), 1.0)
     if values.dtype.kind in "iufb":
         return values.astype(np.float64) * factor, []
@@ -148,7 +152,7 @@ def _lengths_m(features: Features, attribute: str) -> tuple[np.ndarray, list[int
 
 
 def _recognised_names(names: Sequence[str], recognised: Sequence[str]) -> tuple[str, ...]:
-    """Return the names that are known, in the order of ``recognised``."""
+    """Return those of ``names`` that occur in ``recognised``, in its order. Case and punctuation do not matter."""
     order = {_normalized(name): n for n, name in reversed(list(enumerate(recognised)))}
     matches = sorted((order[_normalized(name)], n) for n, name in enumerate(names) if _normalized(name) in order)
     return tuple(names[n] for _, n in matches)

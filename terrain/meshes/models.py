@@ -75,9 +75,9 @@ def read_model(source: str) -> Body:
 
 
 def _without_duplicates(body: Body) -> Body:
-    """Return a body without repeated triangles: of identical triangles in the same orientation only the first remains.
+    """Return a body without repeated triangles: only the first of identical triangles in the same orientation remains.
 
-    Looks for them only if more corners meet at a vertex than on any usual surface.
+    Repetitions are looked for only if more corners meet at a vertex than on any usual surface (``MAX_SMOOTHED_CORNERS``).
     """
     merged_triangles = body.merged_triangles
     if not len(merged_triangles) or np.bincount(merged_triangles.ravel()).max() <= MAX_SMOOTHED_CORNERS:
@@ -137,7 +137,7 @@ def _too_many_triangles(source: str, count: int) -> SourceError:
 
 
 def _instance_names(scene: trimesh.Scene) -> list[str]:
-    """Return the names of the meshes of a scene, one for each instance."""
+    """Return the mesh's name of each instance in a scene. A mesh with several instances is listed several times."""
     names = [str(scene.graph[node][1]) for node in scene.graph.nodes_geometry]
     return [name for name in names if isinstance(scene.geometry.get(name), trimesh.Trimesh)]
 

@@ -25,13 +25,16 @@ MAX_CORNER_COSINE = 0.17
 """Maximum cosine between neighbouring sides of a nearly rectangular footprint: 10 degrees off a right angle."""
 
 MAX_SIDE_DIFFERENCE = 0.12
-"""Maximum difference between its opposite sides, as a share of them."""
+"""Maximum difference between opposite sides of a nearly rectangular footprint, as a share of the longer one."""
 
 HOUSE_WIDTH_M, HOUSE_LENGTH_M, HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
-"""Range of widths, maximum length and maximum height of a house for ``auto``."""
+"""Range of widths, maximum length and maximum height of a building that the roof form ``auto`` takes for a house."""
 
 APEX_SHARE = 0.49
-"""Share of the length from which on the start of a hipped roof's ridge makes the roof a tent, with an apex."""
+"""Maximum distance of a hipped roof's ridge from the end of the rectangle, as a share of the rectangle's length.
+
+Beyond it the roof has an apex in place of a ridge (a tent roof).
+"""
 
 PITCHED_TRIANGLES = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5], [1, 2, 5], [3, 0, 4]])
 """Triangles of two slopes and two ends. Vertices 0 to 3 are the corners; 4 (between corners 3 and 0) and 5 are the ridge."""
@@ -49,13 +52,13 @@ class Roof(NamedTuple):
     Attributes
     ----------
     first
-        Corner of the footprint that is the roof's first corner.
+        Index of the footprint's corner that is corner 0 of the roof.
     weights
         float64 (k, 4): weights of the four corners in each of the one or two points of the ridge.
     triangles
-        int (m, 3): indices of the corners, followed by the points of the ridge.
+        int (m, 3): indices of the four corners (0 to 3) and of the points of the ridge (from 4 on).
     roof_triangle_count
-        Number of triangles that are roof, first in ``triangles``; the others are wall.
+        Number of triangles on the roof, which come first in ``triangles``. The others are parts of walls.
     rise_m
         Height of the ridge above the eaves, metres.
     """

@@ -1,4 +1,4 @@
-"""The meshes of a scene as one set of triangles: the visible and the casting ones."""
+"""The meshes of a scene as two sets of triangles: those that are visible, and those that cast shadows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Solids:
     closed
         For each body whether its surface is closed: two triangles share every edge, in opposite directions.
     caster_vertices_earth_m, caster_triangles
-        The casting meshes: ``vertices_earth_m`` and ``triangles``, but with stand-ins in place of their bodies.
+        Vertices and triangles that cast shadows, in the same form. Simpler models (stand-ins) replace some visible bodies.
     """
 
     vertices_earth_m: np.ndarray

@@ -1,4 +1,4 @@
-"""Disk cache of the pictures of trees. Painting takes a process most of a second, reading a hundredth of that."""
+"""Disk cache of the pictures of trees. Painting takes a process almost a second, and reading a hundredth of that."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.user_cache import load_arrays, user_cache
 
 VERSIONS = np.__version__, version("scipy"), version("numba")
-"""Versions of the packages that the painter uses: others may round differently (part of the cache key)."""
+"""Versions of the packages that the painter uses, a part of the cache key. Other versions may round differently."""
 
 
 def cached_pictures(
@@ -22,8 +22,8 @@ def cached_pictures(
 ) -> tuple[np.ndarray, ...]:
     """Return the arrays that ``paint`` returns, from the disk cache if possible.
 
-    The cache key is the content of ``sources`` (code files) and the package versions. A read-only folder or a damaged file is no
-    error.
+    The cache key consists of the content of ``sources`` (code files) and the package versions. Files with other keys are deleted. A
+    read-only folder or a damaged file is no error.
     """
     folder = folder or user_cache("foliage")
     digest = hashlib.blake2b(repr(VERSIONS).encode(), digest_size=20)

@@ -1,8 +1,8 @@
 """Trees from a canopy height model (CHM): detected treetops if the cells are fine enough, otherwise scattered trees.
 
 A treetop is the highest cell of a round window whose radius grows with the height of the cell (local maximum filter with a variable
-window: S. C. Popescu, R. H. Wynne: Seeing the trees in the forest, Photogrammetric Engineering & Remote Sensing 70, 2004). A hash
-breaks ties of equal heights, so that a flat canopy has trees one window apart.
+window: S. C. Popescu, R. H. Wynne: Seeing the trees in the forest, Photogrammetric Engineering & Remote Sensing 70, 2004). Of
+equal heights the one with the largest hash of its cell counts, so that a flat canopy has trees one window apart.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from skugga.terrain.trees.scatter import HECTARE_M2, TreePositions, pair_key, point_keys, scatter_trees
 
 MAX_DETECTION_CELL_M = 3.0
-"""Largest cell in which single trees can be detected."""
+"""Largest side of a cell, in metres, at which single trees can be detected."""
 
 MIN_CROWN_CELLS = 1.3
 """Smallest usual crown diameter, in cells, of trees that can be detected. Smaller crowns give fewer tops than trees."""
@@ -45,16 +45,16 @@ CROWN_NEIGHBOURS = 3
 """Number of nearest treetops whose mean distance limits a crown."""
 
 MAX_CROWN_RATIO = 1.2
-"""Upper bound of a crown's diameter, in mean distances to those neighbours."""
+"""Upper bound of a crown's diameter, as a multiple of the mean distance to the ``CROWN_NEIGHBOURS`` nearest treetops."""
 
 HEXAGONAL_PACKING = 2.0 / np.sqrt(3.0)
-"""Crowns per squared diameter in a closed canopy (hexagonal packing)."""
+"""Number of crowns in a square with a crown's diameter as side, in a closed canopy (hexagonal packing)."""
 
 _BLOCK = 1024
 """Side of the blocks of treetop detection, cells."""
 
 _SQUARE_M, _SQUARE_CELLS = 1000.0, 16.0
-"""Side of the squares of scattered trees: the larger of both."""
+"""Side of the squares in which trees are scattered, in metres and in cells. The larger one counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +96,11 @@ class Canopy:
     name
         The source.
     min_height_m
-        Minimum height of trees, metres: lower canopy is ignored.
+        Minimum height of trees, metres. Lower canopy is ignored.
     crs
         The raster's CRS.
     rows, cols
-        Its size in cells.
+        Size of the raster in cells.
 
     Raises
     ------
@@ -200,23 +200,23 @@ class Canopy:
     ) -> Iterator[CanopyTrees]:
         """Yield the trees of a window of the canopy, in parts.
 
-        Trees at least as high as the detection limit of the cells are treetops. Lower trees and shrubs are scattered at the density
-        of a closed canopy.
+        The detection limit is the minimum height of trees whose crowns are wide enough for the cells. Higher trees are detected as
+        treetops. Lower trees and shrubs are scattered at the density of a closed canopy.
 
         Parameters
         ----------
         crs
             CRS of the trees' positions.
         unit_m
-            Its unit in metres.
+            Unit of ``crs`` in metres.
         window
-            The cells.
+            The window of cells.
         crown_of
             Function from heights to usual crown diameters, both in metres.
         window_m
-            Radius of a treetop's window (``TREETOP_WINDOW_M``).
+            Radius of a treetop's window: metres, and metres per metre of height (``TREETOP_WINDOW_M``).
         seed
-            Seed of the hashes.
+            Seed of the hashes from which positions and other random properties of trees derive.
 
         Raises
         ------
@@ -244,7 +244,8 @@ class Canopy:
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield rows, columns and heights (metres) of the treetops in a window, block by block.
 
-        ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground.
+        ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground. ``window_m`` is the radius of a
+        treetop's window: metres, and metres per metre of height.
         """
         offsets, distance_m = _window_offsets(metres_from_cells, window_m[0] + window_m[1] * MAX_HEIGHT_M)
         halo = int(np.abs(offsets).max())
@@ -298,7 +299,7 @@ class Canopy:
         return np.array([[x[1] - x[0], x[3] - x[2]], [y[1] - y[0], y[3] - y[2]]])
 
     def _squares(self, crs: CRS, window: CellWindow, side: float) -> Iterator[shapely.Polygon]:
-        """Yield the squares of a grid from the origin of ``crs`` that a window of cells may touch."""
+        """Yield the squares that a window of cells may touch. They belong to a grid from the origin of ``crs``."""
         t = np.linspace(0.0, 1.0, 33)
         row, col = np.meshgrid(
             window.row0 - 0.5 + t * (window.row1 - window.row0), window.col0 - 0.5 + t * (window.col1 - window.col0)
@@ -320,9 +321,9 @@ class Canopy:
         below_m: float,
         seed: int,
     ) -> Iterator[CanopyTrees]:
-        """Yield scattered trees of the canopy below a height in a square: a lattice for each height class.
+        """Yield scattered trees for the canopy lower than ``below_m`` metres in a square.
 
-        The density of a lattice is that of a closed canopy of the class's crowns.
+        Each height class has a lattice of trees of its own, at the density of a closed canopy of its crowns.
         """
         west, south, _, _ = square.bounds
         origin, step, heights = self._linear_map(crs, square)
@@ -368,8 +369,9 @@ def border_cells(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def growing_space_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
-    """Return the mean distance float64 (n,) in metres of each point to its ``CROWN_NEIGHBOURS`` nearest; infinite if there are
-    fewer.
+    """Return the mean distance of each point to its ``CROWN_NEIGHBOURS`` nearest points, float64 (n,), metres.
+
+    It is infinite if there are not so many points. ``unit_m`` is the unit of the coordinates in metres.
     """
     from scipy.spatial import cKDTree
 
@@ -380,7 +382,10 @@ def growing_space_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
 
 
 def _detection_limit_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
-    """Return the minimum height of trees that can be detected in cells of a size: 0 for all trees, infinite for none."""
+    """Return the minimum height of trees that can be detected in cells of a size, metres.
+
+    It is 0 if all trees can be detected, and infinite if none can.
+    """
     heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
     is_too_small = crown_of(heights) < MIN_CROWN_CELLS * cell_m
     if cell_m > MAX_DETECTION_CELL_M or is_too_small.all():
@@ -397,9 +402,9 @@ def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: 
 
 
 def _window_offsets(metres_from_cells: np.ndarray, max_distance_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return offsets (n, 2) in rows and columns within a distance, nearest first, and their lengths (n,) in metres.
+    """Return the offsets (n, 2), in rows and columns, of the cells within a distance, and their lengths (n,) in metres.
 
-    The eight neighbours have length 0.
+    They are sorted by length. The eight neighbours have length 0, so that every window includes them.
     """
     reach = np.ceil(max_distance_m * np.linalg.norm(np.linalg.inv(metres_from_cells), axis=1)).astype(int) + 1
     col, row = (v.ravel() for v in np.meshgrid(np.arange(-reach[0], reach[0] + 1), np.arange(-reach[1], reach[1] + 1)))
@@ -412,9 +417,11 @@ def _window_offsets(metres_from_cells: np.ndarray, max_distance_m: float) -> tup
 
 @compiled
 def _treetop_mask(heights, halo, row0, col0, offsets, distance_m, radius_m, radius_per_m):
-    """Return the mask (rows, cols) of cells, without the halo, that are the highest of their windows.
+    """Return the mask (rows, cols) of cells that are the highest of their windows.
 
-    ``row0`` and ``col0`` are the position of the halo's first cell in the raster.
+    ``heights`` has a border of ``halo`` cells round those cells. ``row0`` and ``col0`` are the position of its first cell in the
+    raster. A window's radius is ``radius_m`` + ``radius_per_m`` * height. ``offsets`` and ``distance_m`` come from
+    ``_window_offsets``.
     """
     rows, cols = heights.shape[0] - 2 * halo, heights.shape[1] - 2 * halo
     out = np.zeros((rows, cols), np.bool_)

@@ -12,19 +12,22 @@ MAX_HEIGHT_M = 150.0
 """Upper bound of plausible canopy heights."""
 
 GIANT_HEIGHT_M = 80.0
-"""Few trees of a wood are higher than this; the highest tree measures 116 m."""
+"""Height from which on trees are rare. The highest known tree measures 116 m."""
 
 TREE_HEIGHT_M, SHRUB_HEIGHT_M = 2.0, 0.5
 """Minimum heights of trees, and of hedges and vines, if the level sets no minimum."""
 
 LOW_SHARE = 0.5
-"""A canopy is low if a larger share of its cells with trees or shrubs are shrubs. Undergrowth has a smaller share."""
+"""Share of shrubs among the cells with trees or shrubs above which a canopy counts as mostly shrubs.
+
+Undergrowth of trees has a smaller share.
+"""
 
 MAX_SHRUBS = 1_000_000
 """Shrubs are left out if there are more than this, unless the level sets ``least_height``."""
 
 SURFACE_ABOVE_M = (-5.0, 100.0)
-"""Range of a surface model's heights above the ground, in at least ``SURFACE_SHARE`` of the cells."""
+"""Heights above the ground that a surface model has in at least the share ``SURFACE_SHARE`` of its cells."""
 
 SURFACE_SHARE = 0.95
 
@@ -35,10 +38,13 @@ Heights above sea level rise with the ground, metre by metre.
 """
 
 MIN_ABOVE_SEA_M = 30.0
-"""Minimum 5th percentile of heights above sea level over flatter ground: all canopies have gaps with shrubs in them."""
+"""5th percentile of heights over flatter ground from which on they count as heights above sea level.
+
+Heights above ground have a lower one, since all canopies have gaps with shrubs in them.
+"""
 
 MIN_CELLS = 20
-"""Minimum number of cells with both heights for the test."""
+"""Minimum number of cells with a height of the canopy and of the ground for the test."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,7 @@ class HeightClassShares:
     implausible_share
         Higher than ``MAX_HEIGHT_M``.
     giant_share
-        Higher than ``GIANT_HEIGHT_M``, absurd ones included.
+        Higher than ``GIANT_HEIGHT_M``, implausible heights included.
     """
 
     nodata_share: float

@@ -9,7 +9,7 @@ from skugga.terrain.trees.foliage import TREE_VARIANTS
 from skugga.terrain.trees.scatter import uniform_numbers
 
 HEIGHT_STREAM, CROWN_STREAM, SPECIES_STREAM, VARIANT_STREAM, YAW_STREAM, SPREAD_STREAM = range(6)
-"""Streams of random numbers (``skugga.terrain.trees.scatter.uniform_numbers``)."""
+"""Numbers of independent random sequences, one per property (``skugga.terrain.trees.scatter.uniform_numbers``)."""
 
 CROWN_M: dict[str, tuple[float, float]] = {"conifer": (1.0, 0.2), "broadleaf": (1.0, 0.3)}
 """Usual crown diameter: metres, and metres per metre of height.
@@ -19,7 +19,7 @@ of 8 to 25 m. The curves themselves give saplings crowns wider than high.
 """
 
 CROWN_SPREAD = 0.15
-"""Maximum deviation of a crown's diameter from the usual one, relative."""
+"""Maximum relative deviation of a crown's diameter from the usual one."""
 
 
 def random_variants(key: np.ndarray, species: Species) -> np.ndarray:
@@ -35,7 +35,10 @@ def random_variants(key: np.ndarray, species: Species) -> np.ndarray:
 
 
 def species_line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[float, float]:
-    """Return the metres, and metres per metre of height, of a species. ``mixed`` is the mean of both species."""
+    """Return the line of a species: metres, and metres per metre of height.
+
+    ``lines`` has such a line for each species. ``mixed`` gets the mean of both.
+    """
     of_species = list(lines.values()) if species == "mixed" else [lines[species]]
     base, slope = np.mean(of_species, axis=0).tolist()
     return base, slope
@@ -44,8 +47,8 @@ def species_line(lines: dict[str, tuple[float, float]], species: Species) -> tup
 def random_crown_m(height_m: np.ndarray, variant: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Return crown diameters float64 (n,), metres.
 
-    A diameter is the usual one of the species, times the variant's crown-to-height ratio relative to the mean of the species, times
-    a random deviation by ``share`` (n,) in [0, 1).
+    A diameter is the usual one of the species for the height, times two factors. The first is the variant's ratio of crown to
+    height, relative to the species' mean. The second is a random deviation by ``share`` (n,) in [0, 1).
     """
     mean_ratio = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
     base, slope, width_ratio = np.array(

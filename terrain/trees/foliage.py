@@ -244,7 +244,7 @@ PAINTER_FILES = tuple(Path(__file__).parent / name for name in ("foliage.py", "f
 """Source files that determine the pictures (part of the cache key)."""
 
 OUTLINE_CELLS = 16
-"""Cells a side of the grid from which a picture's outline is derived."""
+"""Cells along a side of the grid from which a picture's outline is derived."""
 
 
 @cached("process", 256 * MIB)
@@ -287,10 +287,12 @@ def leaf_outlines() -> np.ndarray:
 def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
     """Return alpha-tested mip levels that all cover the same share of the picture as the first level.
 
-    Averaged alpha makes an alpha-tested picture thin out or close up with distance. So each level's alpha is scaled until its
+    With averaged alpha an alpha-tested picture thins out or closes up with distance. So each level's alpha is scaled until its
     coverage, the share of points at or above the threshold, equals that of level 0 (I. Castano, "Computing alpha mipmaps", 2010).
-    The points are a 4 x 4 grid in each texel, sampled bilinearly and clamped to the edge, as on a graphics card. A fine regular
-    pattern averages to an even alpha, and scaling covers all of it or nothing; there a fixed dither breaks the tie.
+    The points are a 4 x 4 grid in each texel, sampled bilinearly and clamped to the edge, as on a graphics card.
+
+    A fine regular pattern averages to an even alpha, where scaling covers all points or none. A fixed dither is then added to the
+    alpha.
 
     Colours are means in linear light weighted by alpha. Texels without alpha take the colour of their surroundings.
 
@@ -340,7 +342,7 @@ def _texture(view: np.ndarray, has_stem: bool) -> np.ndarray:
 
 
 def _match_coverage(alpha: np.ndarray, target_coverage: float, threshold: float) -> np.ndarray:
-    """Scale alpha, with a dither if needed, so that its coverage is nearest to ``target_coverage``. Return it as uint8."""
+    """Return alpha as uint8, scaled so that its coverage is nearest to ``target_coverage``, with a dither if needed."""
     best, error = _to_bytes(alpha), np.inf
     row, column = np.indices(alpha.shape)
     # Ordered dither for any size: the R2 sequence (M. Roberts, 2018).
@@ -362,7 +364,10 @@ def _match_coverage(alpha: np.ndarray, target_coverage: float, threshold: float)
 
 @compiled
 def _coverage(alpha, threshold):
-    """Return the share of points, SUBGRID x SUBGRID in each texel, at which bilinear alpha is at least ``threshold``."""
+    """Return the share of points at which bilinear alpha is at least ``threshold``.
+
+    The points are ``COVERAGE_SAMPLES_PER_AXIS`` squared in each texel.
+    """
     height, width = alpha.shape
     covered = 0
     for i in range(height * COVERAGE_SAMPLES_PER_AXIS):

@@ -63,7 +63,7 @@ class WhorledTree:
     missing_share
         Share of missing branches.
     outline_exponent
-        Exponent of the outline: 1 is a cone, less makes it bulge.
+        Exponent of the outline: 1 is a cone, a lower one makes it bulge.
     twig, twig_spacing, twig_half_width
         Length of the longest twig, distance between twigs, and half a twig's width with needles.
     stem
@@ -108,13 +108,13 @@ class ClumpedTree:
     clumps, clump_radius
         Number of clumps, and their mean radius.
     min_clump_distance
-        Smallest distance of clumps from the stem, relative to the largest (before a power of 0.6).
+        Lower bound of u in [0, 1]. The distance of a clump from the stem is u**0.6 times the largest possible one.
     clump_flatness
         Height over width of clumps.
     sprig_droop
-        Droop of sprigs.
+        Droop of sprigs (bunches of leaves), relative to their horizontal distance from the clump's centre.
     sprigs, leaves
-        Number of sprigs in a clump, and of leaves in a sprig.
+        Number of sprigs (bunches of leaves) in a clump, and of leaves in a sprig.
     leaf
         Length and half width of a leaf.
     lowest_limb_height
@@ -310,7 +310,7 @@ def _clump_centres(model: ClumpedTree, rng: np.random.Generator) -> tuple[np.nda
 
 
 def _limbs(model: ClumpedTree, centre: np.ndarray, rng: np.random.Generator) -> Strokes:
-    """Return limbs from the stem to each clump. Each clump, innermost first, joins the nearest existing wood."""
+    """Return limbs from the stem to each clump. Beginning with the innermost, each clump joins the nearest limb or the stem."""
     height = np.linspace(model.lowest_limb_height, 0.8, 24)
     nodes = np.column_stack([np.zeros((24, 2)), height])
     radii = 0.75 * model.stem * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem
@@ -411,7 +411,11 @@ Corner = tuple[float, float]
 def _paint_view(
     tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], lower_left: Corner, upper_right: Corner, size: int
 ) -> np.ndarray:
-    """Paint an orthographic view: ``axes`` to the right and up, ``depth`` the axis towards the viewer and its sign."""
+    """Paint an orthographic view (size, size, 4) of a tree.
+
+    ``axes`` are the axes to the right and up, ``depth`` the axis towards the viewer and its sign. ``lower_left`` and
+    ``upper_right`` are the picture's corners.
+    """
     axis_order, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
     start, end = tree.start[:, axis_order] * sign, tree.end[:, axis_order] * sign
     step = (np.array(upper_right) - np.array(lower_left)) / (size * SUPERSAMPLING)

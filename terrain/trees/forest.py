@@ -1,6 +1,6 @@
 """The trees of a level: stands from polygons, points and canopy rasters, planted on its ground.
 
-A hash of a tree's position is the source of its random properties (height, crown, variant ...). So they do not depend on the other
+A hash of a tree's position is the source of its random properties (height, crown, variant ...). These do not depend on other
 features of the files.
 """
 
@@ -70,10 +70,10 @@ VALID_RANGE_M = (0.1, 150.0)
 """Range of valid heights and crown diameters. Features outside of it are left out."""
 
 SAMPLES_PER_SIDE, GROUND_SAMPLES_PER_SIDE = 1024, 64
-"""Maximum side of a canopy's sample, cells: for the shares of height classes, and for the comparison with the ground's heights."""
+"""Maximum side of a sample of canopy cells: for the shares of height classes, and for the comparison with the ground."""
 
 MAX_OUTLINE_DISTANCE_M = 5e6
-"""Maximum distance of the terrain's border from the anchor for an outline in the level's equal-area map."""
+"""Maximum distance of the terrain's border from the anchor. A larger terrain has no outline in the equal-area map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +88,9 @@ class Site:
     world
         The level's world.
     elevation
-        Its elevation.
+        The level's elevation.
     exaggeration
-        Factor of the elevation's heights.
+        Factor by which the elevation's heights are exaggerated.
     """
 
     world: World
@@ -116,8 +116,9 @@ class Site:
 
     @cached_property
     def outline(self) -> shapely.Polygon | None:
-        """The terrain's outline in the map, with a small margin; ``None`` if it covers too much of the globe
-        (``MAX_OUTLINE_DISTANCE_M``).
+        """The terrain's outline in the map, with a small margin.
+
+        ``None`` if the terrain covers too much of the globe (``MAX_OUTLINE_DISTANCE_M``).
         """
         cells = border_cells(*self.elevation.shape)
         x, y = _transform(self.elevation.crs, self.crs, *self.elevation.xy(*cells))
@@ -128,7 +129,7 @@ class Site:
         return border.buffer(margin) if border.is_valid else None
 
     def to_terrain_crs(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transform map coordinates to the elevation's CRS; NaN where that is undefined."""
+        """Transform map coordinates to the elevation's CRS; NaN where its coordinates are undefined."""
         x, y = _transform(self.crs, self.elevation.crs, x, y)
         valid = np.isfinite(x) & np.isfinite(y)
         return np.where(valid, x, np.nan), np.where(valid, y, np.nan)
@@ -147,7 +148,7 @@ class Stems:
     crown_m
         Crown diameters float64 (n,), metres; ``None``: usual for the height.
     growing_space_m
-        Upper bounds of crown diameters float64 (n,), metres; ``None``: no bounds.
+        Upper bounds of crown diameters float64 (n,), metres, from the distance to neighbours; ``None``: no bounds.
     notes
         Notes on the file's content.
     omission_text
@@ -204,9 +205,9 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
     loaded
         The level.
     world
-        Its world.
+        The level's world.
     elevation
-        Its elevation.
+        The level's elevation.
 
     Returns
     -------
@@ -248,7 +249,7 @@ def _planting_note(stems: Stems, planted: int) -> list[str]:
 
 
 def _stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: int) -> Stems:
-    """Return the stems of a stand from polygons, points or a canopy raster, by the type of its file."""
+    """Return the stems of a stand from a file of polygons, points or canopy heights. The file's content decides which."""
     attributes = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
     try:
         layer = vector_layer(source, (0, 2), spec.layer)
@@ -391,9 +392,9 @@ def _default_min_height_m(cells: HeightClassShares, window: CellWindow, cell_m: 
 
 
 def _plant_stand(stems: Stems, species: Species, key_path: str, site: Site) -> Trees:
-    """Plant stems on the ground and draw their random properties from their hashes.
+    """Return the trees of a stand: put the stems on the ground, and derive random properties from their hashes.
 
-    Raises ``LevelError`` if all are off the terrain.
+    Trees over holes or under water are left out. Raises ``LevelError`` if all are off the terrain.
     """
     x, y = site.to_terrain_crs(stems.positions.x, stems.positions.y)
     covered = site.elevation.covers(x, y)

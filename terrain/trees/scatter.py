@@ -25,10 +25,13 @@ _MAX_ATTEMPTS = 24
 """Random positions tried in a cell before its centre is used."""
 
 _TILE = 128
-"""Side of the tiles that are filled at a time, cells."""
+"""Side in cells of the tiles that are filled with trees one at a time."""
 
 _HALO = 3
-"""Cells round a tile that its positions depend on: a cell follows its neighbours of up to three earlier colours."""
+"""Width in cells of the border of a tile on which the tile's positions depend.
+
+A cell depends on neighbours of three earlier colours (``_jittered_positions``), each one cell further away.
+"""
 
 _GOLDEN_GAMMA, _MIX_MULTIPLIER_1, _MIX_MULTIPLIER_2 = (
     np.uint64(0x9E3779B97F4A7C15),
@@ -69,14 +72,17 @@ def point_keys(seed: int, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
 
 
 def uniform_numbers(key: np.ndarray, stream: int) -> np.ndarray:
-    """Return uniform random numbers float64 (n,) in [0, 1), independent for each hash and stream."""
+    """Return uniform random numbers float64 (n,) in [0, 1), independent for each hash and each stream (random sequence)."""
     return _uniform_numbers(key, stream)
 
 
 def scatter_trees(
     area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0
 ) -> TreePositions:
-    """Return the positions of trees of a density in an area of a CRS with unit ``unit_m`` metres. The mean density is exact."""
+    """Return the positions of trees of a density in an area. The mean density is exact.
+
+    ``unit_m`` is the unit of the area's CRS in metres.
+    """
     pitch = np.sqrt(HECTARE_M2 / density_per_ha) / unit_m
     return _concatenate_positions(
         [positions for part in shapely.get_parts(area) for positions in _scatter_in_polygon(part, pitch, seed)]

@@ -1,4 +1,4 @@
-"""Thinning order of a stand (level of detail): for each share of trees, all parts of the stand keep that share."""
+"""Thinning order of a stand (level of detail): whatever share of trees is drawn, all parts of the stand keep that share."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ def thinning_ranks(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     """Return ranks float32 (n,) in [0, 1) for trees at plane coordinates (n,). A share k keeps the trees with ranks below k.
 
     - A Z-order curve (G. M. Morton 1966) sorts the trees, so that successive trees are neighbours.
-    - At k = 2^-m each run of 2^m successive trees keeps exactly one. Each tree is equally likely, independently of other runs: a
-      net scrambled in both of its coordinates (A. B. Owen, "Randomly permuted (t, m, s)-nets and (t, s)-sequences", 1995).
+    - At k = 2^-m each group of 2^m successive trees keeps exactly one. Each tree is equally likely, independently of other groups:
+      a net scrambled in both of its coordinates (A. B. Owen, "Randomly permuted (t, m, s)-nets and (t, s)-sequences", 1995).
     - More even steps along the curve would leave trees in lines. Then the amount of shade, cast and visible, would depend on the
       directions of sun and view.
     """
@@ -50,7 +50,7 @@ def _scrambled_van_der_corput(count):
 
 @compiled
 def _morton_codes(a, b):
-    """Return Morton codes uint64 (n,): the interleaved bits of a and b (21 bits each)."""
+    """Return Morton codes uint64 (n,): the interleaved bits of ``a`` and ``b`` (n,), 21 bits each."""
     out = np.zeros(a.size, np.uint64)
     for n in range(a.size):
         for bit in range(21):

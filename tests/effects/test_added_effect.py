@@ -64,7 +64,7 @@ def test_an_effect_that_is_left_out_is_not_run(gl, dust, write_raster, make_scen
     def fail(albedo: np.ndarray, block: ShadingBlock) -> None:
         raise AssertionError("run though left out")
 
-    monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.about, effect.is_needed, effect.facts, "albedo", fail))
+    monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.about, effect.judge, effect.facts, "albedo", fail))
     view = scene.view(size=(32, 32))
     plan = make_plan(describe(scene, view), scene.loaded.level)
     assert next(item.reason for item in plan.left_out if item.name == "dust") == "the highest ground is at 12 m"

@@ -11,7 +11,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from skugga.api.http.problems import problem_of, problem_response
 
 PUBLIC_PATHS = {"/healthz", "/readyz"}
-"""Paths that need no token, since the probes of load balancers and orchestrators send none."""
+"""Paths that need no token, since health checks of load balancers and orchestrators send none."""
 
 
 class BearerToken:

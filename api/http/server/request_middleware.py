@@ -32,8 +32,8 @@ Starlette has not set a route then, since the answer is sent before routing."""
 def content_security_policy(tiles: str = "'self'") -> str:
     """Return the Content-Security-Policy (level 3) of a page.
 
-    The page may load resources of this service only, but images and data from the sources ``tiles``. Workers from blobs are allowed,
-    since the map library creates workers from its own code.
+    The page may load resources of this service only, except images and data, which may come from the sources ``tiles``. Workers
+    from blobs are allowed, since the map library creates workers from its own code.
     """
     return (
         f"default-src 'self'; img-src {tiles} data: blob:; connect-src {tiles}; style-src 'self' 'unsafe-inline'; "

@@ -1,7 +1,8 @@
 """Read PMTiles archives: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
 
-Directories are decoded into arrays and validated. The file is read with ``pread``, not mapped into memory: a file that is
-truncated while it is served then causes an error and does not kill the process.
+An archive has a root directory, whose entries are tiles or leaf directories with further entries. Directories are decoded into
+arrays and validated. The file is read with ``pread`` and not mapped into memory. A file that is truncated while it is served then
+causes an error and does not kill the process.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ DIRECTORY_DEPTH = 3
 """Maximum number of nested directories, including the root."""
 
 MAX_DECOMPRESSED_BYTES = 64 * MIB
-"""Maximum bytes of a decompressed directory or metadata document. A leaf of 4096 entries has some 40 KB."""
+"""Maximum bytes of a decompressed directory or metadata document. A leaf directory of 4096 entries has some 40 KB."""
 
 CHECKED_LEAF_BYTES = 64 * MIB
-"""Compressed bytes of leaf directories that are validated when an archive is opened (a second or two).
+"""Compressed bytes of leaf directories that are validated when an archive is opened, which takes a second or two.
 
-Further leaves are validated when they are first used."""
+Leaf directories beyond this limit are validated when they are first used."""
 
 ARCHIVE_REMEDY = "Give a whole PMTiles archive of version 3 with tiles as pictures"
 
@@ -47,13 +48,13 @@ class _Directory:
     Attributes
     ----------
     ids
-        Tile ids, ascending.
+        First tile id of each entry, ascending.
     runs
-        Number of consecutive tile ids with the same content; 0 for a leaf directory.
+        Number of consecutive tile ids that the entry's tile stands for; 0 if the entry is a leaf directory.
     lengths
-        Lengths in bytes.
+        Lengths of the tiles or leaf directories in bytes.
     offsets
-        Offsets in bytes, in the section of tiles or of leaf directories.
+        Their offsets in bytes from the begin of the file's section of tiles or of leaf directories.
     """
 
     ids: NDArray[np.uint64]
@@ -71,10 +72,10 @@ _directories: Cache[_Directory] = Cache("skugga.api.http.archive_directories", "
 
 
 class ArchiveFile:
-    """An open PMTiles archive of pictures.
+    """An open PMTiles archive of raster tiles.
 
     All threads may use it except the thread of the event loop, since it reads files. The constructor and every read raise
-    ``ArchiveError``, which names the file, if the file is not a whole archive of pictures.
+    ``ArchiveError``, which names the file, if the file is incomplete or broken or has tiles of another kind.
     """
 
     def __init__(self, path: Path) -> None:
@@ -95,12 +96,12 @@ class ArchiveFile:
 
     @property
     def zooms(self) -> range:
-        """The zooms of the archive's tiles."""
+        """The zooms of the archive's tiles, as its header has them."""
         return range(self.header["min_zoom"], self.header["max_zoom"] + 1)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east and north of the header, in degrees."""
+        """Bounds of the archive as its header has them: west, south, east and north in degrees."""
         header = self.header
         edges = (header["min_lon_e7"], header["min_lat_e7"], header["max_lon_e7"], header["max_lat_e7"])
         west, south, east, north = (edge / 1e7 for edge in edges)
@@ -108,7 +109,7 @@ class ArchiveFile:
 
     @property
     def skugga_metadata(self) -> dict[str, Any]:
-        """This package's own part of the metadata; empty if another program made the archive."""
+        """The member ``skugga`` of the metadata, which this package writes; empty if another program made the archive."""
         skugga_part = self.metadata.get("skugga")
         return skugga_part if isinstance(skugga_part, dict) else {}
 
@@ -130,7 +131,7 @@ class ArchiveFile:
         raise self._error(f"directories nested more than {DIRECTORY_DEPTH} deep")
 
     def _first_tile(self) -> tuple[int, int, int]:
-        """Return zoom, column and row of the archive's first tile."""
+        """Return zoom, column and row of the tile with the lowest tile id."""
         directory = self._root
         for _ in range(DIRECTORY_DEPTH):
             if directory.runs[0]:
@@ -262,21 +263,26 @@ class ArchiveFile:
 
 
 def has_changed(archive: ArchiveFile | None, path: Path) -> bool:
-    """Return whether a file has changed since it was opened as ``archive``; true for ``None``. Reads the file's status."""
+    """Return whether the file at ``path`` has changed since it was opened as ``archive``; true if ``archive`` is ``None``.
+
+    Reads the file's status (size, times and inode), not its content.
+    """
     stamp: Stamp = file_stamps([path])[0]
     return archive is None or archive.stamp != stamp
 
 
 def _leaves(directory: _Directory) -> Iterator[tuple[int, int]]:
-    """Return length and offset of each leaf directory of a directory."""
+    """Return pairs of length and offset, in bytes, of the leaf directories that a directory lists."""
     rows = np.flatnonzero(directory.runs == 0)
     return zip(directory.lengths[rows].tolist(), directory.offsets[rows].tolist(), strict=True)
 
 
 def _varints(raw: bytes) -> NDArray[np.uint64] | None:
-    """Decode varints: 7 bits a byte, the lowest first; the highest bit is set in all bytes of a number except its last.
+    """Decode a sequence of varints to uint64 (n,).
 
-    Returns ``None`` for bytes that end within a number, and for numbers of more than ten bytes.
+    A byte of a varint has 7 bits of the number, the lowest bits first. Its highest bit is set except in the number's last byte.
+
+    Returns ``None`` for bytes that are empty or end within a number, and for numbers of more than ten bytes.
     """
     data = np.frombuffer(raw, np.uint8)
     ends = np.flatnonzero(data < 128)

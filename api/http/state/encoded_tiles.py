@@ -1,4 +1,7 @@
-"""Cache of encoded tiles by entity tag and by address. A cached tile is sent before the request is routed."""
+"""Cache of encoded tiles, found by entity tag or by the request's address.
+
+A middleware answers requests from this cache before they are routed.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,12 @@ from skugga.api.http.request_times import TIME_HEADER, is_current
 from skugga.terrain.cache import MIB, Cache, Missing
 
 TileVersions = tuple[str | None, ...]
-"""Versions of everything that the tiles of a level depend on besides their addresses."""
+"""Versions of everything that the tiles of a level depend on, except their addresses.
+
+These are the versions of the level, the renderer, the plans and the level's archives."""
 
 OVERHEAD_BYTES = 1024
-"""Estimated bytes of a cache entry besides the body: headers, tags and the cache's own overhead."""
+"""Estimated bytes of a cache entry without its body: headers, tags and the cache's own overhead."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,7 @@ class EncodedTile:
 
 @dataclass(frozen=True)
 class _AddressEntry:
-    """The tile that was sent for an address.
+    """The cached tile of an address.
 
     Attributes
     ----------
@@ -72,7 +77,10 @@ Address = tuple[str, bytes]
 
 
 class EncodedTiles:
-    """A cache of tiles by entity tag, with a limit in bytes. It is for one event loop and is not thread-safe."""
+    """A cache of encoded tiles by entity tag, with a limit in bytes, and an index of these tiles by address.
+
+    Use it from one event loop: it is not thread-safe.
+    """
 
     def __init__(self, limit_bytes: int) -> None:
         self._by_tag: Cache[EncodedTile] = Cache(
@@ -89,7 +97,7 @@ class EncodedTiles:
         return self._by_tag.nbytes
 
     def get(self, tag: str) -> EncodedTile | None:
-        """Return a cached tile or ``None``, and count the hit or miss."""
+        """Return the cached tile with an entity tag, or ``None``. Count the hit or miss."""
         tile = self._lookup(tag)
         self.hits, self.misses = self.hits + (tile is not None), self.misses + (tile is None)
         return tile
@@ -99,9 +107,10 @@ class EncodedTiles:
         return None if isinstance(tile, Missing) else tile
 
     def put(self, request: Request, tile: EncodedTile, level: str, versions: TileVersions) -> None:
-        """Cache a tile and the address of its request. ``versions`` has the versions that the tile depends on.
+        """Cache a tile by its entity tag, and add the request's address to the index.
 
-        The address of a request for ``current`` is not cached: soon it means another tile.
+        ``level`` is the level's name, and ``versions`` are the versions that the tile depends on. The address of a request for
+        the time ``current`` is not added, since it soon means another tile.
         """
         tag = tile.headers["ETag"]
         self._by_tag.put(tag, value=tile)
@@ -110,7 +119,10 @@ class EncodedTiles:
         self._by_address.put(_address(request.scope), value=_AddressEntry(tag, level, versions))
 
     def cached_tile(self, scope: Scope, tile_versions: Callable[[str], TileVersions]) -> EncodedTile | None:
-        """Return the cached tile of an address if the versions of its level (``tile_versions``) are unchanged, else ``None``."""
+        """Return the cached tile of a request's address; ``None`` without one, and if the level has changed since.
+
+        ``tile_versions`` returns the present versions for a level's name.
+        """
         entry = self._by_address.get(_address(scope))
         if isinstance(entry, Missing) or entry.versions != tile_versions(entry.level):
             return None

@@ -1,4 +1,4 @@
-"""Run a job and build its response: entity tag, 304, cache rules and timings."""
+"""Run a job in a render process and build the response: entity tag, status 304, cache rules and timings."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ async def job_answer(
     Parameters
     ----------
     subject
-        The kind of answer, as ``map``. It is part of the entity tag.
+        The kind of answer, such as ``map``. It is part of the entity tag.
+    media_type
+        Media type of the body.
     fresh_s
         Maximum freshness lifetime of the answer in seconds.
     write_body
-        Function that converts the job's file to the response body.
+        Function that converts the job's bytes to the response body.
 
     Raises
     ------

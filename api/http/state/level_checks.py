@@ -1,7 +1,9 @@
 """Check levels and archives for changes without blocking requests.
 
-Each level has at most one check at a time, in its own thread and with a time limit. Requests that exceed the limit get the
-last version."""
+A check runs in its own thread and reads the files if they have changed. A level has one check at a time, which all of its requests
+wait for. A request that has waited for the maximum time uses the last version that was read. A check that hangs is abandoned: its
+thread runs on, and another check starts.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,10 @@ from skugga.terrain.errors import SkuggaError
 Value = TypeVar("Value")
 
 ABANDON_CHECK_AFTER_S = 30.0
-"""Time after which a check that still runs is abandoned and another check starts."""
+"""Seconds after which a running check is abandoned: its thread runs on, and another check may start."""
 
 MAX_ABANDONED = 4
-"""Maximum number of abandoned checks of one level: each occupies a thread."""
+"""Maximum number of abandoned checks of one level. Each occupies a thread."""
 
 log = logging.getLogger("skugga")
 
@@ -38,24 +40,24 @@ class _Check(Generic[Value]):
 
 @dataclass
 class LevelCheck(Generic[Value]):
-    """A value that a check of files keeps up to date.
+    """A value read from files, such as a level, that a check keeps up to date.
 
     Attributes
     ----------
     name : str
         Name of the level or archive, for logs.
-    value : LookedAt
-        The last value without an error.
+    value : Value
+        Result of the last check that raised no error.
     check : callable
-        The check: returns the value as it is now, or raises ``SkuggaError``.
+        Function without arguments that reads the files. It returns the present value, or raises ``SkuggaError``.
     fresh_s : float
-        Seconds for which a result is used without another check.
+        Seconds after a check in which its result is used without another check.
     wait_s : float
         Maximum seconds that a request waits for a check.
     kind : str
-        Kind of the value, for logs.
+        Word for the kind of value in logs, such as ``level``.
     error : SkuggaError or None
-        Error of the last check.
+        Error of the last check; ``None`` if it succeeded.
     """
 
     name: str
@@ -71,11 +73,14 @@ class LevelCheck(Generic[Value]):
     _abandoned: list[_Check[Value]] = field(default_factory=list)
 
     def fresh_value(self) -> Value | None:
-        """Return the value if it is fresh or its check hangs; ``None`` if a check is due or the last one failed."""
+        """Return the value if it can be used without waiting, else ``None``.
+
+        It can if the last check succeeded and is recent (``fresh_s``), or if the present check hangs (longer than ``wait_s``).
+        """
         return self.value if self.error is None and (self._is_fresh() or self._hangs()) else None
 
     def expire(self) -> None:
-        """Make the value stale: its next use runs a check."""
+        """Mark the value as not fresh, so that its next use runs a check."""
         self._checked_s = float("-inf")
 
     def check_now(self) -> Value:
@@ -83,7 +88,7 @@ class LevelCheck(Generic[Value]):
         return self._store(self._run_check(self.check))
 
     async def current(self) -> Value:
-        """Return the value as it is now, or the last value if the check takes too long. Raises the check's error."""
+        """Return the present value, or the last one if the check takes longer than ``wait_s``. Raises the check's error."""
         if not self._is_fresh():
             running = self._start_check()
             if running is not None:

@@ -25,13 +25,13 @@ REQUEST_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.
 PASS_BUCKETS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 MAX_PASSES = 200
-"""Maximum number of label pairs of algorithm and pass, since requests can combine algorithms in many ways.
+"""Maximum number of label pairs of algorithms and render pass in metrics. Further pairs are counted as ``other``.
 
-Further pairs are counted as ``other``."""
+Without a limit, requests could create any number of pairs by combining algorithms."""
 
 
 class ServiceMetrics:
-    """The metrics of an application, in their own registry. They are for one event loop."""
+    """The metrics of an application, in a registry of their own. Use them from one event loop."""
 
     def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
         self.registry = CollectorRegistry()
@@ -54,7 +54,7 @@ class ServiceMetrics:
         pool.on_drawn = self.record_passes
 
     def record_passes(self, picture: BlockTiles | Snapshot) -> None:
-        """Record the passes of a rendered block or snapshot."""
+        """Record the milliseconds of each render pass of a block or snapshot, and whether its caster reach was clipped."""
         for name, ms in (*picture.passes, ("encode", picture.encode_ms)):
             pair = picture.headline, name
             if pair not in self._known_passes and len(self._known_passes) >= MAX_PASSES:
@@ -69,7 +69,7 @@ class ServiceMetrics:
         return generate_latest(self.registry)
 
     def names(self) -> set[str]:
-        """Return the names of all time series, as used in queries."""
+        """Return the names of all time series as Prometheus queries use them, with endings such as ``_total``."""
         sample_names = {sample.name for family in self.registry.collect() for sample in family.samples}
         return sample_names | {name for family in self.registry.collect() for name in _names_of(family)}
 

@@ -1,4 +1,7 @@
-"""Rate limit of new suns for each client. Every new sun needs rendering."""
+"""Rate limit of new suns for each client.
+
+A new sun is a pair of a level and a sun (time or angles) that the client has not requested lately. Every new sun needs rendering.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,12 @@ from skugga.api.errors import RateLimitError
 from skugga.terrain.cache import MIB, Cache, Missing
 
 MAX_RECENT_SUNS = 256
-"""Number of recent suns of a client that are not counted again. All tiles of one picture have the same sun."""
+"""Number of recent suns of a client that are remembered and not counted again.
+
+All tiles of one map have the same sun, and count once."""
 
 CLIENT_BYTES = 32 * 1024
-"""Estimated bytes of a client with ``MAX_RECENT_SUNS`` suns."""
+"""Estimated bytes of the record of a client with ``MAX_RECENT_SUNS`` suns."""
 
 
 @dataclass
@@ -26,14 +31,20 @@ class _Client:
 
 
 class RateLimiter:
-    """A token bucket of suns for each client: ``per_minute`` is its rate and its size; 0 means no limit."""
+    """A token bucket for each client, from which every new sun takes a token.
+
+    ``per_minute`` is the rate of new tokens and the size of a bucket; 0 means no limit. ``clock`` returns seconds.
+    """
 
     def __init__(self, per_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._per_minute, self._clock = per_minute, clock
         self._clients: Cache[_Client] = Cache("skugga.api.http.state.rate_limiter", "process", 32 * MIB, lambda _: CLIENT_BYTES)
 
     def acquire(self, address: str, sun: Hashable) -> None:
-        """Take a token for a sun that is new to a client. Raises ``RateLimitError`` if none is left."""
+        """Take a token from the bucket of the client at ``address``, unless the client has requested ``sun`` lately.
+
+        Raises ``RateLimitError`` if no token is left.
+        """
         if not self._per_minute:
             return
         key, now_s = network_of(address), self._clock()
@@ -56,7 +67,10 @@ class RateLimiter:
 
 
 def network_of(address: str) -> str:
-    """Return the client of an address: the IPv4 address, or the /64 network of IPv6, which one customer has."""
+    """Return the key of the client at an IP address: an IPv4 address, or the /64 network of an IPv6 address.
+
+    One customer usually has a whole /64 network.
+    """
     try:
         ip = ipaddress.ip_address(address)
     except ValueError:

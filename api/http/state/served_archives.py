@@ -1,4 +1,7 @@
-"""The tile archives of a service: archives with their own addresses, and archives that hold the tiles of levels."""
+"""The tile archives (PMTiles files) of a service.
+
+Some archives have their own addresses under ``/archives``. Others hold tiles of a level, which then need not be rendered.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
 log = logging.getLogger("skugga")
 
 TileKind = tuple[str, str, str, str]
-"""Layer, format, tile matrix set, and the picture's canonical query string."""
+"""What the tiles of an archive show: layer, format, tile matrix set, and canonical query string with times in UTC."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +38,7 @@ class LevelArchives:
     by_kind : dict of TileKind to ArchiveFile
         The first archive of each kind of tile.
     version : str
-        Versions of all archives, for entity tags.
+        The versions of all archives in one text, for entity tags.
     """
 
     files: dict[Path, ArchiveFile]
@@ -44,7 +47,7 @@ class LevelArchives:
 
     @classmethod
     def of(cls, files: dict[Path, ArchiveFile]) -> LevelArchives:
-        """Return the archives of a level; the first archive of a kind of tile takes precedence."""
+        """Return the archives of a level. If several have the same kind of tile, the first one is used."""
         by_kind: dict[TileKind, ArchiveFile] = {}
         for archive in files.values():
             metadata = archive.skugga_metadata
@@ -56,13 +59,13 @@ class LevelArchives:
         return cls(files, by_kind, " ".join(archive.version for archive in files.values()))
 
     def archive_of(self, layer: str, format: str, tms: str, query: str, zoom: int) -> ArchiveFile | None:
-        """Return the archive with a kind of tile at a zoom, or ``None``. ``query`` is that of ``PictureRequest.query``."""
+        """Return the archive with a kind of tile at a zoom, or ``None``. ``query`` is the canonical query string of the request."""
         archive = self.by_kind.get((layer, format, tms, with_utc_time(query))) if self.by_kind else None
         return archive if archive is not None and zoom in archive.zooms else None
 
 
 def with_utc_time(query: str) -> str:
-    """Return a canonical query with its ``time`` in UTC: each UTC offset spells the same instant differently."""
+    """Return a canonical query string with its ``time`` in UTC, so that one instant has one spelling."""
     if "time=" not in query:
         return query
     pairs = parse_qsl(query)
@@ -80,9 +83,9 @@ NO_ARCHIVES = LevelArchives.of({})
 class ServedArchives:
     """The archives with their own addresses, by name, and the archives of levels.
 
-    An archive that changes on disk is reopened at its next use. The constructor opens the archives of ``paths``, so it must not
-    run in the thread of the event loop. It raises ``ArchiveError`` for an unusable archive, and ``InputError`` for two archives
-    of one name.
+    An archive that changes on disk is reopened at its next use. ``fresh_s`` and ``wait_s`` are those of ``LevelCheck``. The
+    constructor opens the archives of ``paths``, so it must not run in the thread of the event loop. It raises ``ArchiveError`` for
+    an unusable archive, and ``InputError`` for two archives of one name.
     """
 
     def __init__(self, paths: Sequence[Path], fresh_s: float = 0.0, wait_s: float = 60.0) -> None:
@@ -102,33 +105,33 @@ class ServedArchives:
         return list(self._named)
 
     def cached_archives(self) -> dict[str, ArchiveFile]:
-        """Return the archives with their own addresses as last read. Reads no file."""
+        """Return the archives with their own addresses by name, as they were last read. Reads no file."""
         return {name: check.value for name, check in self._named.items()}
 
     async def current(self, name: str) -> ArchiveFile:
-        """Return an archive with its own address as it is now. Files are read in another thread.
+        """Return the present version of an archive with its own address. Files are read in another thread.
 
-        Raises ``NotServedError`` for an unknown name, and ``ArchiveError`` for an archive that has broken since.
+        Raises ``NotServedError`` for an unknown name, and ``ArchiveError`` for an archive that can no longer be read.
         """
         if name not in self._named:
             raise NotServedError("archive", f"archive: {name[:60]!r} is not served. Archives: {', '.join(self._named) or 'none'}.")
         return await self._named[name].current()
 
     async def archives_of_level(self, level: ServedLevel) -> LevelArchives:
-        """Return the archives of a level as they are now. Unreadable archives are logged and left out."""
+        """Return the present version of a level's archives. Unreadable archives are logged and left out."""
         return await self._check_of(level).current() if level.loaded.archives else NO_ARCHIVES
 
     def fresh_archives_of(self, level: ServedLevel) -> LevelArchives | None:
-        """Return the archives of a level if their last check is fresh, else ``None``. Reads no file."""
+        """Return the archives of a level if they can be used without waiting for a check, else ``None``. Reads no file."""
         return self._check_of(level).fresh_value() if level.loaded.archives else NO_ARCHIVES
 
     def open_level_archives(self, level: ServedLevel) -> None:
-        """Open a level's archives. Raises ``ArchiveError`` for an unreadable one."""
+        """Open the archives that a level names. Raises ``ArchiveError`` for an unreadable one."""
         if level.loaded.archives:
             self._check_of(level).value = LevelArchives.of({path: ArchiveFile(path) for path in level.loaded.archives})
 
     def expire_all(self) -> None:
-        """Check every archive at its next use."""
+        """Make every archive be checked for changes at its next use."""
         for archive_check in self._named.values():
             archive_check.expire()
         for _, level_check in self._level_entries.values():
@@ -171,14 +174,14 @@ class ServedArchives:
         return opened
 
     def _log_error(self, path: Path, error: SkuggaError, consequence: str = "") -> None:
-        """Log the error of a file once."""
+        """Log the error of a file, unless the same error of this file was logged last."""
         if self._logged_errors.get(path) != str(error):
             self._logged_errors[path] = str(error)
             log.error("archive %s%s", error, consequence)
 
 
 def archive_summary(name: str, archive: ArchiveFile) -> dict[str, Any]:
-    """Return the facts of an archive for ``/archives``, from its metadata where present."""
+    """Return the entry of an archive in ``/archives``: its name, title, attribution, bounds in degrees, zooms, format and layer."""
     metadata = archive.metadata
     return {
         "name": name,

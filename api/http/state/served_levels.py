@@ -49,13 +49,13 @@ class ServedLevel:
     origin : LevelSource
         The files and options from which the level was loaded.
     version : str
-        Changes with the level's text and with the files that it names.
+        Digest that changes with the level's text and with the files that it names.
     world : World
-        The world's geometry.
+        Geometry of the level's world: its CRS, its anchor, and whether it is flat.
     bounds : tuple of float or None
-        Displayed extent: west, south, east, north in degrees; ``None`` in a flat world.
+        Displayed extent: west, south, east, north in degrees; ``None`` if the level is not on the earth.
     data_bounds : tuple of float or None
-        Extent of the raster: west, south, east, north in degrees; ``None`` in a flat world.
+        Extent of the raster: west, south, east, north in degrees; ``None`` if the level is not on the earth.
     zooms : dict of str to ZoomRange
         Zooms by tile matrix set.
     view_sizes : dict of str to tuple
@@ -67,13 +67,13 @@ class ServedLevel:
     style : str
         Name of the level's own style.
     sun_is_default : bool
-        Whether the level names no sun, and has the default low sun of its place.
+        Whether the level file names no sun. The level then has a default sun, low over its place.
     warnings : tuple of str
         Sentences about possible faults of the level.
     files : tuple of Path
         The files that the level depends on, the level file first.
     stamps : tuple of Stamp
-        Stamp of each file at the time of reading.
+        Stamp of each file (times, size and inode) just before it was read.
     """
 
     loaded: LoadedLevel
@@ -104,16 +104,17 @@ class ServedLevel:
 
     @cached_property
     def time_zone(self) -> str | None:
-        """The time zone of the centre of ``bounds``, as Europe/Oslo; ``None`` in a flat world."""
+        """The time zone of the centre of ``bounds``, such as Europe/Oslo; ``None`` without bounds."""
         if self.bounds is None:
             return None
         west, south, east, north = self.bounds
         return time_zone_at((west + east) / 2, (south + north) / 2)
 
     def zooms_in(self, matrix_set: str) -> ZoomRange:
-        """Return the zooms of a tile matrix set.
+        """Return the zooms at which the level is served in a tile matrix set.
 
-        Raises ``NotServedError`` for a set that is unknown or does not cover the level, ``UnsupportedError`` off the earth.
+        Raises ``NotServedError`` for a set that is unknown or does not cover the level, and ``UnsupportedError`` for a level that
+        is not on the earth.
         """
         matrix_set_of(matrix_set)
         if self.world.off_earth_reason is not None:
@@ -123,9 +124,10 @@ class ServedLevel:
         return self.zooms[matrix_set]
 
     def view_named(self, name: str | None) -> str:
-        """Return a checked view name; the default is ``map`` if the level lists it, else its first view.
+        """Return the name of a view after a check.
 
-        Raises ``InputError`` for an unknown view.
+        ``None`` means the view ``map`` if the level file lists it, else the file's first view, else ``map``. Raises ``InputError``
+        for an unknown view.
         """
         views = self.loaded.level.views
         if name is None:
@@ -135,21 +137,21 @@ class ServedLevel:
         return name
 
     def lights(self, spec: SunSpec | None) -> tuple[str, ...]:
-        """Return the names of the lights under a request's sun (``None``: the level's own).
+        """Return the names of the level's lights under the sun ``spec`` of a request (``None``: the level's own sun).
 
-        The sun comes first. It is left out if it does not shine and the level has other lights."""
+        The sun comes first. It is left out if neither the request nor the level has a sun and the level has other lights."""
         names = self.loaded.level.light_names
         sunless = spec is None and self.loaded.level.sun == "none"
         return names[1:] if sunless and len(names) > 1 else names
 
     def sun(self, spec: SunSpec | None) -> Sun | None:
-        """Return the sun of a request or the level's own; ``None`` if the level has no sun. Raises ``InputError``."""
+        """Return the sun of a request (``spec``), or else the level's own; ``None`` if there is neither. Raises ``InputError``."""
         level_sun = self.loaded.level.sun
         sun_spec = spec or level_sun
         return None if sun_spec is None or sun_spec == "none" else sun_of(sun_spec, self.world)
 
     def summary(self) -> dict[str, Any]:
-        """Return the level's entry in ``/levels``; ``minzoom`` and ``maxzoom`` are those of Web Mercator tiles."""
+        """Return the level's entry in ``/levels``. Its ``minzoom`` and ``maxzoom`` are those of tiles in ``DEFAULT_MATRIX_SET``."""
         level, zooms = self.loaded.level, self.zooms.get(DEFAULT_MATRIX_SET)
         sun = None if level.sun is None or level.sun == "none" else level.sun.model_dump(mode="json", exclude_none=True)
         kinds = {**({} if sun is None else {SUN: SUN}), **{name: light.kind for name, light in level.lights.items()}}
@@ -189,9 +191,10 @@ class ServedLevel:
 class ServedLevels:
     """The levels of ``sources`` and of all level files of a ``folder``, by name.
 
-    A level whose files change on disk is reloaded at its next use. ``read_folder`` adds and removes levels of the folder. The data
-    of a level must lie in the folder, in the folder of its source, or in one of ``data_roots``. Methods that read files must not
-    run in the thread of the event loop.
+    A level whose files change on disk is reloaded at its next use (``fresh_s`` and ``wait_s``: as in ``LevelCheck``).
+    ``read_folder`` adds and removes levels of the folder. The data of a level must lie in the folder, in the folder of its source,
+    or in one of ``data_roots``. Remote data (URLs) are allowed if ``remote_sources`` is set. Methods that read files must not run
+    in the thread of the event loop.
 
     Raises
     ------
@@ -224,9 +227,10 @@ class ServedLevels:
         self.read_folder()
 
     def read_folder(self) -> None:
-        """Update the levels to the folder's present level files. A new file that cannot be served is logged and left out.
+        """Serve the level files that the folder has now: add those that are new, and remove those that are gone.
 
-        Raises ``InputError`` for a folder that cannot be read and for two levels of one name. The levels are then unchanged.
+        A new file that cannot be served is logged and left out. Raises ``InputError`` for a folder that cannot be read and for two
+        levels of one name. The served levels are then unchanged.
         """
         if self._folder is None:
             return
@@ -249,14 +253,14 @@ class ServedLevels:
         log.info("levels of %s: new: %s; gone: %s", self._folder, ", ".join(new) or "none", ", ".join(removed) or "none")
 
     def read_folder_again(self) -> None:
-        """Run ``read_folder`` in a running service and log its errors."""
+        """Run ``read_folder``, and log its error instead of raising it: a running service keeps its levels."""
         try:
             self.read_folder()
         except InputError as error:
             log.error("%s The levels are unchanged.", error)
 
     def serves(self, path: Path) -> bool:
-        """Return whether a file is a served level. Reads no file."""
+        """Return whether the level file at ``path`` is served. Reads no file."""
         return any(check.value.loaded.path == path for check in self._checks.values())
 
     def _checked(self, source: LevelSource, roots: Iterable[Path]) -> LevelCheck[ServedLevel]:
@@ -264,27 +268,27 @@ class ServedLevels:
         return LevelCheck(level.name, level, partial(self._check_files, level.name), self._fresh_s, self._wait_s)
 
     async def current(self, name: str) -> ServedLevel:
-        """Return a level as it is now, or its last version if reading takes too long. Files are read in another thread.
+        """Return the present version of a level, or its last one if reading takes too long. Files are read in another thread.
 
-        Raises ``NotServedError`` for an unknown name, and the error of reading for a level that has broken since.
+        Raises ``NotServedError`` for an unknown name, and the error of reading for a level that can no longer be read.
         """
         return await self._check(name).current()
 
     def get(self, name: str) -> ServedLevel:
-        """Return a level as it is now, without a time limit. Raises the errors of ``current``."""
+        """Read a level in this thread if it has changed, and return it, without a time limit. Raises the errors of ``current``."""
         return self._check(name).check_now()
 
     def fresh_level(self, name: str) -> ServedLevel | None:
-        """Return a level if its last check is fresh, else ``None``. Reads no file."""
+        """Return a level if it can be used without waiting for a check, else ``None``. Reads no file."""
         check = self._checks.get(name)
         return None if check is None else check.fresh_value()
 
     def cached_levels(self) -> list[ServedLevel]:
-        """Return all levels as last read. Reads no file."""
+        """Return all levels as they were last read. Reads no file."""
         return [check.value for check in self._checks.values()]
 
     def cached_source_levels(self) -> list[ServedLevel]:
-        """Return the levels of the sources, without those of the folder, as last read."""
+        """Return the levels of ``sources``, without those of the folder, as they were last read. Reads no file."""
         return [check.value for check in self._named.values()]
 
     def names(self) -> list[str]:
@@ -292,12 +296,12 @@ class ServedLevels:
         return list(self._checks)
 
     def expire_all(self) -> None:
-        """Check the files of every level at its next use."""
+        """Make the files of every level be checked for changes at its next use."""
         for check in self._checks.values():
             check.expire()
 
     def all(self) -> list[ServedLevel]:
-        """Return all levels as they are now, without levels that have broken since."""
+        """Return the present version of all levels. Levels that can no longer be read are logged and left out."""
         levels = []
         for name, check in self._checks.items():
             try:
@@ -346,13 +350,13 @@ class ServedLevels:
 
 
 def _named_files(source: LevelSource) -> list[Path]:
-    """Return the files of a source, and the targets of those that are links."""
+    """Return the files that a source names, and the same paths with symbolic links resolved."""
     files = [file for file in (source.path, source.canopy, source.buildings) if file is not None]
     return [*files, *map(Path, map(os.path.realpath, files))]
 
 
 def _level_files(folder: Path, reserved_names: Collection[str]) -> dict[str, Path]:
-    """Return the level files of a folder by name, without hidden files.
+    """Return the paths of a folder's level files by level name, without hidden files.
 
     Raises ``InputError`` for a folder that cannot be read, for a name in ``reserved_names``, or for a name that appears twice.
     """
@@ -374,7 +378,10 @@ def _level_files(folder: Path, reserved_names: Collection[str]) -> dict[str, Pat
 
 
 def algorithm_names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
-    """Return the names of the algorithms in an override, in each of its spellings."""
+    """Return the names of the algorithms in a setting ``algorithm``: a name, or names by kind of caster, by light, or by both.
+
+    ``auto`` and ``None`` name no algorithm.
+    """
     if algorithm is None:
         return set()
     return {name for kinds in expand_override(algorithm, override_lights(algorithm)).values() for name in kinds.values()}

@@ -1,4 +1,4 @@
-"""The service object that all routes share, and waiting for jobs."""
+"""The service object that all routes share. It runs jobs and cancels them when their clients disconnect."""
 
 from __future__ import annotations
 
@@ -57,22 +57,22 @@ class Service:
     def fresh_s(self, request: Request, default_s: int) -> int:
         """Return the freshness lifetime of a picture in seconds.
 
-        It is a minute at most while a calibration or probe is pending. The plan may change then, and clients must not combine
-        pictures of different plans for long.
+        It is ``default_s``, or a minute at most while a calibration of the device or a probe of a level is pending. These
+        measurements may change plans (choices of algorithms), and clients must not combine pictures of different plans for long.
         """
         is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.waiting
         return freshness_s(request, min(default_s, METADATA_FRESH_S) if is_plan_pending else default_s)
 
     def expected_frame_s(self, order: FilmOrder, checked: FilmChecked) -> float:
-        """Return the expected seconds of each frame of a film."""
+        """Return the expected seconds of one frame of a film: by its plan if predicted, else as ``ExpectedTimes`` has it."""
         return self.pool.expected_s(frame_job(order, 0)) if checked.frame_ms is None else checked.frame_ms / 1000.0
 
     async def level(self, name: str) -> ServedLevel:
-        """Return a level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
+        """Return the present version of a level. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
         return await self.levels.current(name)
 
     async def all_levels(self) -> list[ServedLevel]:
-        """Return all levels as they are now, without levels that have broken since."""
+        """Return the present version of all levels. Levels that can no longer be read are logged and left out."""
         names = self.levels.names()
         results = await asyncio.gather(*(self.levels.current(name) for name in names), return_exceptions=True)
         for name, level in zip(names, results, strict=True):
@@ -83,16 +83,16 @@ class Service:
         return [level for level in results if isinstance(level, ServedLevel)]
 
     async def run_job(self, request: Request, job: Job) -> Result:
-        """Run a job and return its result. The job is cancelled if the client disconnects.
+        """Run a job in a render process and return its result. The wait ends if the client disconnects.
 
         Raises
         ------
         RateLimitError
-            The client asks for too many new suns.
+            The client has requested too many new suns.
         ClientGoneError
             The client has disconnected.
         NotServedError
-            The level and its files were removed, or the service renders nothing.
+            The level is no longer served, or the service has archives only and renders nothing.
         SkuggaError
             The errors of ``Pool.run``.
         """
@@ -124,7 +124,7 @@ def service_of(request: Request) -> Service:
 async def get_service(request: Request) -> Service:
     """Return the service (a FastAPI dependency).
 
-    It is asynchronous since FastAPI calls plain functions in a thread, and no thread may be left.
+    It is asynchronous because FastAPI calls other functions in a thread, and a machine under load may have no thread left.
     """
     return service_of(request)
 
@@ -133,7 +133,7 @@ ServiceDep = Annotated[Service, Depends(get_service)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
-    """Return the result of work; cancel it and raise ``ClientGoneError`` if the client disconnects."""
+    """Await a coroutine and return its result. If the client disconnects, cancel it and raise ``ClientGoneError``."""
     task = asyncio.ensure_future(work)
     disconnect = asyncio.ensure_future(_disconnected(request))
     try:

@@ -1,4 +1,4 @@
-"""Serve tiles from archives."""
+"""Read tiles from PMTiles archives, and add response headers to them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ log = logging.getLogger("skugga")
 
 
 async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | None:
-    """Read a tile of an archive in a thread; ``None`` if the archive lacks it. Logs and raises ``ArchiveError``."""
+    """Read the bytes of an archive's tile in a thread; ``None`` if the archive lacks it. Logs and raises ``ArchiveError``."""
     try:
         return await run_in_threadpool(archive.tile, zoom, x, y)
     except ArchiveError as error:
@@ -25,10 +25,10 @@ async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | 
 
 
 def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *request_parts: object, **extra_headers: str) -> EncodedTile:
-    """Return a tile of an archive with ``extra_headers``.
+    """Return a tile of an archive with its response headers and ``extra_headers``.
 
-    Its entity tag depends on its bytes and on ``request_parts``. All services with this tile therefore have the
-    same tag, and it stays the same if an archive is replaced by another one with the same tile.
+    Its entity tag depends only on the tile's bytes and on ``request_parts``. So the tag stays the same if the archive is replaced
+    by another one with the same tile, and it is the same in all services that have the tile.
     """
     tag = entity_tag("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *request_parts)
     return EncodedTile(

@@ -16,7 +16,10 @@ from skugga.terrain.errors import InputError
 async def legend_answer(
     request: Request, served_level: ServedLevel, product_request: ProductRequest, format: LegendFormat, parameter: str = "layer"
 ) -> Response:
-    """Return the legend of a product as a picture. Raises ``InputError`` about ``parameter`` if it has no legend."""
+    """Return the legend of a product as a picture, or 304 if the client's copy is current.
+
+    Raises ``InputError`` if the product has no legend. The error names ``parameter``.
+    """
     color_scale = product_request.product_record.color_scale
     if color_scale is None:
         with_legends = ", ".join(products_with(lambda product: product.color_scale))

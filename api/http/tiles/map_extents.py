@@ -17,21 +17,24 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
 MapBounds = tuple[float, float, float, float]
-"""West, south, east, north in units of a CRS."""
+"""Type of an extent: west, south, east, north in units of a CRS, always with x first."""
 
 DEFAULT_SIDE_PX = 1024
-"""Longer side of a map whose request has no size."""
+"""Longer side in pixels of a map whose request has no size."""
 
 CRS_DESCRIPTION = "a projected or geographic CRS by its code, as EPSG:3857 or OGC:CRS84"
 
 _CODE = re.compile(r"(EPSG|ESRI|OGC|IGNF):(?::)?[A-Za-z0-9]{1,16}", re.IGNORECASE)
 _URN = re.compile(r"urn:ogc:def:crs:(\w+):[\w.]*:(\w+)", re.IGNORECASE)
 _WMS_CODES = {"CRS:84": "OGC:CRS84", "CRS:83": "OGC:CRS83", "CRS:27": "OGC:CRS27"}
-"""CRSs of longitude and latitude by their names in WMS 1.3.0, B.3 to B.5."""
+"""PROJ's codes of the CRSs of longitude and latitude that WMS 1.3.0 names in B.3 to B.5."""
 
 
 def crs_code(text: str) -> str:
-    """Return a CRS's code in PROJ's spelling. Raises ``InputError`` for other texts, which could name files."""
+    """Return the code of a CRS as PROJ spells it, such as EPSG:3857, from a code, an EPSG number, a URN or a name of WMS.
+
+    Raises ``InputError`` for other texts. PROJ would accept some of them as names of files.
+    """
     urn = _URN.fullmatch(text)
     code = _WMS_CODES.get(
         text.upper(), f"{urn[1]}:{urn[2]}" if urn else f"EPSG:{text}" if text.isascii() and text.isdigit() else text
@@ -43,7 +46,7 @@ def crs_code(text: str) -> str:
 
 @cached("process", MIB, size_of=lambda _: 2**14)
 def crs_of_code(code: str) -> CRS:
-    """Return the CRS of a code from ``crs_code``. Raises ``InputError``."""
+    """Return the CRS of a code from ``crs_code``. Raises ``InputError`` if it is unknown, or neither projected nor geographic."""
     try:
         crs = CRS.from_user_input(code)
     except CRSError:
@@ -55,15 +58,16 @@ def crs_of_code(code: str) -> CRS:
 
 
 def north_first(crs: CRS) -> bool:
-    """Return whether a CRS's first axis is northing or latitude: WMS 1.3.0 orders extents by the axes of the CRS."""
+    """Return whether a CRS's first axis is northing or latitude. WMS 1.3.0 orders extents by the axes of the CRS."""
     name = crs.axis_info[0].name.lower() if crs.axis_info else ""
     return "northing" in name or "latitude" in name
 
 
 def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBounds:
-    """Return (west, south, east, north) from a text of four numbers. Raises ``InputError``.
+    """Return (west, south, east, north) from a text of four numbers with commas.
 
-    The text has that order, too; with ``swapped`` it is south, west, north, east.
+    The text has the same order, or south, west, north, east if ``swapped`` is set. Raises ``InputError``, which names the parameter
+    ``name``.
     """
     values = [value for part in text.split(",") if (value := parse_decimal(part)) is not None]
     if len(values) != 4 or text.count(",") != 3:
@@ -77,7 +81,10 @@ def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBou
 
 
 def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
-    """Return the bounds of a level in a CRS. Raises ``InputError`` if the CRS does not cover it or the world is flat."""
+    """Return the bounds of a level in units of a CRS.
+
+    Raises ``InputError`` if the CRS does not cover the level, or if the level is not on the earth.
+    """
     if level.bounds is None:
         raise UnsupportedError("level", level.name, f"{level.world.off_earth_reason}, so its maps have no CRS and no bbox")
     try:
@@ -90,7 +97,11 @@ def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
 
 
 def map_size(width: int | None, height: int | None, aspect: float) -> tuple[int, int]:
-    """Return (width, height) of a map in pixels. A missing side follows from the other by ``aspect`` (width / height)."""
+    """Return (width, height) of a map in pixels.
+
+    A missing side follows from the other one by ``aspect`` (width / height). If both are missing, the longer side is
+    ``DEFAULT_SIDE_PX``.
+    """
     if width is None and height is None:
         width, height = (DEFAULT_SIDE_PX, None) if aspect >= 1.0 else (None, DEFAULT_SIDE_PX)
     if width is None:
@@ -100,7 +111,7 @@ def map_size(width: int | None, height: int | None, aspect: float) -> tuple[int,
 
 
 def check_side(name: str, pixels: int) -> int:
-    """Return a checked side of a map in pixels. Raises ``InputError``."""
+    """Return the width or height of a map in pixels after a check. Raises ``InputError`` about the parameter ``name``."""
     if not 1 <= pixels <= MAX_PERSPECTIVE_PX:
         raise InputError(name, pixels, f"1 to {MAX_PERSPECTIVE_PX} pixels")
     return pixels

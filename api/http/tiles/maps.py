@@ -19,12 +19,12 @@ from skugga.api.workers.jobs import MapJob
 from skugga.terrain.errors import InputError
 
 EQUIVALENT_CRS = {"OGC:CRS84": "EPSG:4326"}
-"""CRSs that differ in axis order only, by the CRS that replaces them.
+"""CRSs that are replaced by a CRS that differs in axis order only.
 
-Extents have a fixed axis order here, so both can share the grid of tiles."""
+Extents always have x first here, so maps in both CRSs can share their pixel grid with tiles."""
 
 MAX_PIXEL_ASPECT = 4.0
-"""Maximum aspect ratio of pixels."""
+"""Maximum ratio of the sides of a map's pixels, in units of its CRS."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class MapQuery:
     Attributes
     ----------
     bounds : tuple of float or None
-        West, south, east, north in units of the CRS; ``None`` in a flat world.
+        West, south, east, north in units of the CRS; ``None``: the whole level, which is not on the earth.
     crs : str or None
-        Code of the CRS; ``None`` in a flat world.
+        Code of the CRS; ``None`` for a level that is not on the earth.
     size : tuple of int
         (width, height) in pixels.
     product_request : ProductRequest
-        The product and its picture settings.
+        The product with its options, its sun and its style.
     format : MapFormat
         The file format.
     background : str or None

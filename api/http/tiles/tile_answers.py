@@ -41,7 +41,7 @@ async def tile_answer(
     format: MapFormat,
     product_request: ProductRequest,
 ) -> Response:
-    """Return a tile of a level.
+    """Return a tile of a level as a response, or 304 if the client's copy is current.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ async def tile_answer(
     zxy
         Zoom, column and row.
     scale
-        1, or 2 for twice the pixels a side.
+        1 for 256 x 256 pixels, or 2 for 512 x 512.
     format
         The file format.
     product_request
-        The product and its picture settings.
+        The product with its options, its sun and its style.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""OpenAPI responses of tiles, maps and snapshots."""
+"""Documented responses (OpenAPI) that the routes of tiles, maps and snapshots share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PICTURE_DOCS: ResponseDocs = {
 EMPTY_TILE_DOCS: ResponseDocs = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
 
 DATA_LAYERS = format_list([f"`{name}`" for name in MAP_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
-"""Layers of data (not for display), as a list in words."""
+"""Names of layers whose pixels are data, not colours for display, as a phrase for descriptions."""
 
 JPEG_LAYERS = format_list([f"`{name}`" for name in MAP_PRODUCTS if "jpg" in PRODUCTS[name].formats], max_items=len(PRODUCTS))
-"""Layers that are available as JPEG, as a list in words."""
+"""Names of layers that are available as JPEG, as a phrase for descriptions."""

@@ -20,8 +20,8 @@ def tilejson_answer(
 ) -> Response:
     """Return a TileJSON document, or 304 if the client's copy is current.
 
-    ``tiles`` is the URL template, and ``zooms`` has the first and last zoom. ``bounds`` are west, south, east and north in degrees.
-    ``extra_entries`` has further entries.
+    ``name`` is the title. ``tiles`` is the URL template of the tiles, and ``zooms`` has their first and last zoom. ``bounds`` are
+    west, south, east and north in degrees. ``extra_entries`` are added to the document.
     """
     west, south, east, north = bounds
     return json_answer(

@@ -1,4 +1,4 @@
-"""Parse the body of a request for an animation, and make an order for a film of it."""
+"""Parse the body of a request for an animation, and make the order of its film (``FilmOrder``)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
 MAX_TEXT = 60
-"""Limit of the characters of a time or of a length of time."""
+"""Maximum number of characters of a time or a duration."""
 
 FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
@@ -84,11 +84,14 @@ AnimationRequest: Any = create_model(
     __doc__="An animation: its times, its view and its settings of shadows.",
     **_SHADOW_FIELDS,
 )
-"""The model of the body. The settings of shadows are its last fields."""
+"""The pydantic model of the request's body. Its last fields are the shadow settings."""
 
 
 def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
-    """Return the order for an ``AnimationRequest``, after all checks that do not need the level's ground. Raises ``InputError``."""
+    """Return the order of a film from a body (an ``AnimationRequest``).
+
+    All checks that need no height of the level's ground are done here. Raises ``InputError``.
+    """
     if body.format == "mp4" and find_spec("av") is None:
         raise InputError("format", Problem("this service has no encoder of mp4"), "Use webp")
     if body.path is not None:
@@ -113,9 +116,9 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
 
 
 def error_in_body(error: InputError, order: FilmOrder) -> InputError:
-    """Return an error of a film under the name of its key in the body.
+    """Return an error from checking a film, renamed to the key of the request's body that is wrong.
 
-    The engine names the parameter of a film, the camera file or the frame.
+    The engine's errors name a parameter of films, a key of camera files, or a frame.
     """
     name, colon, frame_parameter = error.name.partition(": ")
     if name.startswith("keys"):
@@ -149,7 +152,7 @@ def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> Non
 
 
 def _fixed_sun(body: Any, span: FilmSpan) -> SunSpec | None:
-    """Return the fixed sun of a film without dates; ``None`` with dates. Raises ``InputError``."""
+    """Return the fixed sun of a film; ``None`` for a film with dates, whose sun moves, and for the level's. Raises ``InputError``."""
     sun = parse_sun(body.time, body.azimuth, body.altitude)
     if span.start is None:
         if sun is not None and sun.time is not None:

@@ -1,4 +1,7 @@
-"""Answer with the state of an animation as JSON, in the terms of OGC API - Processes, and with the bytes of its film."""
+"""Build the responses about an animation: its state as JSON, and its film (a WebP or MP4 file).
+
+The state has the names of OGC API - Processes.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from skugga.api.settings import Settings
 FILM_MEDIA: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
 
 RESULTS_RELATION = "http://www.opengis.net/def/rel/ogc/1.0/results"
-"""Link relation of the results of a job."""
+"""Link relation from a job to its results (OGC API - Processes)."""
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
 
@@ -64,7 +67,7 @@ class AnimationState(BaseModel):
 
 
 def state_of(animation: Animation, animations: Animations, address: str) -> AnimationState:
-    """Return the state of an animation, which has an ``address``."""
+    """Return the state of an animation. ``address`` is the URL of the animation, for links."""
     done, frames = animation.frames_done, animation.order.span.frames
     links = [Link(href=address, rel="self", type="application/json", title="The state")]
     if animation.status == "successful":
@@ -86,7 +89,10 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
 
 
 def state_answer(status: int, state: AnimationState, settings: Settings) -> Response:
-    """Return a state as JSON that caches do not store, with ``Location``, and ``Retry-After`` until the animation has ended."""
+    """Return a state as JSON with an HTTP ``status``. Caches must not store it.
+
+    ``Location`` is the animation's URL. ``Retry-After`` is present until the animation has ended.
+    """
     headers = {"Cache-Control": "no-store", "Location": state.links[0].href}
     if state.seconds_left is not None:
         headers["Retry-After"] = str(retry_s(state.seconds_left, settings))
@@ -95,15 +101,15 @@ def state_answer(status: int, state: AnimationState, settings: Settings) -> Resp
 
 
 def retry_s(seconds_left: float, settings: Settings) -> int:
-    """Return the whole seconds after which to poll again.
+    """Return the whole seconds after which a client should poll again: the expected time left, at least 1.
 
-    It is the expected time left, but at most a third of the time after which an animation that no client asks about is dismissed.
+    It is at most a third of ``animation_abandoned_s``, the time after which an animation that no client polls is dismissed.
     """
     return max(math.ceil(min(seconds_left, settings.animation_abandoned_s / 3.0)), 1)
 
 
 def film_answer(request: Request, animation: Animation, animations: Animations, settings: Settings) -> Response:
-    """Return the film, or the part of it that ``Range`` asks for, or the problem of a failed animation.
+    """Return the film, the bytes of it that ``Range`` asks for, or 304; for a failed animation return its problem.
 
     Raises ``UnfinishedError`` for an unfinished animation and ``NotServedError`` for a dismissed one.
     """
@@ -130,9 +136,10 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
 
 
 def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
-    """Return the first byte, and the byte after the last, that a ``Range`` asks for (RFC 9110, section 14).
+    """Return the begin and the end of the bytes that a header ``Range`` asks for (RFC 9110, section 14).
 
-    ``nbytes`` is the size of the whole. Several ranges, or one outside the file, give ``None``: the whole may be sent then.
+    The end is the index after the last byte. ``nbytes`` is the size of the file. The result is ``None`` for an invalid text,
+    several ranges, or a range outside the file. The service then sends the whole file, as the RFC allows.
     """
     match = _RANGE.fullmatch(text.strip())
     if match is None or not any(match.groups()):

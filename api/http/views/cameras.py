@@ -13,7 +13,7 @@ from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.parts import PerspectiveSpec
 
 MAX_EYE_OR_TARGET_HEIGHT_M = 100_000.0
-"""Largest height of an eye or a target above the ground. Nobody views relief from higher up."""
+"""Maximum height in metres of an eye or a target above the ground. Nobody views relief from higher up."""
 
 POSITION_DESCRIPTION = (
     "three numbers: longitude and latitude in degrees (in a flat world metres east and north of its middle), "
@@ -43,7 +43,7 @@ FovQuery = Annotated[
 
 
 async def camera_query(eye: EyeQuery = None, target: TargetQuery = None, fov: FovQuery = None) -> PerspectiveSpec | None:
-    """Return the camera of a request, as a dependency; ``None`` for a request without one. Raises ``InputError``."""
+    """Return the camera of a request (a FastAPI dependency); ``None`` if the query defines none. Raises ``InputError``."""
     texts: dict[str, Any] = {"eye": eye, "target": target}
     if eye is None and target is None:
         if fov is not None:
@@ -61,7 +61,11 @@ async def camera_query(eye: EyeQuery = None, target: TargetQuery = None, fov: Fo
 
 
 def parse_position(name: str, text: str) -> tuple[float, float, float]:
-    """Return a position: longitude and latitude (or metres east and north), and height. Raises ``InputError``."""
+    """Return a position from a text of three numbers with commas.
+
+    They are longitude and latitude in degrees (in a flat world metres east and north), and metres above the ground. Raises
+    ``InputError`` about the parameter ``name``.
+    """
     values = [value for part in text.split(",") if (value := parse_decimal(part)) is not None]
     if len(values) != 3 or text.count(",") != 2 or max(map(abs, values[:2])) > 1e9 or abs(values[2]) > MAX_EYE_OR_TARGET_HEIGHT_M:
         raise InputError(name, text, POSITION_DESCRIPTION)

@@ -35,10 +35,10 @@ router = APIRouter(
 )
 
 REQUEST_VIEW_NAME = "made"
-"""Name, in plans, of a view that a request defines."""
+"""Name of a view that the query defines, instead of a view of the level. Plans and jobs contain it."""
 
 SINGLE_LIGHT_LAYERS = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
-"""Layers that show the shadow of one light, as a phrase."""
+"""Names of layers that show the shadow of one light, as a phrase for descriptions."""
 
 
 @router.get(

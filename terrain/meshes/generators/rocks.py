@@ -12,7 +12,7 @@ RING_POSES = ((0.0, 0.0, 0.0), (34.0, 15.0, 77.0), (-8.0, 40.0, 140.0), (-37.0, 
 
 SLOTS, RADIUS_M = 14, 9.0
 FALLEN, UNROOFED = (4, 10), 7
-"""Slots of the fallen uprights, which lie outside the circle, and the slot whose lintel lies inside."""
+"""Numbers of the places in a ring: those with fallen uprights, outside the circle, and one whose lintel lies inside."""
 
 TRILITHONS_DEG, TRILITHON_RADIUS_M, HALF_SPAN_DEG = (45.0, 135.0, 225.0), 4.6, 18.5
 
@@ -67,7 +67,10 @@ def _on_circle(stone: Body, radius_m: float, azimuth_deg: float) -> Body:
 
 
 def _upright_stone(size_m: Vector, cells: tuple[int, int, int], seed: int) -> Body:
-    """Return an upright stone on the ground, with a flat foot, tapering sides and a round head."""
+    """Return an upright stone on the ground, with a flat foot, tapering sides and a round head.
+
+    ``size_m`` is its size and ``cells`` the number of cells along each side (radial, tangential, vertical).
+    """
     cube, triangles = cell_box(cells)
     high = (cube[:, 2:] + 1) / 2
     worn = superellipsoid(np.column_stack([cube[:, :2], np.maximum(cube[:, 2], 0)]), SUPERELLIPSOID_EXPONENT)

@@ -48,7 +48,7 @@ def gable(low: tuple[float, float], high: tuple[float, float], eaves: float, rid
 def tube(path_m: list[Vector] | np.ndarray, radius_m: float | list[float], sides: int, color: Colour) -> Body:
     """Return a round bar with flat ends along an open path of k points: 2 k ``sides`` triangles.
 
-    ``radius_m`` is one value, or one for each point. Successive cross-sections are rotated as little as possible.
+    ``radius_m`` is one value, or one for each point. Each cross-section is rotated as little as possible against the one before.
     """
     path = np.asarray(path_m, np.float64)
     tangents = np.gradient(path, axis=0)
@@ -142,7 +142,10 @@ def cell_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def loft(loops_m: np.ndarray, color: Colour) -> Body:
-    """Return a skin over closed loops (k, sides, 3), counter-clockwise seen from the next loop: 2 k ``sides`` triangles."""
+    """Return a skin over closed loops (k, sides, 3), with flat ends: 2 k ``sides`` triangles.
+
+    Each loop is counter-clockwise seen from the next one.
+    """
     loops = np.asarray(loops_m, np.float64)
     return solid(*_loft_mesh(loops, loops[0].mean(axis=0), loops[-1].mean(axis=0)), color)
 
@@ -168,7 +171,10 @@ def _revolve(profile: np.ndarray, sides: int) -> np.ndarray:
 
 
 def _loft_mesh(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles of a skin over loops (k, sides, 3), closed by fans around a first and a last point."""
+    """Return vertices and triangles of a skin over loops (k, sides, 3).
+
+    Triangle fans round the points ``first`` and ``last`` (3,) close its ends.
+    """
     k, sides = loops.shape[:2]
     j = np.arange(sides)
     next_side = (j + 1) % sides
@@ -182,7 +188,7 @@ def _loft_mesh(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[
 
 
 def _walls(lower: np.ndarray, upper: np.ndarray, sides: int) -> np.ndarray:
-    """Return the triangles between loops ``lower`` and ``upper``, two per side."""
+    """Return the triangles between the loops with numbers ``lower`` and those with numbers ``upper``, two per side."""
     j = np.arange(sides)
     next_side = (j + 1) % sides
     a, b = lower[:, None] * sides + j, lower[:, None] * sides + next_side

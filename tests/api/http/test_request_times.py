@@ -83,12 +83,12 @@ def test_current_time_is_resolved_for_each_request(serve_with, monkeypatch: pyte
 
         @classmethod
         def now(cls, tz=None):
-            return cls.at
+            return cls.moment
 
     client = serve_with(fake_workers.obedient)
     monkeypatch.setattr(request_times, "datetime", Clock)
     first_response = client.get(TILE, params={"time": "current"})
-    monkeypatch.setattr(Clock, "at", datetime(2024, 6, 21, 12, 2, 1, tzinfo=UTC))
+    monkeypatch.setattr(Clock, "moment", datetime(2024, 6, 21, 12, 2, 1, tzinfo=UTC))
     second_response = client.get(TILE, params={"time": "current"})
     assert first_response.headers["etag"] != second_response.headers["etag"]
     assert (first_response.headers["x-skugga-time"], second_response.headers["x-skugga-time"]) == (

@@ -32,7 +32,7 @@ def big_raster(write_raster, monkeypatch) -> Elevation:
 
 def test_peak_is_estimated_from_means(big_raster):
     raster_overview = big_raster.overview
-    assert raster_overview.level == 5 and raster_overview.high_m.shape == (32, 32)
+    assert raster_overview.lod == 5 and raster_overview.high_m.shape == (32, 32)
     # The mean of the 32 x 32 cells around the peak is less than a quarter of its height.
     assert np.nanmax(raster_overview.heights_m) < 500.0 + PEAK_M / 4
     assert 500.0 + 0.8 * PEAK_M < np.nanmax(raster_overview.high_m) < 500.0 + 1.6 * PEAK_M

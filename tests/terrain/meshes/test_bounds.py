@@ -119,7 +119,7 @@ def test_outlines_that_circle_the_earth_are_rejected(geojson):
         read_features(geojson(zigzag, crs="OGC:1.3:CRS84"), CRS.from_user_input(UTM))
 
 
-@pytest.mark.parametrize("name", ["MAX_CORNERS", "MAX_CORNERS_OF_ALL"])
+@pytest.mark.parametrize("name", ["MAX_CORNERS", "MAX_TOTAL_CORNERS"])
 def test_footprints_with_too_many_corners_are_rejected(geojson, make_scene, write_raster, monkeypatch, name):
     scene = make_scene(write_raster(np.zeros((9, 9), np.float32), UTM, 500e3, 5200e3, 10.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
