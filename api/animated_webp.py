@@ -18,7 +18,8 @@ import numpy as np
 from PIL import Image
 
 LOSSY_QUALITY, LOSSY_METHOD = 80, 2
-"""A sixth of the size of lossless animations. Shadow edges stay sharp; colours beside them bleed."""
+"""Quality and effort of the lossy encoder. Files have a sixth of the size of lossless ones. Shadow edges stay sharp; colours beside
+them bleed."""
 
 LOSSLESS_EFFORT, LOSSLESS_METHOD = 50, 2
 """Effort of the lossless encoder. More effort takes longer and gains one per cent of size (docs/films.md)."""

@@ -87,7 +87,7 @@ class CircuitOpenError(RetryLaterError):
 
 
 class RateLimitError(RetryLaterError):
-    """A client requests more suns that are not cached than the settings allow."""
+    """A client requests more new suns than the settings allow."""
 
 
 class UnfinishedError(RetryLaterError):

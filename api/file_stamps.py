@@ -10,7 +10,7 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.linked_files import is_remote, sidecar_files
 
 MAX_FILES = 20_000
-"""Sources of a mosaic that are watched, at most."""
+"""Upper bound of the number of a mosaic's source files whose changes are detected."""
 
 Stamp = tuple[int, int, int, int] | None
 """A file's mtime and ctime (nanoseconds), size in bytes and inode number; ``None`` if it does not exist, as for bundled data. The

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 FINEST_OCTAVES, COARSEST_PX = 3, 128
-"""Range of probed pixel sizes: from a cell's side over 2 ** ``FINEST_OCTAVES`` up to the size at which ``COARSEST_PX`` pixels show
-the level, as tiles do.
-"""
+"""Range of probed pixel sizes. The smallest is a cell's side divided by 2 ** ``FINEST_OCTAVES``. At the largest, ``COARSEST_PX``
+pixels show the level, as tiles do."""
 
 
 PROBE_CENTERS = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))

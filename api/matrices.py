@@ -22,7 +22,8 @@ OVERZOOMS = 3
 """Zooms beyond the one whose pixels are closest in size to the source's cells."""
 
 CASTER_DETAIL_M = 4.0
-"""Cell size whose zoom range levels with trees or meshes have: at the last zoom a house of 10 m is some 20 pixels wide."""
+"""Finest detail of levels with trees or meshes, metres, which sets their zoom range. At the last zoom a house of 10 m is some 20
+pixels wide."""
 
 LonLatBounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; east may pass 180."""

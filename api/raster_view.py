@@ -47,7 +47,7 @@ class CellOrder:
     cols_reversed: bool = False
 
     def in_raster_order(self, array: np.ndarray) -> np.ndarray:
-        """Return cells (rows, cols, ...) of the view in the raster's order."""
+        """Reorder cells (rows, cols, ...) of the view into the raster's order of rows and columns."""
         cells = array.swapaxes(0, 1) if self.transposed else array
         return cells[:: -1 if self.rows_reversed else 1, :: -1 if self.cols_reversed else 1]
 

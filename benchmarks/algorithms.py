@@ -21,10 +21,10 @@ Times are those of the shadow alone, between the collection of casters and shadi
 ``redrawn`` includes all costs of a light that moves, ``kept`` the remaining costs while light and casters rest. With `--cpu` times
 are the CPU time of all threads, for machines with other load.
 
-`stencil` compares the ways of counting shadow volumes, and the hybrids with the eye in shadow. A hybrid uses a shadow map, and
-shadow volumes only in pixels near shadow edges. Ratios are those to ``shadow_volume``. ``MiB`` is the peak memory of a pass.
-``marked`` and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid leaves to its volumes. ``differs`` is
-the share of pixels whose shadow differs from that of ``shadow_volume``. The targets follow below.
+`stencil` compares the ways of counting shadow volumes, and the hybrids with the eye in shadow. A hybrid uses a small shadow map
+where the map provably decides, and shadow volumes in the other pixels. Ratios are those to ``shadow_volume``. ``MiB`` is the peak
+memory of a pass. ``marked`` and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid leaves to its
+volumes. ``differs`` is the share of pixels whose shadow differs from that of ``shadow_volume``. The targets follow below.
 
 The line sweep's speed has a script of its own, `benchmarks/sweep_speed.py`: it needs no OpenGL.
 """
@@ -96,10 +96,12 @@ COUNTING_VARIANTS: dict[str, dict[str, Any]] = {
     "hybrid": COMPARED_VARIANTS["hybrid"],
     "hybrid original": COMPARED_VARIANTS["hybrid original"],
 }
-"""Ways of counting volumes: both sides at a time with z-pass where it is valid, and the alternatives."""
+"""Ways of counting shadow volumes, as overrides by name. The first draws both sides of faces at a time, with z-pass where it is
+valid."""
 
 IN_SHADOW, AHEAD_M = "in shadow", 23.0
-"""Distance of a view ahead of the box grids' main view, on its axis: its eye is in the shadow of both the spot and the sun."""
+"""Name of a view, and its distance ahead of the box grids' main view along the view axis, metres. Its eye is in the shadow of both
+the spot and the sun."""
 
 STENCIL_VIEWS = {"boxgrid": ("main", IN_SHADOW, "close"), "rocks": ("main",), "street": ("main",)}
 """Views for the ways of counting. (The box grids' close views have their eyes in the shadow, too.)"""
@@ -219,7 +221,7 @@ def cascades() -> list[Row]:
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkView:
-    """A view with its receivers and casters, in bands: pixels and sub-pixel samples as in a frame."""
+    """A view with its visible points and its casters, in horizontal bands. Points are pixels and samples within pixels."""
 
     scene: Scene
     view: PerspectiveView
@@ -332,7 +334,7 @@ def plans_of(view_under_test: BenchmarkView, overrides_by_key: dict[str, dict[st
 
 
 def _interleaved_rows(level: str, name: str, overrides_by_key: dict[str, dict[str, Any]], args: argparse.Namespace) -> list[Row]:
-    """Return a row for each plan, by default with ratios of its times to those of the first plan."""
+    """Return a row for each plan. Ratios are those of its times to the times of the first plan."""
     view_shot = benchmark_view(level, name, args.size)
     plans = plans_of(view_shot, overrides_by_key)
     runs = {key: (view_shot, plan) for key, plan in plans.items()}
@@ -362,7 +364,10 @@ def _interleaved_rows(level: str, name: str, overrides_by_key: dict[str, dict[st
 
 
 def targets(rows: Sequence[Row]) -> list[Row]:
-    """Evaluate the targets as far as rows hold them. ``redrawn`` decides; ``kept_ratio`` is shown beside it."""
+    """Evaluate the targets for which there are rows.
+
+    The ratio of times with a redrawn shadow map decides. The ratio with a cached map is shown beside it.
+    """
     row_by_key = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
     result = []
     for scene, view, variant, other, word, limit in TARGETS:

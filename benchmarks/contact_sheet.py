@@ -44,7 +44,7 @@ SHEET_ALGORITHMS: dict[str, dict[str, Any]] = {
     "hybrid": {"algorithm": "hybrid"},
     "hybrid original": {"algorithm": "hybrid", "mask": "original"},
 }
-"""Rows: overrides by name."""
+"""Rows of the sheet: overrides of a level's ``shadows`` by name."""
 
 VIEWS = {
     "boxgrid": ("thesis_boxgrid_sun", "close"),
@@ -55,7 +55,7 @@ VIEWS = {
     "ridges": ("jacksboro", "ridges"),
     "map": ("jacksboro", "map"),
 }
-"""Columns: level and view."""
+"""Columns of the sheet: level and view by name."""
 
 FAULT_BOUNDS = (740_900.0, 4_021_000.0, 748_900.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16, of the map of Jacksboro: the fault's ridge and the hills west of it."""

@@ -15,8 +15,8 @@ applies to the frame with its plan. ``all on`` is the ratio of a frame with all 
 
 `blocks` draws random blocks of tiles on bundled levels of terrain only, ``--repeats`` of each zoom and sun, as the map service
 does. It draws them with all steps of their plans, and without steps that a block provably does not need. It counts the blocks that
-skipped the search for casters outside and the sweep, and those in which these changed nothing. The pictures are identical to the
-bit.
+skipped casters outside the block, and the sweep. It also counts those that did not skip them although they changed nothing. The
+pictures are identical to the bit.
 
 `each` draws a scene that calls for an effect, with it and without it. ``ms/Mpx`` is the time of the effect's own pass. ``of
 shading`` is its ratio to the frame's pass of shading. ``facts_ms`` is the time that planning spends on the facts by which it
@@ -112,7 +112,8 @@ OTHER_VIEWS: dict[EffectName, tuple[str, str]] = {
 
 BARE_LEVELS = ("jacksboro", "jacksboro_alpine")
 COUNTED_CASES = ("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain")
-"""Blocks whose plans list outside ground, those that skipped it, those in which it changed nothing; and the same for the sweep."""
+"""Counted kinds of blocks. Their plans list ground outside the block; they skipped it; they drew it but it changed nothing. The
+last three are the same for the sweep."""
 
 BLOCK_ZOOMS, BLOCK_SUNS_DEG = (13, 15, 17), (8.0, 20.0, 35.0, 50.0)
 """Levels, zooms and suns of blocks of terrain only: from about the raster's resolution to a sixteenth of it."""
@@ -147,7 +148,7 @@ class TimedFrame:
 
 
 def draw_planned_frame(scene: Scene, view: MapView | PerspectiveView, name: str) -> TimedFrame:
-    """Plan and draw a frame without cached results, and return its times."""
+    """Plan and draw a frame without cached shadow maps, and return its times. ``name`` is the view's name."""
     clear_caches("light")
     wall, start = time.perf_counter(), time.process_time()
     plan = make_plan(describe(scene, view, name), scene.loaded.level)

@@ -11,7 +11,7 @@ Row = dict[str, Any]
 """A frame's costs as ``benchmarks.frame_worker`` reports them."""
 
 Rows = dict[str, list[Row]]
-"""Side -> its rows, one a turn; rows at the same index of the lists were drawn one after the other."""
+"""Rows of costs by side, one for each turn. Rows at the same index were drawn one after the other."""
 
 NOW, BASE, YARDSTICK = "now", "before", "yardstick"
 

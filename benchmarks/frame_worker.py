@@ -51,12 +51,12 @@ from skugga.terrain.scene import Scene, build_scene  # noqa: E402
 IMPORTS_END_S = time.perf_counter()
 
 GOLDEN_RATIO = 0.5 * (np.sqrt(5.0) - 1.0)
-"""Place number n is the fraction of n * GOLDEN along the ways below: places never repeat, and successive ones are never near."""
+"""Place number n lies at the fraction of n * ``GOLDEN_RATIO`` of the ranges below. Places never repeat, and successive ones are
+never near."""
 
 SUN_WAY_DEG, SUN_WAY_MIN = 4.0, 16.0
-"""The sun's range: azimuths from the level's own on, or minutes where the level has a time. Successive places differ by at
-least two fifths of it, as in a film of a day in steps of six minutes and more.
-"""
+"""The sun's range in degrees of azimuth, or in minutes if the level has a time. It begins at the level's own sun. Successive places
+differ by at least two fifths of it, as in a film of a day in steps of six minutes or more."""
 
 CAMERA_TRAVEL_M = 3.0
 """The camera's range, to its right: steps of 1.1 to 1.9 m."""

@@ -4,16 +4,17 @@
 
 All sides draw in turns, each in a process of its own: this checkout; ``--base``, a clone of another commit; and the yardstick
 (``benchmarks/yardstick.py``). The yardstick is a forward renderer with the same ground, meshes and trees, camera and sun, with
-Lambert's cosine and one colour of sky. It draws without shadows, and with a depth map of 512 x 512 texels of 16 bits, redrawn for
-each frame, that is compared in one texel or in 3 x 3. All its data is uploaded before, and each picture is read back within the
-timed section. Ratios are medians of the ratios of successive frames, by wall time and by the CPU time of all threads. Only ratios
-of one run are comparable. The target is a ratio to the yardstick with one tap, because the plan also uses one there. Lines with
-"beside" are no targets.
+Lambert's cosine and one colour of sky. It draws without shadows, and with a depth map of 512 x 512 texels of 16 bits. The map is
+drawn again for each frame, and compared in one texel or in 3 x 3. All its data is uploaded before, and each picture is read back
+within the timed section. Ratios are medians of the ratios of successive frames, by wall time and by the CPU time of all threads.
+Only ratios of one run are comparable. The target is a ratio to the yardstick with one tap, because the plan also uses one there.
+Lines with "beside" are no targets.
 
-Pictures: the SpatialAce level's ``main`` at 800 x 600 as planned (by the rules for a device without a calibration, as in ``skugga
-render``), by ``shadow_map`` alone and without cast shadows; the views ``valley`` and ``village`` of the wooded level at 1280 x 1024
-and 10 x 10 km under a million trees from 60 m above the ground at 800 x 600, as planned. Plans are made once, outside the timed
-section, from the level's own view and sun, as for a film. The cost of a plan for another place is shown below the frames.
+There are several pictures. The SpatialAce level's view ``main`` is drawn at 800 x 600 as planned, by ``shadow_map`` alone, and
+without cast shadows. The views ``valley`` and ``village`` of the wooded level are drawn at 1280 x 1024 as planned. The last picture
+shows 10 x 10 km under a million trees from 60 m above the ground, at 800 x 600 as planned. Plans follow the fixed rules for a
+device without a calibration, as in ``skugga render``. Plans are made once, outside the timed section, from the level's own view and
+sun, as for a film. The cost of a plan for another place is shown below the frames.
 
 Changes from one frame to the next:
 
@@ -181,7 +182,7 @@ class FrameMeasurements:
     renderer
         Name of the OpenGL renderer.
     load
-        The machine's load by other processes.
+        The highest load average of the machine, over one minute.
     """
 
     frames: dict[FrameKey, Rows] = field(default_factory=dict)

@@ -3,8 +3,9 @@
     python -m benchmarks.perspective_maps errors [LEVEL ...] [--size 640 512] [--map-size 1024] [--filter 3] [--json FILE]
     python -m benchmarks.perspective_maps times [LEVEL ...] [--size 1280 1024] [--map-size 1024] [--repeats 40] [--json FILE]
 
-The default levels are those of the thesis, with all their perspective views. `errors`: one map each, the shadow map fitted
-``tight`` and ``stable``. `times`: the map is redrawn and looked up, the two taking turns; ratios of medians, with bytes.
+The default levels are those of the thesis (J. Sindholt 2005), with all their perspective views. `errors` compares one perspective
+map with one shadow map, fitted ``tight`` and ``stable``. `times` draws a map and looks it up; the kinds of maps take turns. It
+reports ratios of medians, and bytes.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ from skugga.terrain.scene import Scene, build_scene
 LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
 
 FITS = ("tight", "stable")
-"""Fits of the shadow map."""
+"""Ways of fitting the shadow map to what is visible."""
 
 Row = dict[str, Any]
 
 
 def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene, str, PerspectiveView]]:
-    """Yield the perspective views of levels."""
+    """Yield the perspective views of levels, each as name of the level, scene, name of the view, and view."""
     for name in levels:
         scene = build_scene(load_level(find_level(name)))
         for view_name, spec in scene.loaded.level.views.items():
@@ -50,7 +51,7 @@ def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene
 
 
 def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: int) -> dict[str, Plan]:
-    """Return the plans to compare: all with one map of a size and the same taps and depths."""
+    """Return the plans to compare by name. All have one map of the same size, with the same filter taps and depth bits."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
     overrides = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
     maps = {fit: make_plan(descriptor, level, {**overrides, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}

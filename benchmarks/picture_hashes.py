@@ -1,10 +1,10 @@
-"""Hashes of every layer of every view of the bundled levels: proof that a change alters no picture.
+"""Hashes of every layer of every view of the bundled levels. Equal hashes prove that a change of the code alters no picture.
 
     python -m benchmarks.picture_hashes write before.json     # on the commit before
     python -m benchmarks.picture_hashes check before.json     # on the one after: names what differs, exit status 1
 
-Each view is drawn by the rules' own plan and by every algorithm that serves it, with all layers that these produce. If an algorithm
-refuses a view, the hash covers its message. Two processes take some ten minutes on two cores of llvmpipe.
+Each view is drawn by the plan of the fixed rules, and by every algorithm that supports it, with all layers that these produce. If
+an algorithm refuses a view, the hash covers its message. Two processes take some ten minutes on two cores of llvmpipe.
 """
 
 from __future__ import annotations
@@ -38,14 +38,17 @@ LAYERS = products_with(lambda each: each.pass_layer is None and "perspective" in
 
 
 def hash_of(array: np.ndarray) -> str:
-    """Return a hash of an array's bytes, shape and type."""
+    """Return a hash of an array's bytes, shape and data type."""
     digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
     digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 
 
 def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, str]]:
-    """Return the hashes of a view's layers, its plan and its report on casters outside the view; or that of a refusal."""
+    """Yield names and hashes of a view's layers, of its plan, and of its report on casters outside the view.
+
+    If the algorithm refuses the view, yield the hash of its message.
+    """
     view = scene.view(name)
     try:
         plan = make_plan(describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO else {"algorithm": algorithm})

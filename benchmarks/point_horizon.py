@@ -1,10 +1,12 @@
-"""The sun at points: time of a horizon and of a day's report, cold and warm, and agreement with rays.
+"""The sun at points: time of a horizon and of a day's report, cold and warm, and agreement with traced rays.
 
 Usage: ``python -m benchmarks.point_horizon LEVEL [LEVEL ...] [--points 20] [--date 2024-10-21]``. A level is a level file, a raster
-or a bundled level's name. Cold is the first point of a newly opened scene (loops are compiled before). Warm are the other points,
-each at another place. Figures are medians in milliseconds, of wall time and of CPU time, which other load disturbs less, and the
-maximum of CPU time. The horizon is compared with Embree's rays against a mesh of the raster's own cells, at rays that pass 0.02
-degrees above and below it.
+or a bundled level's name.
+
+Cold is the first point of a newly opened scene, with loops that are compiled before. Warm are the other points, each at another
+place. Figures are medians in milliseconds of wall time and of CPU time, which other load disturbs less. The maximum of CPU time is
+shown too. The horizon is compared with Embree's rays against a mesh of the raster's own cells. The rays pass 0.02 degrees above and
+below it.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ ALTITUDE_OFFSET_DEG = 0.02
 
 
 def timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Return wall and CPU milliseconds of a call: equal on an idle machine, since it uses one thread."""
+    """Return wall and CPU milliseconds of a call. On an idle machine they are equal, because the call uses one thread."""
     start, computed = time.perf_counter(), time.process_time()
     work()
     return (time.perf_counter() - start) * 1000.0, (time.process_time() - computed) * 1000.0
@@ -57,13 +59,13 @@ def places_of(scene: Scene, count: int) -> list[tuple[float, float]]:
 
 
 def report(scene: Scene, at: tuple[float, float], crs: CRS, day: date) -> None:
-    """Compute a day's report: the place, its horizon, its day."""
+    """Compute the report of a day at a point: the place, its horizon, and its sun."""
     surroundings = load_surroundings(scene, place_at(scene, at, crs, 1.6))
     sun_day(surroundings, day, clock_of("solar", surroundings.place.lon_deg, day))
 
 
 def full_horizon(scene: Scene, at: tuple[float, float], crs: CRS) -> None:
-    """Compute a horizon of 720 directions."""
+    """Compute the horizon of a point in 720 directions."""
     horizon_profile(load_surroundings(scene, place_at(scene, at, crs, 1.6)))
 
 

@@ -1,9 +1,9 @@
-"""Time and memory of products, here and in another checkout: blocks of tiles, maps, rasters of masks, and a day of sun hours.
+"""Time and memory of products, in this and in another checkout: blocks of tiles, maps, rasters of masks, and a day of sun hours.
 
     python -m benchmarks.products dem.tif --base ../before
 
-Both checkouts take turns with compiled loops, each run in a process of its own. The table shows the median CPU milliseconds of
-each, their ratio, and the peak memory. Each run has new suns over the same ground.
+The checkouts take turns with compiled loops, each run in a process of its own. The table shows the median CPU milliseconds of each,
+their ratio, and the peak memory. Each run has new suns over the same ground.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ print(json.dumps({"ms": found, "peak_mib": resource.getrusage(resource.RUSAGE_SE
 
 
 def measure_checkout(checkout: Path, raster: Path, zoom: int, repeats: int) -> dict[str, float]:
-    """Measure CPU milliseconds of each case in a checkout, and the peak memory, MiB."""
+    """Measure by case the CPU milliseconds of a checkout's code, and its peak memory in MiB."""
     command = [sys.executable, "-c", WORKER_PROGRAM, str(raster.resolve()), str(zoom), str(repeats)]
     process = subprocess.run(
         command, cwd=checkout, env={**os.environ, "PYTHONPATH": str(checkout)}, capture_output=True, text=True, check=False

@@ -4,9 +4,12 @@
     python -m benchmarks.scale tell FILE [--workers 1000] [--money 0.04]
 
 ``measure`` draws a mosaic of a real raster with one worker (``benchmarks.seed``). It then measures the rates of the serial parts:
-the coordinator with its table (tasks without work), Dask (the same on a cluster here), packing. ``tell`` prints docs/scale.md's
-tables from that: hours for a country and for the planet, bytes, money by the price of a core hour, and a run of many workers with
-stragglers and deaths, simulated task by task from the measured times.
+the coordinator with its table of tasks (tasks without work), Dask (the same on a local cluster), and the packing of tiles into an
+archive.
+
+``tell`` prints the tables of docs/scale.md from these figures: hours for a country and for the planet, bytes, and money by the
+price of a core hour. It also simulates a run of many workers task by task from the measured times. Some workers are slow, and some
+die.
 """
 
 from __future__ import annotations
@@ -43,9 +46,20 @@ EARTH_EQUATOR_M = 40_075_016.7
 
 @dataclass(frozen=True)
 class ScaleFigures:
-    """Figures of one machine: ``tasks`` with their zoom, seconds, tiles and bytes; rates of coordinator, Dask and packing.
+    """Figures of one machine.
 
-    The coordinator alone and Dask have tasks a second, dispatched and recorded; packing has bytes and tiles a second.
+    Attributes
+    ----------
+    tasks
+        Zoom, seconds, tiles and bytes of each task.
+    peak_bytes
+        Peak memory of a worker, bytes.
+    coordinator_per_s
+        Tasks per second that the coordinator dispatches and records.
+    dask_per_s
+        Tasks per second that Dask dispatches and records.
+    packing_bytes_per_s, packing_tiles_per_s
+        Bytes and tiles per second that are packed into an archive.
     """
 
     tasks: list[tuple[int, float, int, int]]
@@ -58,7 +72,7 @@ class ScaleFigures:
 
 @dataclass(frozen=True)
 class PyramidArea:
-    """A pyramid to draw: its area in square kilometres about a latitude, and the zoom whose pixels are nearest to its cells."""
+    """A pyramid to draw: its area in square kilometres, its mean latitude, and the side of the raster's cells."""
 
     name: str
     area_km2: float
@@ -67,12 +81,12 @@ class PyramidArea:
 
     @property
     def zoom(self) -> int:
-        """The last zoom."""
+        """The last zoom, whose pixels are nearest in size to the raster's cells."""
         return int(np.rint(np.log2(EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 256.0 / self.cell_m)))
 
     @property
     def tiles(self) -> float:
-        """Tiles of the last zoom and of those before it, which add a third."""
+        """Number of tiles of the last zoom and of all lower zooms, which add a third."""
         side_m = EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 2**self.zoom
         return float(4.0 / 3.0 * self.area_km2 * 1e6 / side_m**2)
 
@@ -87,38 +101,38 @@ TIMES_OF_DAY = 24
 
 
 class IdleRunner:
-    """A runner whose tasks take no time: the remaining time is the coordinator's own."""
+    """A ``Runner`` whose tasks take no time, so that a run takes only the time of the coordinator."""
 
     def __init__(self) -> None:
         self._given: deque[Task] = deque()
 
     def free(self) -> Sequence[int]:
-        """See the protocol."""
+        """Implement ``Runner.free``."""
         return [0] * (2000 - len(self._given))
 
     def submit(self, task: Task, lane: int) -> None:
-        """See the protocol."""
+        """Implement ``Runner.submit``."""
         self._given.append(task)
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult]:
-        """See the protocol; return one task at a time, as workers finish one by one."""
+        """Implement ``Runner.wait``. It returns one task at a time, as workers finish one by one."""
         task = self._given.popleft()
         index, _ = ShardIndex.from_tiles({4**12 + 16 * task.id + i: b"tile" for i in range(16)})
         return [TaskResult(task.id, index.to_bytes(), 64, 1.0, 0.1, 0)]
 
     def close(self) -> None:
-        """See the protocol."""
+        """Implement ``Runner.close``."""
 
 
 def pending_tasks(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTable, PlannedRun]:
-    """Return a table of pending tasks."""
+    """Return a table of planned tasks of a raster that wait to be drawn, and the run."""
     table = TaskTable(folder / "idle" / "tasks.sqlite")
     request = SeedRequest(LevelSource(path=raster), ZoomRange(*zooms), (SunSpec(azimuth=225.0, altitude=20.0),), "color", "png")
     return table, plan_run(table, request, lambda text: None)
 
 
 def coordinator_per_s(folder: Path, raster: Path) -> float:
-    """Return the tasks a second that the coordinator dispatches and records."""
+    """Return the number of tasks per second that the coordinator dispatches and records."""
     table, run = pending_tasks(folder, raster, (8, 15))
     with table:
         count = len(table.waiting_tasks())
@@ -128,7 +142,10 @@ def coordinator_per_s(folder: Path, raster: Path) -> float:
 
 
 def dask_per_s(folder: Path, tasks: int = 2000) -> float:
-    """Return the tasks a second without work on a Dask cluster with one worker, two at a time as in ``DaskCluster``."""
+    """Return the number of tasks without work per second on a Dask cluster with one worker.
+
+    Two tasks are pending at a time, as in ``DaskCluster``.
+    """
     import distributed
 
     index = bytes(448)
@@ -150,7 +167,7 @@ def _no_op(number: int, index: bytes) -> TaskResult:
 
 
 def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tuple[float, float]:
-    """Return the bytes and tiles a second from shards into an archive."""
+    """Return the bytes and the tiles per second that are packed from shards into an archive."""
     body = np.random.default_rng(1).bytes(tile_bytes - 8)
     store, indexes, first = FolderStore(folder / "pack"), [], (4**12 - 1) // 3
     for number in range(tiles // BLOCK_TILES_ALL):
@@ -199,7 +216,7 @@ def measure(data: Path) -> ScaleFigures:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A run of many workers: total hours, the share of the workers' time that is drawing, lost tasks."""
+    """A run of many workers: total hours, the share of the workers' time spent on drawing, and the number of lost tasks."""
 
     hours: float
     busy: float
@@ -279,7 +296,7 @@ def tell(figures: ScaleFigures, workers: int, money: float) -> None:
 
 
 def _short(value: float) -> str:
-    """Format with two significant digits, or as a whole number."""
+    """Format a number with two significant digits, or as a whole number."""
     return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
 
 

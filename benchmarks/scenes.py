@@ -5,8 +5,9 @@
     python -m benchmarks.scenes thinning [--trees 1000000]
 
 `accuracy` compares every view of the levels (default: all bundled ones) with ray-traced truth, for the first light of each. `trees`
-draws two 1280 x 1024 views of 10 x 10 km of hills under one wood: medians, the process's peak memory, the device. `thinning`
-compares the shadow shares of the same views' stands, as drawn with decimation, with those of every single tree, both by rays.
+draws two 1280 x 1024 views of 10 x 10 km of hills under one wood, and reports medians, the process's peak memory and the device.
+`thinning` compares the share of shadow in the same views, with distant trees decimated as drawn and with every single tree. Both
+are traced with rays.
 """
 
 from __future__ import annotations

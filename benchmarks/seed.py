@@ -1,4 +1,4 @@
-"""Speed of ``skugga seed``: one worker and two, a Dask cluster, and tools that tile and encode a ready hillshade.
+"""Speed of ``skugga seed``: one worker and two, a Dask cluster, and tools that tile and encode a hillshade made before.
 
     python -m benchmarks.seed DATA [--copies 6] [--zooms 8-13] [--gdal2tiles gdal2tiles.py] [--rio rio] [--json FILE]
 
@@ -39,7 +39,10 @@ SKUGGA = [sys.executable, "-c", "from skugga.api.cli.main import main; main()"]
 
 @dataclass(frozen=True)
 class SeedRow:
-    """A run: its name, total seconds, the tiles that it wrote, and its own report."""
+    """A timed run: its name, total seconds, and the number of tiles that it wrote.
+
+    The further fields come from the summary that ``skugga seed`` prints; they are ``None`` for other tools.
+    """
 
     name: str
     seconds: float

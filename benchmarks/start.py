@@ -8,7 +8,7 @@ The first prints a table of wall and CPU seconds of whole processes (``benchmark
 
 The second makes each product once, in a fresh process with an empty cache of compiled loops. A product is a first tile after a
 render process has started, or a command's output, of a generated raster of mountains (``render``: of the bundled wooded level). The
-yardstick compares machines: the CPU seconds of compiling one fixed small loop in the same process.
+yardstick serves to compare machines. It is the CPU seconds of compiling one fixed small loop in the same process.
 """
 
 from __future__ import annotations

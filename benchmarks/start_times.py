@@ -51,7 +51,7 @@ print(time.process_time() - start)
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: its label, wall seconds of its events, and CPU seconds until the last of them."""
+    """A row of the table: its label, wall seconds until each of its events, and CPU seconds until the last event."""
 
     what: str
     seconds: tuple[float, ...]
@@ -59,16 +59,16 @@ class Row:
 
 
 def table(python: str, wheel_python: str | None, one_core: bool = True) -> Iterator[str]:
-    """Measure everything; yield the lines of a Markdown table.
+    """Measure everything, and yield the lines of a Markdown table.
 
     Parameters
     ----------
     python
-        Interpreter of a clone's environment.
+        Interpreter of an environment with a clone of the repository.
     wheel_python
-        Interpreter of an environment that has only a wheel with compiled loops; ``None`` leaves its rows out.
+        Interpreter of an environment that has only a wheel with compiled loops; ``None`` omits its rows.
     one_core
-        Also start a service on one core.
+        Whether to start a service on one core too.
     """
     yield f"yardstick: {float(_run([python, '-c', YARDSTICK], {})[2]):.2f} s of CPU to compile one small loop"
     yield "| what | wall, s | CPU, s |"
@@ -120,7 +120,7 @@ def write_dem(path: Path) -> Path:
 
 @contextmanager
 def _home(folder: Path) -> Iterator[dict[str, str]]:
-    """Return the variables of an empty home."""
+    """Yield the environment variables of a process whose home folder is empty."""
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as home:
         yield {"HOME": home, "XDG_CACHE_HOME": f"{home}/.cache", "SKUGGA_CALIBRATE_WHEN_IDLE": "false"}
 
@@ -131,7 +131,7 @@ def _environment(home: dict[str, str]) -> dict[str, str]:
 
 
 def _run(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[float, float, str]:
-    """Run a command to its end; return wall and CPU seconds, and its output."""
+    """Run a command to its end. Return wall and CPU seconds, and its output."""
     before, start = _children_cpu_s(), clock.perf_counter()
     process = subprocess.run(
         command, env=_environment(home), cwd=cwd, stdout=subprocess.PIPE, text=True, check=True, timeout=LIMIT_S
@@ -145,8 +145,9 @@ def _command(command: Sequence[str], home: dict[str, str], cwd: Path | None = No
 
 
 def _service(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[tuple[float, float, float], float]:
-    """Start a service and request its pages; return wall seconds until its page, its first tile and the end of compiling,
-    and CPU seconds.
+    """Start a service and request its pages as a browser does. Return wall seconds until three events, and CPU seconds.
+
+    The events are the answer with its page, the answer with its first tile, and the end of compiling.
     """
     port = _free_port()
     url = f"http://127.0.0.1:{port}"

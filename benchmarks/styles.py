@@ -30,7 +30,19 @@ LIGHTS = {"noon": SunSpec(azimuth=195.0, altitude=48.0), "evening": SunSpec(azim
 
 @dataclass(frozen=True)
 class StyledPlace:
-    """A level of a raster of the folder, or a bundled one, and a view; of a map the share of its middle."""
+    """A place to draw.
+
+    Attributes
+    ----------
+    source
+        Raster in the folder of sample rasters, or name of a bundled level.
+    view
+        Name of the view.
+    middle
+        Of a map, the side of the drawn square as a share of the map's shorter side.
+    keys
+        Further keys of the level file.
+    """
 
     source: str
     view: str = "map"
@@ -55,7 +67,7 @@ SHOWN_PLACES = ("high mountains", "city")
 
 
 def scene_of(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
-    """Return a place's level, read from a file that is written for it."""
+    """Return the scene of a place. For a raster, a level file is written into the folder ``scratch``."""
     if "/" not in place.source:
         return build_scene(load_level(find_level(place.source)))
     keys = json.loads(json.dumps(place.keys).replace('"forest/', f'"{folder}/forest/'))
@@ -65,7 +77,7 @@ def scene_of(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
 
 
 def picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, side: int) -> np.ndarray:
-    """Draw a place in a style under a sun: uint8 (rows, cols, 3), ``side`` pixels wide, white off the surface."""
+    """Draw a place in a style under a sun: uint8 (rows, cols, 3), ``side`` pixels wide, white where no surface is."""
     scene = scene.with_sun(light).with_style(style)
     view = scene.view(place.view)
     if place.view == "map":

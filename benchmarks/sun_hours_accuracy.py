@@ -3,9 +3,10 @@
     python -m benchmarks.sun_hours_accuracy FOLDER [--date 2024-03-21] [--steps auto,15,5,2,1] [--cells 3000] [--seconds]
         [--markdown FILE]
 
-FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Rays every 10 seconds follow random cells of
-each raster through the day, away from its rim and holes, against the same triangles as the sweep. `--seconds` instead measures the
-time for 4.2 million cells of generated mountains, on the cores that the process may use (`taskset -c 0` for one).
+FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Truth is traced for random cells of each
+raster, away from its rim and holes. Every 10 seconds of the day a ray is traced from each cell to the sun, against the same
+triangles as the sweep. `--seconds` instead measures the time for 4.2 million cells of generated mountains, on the cores that the
+process may use (`taskset -c 0` for one).
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ SUNS_PER_BATCH = 100
 
 @dataclass(frozen=True)
 class WrongMinutes:
-    """The error of a quantity over cells: the mean, and the 99th percentile."""
+    """The error of a quantity over cells in minutes: the mean, and the 99th percentile."""
 
     mean: float
     p99: float
@@ -62,7 +63,7 @@ class WrongMinutes:
 
 @dataclass(frozen=True)
 class AccuracyRow:
-    """A raster's figures at a step: of the hours, the first and the last sun."""
+    """The errors for a raster at a step (time between two suns): of the hours, the first sun and the last sun."""
 
     kind: str
     raster: str
@@ -85,7 +86,10 @@ def _answers(scene: Scene, view: MapView, day: WindowSun, step_min: float | None
 
 
 class CellRays:
-    """Rays from cells (n,), in a frame in metres: ``start`` (n, 3) on a sheet, ``upwards`` (n, 3) from there."""
+    """Rays from cells (n,), in a frame in metres.
+
+    ``start`` (n, 3) are points on the surface ``sheet``, and ``upwards`` (n, 3) the unit vectors of the vertical there.
+    """
 
     def __init__(self, sheet: Sheet, start: np.ndarray, upwards: np.ndarray) -> None:
         self._rays = RayScene([sheet])
@@ -93,7 +97,7 @@ class CellRays:
 
     @staticmethod
     def over(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray) -> CellRays:
-        """Return rays from cells of a map's block, against the triangles of the sweep, in the frame of ``bare_nodes``."""
+        """Return rays from cells of a map's block against the triangles of the sweep, in the frame of ``bare_nodes``."""
         nodes = bare_nodes(scene, view, 1)
         window = int(view.row0) - HALO, int(view.col0) - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO
         surface = scene.surface(view.grid).window(*window, nodes.frame)  # includes the rim that casts
@@ -102,8 +106,9 @@ class CellRays:
         return CellRays(surface.casting.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
 
     def see(self, direction: np.ndarray, least_sine: float = 0.0) -> np.ndarray:
-        """Return which cells (n,) see a sun in the direction of a unit vector (3,), if the sine of its altitude exceeds
-        ``least_sine``.
+        """Return which cells see the sun, bool (n,). ``direction`` (3,) is the unit vector to the sun.
+
+        A sun counts only if the sine of its altitude at the cell exceeds ``least_sine``.
         """
         over = np.flatnonzero(self._upwards @ direction > least_sine)
         visible = np.zeros(len(self._start), bool)
@@ -114,7 +119,10 @@ class CellRays:
 def ray_truth(
     scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: WindowSun, every_min: float = RAYS_MIN
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute hours, and minutes of the first and last sun after the window's start (NaN: never), of cells (n,) by rays."""
+    """Trace the hours of sun, and the minutes of first and last sun after the window's start, for cells (n,).
+
+    The minutes are NaN for cells without sun. ``every_min`` is the time between two rays, minutes.
+    """
     rays, frame = CellRays.over(scene, view, row, col), bare_nodes(scene, view, 1).frame
     times = np.arange(every_min / 2, day.window.minutes, every_min)
     lit_min = np.zeros(len(row))
@@ -136,7 +144,7 @@ def _wrong_minutes(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
 
 
 def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
-    """Return the figures of a raster, at each step."""
+    """Yield the errors for a raster at each step."""
     scene = build_scene(load_level(path))
     view = raster_view(scene).view.as_nodes()
     valid = binary_erosion(bare_nodes(scene, view, 1).shows_ground, iterations=HOLE_MARGIN_CELLS)
@@ -166,7 +174,7 @@ def mountain_raster(folder: Path, side: int) -> Path:
 
 
 def print_seconds(day: date, steps: list[float | None]) -> None:
-    """Print the seconds for 2048 x 2048 cells on the second run, when loops are compiled and heights cached."""
+    """Print the seconds that 2048 x 2048 cells take in a second run, when loops are compiled and heights cached."""
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(mountain_raster(Path(folder), 2048)))
         view, its_day = raster_view(scene).view.as_nodes(), _day(scene, day)
@@ -183,7 +191,7 @@ def _named(step_min: float | None) -> str:
 
 
 def table(rows: list[AccuracyRow]) -> str:
-    """Return the figures as a table."""
+    """Return the errors as a Markdown table."""
     lines = [
         "| surface | raster | step, min | hours: mean, 99 % | first sun | last sun |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -195,7 +203,7 @@ def table(rows: list[AccuracyRow]) -> str:
 
 
 def main() -> None:
-    """Run from the command line."""
+    """Measure by the arguments of the command line, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--date", type=date.fromisoformat, default=date(2024, 3, 21))

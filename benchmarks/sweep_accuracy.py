@@ -1,12 +1,13 @@
-"""Accuracy of the line sweep on real rasters against rays, at azimuths off the 45-degree axes.
+"""Accuracy of the line sweep on real rasters against traced rays, at azimuths off the 45-degree axes.
 
     python -m benchmarks.sweep_accuracy FOLDER [--azimuths 24] [--altitudes 3 10 30] [--lines 8] [--crop 1024]
                                         [--processes 2] [--markdown FILE]
     python -m benchmarks.sweep_accuracy FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
 
-Every raster of heights below FOLDER becomes an array in a flat world: its middle, with holes filled as for casting, and cells of
-the size at its middle latitude. Truth is rays from the nodes, against quads cut along their higher diagonals as in the sweep. Nodes
-count where truth does not depend on the rays' offset. ``--all-azimuths`` uses the 360 whole degrees on the raster of that name.
+The middle of every raster of heights below FOLDER becomes an array in a flat world. Its holes are filled as for shadow casting, and
+its cells have the size of those at its middle latitude. Truth is traced with rays from the nodes, over quads cut along their higher
+diagonals as in the sweep. Nodes are counted if truth does not depend on the rays' offset from the ground. ``--all-azimuths`` uses
+the 360 whole degrees on the raster of that name.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ BATCH_RAYS = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """Heights (rows, cols) float32 in metres, NaN without data; sides (row, column) of a cell in metres."""
+    """A raster: heights, float32 (rows, cols) in metres, NaN without data, and the sides (row, column) of a cell in metres."""
 
     name: str
     height_m: np.ndarray
@@ -55,7 +56,7 @@ class Raster:
 
     @property
     def steepest_deg(self) -> float:
-        """The steepest step from a cell to a neighbour."""
+        """The angle of the steepest step from a cell to a neighbour, degrees."""
         steps = (np.abs(np.diff(self.height_m, axis=axis)) / self.cell_m[axis] for axis in (0, 1))
         return float(np.degrees(np.arctan(max(np.nanmax(step, initial=0.0) for step in steps))))
 
@@ -64,8 +65,14 @@ class Raster:
 class GridTruth:
     """Truth by rays at a grid's nodes under one sun; bool arrays (rows, cols), False without ground.
 
-    ``lit`` is the class with quads cut along their higher diagonals, as in the sweep; ``drawn`` is the mask where it is certain.
-    ``decidable`` masks the nodes where it is certain and the same along either diagonal: for tools that cut quads differently.
+    Attributes
+    ----------
+    lit
+        Whether the sun is visible, with quads cut along their higher diagonals as in the sweep.
+    drawn
+        Where ``lit`` is certain.
+    decidable
+        Where ``lit`` is certain and the same along either diagonal, for tools that cut quads differently.
     """
 
     lit: np.ndarray
@@ -75,7 +82,7 @@ class GridTruth:
 
 @dataclass(frozen=True)
 class SweepFigures:
-    """One raster under one sun. Shares of the decided cells; ``undecided`` of all cells."""
+    """Errors of one raster under one sun, as shares of the decided cells. ``undecided`` is a share of all cells."""
 
     raster: str
     azimuth_deg: float
@@ -90,9 +97,9 @@ class SweepFigures:
 
 
 class GridRays:
-    """Rays against the triangles of a heightfield (rows, cols), with quads cut along the higher and along the lower diagonal.
+    """Rays against the triangles of a heightfield (rows, cols), with quads cut along the higher or along the lower diagonal.
 
-    The outermost heights continue for a cell, as in ``sunlit``.
+    The outermost heights are repeated one cell further out, as in ``sunlit``.
     """
 
     def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
@@ -105,12 +112,14 @@ class GridRays:
         self._drawn, self._other = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.is_cut_nw_se)])
 
     def truth(self, azimuth_deg: float, altitude_deg: float) -> GridTruth:
-        """Return the classes of the nodes under a sun (azimuth clockwise from north) and where they are certain.
+        """Return whether each node sees a sun (azimuth clockwise from north, degrees), and where that is certain.
 
-        A node is on the surface whichever way quads are cut. Its rays start e, 2e and 4e above it. A node that is lit from e is lit
-        from any height above, as this is a heightfield, and one that is dark from 4e is dark from any height below: these two rays
-        suffice. The rays miss casters that rise less than e above them; hence the small e. A certain class is also the same with
-        the sun ``TIE_DEG`` lower and higher: whole metres and equal cells make ties at some azimuths, which rounding decides.
+        A node is on the surface whichever way quads are cut. Its rays start at heights e and 4e above it. On a heightfield, a node
+        that is lit at height e is lit at any greater height. A node that is dark at 4e is dark at any smaller height. So these two
+        rays suffice. The rays miss casters that rise less than e above them; hence the small e.
+
+        A certain result must also be the same with the sun ``TIE_DEG`` lower and higher. Whole metres and equal cells make ties at
+        some azimuths, which rounding decides.
         """
         lower, to_sun, higher = (_direction(azimuth_deg, altitude_deg + step) for step in (-TIE_DEG, 0.0, TIE_DEG))
         valid = np.flatnonzero(self._there)
@@ -145,7 +154,7 @@ def _direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
 def figures_of(
     raster: Raster, lit: np.ndarray, truth: GridTruth, certain: np.ndarray, azimuth_deg: float, altitude_deg: float
 ) -> SweepFigures:
-    """Compare an answer (rows, cols), True where the sun is visible, with truth where ``certain``, one of its masks, is set."""
+    """Compare a mask of nodes that see the sun, bool (rows, cols), with truth where ``certain`` (a mask of ``truth``) is set."""
     valid = np.isfinite(raster.height_m)
     decided = certain & raster.valid
     wrong_cells = decided & (lit != truth.lit)
@@ -165,7 +174,7 @@ def figures_of(
 
 
 def rasters_of(folder: Path, crop: int) -> Iterator[Raster]:
-    """Return the rasters of heights below a folder, at most ``crop`` cells a side; print those that are left out."""
+    """Yield the rasters of heights below a folder, at most ``crop`` cells a side. Print the names of those that are left out."""
     for path in sorted(folder.rglob("*.tif")):
         if any(word in path.stem.lower() for word in EXCLUDED_NAME_PARTS):
             continue
@@ -176,7 +185,7 @@ def rasters_of(folder: Path, crop: int) -> Iterator[Raster]:
 
 
 def read(path: Path, crop: int) -> Raster:
-    """Read the middle of a raster's heights, round the median of its valid cells. Raises ``SourceError``."""
+    """Read heights from the middle of a raster, around the median position of its valid cells. Raises ``SourceError``."""
     elevation = Elevation(str(path))
     shape = elevation.shape
     valid_indices = np.nonzero(np.isfinite(elevation.overview.heights_m))
@@ -195,7 +204,7 @@ def read(path: Path, crop: int) -> Raster:
 
 
 def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tuple[float, float]:
-    """Return the sides (row, column) in metres of the cell at a place."""
+    """Return the sides (row, column) in metres of the cell at a row and column."""
     x, y = elevation.xy(np.array([row - 0.5, row + 0.5, row, row]), np.array([col, col, col - 0.5, col + 0.5]))
     if elevation.crs.is_geographic:
         _, _, length = WGS84.inv(x[::2], y[::2], x[1::2], y[1::2])
@@ -204,7 +213,7 @@ def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tupl
 
 
 def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list[SweepFigures]:
-    """Return figures of the sweep on one raster under suns of (azimuth, altitude) in degrees."""
+    """Return the errors of the sweep on one raster under suns (azimuth, altitude) in degrees."""
     rays = GridRays(raster.height_m, raster.cell_m)
     figures = []
     for sun in suns:

@@ -5,8 +5,10 @@
 The other sweep is `insolation.doshade` (Corripio's running maximum in numba): `pip install insolation` beside Skugga; without it
 its rows are left out. Both process the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own.
 Figures are medians of one run; rates per core and second hold on a busy machine, too. Memory is the growth of a process's peak
-during the work. Wrong cells are counted against rays on a smaller terrain of the same kind, since the rays' triangles take 0.5 GB
-per million cells. Truth for the sweep uses its own cut of quads; truth for the other one counts only cells where the cut does not
+during the work.
+
+Wrong cells are counted against rays on a smaller terrain of the same kind, since the rays' triangles take 0.5 GB per million cells.
+Truth for the sweep uses its own cut of quads into triangles. Truth for the other one counts only cells where the cut does not
 matter.
 """
 
@@ -45,14 +47,14 @@ CORES_RATIO = 1.7
 
 @dataclass(frozen=True)
 class SweepTool:
-    """A tool: its name, threads, and lines a cell for the sweep (0: the other tool)."""
+    """A tool: its name, its number of threads, and the sweep's number of lines per cell (0: the other tool)."""
 
     name: str
     threads: int
     lines: int
 
     def lit(self, height_m: np.ndarray, azimuth_deg: float, altitude_deg: float) -> np.ndarray:
-        """Return where the sun is visible: bool (rows, cols)."""
+        """Return the mask of cells that see the sun, bool (rows, cols)."""
         if self.lines:
             return sunlit(height_m, CELL_M, azimuth_deg, altitude_deg, lines=self.lines, cores=self.threads)
         from insolation import insolf
@@ -66,8 +68,9 @@ class SweepTool:
 
 
 def mountains(side: int, seed: int = 42) -> np.ndarray:
-    """Return fractal heights (side, side) float32 in metres by spectral synthesis: white noise whose spectrum decays by a
-    power law.
+    """Return fractal heights (side, side) float32 in metres by spectral synthesis.
+
+    They are white noise whose spectrum decays by a power law.
     """
     spectrum = np.fft.rfft2(np.random.default_rng(seed).standard_normal((side, side)))
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
@@ -77,7 +80,7 @@ def mountains(side: int, seed: int = 42) -> np.ndarray:
 
 
 def check_convention(tool: SweepTool) -> None:
-    """Check that a pole of 100 m on a flat floor casts a shadow away from the sun and of the right length.
+    """Check that a tool's shadow of a pole of 100 m on a flat floor has the right direction and length.
 
     Raises ``RuntimeError`` if it does not.
     """
@@ -94,7 +97,7 @@ def check_convention(tool: SweepTool) -> None:
 
 
 class Worker:
-    """A process that times one tool after another on a terrain."""
+    """A process that times several tools, one after another, on a terrain."""
 
     def __init__(self) -> None:
         self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
@@ -105,7 +108,7 @@ class Worker:
         self._pool.submit(_load, path).result()
 
     def seconds(self, tool: SweepTool, sun: tuple[float, float]) -> tuple[float, float]:
-        """Return wall time of one answer, and CPU time of all cores."""
+        """Return the wall time of one computation of a mask, and the CPU time of all cores, in seconds."""
         return self._pool.submit(_seconds, tool, sun).result()
 
     def peak_bytes(self) -> int:
@@ -113,7 +116,7 @@ class Worker:
         return self._pool.submit(_peak_bytes).result()
 
     def close(self) -> None:
-        """End the process."""
+        """End the worker process."""
         self._pool.shutdown()
 
 
@@ -136,7 +139,10 @@ def _peak_bytes() -> int:
 
 
 def timed(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict[SweepTool, np.ndarray], dict[SweepTool, int]]:
-    """Return wall and core seconds (repeats, suns, 2) of each tool, all in turns, and the growth of its process's peak, bytes."""
+    """Return by tool wall and CPU seconds (repeats, suns, 2), and the growth of its process's peak memory in bytes.
+
+    The tools take turns.
+    """
     workers = {tool: Worker() for tool in tools}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "terrain.npy"
@@ -163,7 +169,10 @@ def _speed(tool: SweepTool, seconds: np.ndarray, side: int) -> str:
 
 
 def wrong_cells(tools: list[SweepTool], side: int) -> dict[SweepTool, np.ndarray]:
-    """Return wrong, false, missed and interior shares of decided cells (suns, 4) of each tool, against the same rays."""
+    """Return by tool the shares of wrong, false, missed and interior cells among decided cells (suns, 4).
+
+    All tools are compared with the same rays.
+    """
     terrain = Raster("mountains", mountains(side), np.ones((side, side), bool), (CELL_M, CELL_M))
     rays = GridRays(terrain.height_m, terrain.cell_m)
     result = {tool: np.empty((len(SUNS), 4)) for tool in tools}
@@ -183,7 +192,7 @@ def report(
     truth_side: int,
     wrong_shares: dict[SweepTool, np.ndarray],
 ) -> list[str]:
-    """Format Markdown: a row per tool, its wrong cells by sun, and the targets."""
+    """Format Markdown: a row for each tool, its wrong cells by sun, and the targets."""
     rows = [
         f"# The line sweep on {side} x {side} fractal mountains, nine suns",
         "",
@@ -212,7 +221,7 @@ def report(
 
 
 def _targets(seconds: dict[SweepTool, np.ndarray], wrong_shares: dict[SweepTool, np.ndarray], side: int) -> list[str]:
-    """Format the targets and the results; ratios are medians over the pairs of one run."""
+    """Format the targets and the results. Ratios are medians over pairs of results of one run."""
     by_threads = {(bool(tool.lines), tool.threads): tool_seconds[..., 0] for tool, tool_seconds in seconds.items()}
     sweep_s = by_threads[True, 1]
     result = [("million cells/s on one core", side**2 / np.median(sweep_s) / 1e6, CELLS_PER_S / 1e6)]

@@ -1,11 +1,11 @@
-"""Symmetry of shadows: how much they differ on mirrored and rotated ground under a sun that is transformed alike.
+"""Symmetry of shadows: how much they differ on mirrored and rotated ground under a sun that is transformed in the same way.
 
     python -m benchmarks.symmetry FOLDER [--algorithms sweep truth shadow_map shadow_volume] [--crop 256] [--between-nodes]
                                          [--markdown FILE]
 
-The middles of rasters below FOLDER (``RASTERS``) become sites in a flat world whose cells are a power of two of metres: with a
-pixel a cell, pixels then lie on nodes. Each is drawn in all eight symmetries of a square. The figure is the largest share of pixels
-whose class differs from that of the original ground.
+The middles of rasters below FOLDER (``RASTERS``) become levels in a flat world. The side of their cells is a power of two of
+metres. With one pixel per cell, pixels then lie exactly on nodes. Each level is drawn in all eight symmetries of a square. The
+figure is the largest share of pixels whose class (shadow or lit) differs from that of the original ground.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from skugga.terrain.scene import Scene, build_scene
 SIDES = [
     (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)
 ]
-"""The eight symmetries of a square: whether rows and columns swap, and which axes are then mirrored."""
+"""The eight symmetries of a square, each as three flags: mirror from east to west, mirror from north to south, and swap rows and
+columns."""
 
 SUNS = ((90.0, 45.0), (113.0, 30.0), (202.0, 10.0))
 """Azimuth and altitude, degrees."""
@@ -48,21 +49,24 @@ Side = tuple[bool, bool, bool]
 
 
 def moved(values: np.ndarray, side: Side) -> np.ndarray:
-    """Transform values (n, m) of a grid by a symmetry."""
+    """Mirror and transpose values (n, m) of a grid by a symmetry."""
     east_west, north_south, turned = side
     values = values.T if turned else values
     return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
 
 
 def moved_back(values: np.ndarray, side: Side) -> np.ndarray:
-    """Invert ``moved``."""
+    """Invert ``moved`` for values of a grid."""
     east_west, north_south, turned = side
     values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
     return values.T if turned else values
 
 
 def azimuth_of(azimuth_deg: float, side: Side) -> float:
-    """Transform a sun's azimuth, degrees, likewise: reflect it in the diagonal from north-west to south-east, and mirror it."""
+    """Transform a sun's azimuth, degrees, in the same way as ``moved`` transforms the ground.
+
+    It is reflected in the diagonal from north-west to south-east, and then mirrored.
+    """
     east_west, north_south, turned = side
     if turned:
         azimuth_deg = 270.0 - azimuth_deg
@@ -72,7 +76,10 @@ def azimuth_of(azimuth_deg: float, side: Side) -> float:
 
 
 def heights_of(path: Path, crop: int) -> np.ndarray:
-    """Return the middle of a raster with an even number of cells each way, at most ``crop``: its middle then lies between cells."""
+    """Return the middle of a raster's heights, with an even number of cells each way, at most ``crop``.
+
+    The middle of an even number of cells lies between cells.
+    """
     with rasterio.open(path) as dataset:
         rows, cols = (min(crop, size) // 2 * 2 for size in dataset.shape)
         row, col = (dataset.height - rows) // 2, (dataset.width - cols) // 2
@@ -80,7 +87,7 @@ def heights_of(path: Path, crop: int) -> np.ndarray:
 
 
 def site(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: Path) -> Scene:
-    """Return the scene of heights (rows, cols) whose south-west corner is the origin of a flat world."""
+    """Return the scene of heights (rows, cols) in a flat world, whose origin is their south-west corner."""
     rows, cols = heights.shape
     transform = rasterio.transform.from_origin(0.0, rows * cell_m, cell_m, cell_m)
     with rasterio.open(
@@ -106,7 +113,7 @@ def site(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: P
 
 
 def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
-    """Return the class of each pixel (rows, cols) of a scene's whole map: True in shadow."""
+    """Return the mask of pixels in shadow (rows, cols) in a map of the whole scene."""
     view = scene.view(bounds=scene.elevation.bounds, size=size)
     assert isinstance(view, MapView)
     if algorithm != "truth":
@@ -123,7 +130,7 @@ def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
 
 
 def asymmetry(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algorithm: str, between_nodes: bool) -> float:
-    """Return the largest share of pixels by which one of the eight pictures differs from the first."""
+    """Return the largest share of pixels in which one of the eight pictures, transformed back, differs from the first."""
     pictures = []
     for side in SIDES:
         ground = np.ascontiguousarray(moved(heights, side))
@@ -136,7 +143,7 @@ def asymmetry(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algo
 
 
 def report(folder: Path, algorithms: list[str], crop: int, between_nodes: bool) -> Iterator[str]:
-    """Format Markdown: a row per raster and algorithm, in per cent of the pixels."""
+    """Format Markdown: a row for each raster and algorithm, in per cent of the pixels."""
     yield "| raster | algorithm | " + " | ".join(f"{azimuth:g} / {altitude:g}" for azimuth, altitude in SUNS) + " |"
     yield "| --- | --- |" + " ---: |" * len(SUNS)
     for name, cell_m in RASTERS.items():

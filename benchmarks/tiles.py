@@ -3,17 +3,17 @@
     python -m benchmarks.tiles --raster FILE --titiler-python PATH [--base FOLDER] [--repeats 5] [--json FILE]
 
 Both services run on loopback, each with all its processes on the same core; the client runs on another. They shade the same
-cloud-optimised GeoTIFF, made from ``--raster``, and answer requests for the same tiles of 256 x 256 pixels by the same client, 8
-requests at a time (except in the rows that say one). Each cold round starts a new service. Figures are medians over the repeats;
-within one, the services take turns. Only ratios within one run are comparable.
+cloud-optimised GeoTIFF, made from ``--raster``, and answer requests for the same tiles of 256 x 256 pixels by the same client. The
+client sends 8 requests at a time, or one where a row says so. Each cold round starts a new service. Figures are medians over the
+repeats. The services take turns within a repeat. Only ratios within one run are comparable.
 
 titiler (`pip install titiler.application==2.4.0 uvicorn httptools uvloop`, in an environment of its own whose Python is
 ``--titiler-python``) runs as its manual recommends, with the GDAL settings there and one process: `hillshade`, `buffer=3`. It casts
 no shadows and caches nothing: all its tiles are cold.
 
 ``--base`` is a clone of this repository at another commit. With it, the CPU time of one block of terrain is measured in both, in
-processes that take turns: cold, and under a new sun over cached ground. Two measurements always run: the time to encode a tile of
-512 x 512 pixels, and that of a block of a village among woods compared with one of its terrain only.
+processes that take turns: cold, and under a new sun over cached ground. Two measurements always run. One is the time to encode a
+tile of 512 x 512 pixels. The other compares a block of a village among woods with a block of its terrain only.
 """
 
 from __future__ import annotations
@@ -68,7 +68,17 @@ Sun = tuple[float, float]
 
 @dataclass(frozen=True)
 class Round:
-    """Results of a round of requests: tiles a second, median and 99th percentile of the milliseconds of an answer, bytes a tile."""
+    """Results of a round of requests.
+
+    Attributes
+    ----------
+    per_second
+        Tiles per second.
+    median_ms, p99_ms
+        Median and 99th percentile of the milliseconds until an answer.
+    mean_bytes
+        Mean bytes of a tile.
+    """
 
     per_second: float
     median_ms: float
@@ -78,7 +88,7 @@ class Round:
 
 @dataclass(frozen=True)
 class RunningService:
-    """A running service: its process, its port, the seconds until it was ready, and the address of a tile under a sun."""
+    """A running service: its process, its port, the seconds until it was ready, and a function from tile and sun to a path."""
 
     process: subprocess.Popen[bytes]
     port: int
@@ -87,7 +97,7 @@ class RunningService:
 
 
 def request_all(port: int, paths: list[str], at_once: int = CONCURRENCY) -> Round:
-    """Request paths, so many at a time over persistent connections. Raises ``RuntimeError`` if an answer is no picture."""
+    """Request paths over persistent connections, ``at_once`` at a time. Raises ``RuntimeError`` if an answer is no picture."""
     left, took_s, sizes = list(reversed(paths)), [], []
 
     async def client() -> None:
@@ -120,7 +130,7 @@ def request_all(port: int, paths: list[str], at_once: int = CONCURRENCY) -> Roun
 
 @contextmanager
 def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun], str], **env: str) -> Iterator[RunningService]:
-    """Run a service on one core as a context manager. Raises ``RuntimeError`` if it does not start."""
+    """Run a service on one core, as a context manager. Raises ``RuntimeError`` if it does not start."""
     start = time.perf_counter()
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
@@ -145,7 +155,7 @@ def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun
 
 
 def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[RunningService]:
-    """Run Skugga with one render process over a raster, with its default tuning."""
+    """Run Skugga's service of a raster with one render process and default settings."""
     level = folder / "cog.yaml"
     level.write_text(json.dumps({"version": 1, "terrain": {"source": str(cog)}, "sun": {"azimuth": 225, "altitude": 30}}))
 
@@ -183,7 +193,7 @@ def tiles_of(cog: Path) -> list[Tile]:
 
 
 def served_by_both(tiles: list[Tile], running: RunningService) -> list[Tile]:
-    """Return the tiles that titiler serves, too; it clips the corners of a tilted raster more tightly."""
+    """Return the tiles that titiler serves too. It clips the corners of a tilted raster more tightly than Skugga."""
     result = []
     for tile in tiles:
         try:
@@ -195,7 +205,7 @@ def served_by_both(tiles: list[Tile], running: RunningService) -> list[Tile]:
 
 
 def viewport(tiles: list[Tile]) -> list[Tile]:
-    """Return the tiles of a screen at the last zoom but one: 6 x 4 tiles in the middle of the raster."""
+    """Return the tiles that fill a screen at the zoom before the last: 6 x 4 tiles in the middle of the raster."""
     zoom = ZOOMS[-2]
     xs, ys = ([tile[axis] for tile in tiles if tile[0] == zoom] for axis in (1, 2))
     x0, y0 = (min(xs) + max(xs)) // 2 - 2, (min(ys) + max(ys)) // 2 - 1
@@ -207,7 +217,10 @@ Start = Callable[[], AbstractContextManager[RunningService]]
 
 
 def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, rest: dict[str, list[float]]) -> None:
-    """Measure one repeat of all rounds with a service; a service without a cache gets the repeated requests once only."""
+    """Run all rounds of requests once with a service, and add their results to ``rounds`` and ``rest``.
+
+    A service without a cache gets the repeated requests only once.
+    """
     shuffled, viewport_tiles = random.Random(23).sample(tiles, len(tiles)), viewport(tiles)
     with start() as running:
         rest.setdefault("ready s", []).append(running.ready_s)
@@ -235,7 +248,7 @@ def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, re
 
 
 async def paced(port: int, paths: list[str], per_second: float) -> Round:
-    """Request paths at a steady rate, whatever is still pending."""
+    """Send requests at a steady rate, even while earlier ones are still pending."""
     took_s: list[float] = []
     sizes: list[int] = []
 
@@ -317,13 +330,14 @@ count = len(suns)
 print("passes, ms, cold:", passes[-count], "new sun:", passes[1 - count], file=sys.stderr)
 print(json.dumps(out))
 """
-"""CPU milliseconds of a block, as JSON, and on standard error those of its passes; a first run compiles all loops."""
+"""Program that prints CPU milliseconds of a block as JSON, and those of its passes on standard error. A first run compiles all
+loops."""
 
 
 def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
-    """Return CPU milliseconds of a block by the code in a folder: cold, and the median of new suns.
+    """Return CPU milliseconds of a block, computed by the code in ``folder``: cold, and the median of new suns.
 
-    If the code has a function for it, also those of encoding a tile of 512 x 512 of it.
+    If the code has a function that encodes tiles, the milliseconds to encode a tile of 512 x 512 pixels are added.
     """
     suns = [SUNS[6], *SUNS[1::4]]
     process = subprocess.run(
@@ -347,7 +361,7 @@ def versions(python: Path) -> dict[str, str]:
 
 
 def median_round(rounds: list[Round]) -> Round:
-    """Return the medians of some rounds."""
+    """Return the medians of the results of some rounds."""
     return Round(
         *(statistics.median(values) for values in zip(*(asdict(measured_round).values() for measured_round in rounds), strict=True))
     )

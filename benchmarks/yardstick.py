@@ -1,11 +1,15 @@
-"""A minimal forward renderer of one vertex and one fragment shader: the reference for frame times.
+"""A minimal forward renderer of one vertex and one fragment shader, the reference for frame times.
 
-It is what a tutorial would write. The triangles of ground and meshes are uploaded once, and so are the trees: one upright quad each
-that turns to the eye (in the depth map to the sun), alpha-tested with the engine's pictures of leaves. Lambert's cosine and ambient
-light from above shade them, and the background has one colour. With a shadow, all casters are redrawn into a depth map for every
-frame. Every picture is read back, since no one sees it otherwise.
+It is what a tutorial would write:
 
-It leaves out the engine's purpose: right shadows, smooth edges, detail of the ground, haze, the sky's gradient, and choosing what
+* The triangles of ground and meshes are uploaded once.
+* So are the trees. A tree is an upright quad that turns to the eye, or to the sun in the depth map. It is alpha-tested with the
+  engine's pictures of leaves.
+* Lambert's cosine and ambient light from above shade surfaces. The background has one colour.
+* With a shadow, all casters are drawn again into a depth map for every frame.
+* Every picture is read back, since the frame would otherwise not reach the caller.
+
+It omits what the engine is for: right shadows, smooth edges, detail of the ground, haze, the sky's gradient, and the choice of what
 is drawn.
 """
 
@@ -35,7 +39,7 @@ SHADOWED_M = 400.0
 """The reach of the depth map: half the side of a square, and how far its middle lies ahead of the eye."""
 
 SLOPE_BIAS = 1.5
-"""Bias, in slopes of a triangle over a texel, for each tap of a side (glPolygonOffset); and some steps of depth."""
+"""Bias in slopes of a triangle over a texel, for each tap along a side (glPolygonOffset). Some steps of depth are added."""
 
 SKY = (0.62, 0.74, 0.88)
 """The one colour of the sky, sRGB."""
@@ -136,16 +140,16 @@ void main() {}
 
 
 class ProgramArrays(NamedTuple):
-    """The vertex arrays of a program: the opaque surfaces, and the trees, if any."""
+    """The vertex arrays of a program: the opaque surfaces, and the trees (``None`` without any)."""
 
     opaque: moderngl.VertexArray
     trees: moderngl.VertexArray | None
 
 
 class Yardstick:
-    """A scene on the device, from a view's eye and nearby.
+    """A scene on the device, as seen from a view's eye and from places near it.
 
-    ``map_size`` is the side of the depth map in texels (0: no shadows). ``taps`` is the number of texels a side that are compared.
+    ``map_size`` is the side of the depth map in texels (0: no shadows). A shadow look-up compares ``taps`` x ``taps`` texels.
     """
 
     def __init__(self, scene: Scene, view: PerspectiveView, map_size: int = 0, taps: int = 1) -> None:
@@ -176,7 +180,7 @@ class Yardstick:
         self._depth = self._drawn(DEPTH_FRAGMENT) if map_size else None
 
     def draw(self, scene: Scene, view: PerspectiveView) -> np.ndarray:
-        """Draw the picture (rows, cols, 4) uint8 of a view near that eye, under any sun."""
+        """Draw a view near that eye under any sun, and return its picture, uint8 (rows, cols, 4)."""
         gl = device()
         eye, camera_from_frame = view.in_frame(self._frame)
         light = daylight_in_frame(scene, self._frame)
@@ -229,7 +233,7 @@ class Yardstick:
             gl.render(arrays.trees, vertices=6, instances=self.trees)
 
     def _map(self, eye: np.ndarray, camera_from_frame: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
-        """Return the matrix (4, 4) from the frame to the depth map's clip space."""
+        """Return the matrix (4, 4) from the scene's frame to the clip space of the depth map."""
         right = np.cross([0.0, 0.0, 1.0], to_sun)
         right = right / max(float(np.linalg.norm(right)), 1e-9)
         axes = np.stack([right, np.cross(to_sun, right), -to_sun])
@@ -246,7 +250,10 @@ class Yardstick:
 
 
 def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (n, 9) float32 of the ground and the meshes (points, normals, albedo), and triangles (m, 3) int32."""
+    """Return the vertices and triangles of the ground and the meshes.
+
+    Vertices are float32 (n, 9): point, normal and albedo. Triangles are int32 (m, 3).
+    """
     shape = (1, len(ground.height_m))
     flat = np.zeros(shape, np.float32)
     points = ground.position_frame_m.reshape(*shape, 3)
@@ -267,7 +274,7 @@ def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: Loca
 
 
 def _used_attributes(program: moderngl.Program, names: tuple[str, ...], layout: str) -> tuple[list[str], str]:
-    """Return the attributes that a program has, and a layout that skips the others."""
+    """Return the names of the attributes that a program uses, and a buffer layout that skips all others."""
     per_instance = layout.endswith("/i")
     words, used_names = [], []
     for name, word in zip(names, layout.removesuffix("/i").split(), strict=True):
@@ -280,7 +287,7 @@ def _used_attributes(program: moderngl.Program, names: tuple[str, ...], layout: 
 
 
 def _clip_matrix(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.ndarray) -> np.ndarray:
-    """Return the matrix (4, 4) from the frame to clip space, row 0 of the picture first."""
+    """Return the matrix (4, 4) from the scene's frame to clip space, with row 0 of the picture first."""
     size = np.array([view.cols, view.rows])
     first = np.array([view.col0, view.row0])
     scale, shift = 2.0 * view.focal_px / (view.step * size), (1.0 - 2.0 * first / view.step) / size - 1.0

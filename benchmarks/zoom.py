@@ -1,16 +1,19 @@
-"""Shadow of a mountain map by zoom, time of a block of coarse pixels, and errors of far casters.
+"""Shadow of a mountain map by zoom, time of a block of coarse pixels, and errors of distant casters.
 
     python -m benchmarks.zoom FOLDER [--raster mountain/bigtujunga_30m_utm11.tif] [--sun 113 20] [--repeats 5] [--far-suns 0.7 3]
 
-**Shares.** Mean shadow of the raster below FOLDER in tiles of its native zoom and of those below: as drawn, by the pixels' own
-points over ground averaged to their size (the former method), and as a mask.
+A coarse pixel covers several cells. The engine averages the visibility of sample points in it. The former method used a single
+point per pixel, the pixel's own, on ground averaged to the pixel's size.
 
-**Time and memory.** The raster is mirrored and repeated until blocks two zooms below are full of ground. A block as drawn and one
-by own points take turns; medians, in one process.
+**Shares.** Mean shadow of the raster below FOLDER in tiles of its native zoom and of lower zooms: as drawn, by the pixels' own
+points, and as a mask.
 
-**Far casters.** Ground more than ``FULL_DETAIL_NODES`` from a block is read at lower and lower detail. The benchmark compares a
-block at the data's native zoom with and without that, under suns so low that shadows are long; and with a quarter and an eighth of
-that distance.
+**Time and memory.** The raster is mirrored and repeated, until it fills blocks two zooms below the native one. A block as drawn and
+one by own points take turns. Figures are medians in one process.
+
+**Distant casters.** Ground more than ``FULL_DETAIL_NODES`` from a block is read at lower and lower detail. The benchmark compares a
+block at the native zoom with and without this reduction, under suns so low that shadows are long. It also compares with a quarter
+and an eighth of that distance.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ def scene_of(raster: Path, folder: Path, sun: tuple[float, float]) -> Scene:
 
 
 def mosaic_of(raster: Path, folder: Path) -> Path:
-    """Return a raster's middle, mirrored and repeated."""
+    """Write a raster's middle, mirrored and repeated, as a raster in a folder, and return its path."""
     with rasterio.open(raster) as dataset:
         rows, cols = (size // 2 * 2 for size in dataset.shape)
         heights, profile = dataset.read(1)[4 : rows - 4, 4 : cols - 4].astype(np.float32), dataset.profile
@@ -68,7 +71,7 @@ def mosaic_of(raster: Path, folder: Path) -> Path:
 
 
 def own_zoom(scene: Scene) -> int:
-    """Return the coarsest zoom of Web Mercator whose pixels use their own points."""
+    """Return the lowest zoom of Web Mercator at which a pixel has only its own sample point, and is about as wide as a cell."""
     return next(zoom for zoom in range(25) if subdivision_level(scene, block_of(scene, zoom)) == 0 and is_narrow(scene, zoom))
 
 
@@ -78,7 +81,7 @@ def is_narrow(scene: Scene, zoom: int) -> bool:
 
 
 def whole_view(scene: Scene, zoom: int) -> MapView:
-    """Return all of a level in pixels of a zoom."""
+    """Return the view of the whole level with pixels of a zoom."""
     grid = tile_grid(MERCATOR, zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
     row, col = int(np.floor(north)), int(np.floor(west))
@@ -86,14 +89,17 @@ def whole_view(scene: Scene, zoom: int) -> MapView:
 
 
 def block_of(scene: Scene, zoom: int, east: float = 0.5) -> MapView:
-    """Return a view with as many pixels of a zoom as a block of tiles, round the level's middle or at a share of its width."""
+    """Return the view of a block of tiles at a zoom, around the level's middle from south to north.
+
+    ``east`` is the position of its middle from west to east, as a share of the level's width.
+    """
     view = whole_view(scene, zoom)
     row, col = view.row0 + view.rows // 2 - BLOCK_PX // 2, view.col0 + int(view.cols * east) - BLOCK_PX // 2
     return MapView(view.grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
 def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, algorithm: str) -> np.ndarray:
-    """Return visibility (n,) of the pixels that show ground."""
+    """Return the visibility (n,) of all pixels that show ground."""
     overrides = {} if algorithm == "auto" else {"algorithm": algorithm}
     plan = make_plan(describe(scene, view, pixel_sampling=pixel_sampling), scene.loaded.level, overrides)
     frame = render_frame(scene, view, plan, pixel_sampling=pixel_sampling)
@@ -101,7 +107,7 @@ def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, al
 
 
 def shares(scene: Scene, algorithm: str) -> None:
-    """Print mean shadow by zoom."""
+    """Print the mean shadow by zoom."""
     finest_zoom = own_zoom(scene)
     print("| zoom | pieces of a pixel | shadow, % | own points, % | mask, % |\n| --- | --- | --- | --- | --- |")
     for zoom in range(finest_zoom, finest_zoom - ZOOMS_BELOW - 1, -1):
@@ -147,7 +153,7 @@ def times(scene: Scene, repeats: int) -> None:
 
 
 def far_casters(scene: Scene, sun: tuple[float, float]) -> None:
-    """Print the shadow that averaged far casters miss, and false shadow."""
+    """Print which share of pixels misses shadow or has false shadow, because distant casters are read at lower detail."""
     scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     view = block_of(scene, own_zoom(scene), east=0.12)
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})

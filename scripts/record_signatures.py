@@ -4,8 +4,8 @@
     python scripts/record_signatures.py "hours of sun" points    # entries of other products stay
 
 Each product is computed in its own process, without stored machine code, so that all its loops are compiled, callees too. The
-script writes rasters as input: projected and geographic ones, floats and integers, with and without nodata. Bundled levels cover trees and
-buildings.
+script writes rasters as input: projected and geographic ones, floats and integers, with and without nodata. Bundled levels cover
+trees and buildings.
 """
 
 from __future__ import annotations

@@ -21,19 +21,20 @@ from skugga.terrain.level.level import SUN, Level
 from skugga.terrain.scene import Scene
 
 MAX_CANDIDATES = 40
-"""Candidates of a view, at most."""
+"""Maximum number of candidates of a view."""
 
 DEFAULT_PLAN_FILTERS: tuple[int | str, ...] = (1, 3, "sun")
 """Filters for variants of the default plan."""
 
 
 def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map", light: str = SUN) -> list[Plan]:
-    """Return the plans to compare under a light, at most ``MAX_CANDIDATES`` with unique names.
+    """Return the plans that the accuracy report compares under a light, at most ``MAX_CANDIDATES`` with unique names.
 
     - The default plan is first, followed by variants with other filters, which show the effect of the filter on edges.
     - Next are algorithms with their default settings, several map sizes and filters, combinations by kind of casters, and variants
       of single settings.
-    - An algorithm that cannot serve all casters draws the sun's relief and meshes, or relief alone. Shadow maps draw the rest.
+    - An algorithm that cannot draw the shadows of all casters draws those of relief and meshes under the sun, or of relief alone.
+      Shadow maps draw all others.
     """
     descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     plans: dict[str, Plan] = {}
@@ -45,8 +46,8 @@ def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map",
 def name_of(plan: Plan, light: str = SUN) -> str:
     """Return a short name of a plan's algorithms and settings under a light.
 
-    Examples: ``shadow_map-2048-3-16``, ``relief=sweep,meshes=shadow_volume``. A map's name has its texels a side, its taps a side
-    and its depth bits. Other settings follow if they differ from the defaults.
+    Examples: ``shadow_map-2048-3-16``, ``relief=sweep,meshes=shadow_volume``. The numbers of a shadow map are its texels per side,
+    its filter taps per side and its depth bits. Other settings follow if they differ from the defaults.
     """
     kinds: dict[str, list[str]] = {}
     for kind, name in plan.algorithm.get(light, {}).items():
@@ -86,7 +87,10 @@ def _widest_served_plans(descriptor: Descriptor, level: Level, light: str, overr
 
 
 def _served_plans(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
-    """Return the plan for the overrides, if the algorithm serves and is used under the light."""
+    """Return the plan for the overrides in a list.
+
+    The list is empty if the requested algorithm cannot draw the view, or if the plan does not use it under the light.
+    """
     with suppress(UnsupportedError):
         plan = make_plan(descriptor, level, overrides, choices={})  # other kinds use shadow maps
         requested = overrides["algorithm"]

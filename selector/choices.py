@@ -1,4 +1,4 @@
-"""Value types that a policy passes to the planner: algorithms by kind of casters, settings and reasons for one light."""
+"""Value types that a policy (a method of choosing) passes to the planner: algorithms, settings and reasons for one light."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, EffectName, Shadows
 
 PolicyName = Literal["rules", "predict", "probe", "measure"]
-"""The policies.
+"""The policies: methods of choosing algorithms and settings.
 
-- ``rules``: fixed rules over the descriptor.
-- ``predict``: cost and error models.
-- ``probe``: ``predict``, corrected by drawing some candidates on the scene and comparing them with ground truth.
+- ``rules``: fixed rules over the descriptor, the facts of a view.
+- ``predict``: models predict the time and the error of each choice.
+- ``probe``: ``predict``, but some candidates are drawn on the scene and compared with ground truth to correct the predictions.
 - ``measure``: ``probe`` without a time limit.
 """
 
@@ -34,7 +34,17 @@ class PlanRequest(Protocol):
 
 @dataclass(frozen=True)
 class StandaloneRequest:
-    """A request without a level, for a descriptor alone. ``effects`` is ``auto``, or ``on`` and ``off`` by name."""
+    """A request for a plan without a level file.
+
+    Attributes
+    ----------
+    shadows
+        Requested shadow settings.
+    light_names
+        Names of the lights.
+    effects
+        ``auto``, or ``on`` or ``off`` by the name of an effect.
+    """
 
     shadows: Shadows
     light_names: tuple[str, ...]
@@ -43,18 +53,18 @@ class StandaloneRequest:
 
 @dataclass(frozen=True)
 class Choice:
-    """A policy's choice for one light. Settings of the level or the request override it.
+    """Algorithms and settings for one light, chosen by a policy. Settings of the level or the request take precedence.
 
     Attributes
     ----------
     name
-        Unique among the choices for a light.
+        Name of the choice, unique for a light.
     algorithm
         Algorithm by kind of casters.
     settings
-        Fields of ``Shadows`` by name (``map_size``, ``cascades``).
+        Values by field of ``Shadows``, such as ``map_size`` or ``cascades``.
     reason
-        Reasons: for algorithms by kind of casters, for settings by field.
+        Reasons for the algorithms by kind of casters, and for the settings by field.
     """
 
     name: str

@@ -1,9 +1,10 @@
-"""Select a candidate whose time and error are uncertain: minimize the expected loss. Pure arithmetic.
+"""Select the candidate with the least expected loss, if times and errors are uncertain. Pure arithmetic.
 
-A missed target costs ``MISS_PENALTY`` times the median time of the candidates that are likely to meet it. This follows the scores
-of algorithm selection (PAR10, B. Bischl et al. 2016, "ASlib: A benchmark library for algorithm selection"), but uses the median
-instead of the slowest candidate, which a policy would not choose. So more time is spent if it removes a considerable risk of a
-miss, and little time if it removes a small one.
+The target is a maximum error and a maximum time. The loss is the time, with a penalty for a missed target. A miss costs
+``MISS_PENALTY`` times the median time of the candidates that are likely to meet the target. This follows the PAR10 score of
+algorithm selection (B. Bischl et al. 2016, "ASlib: A benchmark library for algorithm selection"). PAR10 uses the slowest candidate
+instead of the median. But a policy would not choose the slowest one. With this loss a slower candidate is chosen only if it lowers
+the risk of a miss enough.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from skugga.selector.ranking import CandidateFigures, RankingResult, best_candid
 from skugga.shadows.registry import NO_SHADOWS
 
 MISS_PENALTY = 10.0
-"""Cost of a missed target, relative to a candidate that is likely to meet it."""
+"""Loss of a missed target, in multiples of the median time of the candidates that are likely to meet it."""
 
 LIKELY_MISS_CHANCE = 0.5
-"""A candidate with at most this probability of a miss counts as likely to meet the target."""
+"""Maximum probability of a missed target of a candidate that counts as likely to meet it."""
 
 
 @dataclass(frozen=True)
@@ -42,24 +43,24 @@ class Forecast:
     time_spread: float
 
     def late_chance(self, max_ms: float | None) -> float:
-        """Return the probability that the time exceeds ``max_ms``. ``None`` means no limit."""
+        """Return the probability, in [0, 1], that the time exceeds ``max_ms``. ``None`` means no limit."""
         return 0.0 if max_ms is None else logistic_probability_over(log(max(self.figures.ms, 1e-9) / max_ms), self.time_spread)
 
     def miss_chance(self, max_ms: float | None) -> float:
-        """Return the probability that the error or the time exceeds its limit."""
+        """Return the probability, in [0, 1], that the error or the time exceeds its limit."""
         return 1.0 - (1.0 - self.error_miss_chance) * (1.0 - self.late_chance(max_ms))
 
 
 def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms: float | None = None) -> RankingResult:
     """Return the candidate with the least expected loss.
 
-    1. If some candidates are likely to meet the target: the one with the least expected time. A miss costs ``MISS_PENALTY`` times
-       their median time.
-    2. Otherwise, if some are likely to stay within the time limit: the one with the least expected overshoot. A late candidate is
-       penalized in the same way.
-    3. Otherwise, the nearest candidate according to ``skugga.selector.ranking.best_candidate``.
+    1. If some candidates are likely to meet the target: that with the least expected time among them. A miss counts as
+       ``MISS_PENALTY`` times their median time.
+    2. Otherwise, if some are likely to stay within the time limit: that with the least expected overshoot (excess of the error over
+       its limit) among them. A late candidate counts as ``MISS_PENALTY`` times their median overshoot.
+    3. Otherwise, the result of ``skugga.selector.ranking.best_candidate``.
 
-    ``none`` wins only if it is the only candidate. Raises ``ValueError`` without candidates.
+    The algorithm ``none`` wins only if it is the only candidate. Raises ``ValueError`` without candidates.
     """
     candidates = [forecast for forecast in forecasts if forecast.figures.name != NO_SHADOWS] or list(forecasts)
     likely = [forecast for forecast in candidates if forecast.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]

@@ -1,11 +1,11 @@
 """Draw films frame by frame: with a moving sun, a moving camera, or both.
 
-- A film has one time axis, the scene's. The sun, the clock of moving objects and the camera all follow it. Frame ``n`` shows the
-  scene ``n`` steps after the first frame.
-- A ``Replanner`` makes the plans. It keeps a choice of algorithms while that choice serves, and spreads a switch over several
-  frames.
-- All other frames equal the picture that ``render_frame`` draws for their time and plan. Frames of terrain alone are drawn faster
-  (``skugga.shadows.draw``).
+- The sun, the clock of moving objects and the camera share one time axis. Frame ``n`` shows the scene ``n`` time steps after the
+  first frame.
+- A ``Replanner`` makes the plan (algorithms and settings) of each frame. It keeps the algorithms of the frame before as long as
+  they are good enough. A switch to others is a transition over several frames, which mix two pictures.
+- Outside of transitions, a frame equals the picture that ``render_frame`` draws for its time and plan. Frames of terrain alone are
+  drawn faster (``skugga.shadows.draw``).
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ class FrameMoment:
 
     @property
     def words(self) -> str:
-        """The frame in words for messages: its number, counted from 1, and its time."""
+        """The frame's number, counted from 1, and its time, as words for messages."""
         time_text = f"{self.elapsed_s:g} s" if self.time is None else self.time.isoformat()
         return f"frame {self.number + 1} ({time_text})"
 
     def scene(self, scene: Scene) -> Scene:
-        """Return the film's scene at this time."""
+        """Return the scene with its sun and its moving objects at this frame's time."""
         return scene.with_sun(None if self.time is None else SunSpec(time=self.time)).at_second(self.second)
 
 
@@ -82,11 +82,11 @@ class PlanSwitch:
     Attributes
     ----------
     number
-        Index of the first frame with the new choice.
+        Index of the first frame with the new algorithms or settings.
     before
-        The previous choice, in words.
+        The previous algorithms and settings, in words.
     after
-        The new choice, in words.
+        The new algorithms and settings, in words.
     reason
         The reason for the change.
     """
@@ -110,9 +110,9 @@ class FilmFrame:
     plan
         Plan of the frame.
     transition
-        The transition under way: the previous plan, and the share of the pixels that show the new one. Else ``None``.
+        The transition from another plan of which this frame is part; ``None`` outside of transitions.
     switch
-        The change of choice that begins with this frame. Else ``None``.
+        The change of algorithms or settings that begins with this frame; ``None`` without a change.
     """
 
     moment: FrameMoment
@@ -127,8 +127,8 @@ def frame_moments(scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAM
 
     ``only`` limits the result to the frame with this index.
 
-    Raises ``InputError`` for more than ``max_frames`` frames. It also raises one that names the frame if the camera leaves the
-    data or goes under the ground.
+    Raises ``InputError`` for more than ``max_frames`` frames. It also raises ``InputError``, with the frame in the message, if the
+    camera leaves the data or goes under the ground.
     """
     span = request.span
     if not 1 <= span.frames <= max_frames:
@@ -152,7 +152,7 @@ def frame_moments(scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAM
 
 
 def _size(request: FilmRequest) -> tuple[int, int]:
-    """Return width and height of the pictures along a path. Raises ``InputError``."""
+    """Return the width and height in pixels of a film along a camera path. Raises ``InputError`` if they are too large."""
     assert request.path is not None
     width, height = request.size or request.path.size
     if max(width, height) > MAX_PERSPECTIVE_PX:
@@ -163,10 +163,10 @@ def _size(request: FilmRequest) -> tuple[int, int]:
 def film_frames(
     scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner | None = None, ahead: int = 0
 ) -> Iterator[FilmFrame]:
-    """Yield the frames of a film at ``frame_moments``. Each frame is drawn on demand, and earlier frames are not kept.
+    """Yield the frames of a film. Each frame is drawn on demand.
 
-    ``scene`` has the sun and the style of the film; its moments override them. ``replanner`` makes the plans, one after the other.
-    Up to ``ahead`` further frames are drawn in other threads meanwhile, if they need no OpenGL.
+    ``moments`` is the result of ``frame_moments``. Their sun and time replace those of ``scene``. ``replanner`` makes the plans in
+    the order of the frames. Up to ``ahead`` further frames are drawn in other threads at the same time, if they need no OpenGL.
     Raises the errors of ``render_frame`` and ``Replanner.plan``.
     """
     replanner = replanner or Replanner()
@@ -178,7 +178,7 @@ def film_frames(
         try:
             for number, frame in enumerate(_frame_makers(scene, request, moments, replanner, threads)):
                 waiting.append(frame)
-                if number == 0 or len(waiting) > ahead:  # the first frame makes what all frames share
+                if number == 0 or len(waiting) > ahead:  # the first frame fills caches that all frames share
                     yield waiting.popleft()()
             while waiting:
                 yield waiting.popleft()()
@@ -189,9 +189,9 @@ def film_frames(
 def _frame_makers(
     scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner, threads: ThreadPoolExecutor | None
 ) -> Iterator[Callable[[], FilmFrame]]:
-    """Yield a function for each frame that returns the drawn frame.
+    """Yield, for each frame, a function that returns the drawn frame.
 
-    The function draws the frame when called, or waits for one of the ``threads``.
+    If the frame is drawn by one of ``threads``, the function waits for the result. Otherwise it draws the frame when it is called.
     """
     level, overrides = scene.loaded.level, dict(request.overrides)
     before = None if replanner.state is None else replanner.state.plan
@@ -220,9 +220,9 @@ def _film_frame(moment: FrameMoment, draw_picture: Callable[[], Picture], plan: 
 
 
 def _switch(moment: FrameMoment, before: Plan, after: Plan, reason: str | None) -> PlanSwitch | None:
-    """Return the change between two successive plans, or ``None``.
+    """Return the change of algorithms or settings between the plans of two successive frames; ``None`` without a change.
 
-    ``reason`` is the replanner's reason if it took another choice.
+    ``reason`` is the replanner's reason for the change; ``None`` if the change follows from the view.
     """
     names = _choice_text(before), _choice_text(after)
     if names[0] == names[1]:
@@ -231,7 +231,7 @@ def _switch(moment: FrameMoment, before: Plan, after: Plan, reason: str | None) 
 
 
 def _choice_text(plan: Plan) -> str:
-    """Return what a plan chose, in words: the algorithms by light, and the chosen settings."""
+    """Return the algorithms of a plan by light, and its chosen settings, in words."""
     names = {light: choice.name or "none" for light, choice in choices_from_plan(plan).items()}
     if len(set(names.values())) <= 1:
         return next(iter(names.values()), "none")
@@ -239,7 +239,7 @@ def _choice_text(plan: Plan) -> str:
 
 
 def _casting_changes_text(before: Plan, after: Plan) -> str:
-    """Describe how the casting kinds of two plans differ."""
+    """Describe how the kinds of casters that cast shadows differ between two plans."""
     casting_before, casting_after = (
         {(light, kind) for light, kinds in casting(plan).items() for kind in kinds} for plan in (before, after)
     )

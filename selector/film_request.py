@@ -1,4 +1,4 @@
-"""Value types of a film request. ``film`` draws it."""
+"""Value types of a request for a film, which ``skugga.selector.film`` draws."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 from skugga.terrain.level.camera_file import CameraPathSpec
 
 MAX_FRAMES = 10_000
-"""Frames of a film, at most: almost seven minutes at 25 frames a second."""
+"""Maximum number of frames of a film: almost seven minutes at 25 frames per second."""
 
 ALONG_PATH = "path"
-"""Name of a moving camera's view in plans."""
+"""Name of the view in the plans of a moving camera."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class FilmSpan:
     start
         Date and time of the first frame. ``None`` keeps the sun fixed.
     first_second
-        Clock of moving objects in the first frame, seconds. ``None`` takes the level's.
+        Clock of moving objects in the first frame, seconds. ``None`` uses the clock of the scene.
     """
 
     frames: int
@@ -38,7 +38,7 @@ class FilmSpan:
     first_second: float | None = None
 
     def parse_time(self, number: int) -> datetime | None:
-        """Return the date and time of a frame."""
+        """Return the date and time of the frame with index ``number``; ``None`` for a fixed sun."""
         return None if self.start is None else self.start + timedelta(seconds=number * self.step_s)
 
     @property
@@ -49,7 +49,7 @@ class FilmSpan:
 
 @dataclass(frozen=True)
 class FilmRequest:
-    """What a film shows.
+    """A request for a film.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class FilmRequest:
     crs
         CRS of the bounds.
     overrides
-        Requested fields of ``Shadows``.
+        Shadow settings of the request: values by field of ``Shadows``.
     """
 
     span: FilmSpan

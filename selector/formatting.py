@@ -1,4 +1,4 @@
-"""Format shares, times and lists for messages."""
+"""Format percentages, durations and lists for messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import floor, log10
 
 
 def format_percent(share: float) -> str:
-    """Format a share as ``12 %``, ``0.12 %`` or ``under 0.001 %``, with two significant digits."""
+    """Format a share in [0, 1] as ``12 %``, ``0.12 %`` or ``under 0.001 %``, with two significant digits."""
     if 0.0 < share < 1e-5:
         return "under 0.001 %"
     return f"{format_two_digits(100.0 * share)} %"

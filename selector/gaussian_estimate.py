@@ -1,9 +1,10 @@
-"""Estimate errors or times of candidates from models and trials: Gaussian process regression on logarithms.
+"""Estimate errors or times of candidates from predictions and measurements: Gaussian process regression on logarithms.
 
-The difference between a real value and the expected one has three parts. One is common to all candidates of a view, one to a family
-of algorithms, and one belongs to a single candidate. So a trial of one candidate also corrects the others: its family much, the
-rest a little. The prior is multivariate normal, and each observation updates it (C. Rasmussen and C. Williams, Gaussian Processes
-for Machine Learning, 2006, equations 2.25 and 2.26).
+A candidate is a choice of algorithms and settings for a view. The difference between the logarithms of its real and its predicted
+value has three parts. One is common to all candidates of the view. One is common to a family, the candidates with the same
+algorithms. One belongs to the candidate alone. So a measurement of one candidate also corrects the predictions of the others, most
+of all those of its family. The prior is multivariate normal, and each observation updates it (C. Rasmussen and C. Williams,
+Gaussian Processes for Machine Learning, 2006, equations 2.25 and 2.26).
 
 Probabilities come from the logistic distribution with the same mean and standard deviation. Its tails are longer: large model
 errors are more frequent than under a normal distribution.
@@ -22,18 +23,19 @@ LOGISTIC_SD = pi / sqrt(3.0)
 """Standard deviation of a logistic distribution with scale 1."""
 
 MAX_SURPRISE = 3.0
-"""Residual in standard deviations, at most, that updates other candidates: a larger one points to an error in the candidate's own
-model.
+"""Maximum residual, in standard deviations, with which an observation updates other candidates.
+
+A larger residual is clipped, because it points to an error in the model of the observed candidate alone.
 """
 
 MAX_EXPONENT = 50.0
-"""Larger exponents give a probability of 0 or 1."""
+"""Limit of the argument of ``exp``. Beyond it a probability is 0 or 1."""
 
 
 class SharedVariance(BaseModel):
-    """Shares of the variance that candidates have in common.
+    """Shares of the variance of a value that candidates have in common.
 
-    ``view`` is common to all candidates of a view, ``family`` to those of one family in addition.
+    ``view`` is common to all candidates of a view. ``family`` is in addition common to the candidates with the same algorithms.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -43,7 +45,7 @@ class SharedVariance(BaseModel):
 
     @property
     def individual(self) -> float:
-        """The share of each candidate alone."""
+        """The share of the variance that belongs to each candidate alone."""
         return max(1.0 - self.view - self.family, 0.0)
 
 
@@ -66,10 +68,10 @@ class GaussianEstimate:
     def prior(
         cls, expected_log: Sequence[float], scales: Sequence[float], families: Sequence[object], shared: SharedVariance
     ) -> GaussianEstimate:
-        """Return the distribution before any trial.
+        """Return the prior distribution, before any candidate was measured.
 
-        ``expected_log`` are the expected logarithms, ``scales`` the scales of their logistic distributions, and ``families`` the
-        families of the candidates.
+        ``expected_log`` holds the expected logarithms of the n candidates, and ``scales`` the scales of their logistic
+        distributions. Candidates with equal ``families`` belong to one family.
         """
         count = len(families)
         same_family = np.array(
@@ -80,7 +82,10 @@ class GaussianEstimate:
         return cls(np.array(expected_log, np.float64), correlation * np.outer(sd, sd))
 
     def after_observation(self, which: int, value_log: float, noise: float) -> GaussianEstimate:
-        """Return the posterior after an observation of candidate ``which``, with the standard deviation ``noise``."""
+        """Return the posterior after an observation of the candidate with index ``which``.
+
+        ``value_log`` is the logarithm of the observed value, and ``noise`` its standard deviation.
+        """
         column = self.covariance[:, which]
         total = column[which] + noise**2
         if total <= 0.0:
@@ -92,16 +97,19 @@ class GaussianEstimate:
         return GaussianEstimate(mean, self.covariance - np.outer(gain, column))
 
     def scale(self, which: int) -> float:
-        """Return the scale of a candidate's logistic distribution."""
+        """Return the scale of the logistic distribution of the logarithm of candidate ``which``."""
         return float(np.sqrt(max(self.covariance[which, which], 0.0))) / LOGISTIC_SD
 
     def probability_over(self, which: int, limit_log: float) -> float:
-        """Return the probability, in [0, 1], that a candidate's logarithm exceeds a limit."""
+        """Return the probability, in [0, 1], that the logarithm of candidate ``which`` exceeds ``limit_log``."""
         return logistic_probability_over(float(self.mean[which]) - limit_log, self.scale(which))
 
 
 def logistic_probability_over(excess: float, scale: float) -> float:
-    """Return the probability, in [0, 1], that a logistic variable exceeds a limit. Its mean lies ``excess`` above the limit."""
+    """Return the probability, in [0, 1], that a logistic variable exceeds a limit.
+
+    ``excess`` is its mean less the limit, and ``scale`` its scale. With a scale of 0 the result is 0 or 1.
+    """
     if scale <= 0.0:
         return float(excess > 0.0)
     return 1.0 / (1.0 + exp(-max(min(excess / scale, MAX_EXPONENT), -MAX_EXPONENT)))

@@ -1,4 +1,8 @@
-"""Observations of choices on a level's maps, by scale and sun. One probe stands for all maps and tiles of its class."""
+"""Observed times and errors of choices of algorithms on a level's maps, by class of maps.
+
+A class contains all maps of about the same scale under suns of about the same altitude. A probe draws some choices on one map, and
+compares them with ground truth. Its observations are used for all maps and tiles of the class.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +15,22 @@ from pydantic import BaseModel, ConfigDict
 from skugga.selector.observation import Observation
 
 PROBE_SETTINGS = {"max_error", "max_ms", "algorithm"}
-"""Shadow settings that a request may change and still use probes. Other settings change the picture."""
+"""Shadow settings that a request may set and still use stored observations. Other settings change the picture."""
 
 MIN_SUN, MAX_SUN = -5, 2
-"""Classes of suns from about 2 to 70 degrees. Lower and higher suns are assigned to the nearest class."""
+"""Lowest and highest ``MapClass.sun``, for suns of about 2 and 70 degrees. Lower and higher suns belong to these classes."""
 
 BLOCK_ERROR_SD, BLOCK_TIME_SD = 0.6, 0.3
 """Standard deviations of the logarithms of errors and times between blocks of a level at one scale and sun.
 
-Measured by ``benchmarks/selection/blocks.py`` in 24 situations of six levels. For errors it is the limit that two thirds stay
-below, since a few blocks differ much more. For times it is the root mean square without the noise of the clock.
+Measured by ``benchmarks/selection/blocks.py`` for 24 combinations of level, scale and sun, in six levels. For errors it is the
+limit below which two thirds of the blocks stay, since a few blocks differ much more. For times it is the root mean square without
+the noise of the time measurement.
 """
 
 
 class MapClass(NamedTuple):
-    """Class of similar maps.
+    """A class of maps with about the same scale under suns of about the same altitude.
 
     Attributes
     ----------
@@ -46,7 +51,7 @@ class MapClass(NamedTuple):
 
 
 def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None:
-    """Return the class of a map with pixels of ``pixel_m`` metres, or ``None`` for a sun that is down or unknown."""
+    """Return the class of a map with pixels of ``pixel_m`` metres; ``None`` for a sun that is down or unknown."""
     if sun_altitude_deg is None or sun_altitude_deg <= 0.0:
         return None
     steepness = log2(tan(radians(min(sun_altitude_deg, 89.0))))
@@ -54,7 +59,7 @@ def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None
 
 
 class ProbedClass(BaseModel):
-    """Observations in a class of maps, by light."""
+    """Observations in one class of maps. ``scale`` and ``sun`` are those of ``MapClass``; ``seen`` has observations by light."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -64,16 +69,17 @@ class ProbedClass(BaseModel):
 
 
 class MapProbes(BaseModel):
-    """Observations of choices on a level's maps. An immutable value: ``merged_with`` returns a new one."""
+    """Observations of choices of algorithms on a level's maps, by class of maps. It is immutable."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     classes: tuple[ProbedClass, ...] = ()
 
     def of(self, target: MapClass | None) -> Mapping[str, tuple[Observation, ...]] | None:
-        """Return the observations in a class by light, or ``None`` if it was not probed.
+        """Return the observations in the class ``target`` by light; ``None`` if there are none.
 
-        The noises include the differences between blocks, since the map may show another part of the level.
+        Their noises include the differences between blocks of a level, since a map may show another part of the level than the one
+        that was observed.
         """
         for probed_class in self.classes:
             if (probed_class.scale, probed_class.sun) == target:
@@ -81,7 +87,7 @@ class MapProbes(BaseModel):
         return None
 
     def merged_with(self, other: MapProbes) -> MapProbes:
-        """Return these probes combined with others, sorted by class. The other ones replace classes that both have."""
+        """Return the classes of both objects, sorted. For a class that both have, the observations of ``other`` are used."""
         by_class = {(probed_class.scale, probed_class.sun): probed_class for probed_class in (*self.classes, *other.classes)}
         return MapProbes(classes=tuple(by_class[key] for key in sorted(by_class)))
 

@@ -1,4 +1,4 @@
-"""Combinations of algorithms, one for each kind of casters. No single algorithm's module owns them."""
+"""Combinations of algorithms for different kinds of casters. They belong to no single algorithm's module."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skugga.terrain.level.level import CasterKind
 
 @dataclass(frozen=True)
 class Mix:
-    """Algorithms by kind of casters.
+    """A combination of algorithms, each for some kinds of casters.
 
     Attributes
     ----------
@@ -45,4 +45,4 @@ MIXES = (
     ),
     Mix("shadow_map+perspective_shadow_map", {"meshes": "perspective_shadow_map"}, in_portfolio=False),
 )
-"""Most informative combinations first: the last ones are dropped if the number of candidates exceeds its limit."""
+"""The combinations, the most useful first. The last ones are dropped if the number of candidates exceeds its limit."""

@@ -1,4 +1,4 @@
-"""Observed error and time of a choice that was drawn."""
+"""The observed error and time of a choice of algorithms and settings that was drawn."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class Observation(BaseModel):
-    """Observation of a drawn choice.
+    """The observed error and time of a choice of algorithms and settings that was drawn.
 
-    ``choice`` is its name, ``error`` the error that targets limit, ``interior`` the interior error, and ``ms`` the time. The noises
-    are standard deviations of their logarithms (``skugga.selector.cost.error_model.log_error``, ``log_interior``).
+    ``choice`` is its name. ``error`` is the error that a target limits (``max_error``), in [0, 1]. ``interior`` is the share of
+    pixels that are wrong far from shadow edges, in [0, 1]. ``ms`` is the time in milliseconds. ``error_noise``, ``interior_noise``
+    and ``ms_noise`` are standard deviations of the logarithms of these values (``skugga.selector.cost.error_model.log_error``,
+    ``log_interior``).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,4 +1,7 @@
-"""The options for a light, with estimates of their times and errors. Observations of some options correct all of them."""
+"""The options (choices of algorithms and settings) for a light, with estimates of their times and errors.
+
+Observations of some options correct the estimates of all.
+"""
 
 from __future__ import annotations
 
@@ -33,19 +36,19 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind
 
 MIN_MS = 1e-6
-"""Times are compared by their logarithms, from this one on."""
+"""Lower bound in milliseconds of a time before its logarithm is taken."""
 
 
 @dataclass(frozen=True)
 class PredictedChoice:
-    """A choice for a light with its steps and predictions.
+    """A choice of algorithms and settings for a light, with its predicted time and errors.
 
     Attributes
     ----------
     choice
         The choice.
     steps
-        The steps that the planner makes of it.
+        The steps of the choice: calls of algorithms, each for some kinds of casters.
     ms
         Expected time, milliseconds.
     errors
@@ -63,26 +66,26 @@ class PredictedChoice:
 
     @property
     def family(self) -> tuple[tuple[object, ...], ...]:
-        """The algorithms and the kinds of casters that they draw. Choices of a family differ in their settings alone."""
+        """The algorithms, each with its kinds of casters. Choices with the same family differ only in their settings."""
         return tuple((step.algorithm, step.kinds) for step in self.steps)
 
 
 @dataclass(frozen=True, eq=False)
 class LightOptions:
-    """The options for a light, with estimates of their times and errors.
+    """The options (choices of algorithms and settings) for a light, with estimates of their times and errors.
 
     Attributes
     ----------
     options
-        The options. Their numbers are indices into this tuple.
+        The options. The number of an option is its index in this tuple.
     error
-        Distribution of the error's logarithm.
+        Joint distribution of the logarithms of the options' errors.
     interior
-        Distribution of the interior error's logarithm.
+        Joint distribution of the logarithms of their interior errors (wrong pixels far from shadow edges).
     time
-        Distribution of the time's logarithm.
+        Joint distribution of the logarithms of their times.
     observations
-        Observations by number.
+        Observations by number of the option.
     refused
         Numbers of the options that their algorithms refused to draw.
     """
@@ -119,7 +122,11 @@ class LightOptions:
         )
 
     def after(self, observations: Iterable[Observation]) -> LightOptions:
-        """Return the options after observations. The last one of each choice counts, and those of other choices are ignored."""
+        """Return the options with estimates that observations correct.
+
+        ``self.observations`` then holds the last observation of each option. Observations of choices that are not options are
+        ignored.
+        """
         numbers = {option.choice.name: number for number, option in enumerate(self.options)}
         posterior = self
         for observation in observations:
@@ -144,12 +151,12 @@ class LightOptions:
         )
 
     def wrong(self, which: int) -> float:
-        """Return the share of all pixels that an option is expected to get wrong."""
+        """Return the expected share, in [0, 1], of all pixels that are wrong with an option."""
         errors = self.options[which].errors
         return min(errors.wrong * self.figures(which).error / errors.wrong_cast, 1.0) if errors.wrong_cast > 0.0 else errors.wrong
 
     def miss_chance(self, which: int, max_error: float) -> float:
-        """Return the probability, in [0, 1], that an option misses an error limit.
+        """Return the probability, in [0, 1], that an option exceeds an error limit.
 
         The limits are ``max_error`` for the error and ``MAX_INTERIOR`` for the interior error.
         """
@@ -158,7 +165,7 @@ class LightOptions:
         return max(error, inside)  # interior errors are errors, too
 
     def forecast(self, which: int, max_error: float) -> Forecast:
-        """Return the forecast of an option for a target."""
+        """Return the forecast of an option: its time and errors, and its probability of an error over the limit."""
         return Forecast(self.figures(which), self.miss_chance(which, max_error), self.time.scale(which))
 
     def forecasts(self, max_error: float) -> list[Forecast]:
@@ -183,9 +190,10 @@ def predicted_choices(
     errors: ErrorModel | None = None,
     unmeasured: dict[AlgorithmName, str] | None = None,
 ) -> list[PredictedChoice]:
-    """Return the options for a light, no two with the same steps, with their predictions.
+    """Return the options for a light and some kinds of casters, with their predicted times and errors.
 
-    An algorithm without predictions is left out. ``unmeasured`` receives the reason.
+    No two of them have the same steps. Options with an algorithm that cannot be predicted are left out. The reasons are added to
+    ``unmeasured`` by algorithm.
     """
     descriptor, model = planner.descriptor, errors or packaged_model()
     options: dict[tuple[object, ...], PredictedChoice] = {}

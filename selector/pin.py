@@ -1,10 +1,12 @@
-"""Write choices into the level file: algorithms and settings under ``shadows`` for all views and suns, or a list of ``pins`` there.
+"""Pin choices: write chosen algorithms and settings into the level file, so that later plans use them.
+
+They are written as keys under ``shadows`` for all views and suns, or as items of the list ``pins`` there for some views and suns.
 
 - Only the affected part of the text changes. Comments, order, quotes, indentation and line ends of all other keys stay the same
   byte for byte.
-- Lines that begin with ``#:`` belong to the pin, and the next pin replaces them.
-- The user's comments at a replaced value stay. Those of an item in a list of pins stay at the item for the same view and suns, all
-  others move above the value's key.
+- Lines that begin with ``#:`` are written by this module. The next write replaces them.
+- The user's comments at a replaced value stay. A comment at an item of ``pins`` stays at the item for the same view and suns. All
+  other comments move above the value's key.
 """
 
 from __future__ import annotations
@@ -35,15 +37,15 @@ from skugga.terrain.level.pin_scope import PinScope
 from skugga.terrain.level.rasters import is_level_raster
 
 POLICY_CHOSEN = ("map_size",)
-"""Settings that all policies but the rules choose for each view. They are pinned even if the rules agree."""
+"""Settings that all policies except ``rules`` choose. They are written even if they equal those that ``rules`` would use."""
 
 PINS = "pins"
-"""Key of the pins for some views and suns."""
+"""Key, under ``shadows``, of the list of pins: algorithms and settings for some views and suns."""
 
 PIN_COMMENT = "#: Pinned by skugga select"
 PINNED_KEYS_COMMENT = "#: Pinned keys: "
 COMMENT_WIDTH = 116
-"""Characters of a comment's line, at most."""
+"""Maximum length of a comment's line, characters."""
 
 _PIN_BLOCK = re.compile(rf"^[ \t]*{PIN_COMMENT}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
 _PINNED_KEYS = re.compile(rf"^[ \t]*{PINNED_KEYS_COMMENT}([a-z_, ]+)\.", re.MULTILINE)
@@ -54,18 +56,18 @@ _ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
 Pair = tuple[ScalarNode, Node]
 Edit = tuple[int, int, str]
 Comment = tuple[int, str]
-"""Position of a comment in the text, and its text from the ``#`` on."""
+"""Index of a comment in the text, and the comment from its ``#`` on."""
 
 
 class ItemComments(NamedTuple):
-    """Comments at an item of a list.
+    """Comments at an item of a YAML list.
 
     Attributes
     ----------
     above
-        Comments on the lines above it.
+        Comments on the lines above the item.
     trailing
-        Comments on its own line.
+        Comments behind the item on its own line.
     """
 
     above: list[str]
@@ -73,9 +75,10 @@ class ItemComments(NamedTuple):
 
 
 def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[str, Any]:
-    """Return the keys of ``shadows`` that pin a plan: ``algorithm`` of all casters, and the settings that do not follow from it.
+    """Return the keys of ``shadows`` that make later plans equal to ``plan``, with their values.
 
-    A level has one value of a setting for all lights and kinds of casters. A setting with several values stays automatic. Raises
+    They are ``algorithm`` for all casters, and the settings that differ from those that follow from it. A level has one value of a
+    setting for all lights and kinds of casters. A setting with several values in the plan is left out and stays automatic. Raises
     ``InputError`` if nothing casts shadows.
     """
     cast = {light: {kind: name for kind, name in kinds.items() if name != NO_SHADOWS} for light, kinds in plan.algorithm.items()}
@@ -95,20 +98,24 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
 
 
 def pinned_keys(path: Path) -> tuple[str, ...]:
-    """Return the keys of ``shadows`` that an earlier pin wrote into a level file. Raises ``LevelError``."""
+    """Return the keys of ``shadows`` that an earlier call of ``pin`` wrote into a level file.
+
+    They are read from the comment above ``shadows``. Raises ``LevelError`` if the file cannot be read.
+    """
     match = _PIN_BLOCK.search(_read(path))
     return _keys_of(match.group()) if match else ()
 
 
 def default_values(keys: Iterable[str]) -> dict[str, Any]:
-    """Return the values of keys of ``shadows`` without a pin."""
+    """Return the values that remove an earlier pin: those of keys of ``shadows`` that leave the choice to the planner."""
     return {key: [] if key == PINS else "auto" for key in keys}
 
 
 def pin(path: Path, chosen: Mapping[str, Any], reasons: Sequence[str]) -> None:
-    """Write chosen keys of ``shadows`` into a level file with a comment, in the place of an earlier pin.
+    """Write chosen keys of ``shadows``, and a comment with the reasons, into a level file. They replace an earlier pin.
 
-    The file is replaced by an atomic write. Raises ``LevelError`` if it cannot be written, or only with changes elsewhere.
+    The file is replaced by an atomic write. Raises ``LevelError`` if it cannot be written, or if the edit would change the meaning
+    of other parts of the file.
     """
     path = path.resolve()
     before = _read(path)
@@ -128,9 +135,9 @@ def pin(path: Path, chosen: Mapping[str, Any], reasons: Sequence[str]) -> None:
 
 
 def pinned_text(text: str, chosen: Mapping[str, Any], reasons: Sequence[str]) -> str | None:
-    """Return a level's text with the chosen keys under ``shadows`` and a comment above, or ``None``.
+    """Return a level file's text with the chosen keys under ``shadows``, and a comment with the reasons above.
 
-    ``None`` means that this would change the meaning of other parts of the text.
+    ``None`` means that the edit would change the meaning of other parts of the text.
     """
     before = _load(text)
     earlier = _PIN_BLOCK.search(text)
@@ -175,7 +182,7 @@ def _rewritten_text(text: str, new_values: Mapping[str, Any], reasons: Sequence[
 
 
 def _mapping_edits(text: str, shadows: MappingNode, new_values: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
-    """Return the edits that change present keys in their place and append the others."""
+    """Return the edits that set keys of the mapping ``shadows``: existing keys change in their place, new keys are appended."""
     pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
     comments = _comments_in(text)
     edits: list[Edit] = []
@@ -204,7 +211,7 @@ def _mapping_edits(text: str, shadows: MappingNode, new_values: Mapping[str, Any
 
 
 def _is_list_of_lines(pair: Pair) -> bool:
-    """Return whether a pair is a list with an item a line, which can be replaced line by line."""
+    """Return whether the value of a key is a list with one item per line, or an empty one, without aliases."""
     key, value = pair
     if not isinstance(value, SequenceNode) or _is_alias(key, value) or (value.flow_style and value.value):
         return False
@@ -214,9 +221,10 @@ def _is_list_of_lines(pair: Pair) -> bool:
 def _list_edits(
     text: str, pair: Pair, items: Sequence[Any], line_end: str, comments: Sequence[Comment]
 ) -> tuple[list[Edit], list[str]]:
-    """Return the edits that replace a list by another one, with an item a line, and the comments without a place in it.
+    """Return the edits that replace a list of pins by another one with one item per line, and the comments that lose their place.
 
-    The comment behind the list's key stays.
+    A comment stays at the item for the same view and suns. Without such an item it loses its place. The comment behind the list's
+    key stays there.
     """
     key, value = pair
     assert isinstance(value, SequenceNode)
@@ -250,12 +258,12 @@ def _list_edits(
 
 
 def _scope(pin_of_list: Mapping[str, Any]) -> list[Any]:
-    """Return the scope of a pin: its view and suns."""
+    """Return the view and the suns for which an item of the list of pins applies."""
     return [pin_of_list.get(key) for key in PinScope.model_fields]
 
 
 def _comments_in(text: str) -> list[Comment]:
-    """Return all comments of a text, in order: text that is neither a YAML token nor space."""
+    """Return all comments of a YAML text in order, from the ``#`` on. They lie between the tokens of the parser."""
     comments, at = [], 0
     for token in YAML(typ="safe", pure=True).scan(text):
         comments += [(match.start(), match.group()) for match in _COMMENT.finditer(text, at, max(token.start_mark.index, at))]
@@ -269,15 +277,15 @@ def _insert_edit(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: b
 
 
 def _fill_edit(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
-    """Return the edit that fills an empty mapping in braces."""
+    """Return the edit that inserts keys and values into an empty mapping ``{}``."""
     insert_at = empty.end_mark.index - 1
     return insert_at, insert_at, _flow_text(new, quoted)[1:-1]
 
 
 def _span(text: str, pair: Pair) -> tuple[int, int]:
-    """Return the start and end of a value, or of the alias that stands for it.
+    """Return the start and end index of a key's value in the text, or of the alias (``*name``) that stands for it.
 
-    Comments and line ends that the parser counts as part of a block are excluded.
+    The parser counts comments and line ends behind a block as part of it. They are excluded.
     """
     key, value = pair
     if _is_alias(key, value):
@@ -300,19 +308,23 @@ def _end(text: str, node: Node) -> int:
 
 
 def _is_alias(key: Node, value: Node) -> bool:
-    """Return whether a value is an alias: its node is then the one at the anchor, which stands elsewhere."""
+    """Return whether a key's value is an alias (``*name``).
+
+    For an alias, the parser returns the node at the anchor, which stands before the key.
+    """
     return value.start_mark.index < key.end_mark.index
 
 
 def _block_lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
-    """Return keys and values of a block, each on its own line or lines."""
+    """Return the lines of keys and values in block style, indented."""
     return [f"{indent}{key}:{_block_text(value, indent, line_end)}" for key, value in pairs.items()]
 
 
 def _block_text(value: Any, indent: str, line_end: str, item_comments: Mapping[int, ItemComments] | None = None) -> str:
-    """Return the text behind a key and its colon.
+    """Return the text of a value, to be inserted behind its key and the colon.
 
-    It is a list of mappings with an item a line, with comments by the item's number, or else the value on the key's own line.
+    A list of mappings has one item per line, with ``item_comments`` by the index of the item. Any other value stands on the key's
+    line.
     """
     if not (isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value)):
         return f" {_flow_text(value, quoted=False)}"
@@ -324,7 +336,10 @@ def _block_text(value: Any, indent: str, line_end: str, item_comments: Mapping[i
 
 
 def _flow_text(value: Any, quoted: bool) -> str:
-    """Return a value on one line. Strings are quoted if the file quotes them, or if YAML would read them as another type."""
+    """Return a value as YAML on one line.
+
+    Strings are quoted if ``quoted``, or if YAML would read them as another type.
+    """
     if isinstance(value, list | tuple):
         return f"[{', '.join(_flow_text(item, quoted) for item in value)}]"
     if isinstance(value, Mapping):

@@ -1,6 +1,6 @@
-"""The sun's visibility at a map's own points of bare ground, without a geometry buffer: the path for masks of large rasters.
+"""Draw the sun's visibility at a map's own points of bare ground, without a geometry buffer: the path for masks of large rasters.
 
-The masks equal those of ``render_frame``: both sweep the same nodes.
+The masks equal the visibility that ``render_frame`` draws, since both compute shadows at the same nodes.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """The colours of the sky behind a perspective view. Haze and water use them as the light of infinitely deep air.
 
-By day the colour changes from the horizon's to the zenith's with the sine of the altitude. The light of a low sun
-takes a long path through the air, which adds colours:
+By day the colour changes from the horizon's to the zenith's with the sine of the altitude. The light of a low sun takes a long path
+through the air, which adds colours:
 
-- Sunlight has the colour of white light after the optical air mass of that path (F. Kasten and A. T. Young 1989, "Revised optical air mass
-  tables and approximation formula", Applied Optics 28(22)). Rayleigh scattering removes blue first. Depths are those of a clear
-  atmosphere (E. Bruneton and F. Neyret 2008, "Precomputed atmospheric scattering") with a little aerosol.
-- Sunlight colours the horizon, most below the sun and a little opposite to it. Multiple scattering makes it paler, so
-  only a share of the optical depth counts.
+- Sunlight has the colour of white light after the optical air mass of that path (F. Kasten and A. T. Young 1989, "Revised optical
+  air mass tables and approximation formula", Applied Optics 28(22)). Rayleigh scattering removes blue first. Depths are those of a
+  clear atmosphere (E. Bruneton and F. Neyret 2008, "Precomputed atmospheric scattering") with a little aerosol.
+- Sunlight colours the horizon, most below the sun and a little opposite to it. Multiple scattering makes it paler, so only a share
+  of the optical depth counts.
 - Towards the zenith red fades first, since thinner air scatters less: orange, yellow, a pale green, blue.
 - Round the sun, air and dust scatter forwards in a wide and a narrow lobe (L. G. Henyey and J. L. Greenstein 1941).
 

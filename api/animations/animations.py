@@ -134,7 +134,7 @@ class Animations:
         self._end(animation, "dismissed", message)
 
     def seconds_left(self, animation: Animation) -> float:
-        """Return the expected seconds until an animation is finished, including those before it in the queue."""
+        """Return the expected seconds until an animation is finished, including animations that precede it in the queue."""
         if animation.ended:
             return 0.0
         queued_s = []

@@ -16,7 +16,8 @@ from skugga.api.workers.jobs import FilmPicture, FrameJob, LevelKey, PlanHandove
 from skugga.api.workers.pool import Pool
 
 FRAME_TRIES = 5
-"""How often a frame is tried while render processes cannot start: with the pauses that clients are told, some 20 seconds."""
+"""Maximum number of tries of a frame while no render process can start. The pauses are those that clients are told; together they
+take some 20 seconds."""
 
 
 def frame_job(order: FilmOrder, number: int, previous_plans: PlanHandover | None = None) -> FrameJob:

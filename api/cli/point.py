@@ -140,7 +140,7 @@ def report_points(level: LevelSource, file: Path, options: PointOptions) -> None
 
 
 def report_line(level: LevelSource, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
-    """Print the sun along a line at the times of arrival, or at the level's time without ``start``.
+    """Print the sun along a line at the times of arrival. Without ``start`` the time is the level's own everywhere.
 
     Raises the errors of ``report_point``.
     """

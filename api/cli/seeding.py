@@ -51,7 +51,7 @@ ASSUMED_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain
 
 @dataclass(frozen=True)
 class SeedOptions:
-    """The command's options, as the user wrote them; see ``commands/seed.py`` for their meaning."""
+    """The command's options, as the user wrote them. ``commands/seed.py`` explains them."""
 
     output: Path
     zooms: str | None

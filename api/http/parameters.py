@@ -222,7 +222,7 @@ TileLayerQuery = Annotated[
 
 
 def _product_parameter(name: str) -> Any:
-    """Return the type annotation of the query parameter for a product option. Its description names the products with the option."""
+    """Return the type annotation of the query parameter for a product option. Its description lists the products."""
     products = [product for product in MAP_PRODUCTS if name in served_options(PRODUCTS[product])]
     field = served_options(PRODUCTS[products[0]])[name]
     value_type: Any = field.annotation

@@ -122,7 +122,7 @@ def public_error(request: Request, error: SkuggaError) -> tuple[ErrorReport, str
 def public_problem(error: SkuggaError) -> Problem:
     """Return the problem document that clients get for a ``SkuggaError``."""
     report = error_report_of(error)
-    # Errors that are not the client's name no parameter: their name would be the operator's file.
+    # Errors that the client did not cause name no parameter, since their ``name`` may be a path of the operator's files.
     parameter = getattr(error, "name", None) if report.public is None else None
     problem = problem_of(report.status, report.public or str(error), report.code, parameter)
     return problem.model_copy(update={"preparing": getattr(error, "preparing", None)})

@@ -247,7 +247,7 @@ class Product:
 
     @property
     def is_raster(self) -> bool:
-        """Whether it can be written as a georeferenced raster of any size."""
+        """Whether the product can be written as a georeferenced raster of any size."""
         return "map" in self.view_kinds and "tif" in self.formats and self.is_served and self.pass_layer is None
 
     def band_names(self, options: ProductOptions) -> tuple[str, ...]:

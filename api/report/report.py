@@ -29,7 +29,7 @@ MAX_REMARK_CHARACTERS = 240
 """Longer remarks, in characters, are collapsed."""
 
 LEFT_OUT_REMARK = "some rows were left out by the time limit"
-"""Remark on rows that were left out."""
+"""Remark on rows for which the time limit left no time."""
 
 _COLOURS = {
     "false": "false shadow: lit in truth",

@@ -44,7 +44,7 @@ LATTICE_PARTS = 4
 """Parts per side of a block. The lattice of their corners bounds the block's ground."""
 
 MARGIN_PX, MARGIN_CELLS = 8, 8
-"""Pixels around a block, and cells around those, that its normals and bilinear heights depend on."""
+"""Margins on which a block's normals and bilinear heights depend: pixels around the block, and cells around these pixels."""
 
 SHADOW_MARGIN_DEG = 0.3
 """Half of the sun's disc, plus slightly more than terrestrial refraction bends a ray of 100 km."""

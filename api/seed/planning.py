@@ -48,13 +48,13 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
 DEFAULT_TASK_S = 0.25
-"""Seconds of a full task without any prediction."""
+"""Expected seconds of a task whose block is full of data, if there is no prediction."""
 
 SHADING_OVERHEAD_S = 0.15
-"""Seconds that ground, shading and files add to the prediction of a full task."""
+"""Seconds that ground, shading and files add to the predicted duration of a task whose block is full of data."""
 
 MIN_TASK_SHARE = 0.05
-"""Duration of a task that shows hardly any data, relative to a full task."""
+"""Duration of a task that shows hardly any data, relative to a task whose block is full of data."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class PlannedRun:
 
     @property
     def is_unchanged(self) -> bool:
-        """Whether the level's files are unchanged since they were read."""
+        """Whether the level's files are unchanged since the run was planned."""
         return file_stamps(self.files) == self.stamps
 
 

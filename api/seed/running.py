@@ -14,7 +14,7 @@ from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.errors import RenderError
 
 MAX_DEATHS = 3
-"""Maximum number of starts of a task whose workers die."""
+"""Maximum number of times that a task is started although its workers die."""
 
 MAX_TIME_RATIO = 100.0
 """Timeout of a task relative to its expected duration; ``MIN_LIMIT_S`` is the minimum timeout."""

@@ -24,7 +24,7 @@ MAX_RETRY_AFTER_S = 120
 
 
 def is_tile(job: Job) -> bool:
-    """Return whether a job draws a part of a larger map, so that its refusal would leave a hole there: a block or a small map."""
+    """Return whether a job draws a part of a client's map: a block or a small map. Its refusal would leave a hole there."""
     if isinstance(job, MapJob):
         return max(job.size) <= MAX_TILE_SIDE_PX
     return isinstance(job, BlockJob)

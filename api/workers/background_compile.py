@@ -1,6 +1,7 @@
 """Background compilation of loops, once a service can draw, at the lowest priority.
 
-A loop is a function that numba compiles to machine code and stores in a cache on disk. Missing loops are those that the cache lacks.
+A loop is a function that numba compiles to machine code and stores in a cache on disk. Missing loops are those that the cache
+lacks.
 """
 
 from __future__ import annotations

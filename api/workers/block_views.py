@@ -10,7 +10,10 @@ from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 
 @cached("process", MIB, size_of=lambda _: 512)
 def grid_of_zoom(matrix_set: str, zoom: int) -> Grid:
-    """Return the pixel grid of a zoom of a tile matrix set, by the set's name. Cached, since constructing a set takes milliseconds."""
+    """Return the pixel grid of a zoom of a tile matrix set, which is given by its name.
+
+    The result is cached, since constructing a tile matrix set takes milliseconds.
+    """
     return tile_grid(matrix_sets.get(matrix_set), zoom)
 
 

@@ -20,8 +20,8 @@ log = logging.getLogger("skugga")
 class ChildProcess:
     """A child process with a pipe, and the thread that reads from the pipe.
 
-    Call ``start``, then ``in_new_thread`` with functions that use ``pipe``, then ``end``. Cancelling a wait does not stop its thread.
-    The thread ends when the process ends. Use it from one event loop.
+    Call ``start``, then ``in_new_thread`` with functions that use ``pipe``, then ``end``. Cancelling a wait does not stop its
+    thread. The thread ends when the process ends. Use it from one event loop.
     """
 
     def __init__(self, piped: PipedProcess, threads: Executor) -> None:

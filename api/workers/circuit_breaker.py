@@ -1,7 +1,7 @@
 """A circuit breaker for each kind of job.
 
-After failures in a row the circuit of a kind opens: jobs of the kind are refused for a while, so that they do not end one render
-process after another.
+After several failures in a row the circuit of a kind opens. Jobs of the kind are then refused for a while, so that they do not
+end one render process after another.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class _Record:
 class CircuitBreaker:
     """Circuit breakers of all kinds of jobs.
 
-    Blocks, plans and descriptors with the level's own shadow settings also count for the whole level: if they fail, all jobs of
-    the level are refused. Failures of other jobs affect only jobs of the same kind (``kind_of_job``), which includes the shadow
-    settings.
+    Failures affect jobs of the same kind: of the same type and level, and with the same shadow settings (``kind_of_job``).
+    Failures of blocks, plans and descriptors with the level's own shadow settings also open the circuit of the level. All jobs of
+    the level are then refused.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -72,6 +72,9 @@ def _keys(job: Job) -> list[Hashable]:
 
 
 def _affected_keys(job: Job) -> list[Hashable]:
-    """Return the keys of the circuits that record the outcome of a job: its kind, and its level if the job has no shadow settings."""
+    """Return the keys of the circuits that record the outcome of a job: that of its kind, and for some jobs that of its level.
+
+    These jobs are blocks, plans and descriptors whose request has no shadow settings.
+    """
     is_plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
     return _keys(job) if is_plain else _keys(job)[:1]

@@ -96,7 +96,10 @@ def _keys_of(job: Job) -> tuple[Hashable, Hashable]:
 
 
 def _variant_of(job: Job) -> Hashable:
-    """Return the variant of a job within its kind, which affects its duration: the product, the zoom, the format and the tile size."""
+    """Return the variant of a job within its kind, as a key.
+
+    A variant consists of what else affects the duration: the product, tile matrix set and zoom, and the format and size of tiles.
+    """
     product = job.request.product if isinstance(job.request, ProductRequest) else None
     return product, *(getattr(job, name, None) for name in ("matrix_set", "zoom", "format", "tiles"))
 

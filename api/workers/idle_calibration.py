@@ -69,8 +69,8 @@ class IdleCalibration:
     def state(self) -> CalibrationState:
         """The state of the calibration.
 
-        It is ``calibrated``; ``waiting`` for idle time, ``running`` or ``paused``; ``failed``; ``off`` if calibration in idle time is
-        disabled; ``none`` if there is no OpenGL device to calibrate.
+        It is ``calibrated``; ``waiting`` for idle time, ``running`` or ``paused``; ``failed``; ``off`` if calibration in idle time
+        is disabled; ``none`` if there is no OpenGL device to calibrate.
         """
         if self._device() is not None:
             return "calibrated"
@@ -144,7 +144,10 @@ class IdleCalibration:
             last_stamp = await self._read(path, last_stamp)
 
     async def _read(self, path: Path, last_stamp: ProfileStamp | None) -> ProfileStamp | None:
-        """Load the file if its stamp (time, inode, size) differs from ``last_stamp``. Return the stamp of the file as last loaded."""
+        """Load the file if its stamp (time, inode, size) differs from ``last_stamp``.
+
+        Return the new stamp; ``last_stamp`` if the file is unchanged or missing.
+        """
         stamp = await asyncio.to_thread(_stamp, path)
         if stamp is None or stamp == last_stamp:
             return last_stamp

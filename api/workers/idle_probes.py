@@ -1,8 +1,8 @@
 """Probes of the levels that a service draws maps of: loaded from the user's cache folder, or made in idle time if missing.
 
-A probe draws sample blocks of a level's maps with several shadow algorithms, and observes errors and times. Observations correct the
-predictions of plans. They are grouped by scale and by class of suns: suns of similar altitude. The service also loads probes that a
-command writes while it runs.
+A probe draws sample blocks of a level's maps with several shadow algorithms, and observes errors and times. The observations
+correct the predictions of plans. They are grouped by scale and by class of suns (suns of similar altitude). The service also loads
+probes that a command writes while it runs.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class IdleProbes:
             probed_class.sun == unprobed.sun
             for probed_class in MapProbes.model_validate_json(self._probes_in_use().get(level.version, "{}")).classes
         ):
-            return  # probed already: the map has a scale that tiles do not have
+            return  # the level was probed under such a sun; the map has a scale that tiles do not have
         self._requested.add(key)
         name = f"{level.path.stem} under a sun about {unprobed.sun_altitude_deg:.0f} degrees high"
 

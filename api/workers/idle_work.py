@@ -98,7 +98,10 @@ class IdleWork:
         self._jobs.put_nowait(job)
 
     def pause_for_requests(self) -> None:
-        """Stop the process of the running job, because a request has arrived. It resumes after ``QUIET_S`` seconds without requests."""
+        """Stop the process of the running job, because a request has arrived.
+
+        The process resumes after ``QUIET_S`` seconds without requests.
+        """
         self._last_activity_s = asyncio.get_running_loop().time()
         self._pause(True)
 
@@ -189,7 +192,8 @@ def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
-    if pipe.poll(0):  # the pipe is closed, since nothing is ever sent: the service ended before this process watched it
+    # The service sends nothing, so a readable pipe is a closed one: the service ended before ``end_with_parent`` was called.
+    if pipe.poll(0):
         return
     set_idle_priority()
     os.environ.setdefault("LP_NUM_THREADS", str(gl_threads))

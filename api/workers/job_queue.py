@@ -1,4 +1,4 @@
-"""The queue of jobs that wait for a render process: order, expected waits, and the process reserved for light jobs."""
+"""The queue of jobs for render processes: it orders jobs, predicts waits, and keeps a process free for light jobs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from skugga.api.workers.expected_times import ExpectedTimes, kind_of_job
 from skugga.api.workers.jobs import Answer, Job
 
 BACKGROUND_PENALTY_S = 20.0
-"""Queue penalty of a background job, in seconds: it counts as having arrived this much later.
+"""Queue penalty in seconds: a background job (a frame of a film) is ordered as if it had arrived this much later.
 
-Requests that arrive meanwhile go first. Under a continuous load background jobs still make progress.
+Requests that arrive within this time go first. Under a continuous load background jobs still make progress.
 """
 
 
@@ -27,20 +27,22 @@ class PendingJob:
         The job.
     answer : asyncio.Future
         Receives the answer.
-    arrived_s, started_s : float
-        When the job arrived and when it started, by the event loop's clock.
+    arrived_s : float
+        Time in seconds when the job arrived, by the event loop's clock.
+    expiry_timer : asyncio.TimerHandle or None
+        Timer that fails the job if it waits too long in the queue.
+    started_s : float or None
+        Time in seconds when the job was last started, by the event loop's clock; ``None`` before that.
     cost_s : float
         Expected duration in seconds.
-    expiry_timer : asyncio.TimerHandle or None
-        Timer that ends the waiting.
     clients : Counter
-        Number of waiting requests per client. The job is charged to the first client.
+        Number of requests that wait for the job, by client. The job counts as a job of the first client.
     start_count : int
         Number of times the job was started.
     plan_version : str
-        Version of the plans that the job started with.
+        Version of the plans (``PlanBasis.version_of``) at the job's last start.
     is_background : bool
-        Whether the job is part of longer work, without a request that waits for this part.
+        Whether the job is a part of longer work, such as a frame of a film, so that no request waits for it.
     """
 
     job: Job
@@ -56,12 +58,12 @@ class PendingJob:
 
     @property
     def client(self) -> str:
-        """The client that the job is charged to."""
+        """The client whose share of the processes the job uses: the first one that waits for it."""
         return next(iter(self.clients), "")
 
     @property
     def sort_key_s(self) -> float:
-        """Sort key of the job among jobs of its client."""
+        """Sort key of the job among its client's jobs, in seconds. The job with the lowest key goes first."""
         return self.arrived_s + self.cost_s + (BACKGROUND_PENALTY_S if self.is_background else 0.0)
 
 
@@ -69,15 +71,16 @@ class PendingJob:
 class JobQueue:
     """Waiting and running jobs, scheduled by their expected durations.
 
-    Clients take turns by deficit round robin (Shreedhar, Varghese 1995), in expected seconds, with an infinitesimal quantum:
-    all waiting clients earn the same, and the first one that has earned the cost of its next job goes next. Each client gets
-    its share of the processes, whatever load the others add.
+    Clients take turns by deficit round robin (Shreedhar, Varghese 1995) with an infinitesimal quantum. All waiting clients earn
+    credit in seconds at the same rate. The first client whose credit reaches the expected duration of its next job goes next. Each
+    client thus gets an equal share of the processes, however many jobs the other clients add.
 
-    A client's jobs are ordered by arrival time plus expected duration. Light jobs overtake heavy ones that arrived a little
-    earlier, and no job starves. Background jobs carry a penalty of ``BACKGROUND_PENALTY_S`` and do not count in admission control.
+    A client's jobs are ordered by arrival time plus expected duration. So short jobs overtake long ones that arrived a little
+    earlier, and every job gets its turn. Background jobs have a penalty of ``BACKGROUND_PENALTY_S`` and do not count in admission
+    control.
 
-    Background jobs, and jobs not known to be light, use all processes but one if there are several. One process stays free for
-    light jobs.
+    If there are several processes, one of them is kept free for light jobs (``ExpectedTimes.is_light``). Other jobs, and all
+    background jobs, share the remaining processes.
 
     Attributes
     ----------
@@ -86,7 +89,7 @@ class JobQueue:
     expected : ExpectedTimes
         Expected durations.
     waiting : dict
-        Waiting jobs.
+        Waiting jobs, by job.
     running : set
         Running jobs.
     credit_s : dict
@@ -104,20 +107,20 @@ class JobQueue:
 
     @property
     def foreground_jobs(self) -> list[PendingJob]:
-        """Waiting jobs without background jobs."""
+        """Waiting jobs, except background jobs."""
         return [pending_job for pending_job in self.waiting.values() if not pending_job.is_background]
 
     def jobs_of_client(self, client: str) -> list[PendingJob]:
-        """Return the waiting jobs, without background jobs, that are charged to a client."""
+        """Return the waiting jobs of a client (``PendingJob.client``), except background jobs."""
         return [pending_job for pending_job in self.foreground_jobs if pending_job.client == client]
 
     def put(self, pending: PendingJob) -> None:
-        """Queue a job."""
+        """Add a job to the waiting ones, and set its expected duration."""
         pending.cost_s = self.expected.of(pending.job)
         self.waiting[pending.job] = pending
 
     def take(self, now_s: float) -> PendingJob | None:
-        """Start the next job and return it; ``None`` if no job may start."""
+        """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start."""
         heavy_count = sum(not self._is_light(pending_job) for pending_job in self.running)
         may_be_heavy = heavy_count < max(self.processes - 1, 1)
         pending = self._choose_next(
@@ -131,13 +134,13 @@ class JobQueue:
         return pending
 
     def discard(self, pending: PendingJob) -> None:
-        """Remove a job, whether it waits or runs."""
+        """Remove a job from the waiting or the running ones."""
         if self.waiting.get(pending.job) is pending:
             del self.waiting[pending.job]
         self.running.discard(pending)
 
     def learn(self, job: Job, seconds: float) -> None:
-        """Add the measured duration of a job, and update the expected durations of waiting jobs of its kind."""
+        """Learn the measured duration of a job in seconds, and update the expected durations of waiting jobs of its kind."""
         self.expected.learn(job, seconds)
         kind = kind_of_job(job)
         for pending_job in self.waiting.values():
@@ -145,9 +148,10 @@ class JobQueue:
                 pending_job.cost_s = self.expected.of(pending_job.job)
 
     def wait_s(self, job: Job, client: str, now_s: float) -> float:
-        """Return the expected wait of a client's job that arrives now, in seconds.
+        """Return the expected wait in seconds of a job that a client requests now.
 
-        The job waits until earlier jobs of its client are done, and until each other client has had as much time.
+        The job waits for the running jobs and for its client's jobs with a lower sort key. Meanwhile each other client uses up to
+        as much time as this client.
         """
         cost_s = self.expected.of(job)
         work_s: dict[str, float] = {client: 0.0}
@@ -174,7 +178,7 @@ class JobQueue:
         return self._first_by_deficit(first_jobs) if first_jobs else None
 
     def _first_by_deficit(self, first_jobs: dict[str, PendingJob]) -> PendingJob:
-        """Choose among the first jobs of several clients by deficit round robin, and update the clients' credit."""
+        """Choose one of the clients' first jobs by deficit round robin, and update the credit of all clients."""
         ordered_clients = [client for client in self.credit_s if client in first_jobs]  # ordered by last turn
         deficits_s = {
             client: first_jobs[client].cost_s - self.credit_s.get(client, 0.0)

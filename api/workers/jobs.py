@@ -1,4 +1,7 @@
-"""Messages between the service and its render processes: picklable values only."""
+"""Messages between the service and its render processes, which are picklable values: jobs, answers and heartbeats.
+
+A plan, in all of them, is a choice of shadow algorithms and settings for a view.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ if TYPE_CHECKING:
     from skugga.selector.replanning import PlanState
 
 ServedPolicy = Literal["rules", "predict"]
-"""Policies that a request may name. ``measure`` takes minutes and is for design time."""
+"""Policies for choosing a plan that a request may name: fixed rules, or predictions of cost and error.
+
+Other policies draw pictures to choose, which takes too long for a request."""
 
 
 class _Value(BaseModel):
@@ -32,15 +37,16 @@ class _Value(BaseModel):
 
 
 class LevelKey(LevelSource):
-    """The source of a level, with a version that changes with its text and the files that it names."""
+    """The source of a level, with a version: a digest that changes with the level's text and with the files that it names."""
 
     version: str
 
 
 class BlockJob(_Value):
-    """Compute and encode a block of 4 x 4 tiles (1024 x 1024 px): block (x, y) counts from the corner of a tile matrix.
+    """Compute a block of 4 x 4 tiles (1024 x 1024 pixels), and encode it as several files.
 
-    Each picture covers ``tiles`` x ``tiles`` tiles.
+    ``block_x`` and ``block_y`` are the block's column and row, counted in blocks from the top left corner of the tile matrix of
+    ``zoom``. Each file covers ``tiles`` x ``tiles`` tiles.
     """
 
     level: LevelKey
@@ -54,14 +60,14 @@ class BlockJob(_Value):
 
 
 class Tiles(_Value):
-    """The tiles of a zoom, which share one plan."""
+    """All tiles of a level at a zoom of a tile matrix set. They share one plan."""
 
     matrix_set: str
     zoom: int
 
 
 class PlanJob(_Value):
-    """Make the plan of a level's view, or of tiles, without drawing it."""
+    """Make the plan of a level's view, or of the tiles of a zoom, without drawing."""
 
     level: LevelKey
     view: str | Tiles
@@ -70,7 +76,7 @@ class PlanJob(_Value):
 
 
 class DescriptorJob(_Value):
-    """Make the descriptor of a level's view, or of tiles: the input of plans."""
+    """Make the descriptor of a level's view, or of the tiles of a zoom: the facts from which plans are made."""
 
     level: LevelKey
     view: str | Tiles
@@ -78,7 +84,7 @@ class DescriptorJob(_Value):
 
 
 class DescribedPlanJob(_Value):
-    """Make the plan of a descriptor given as JSON, for a scene known by its facts alone."""
+    """Make the plan for a client's descriptor, given as JSON. No level is needed."""
 
     descriptor_json: str
     policy: ServedPolicy = "predict"
@@ -86,10 +92,11 @@ class DescribedPlanJob(_Value):
 
 
 class SnapshotJob(_Value):
-    """Compute and encode a level's view, or another perspective (``camera``).
+    """Compute and encode a picture of a level's view, or of the perspective view of ``camera``.
 
-    ``size`` is (width, height) in pixels and ``seconds`` the time of the level's clock; ``None`` uses the level's own.
-    ``light`` names the light whose visibility is shown; ``None`` is the first.
+    ``size`` is (width, height) in pixels; ``None`` means the view's own. ``seconds`` is a time of the level's clock, which moves
+    casters, lamps and clouds; ``None`` means the level's own. ``light`` names the light whose visibility is shown; ``None`` means
+    the first light.
     """
 
     level: LevelKey
@@ -105,8 +112,9 @@ class SnapshotJob(_Value):
 class MapJob(_Value):
     """Compute and encode a map of any extent of a level.
 
-    ``bounds`` are west, south, east, north in units of ``crs``; ``None`` uses the level's own. ``size`` is (width, height) in
-    pixels. ``background`` (``RRGGBB``) fills transparent pixels; ``None`` keeps them transparent.
+    ``bounds`` are west, south, east, north in units of ``crs``; ``None`` means the whole level. ``crs`` is a code; ``None`` means
+    the CRS of the level's own maps. ``size`` is (width, height) in pixels. ``background`` (``RRGGBB``) is the colour behind
+    transparent pixels; ``None`` keeps them transparent.
     """
 
     level: LevelKey
@@ -122,7 +130,11 @@ PointProduct = Literal["report", "horizon", "sky"]
 
 
 class PointJob(_Value):
-    """Compute a point's sun report (JSON), horizon file (``format``), sky chart (svg or png), or the chart's figures (json)."""
+    """Compute the sun report, the horizon file or the sky chart of a point, as ``product`` says.
+
+    ``format`` is the format of a horizon file, or of a chart: ``svg``, ``png``, or ``json`` for the chart's figures. A report is
+    always JSON.
+    """
 
     level: LevelKey
     query: PointQuery
@@ -132,7 +144,11 @@ class PointJob(_Value):
 
 
 class PointsJob(_Value):
-    """Compute the sun's state at many points, on the day and clock time of a query."""
+    """Compute reports about the sun at many points.
+
+    ``query`` has the date and the clock (time zone) for all points. Points without a time of their own have the sun of
+    ``request``.
+    """
 
     level: LevelKey
     points: tuple[TrackPoint, ...]
@@ -141,10 +157,10 @@ class PointsJob(_Value):
 
 
 class Film(_Value):
-    """The content of a film: a time span, and one of the level's views or a camera along a ``path``.
+    """The content of a film: its time span, and one of the level's views or the path of a moving camera.
 
-    ``size`` is (width, height) in pixels; ``None`` uses that of the view or path. A film without dates uses the sun of its
-    request.
+    ``size`` is (width, height) in pixels; ``None`` means that of the view or path. A film whose span has no date keeps the sun of
+    ``request`` fixed.
     """
 
     level: LevelKey
@@ -155,24 +171,30 @@ class Film(_Value):
     request: PictureRequest = PictureRequest()
 
     def film_request(self) -> FilmRequest:
-        """Return the request in the engine's form."""
+        """Return the film as a request to the engine. It lacks the level and the sun."""
         overrides = self.request.overrides.for_selector()
         return FilmRequest(self.span, self.view, self.path, self.size, overrides=overrides)
 
 
 class FilmCheckJob(Film):
-    """Check all frames of a film before any is drawn, and plan the first one."""
+    """Check all frames of a film before any frame is drawn, and plan the first frame to predict its duration."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanHandover:
-    """Planning state that a frame hands to the next one, which another process may draw. Compared by identity."""
+    """Planning state after a frame of a film, from which the plan of the next frame is made.
+
+    Another process may draw the next frame. Two objects are equal only if they are the same object.
+    """
 
     state: PlanState
 
 
 class FrameJob(Film):
-    """Draw a frame of a film, counted from 0. Its plans continue those of the previous frame."""
+    """Draw one frame of a film.
+
+    ``number`` counts frames from 0. ``previous_plans`` is the planning state after the previous frame; ``None`` for the first.
+    """
 
     number: int
     previous_plans: InstanceOf[PlanHandover] | None = None
@@ -186,28 +208,32 @@ Job = (
 
 @dataclass(frozen=True)
 class Ping:
-    """Heartbeat request to an idle render process. It names the blocks of levels to prepare while idle."""
+    """Heartbeat request to an idle render process. It also names blocks whose levels the process opens while it is idle."""
 
     first_blocks: tuple[BlockJob, ...] = ()
 
 
 @dataclass(frozen=True)
 class Pong:
-    """Heartbeat answer. ``missing_loops`` counts the recorded loops without a stored binary, as far as they were counted."""
+    """Heartbeat answer.
+
+    ``missing_loops`` is the number of loops (functions that numba compiles) without machine code in the cache on disk; 0 until the
+    process has counted them.
+    """
 
     missing_loops: int = 0
 
 
 @dataclass(frozen=True)
 class Preparing:
-    """Progress of a render process before it is ready, or before a job.
+    """Progress of a preparation that a render process makes before it is ready, or before it can start a job.
 
     Attributes
     ----------
     task : str
         The step in words, for example "compiling loops for map tiles".
     done, total : int
-        Number of steps; ``total`` is 0 while unknown.
+        Number of finished steps, and of all steps; ``total`` is 0 while unknown.
     """
 
     task: str
@@ -217,20 +243,20 @@ class Preparing:
 
 @dataclass(frozen=True)
 class Ready:
-    """A render process has warmed up.
+    """Message that a render process has warmed up and waits for jobs.
 
     Attributes
     ----------
     renderer : str
         OpenGL's name of the renderer.
     device : DeviceProfile or None
-        Calibration that its plans use.
+        Calibration (measured costs of algorithms on the device) that its plans use; ``None`` without one.
     version : str
         OpenGL's version; empty without OpenGL.
     egl_device : str
         Name of its EGL device.
     missing_loops : int
-        Number of recorded loops that are not stored yet.
+        As in ``Pong``.
     """
 
     renderer: str
@@ -247,25 +273,26 @@ class BlockTiles:
     Attributes
     ----------
     tiles : dict
-        Files by row and column in the block.
+        Encoded files by (row, column) in the block, in units of a file's size.
     encode_ms : float
         Duration of encoding in milliseconds.
     headline : str
-        Algorithms of the plan, written as in overrides.
+        Algorithms of the plan (``Plan.headline``), or the name of a product that needs no plan.
     passes : tuple
-        Names of passes with milliseconds.
+        Name and milliseconds of each render pass.
     reach_used_m, reach_needed_m : float or None
-        Caster reach in metres; ``None`` if each of many suns had its own.
+        Distances towards the sun in metres in which shadow casters were searched, and had to be searched. ``None`` if no single
+        sun lit the block.
     reach_clipped : bool
-        Whether the reach was clipped.
+        Whether the level's data ends before the needed distance.
     renderer : str
-        Renderer that drew the block.
+        OpenGL's name of the renderer that drew the block.
     plan_version : str
-        Version of the plans (``PlanBasis``).
+        Version of the level's plans (``PlanBasis.version_of``).
     drawn : bool
-        Whether the block was drawn for this answer, and not cached.
+        Whether the block was drawn for this answer, and did not come from the process's cache.
     unprobed : MapClass or None
-        Class of the map if its plan relies on predictions alone (``skugga.api.workers.map_plans``).
+        Class (scale and sun) of the map if a probe of the level would improve its plan; else ``None``.
     """
 
     tiles: dict[tuple[int, int], bytes]
@@ -282,13 +309,13 @@ class BlockTiles:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the tiles."""
+        """Total bytes of the encoded files."""
         return sum(map(len, self.tiles.values()))
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A finished snapshot or map: the bytes of its file and the duration of encoding; the other fields as in ``BlockTiles``."""
+    """A finished snapshot or map. ``body`` has the bytes of its file; the other fields are as in ``BlockTiles``."""
 
     body: bytes
     encode_ms: float
@@ -302,7 +329,7 @@ class Snapshot:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the file."""
+        """Number of bytes of the file."""
         return len(self.body)
 
 
@@ -329,14 +356,14 @@ class PointAnswer:
 
 @dataclass(frozen=True)
 class FilmChecked:
-    """Result of a film check without errors. ``frame_ms`` is the expected duration per frame, if predicted."""
+    """Result of a film check without errors. ``frame_ms`` is the predicted duration of a frame; ``None`` without a prediction."""
 
     frame_ms: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class FilmPicture:
-    """A frame of a film: ``color`` uint8 (rows, cols, 3), and the planning state for the next frame."""
+    """A frame of a film: its colours, uint8 (rows, cols, 3), and the planning state for the next frame."""
 
     color: np.ndarray
     next_plans: PlanHandover
@@ -344,7 +371,19 @@ class FilmPicture:
 
 @dataclass(frozen=True)
 class Failure:
-    """A domain error as data. ``fatal`` says that the render process ends with it."""
+    """A ``SkuggaError`` as picklable data.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the error's class.
+    message : str
+        The error's message.
+    name, value, allowed : optional
+        Arguments of an ``InputError``: the parameter, its value, and what is allowed.
+    fatal : bool
+        Whether the render process ends after this answer.
+    """
 
     kind: str
     message: str
@@ -355,7 +394,7 @@ class Failure:
 
     @classmethod
     def of(cls, error: SkuggaError, fatal: bool = False) -> Failure:
-        """Return the data of an error."""
+        """Return an error as data."""
         kind = type(error).__name__
         if isinstance(error, InputError):
             value = error.value if isinstance(error.value, str | int | float | None) else repr(error.value)
@@ -363,7 +402,7 @@ class Failure:
         return cls(kind, str(error), fatal=fatal)
 
     def error(self) -> SkuggaError:
-        """Return the error that the data describes."""
+        """Return the error that the data describes. Errors of unknown classes become ``RenderError``."""
         kind = {error_class.__name__: error_class for error_class in ERROR_REPORTS}.get(self.kind, RenderError)
         if issubclass(kind, InputError):
             return kind(self.name or "", self.value, self.allowed or "")

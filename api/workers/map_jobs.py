@@ -1,4 +1,4 @@
-"""Maps of any extent, drawn in a render process."""
+"""Compute and encode maps of any extent in a render process."""
 
 from __future__ import annotations
 
@@ -21,12 +21,28 @@ from skugga.terrain.geo.grid import BLOCK_PX, MapView, map_view
 from skugga.terrain.scene import Scene
 
 STEP_DIGITS = 9
-"""Significant digits of a map's pixel steps in the key of its plan: steps of one scale differ by rounding only."""
+"""Significant digits of a map's pixel steps in the key of its plan.
+
+Maps of one scale have equal steps except for rounding errors, and share a plan."""
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedMap:
-    """A map's file with facts about its drawing; ``reach`` is ``None`` unless a single sun lit it."""
+    """The encoded file of a map, with facts about its rendering.
+
+    Attributes
+    ----------
+    body : bytes
+        The file.
+    encode_ms : float
+        Duration of encoding in milliseconds.
+    headline : str
+        Algorithms of the plan, or the name of a product that needs no plan.
+    passes : tuple of PassRecord
+        Name and milliseconds of each render pass.
+    reach : Reach or None
+        Distance towards the sun in which shadow casters were searched; ``None`` unless a single sun lit the map.
+    """
 
     body: bytes
     encode_ms: float
@@ -36,7 +52,7 @@ class EncodedMap:
 
 
 def requested_map_view(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
-    """Return the view of a map, and whether it shows any data of the level. Raises ``InputError``."""
+    """Return the view that a map job requests, and whether its extent overlaps the level's data. Raises ``InputError``."""
     if job.bounds is not None and job.crs is not None:
         crs = CRS.from_user_input(job.crs)
         if not scene.overlaps(crs, job.bounds):
@@ -47,9 +63,9 @@ def requested_map_view(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
 
 
 def representative_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
-    """Return the key of a map's scale, and the part of the level that stands for all its maps of that scale and CRS.
+    """Return the key of a map's CRS and scale, and a block at the level's middle in that CRS and scale.
 
-    All these maps share the plan of that part, like the tiles of a zoom.
+    All maps of the level with this key share the plan of this block, as the tiles of a zoom share one plan.
     """
     row_step, col_step = (float(f"{step:.{STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
     rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
@@ -61,7 +77,10 @@ def representative_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]
 
 
 def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], Plan]) -> EncodedMap:
-    """Compute a map; ``plan_of`` returns the plan of a scale from its key and part. Raises ``SkuggaError``."""
+    """Compute and encode a map. Raises ``SkuggaError``.
+
+    ``plan_of`` returns the plan for the key and the block of ``representative_part``.
+    """
     request, (view, has_data) = job.request, requested_map_view(scene, job)
     product, start = request.product_record, clock.perf_counter()
     if not has_data:
@@ -80,7 +99,10 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
 
 
 def _single_pass(name: str, start: float) -> PassRecord:
-    """Return the record of a product without passes, which started at ``start`` of the performance counter."""
+    """Return the only pass record of a product without render passes.
+
+    ``start`` is the begin of its computation, in seconds of the performance counter.
+    """
     return PassRecord(name, (clock.perf_counter() - start) * 1000.0)
 
 
@@ -93,7 +115,7 @@ def _map_file(
 
 
 def _over(array: np.ndarray, background: str | None) -> np.ndarray:
-    """Composite a picture with alpha over a background ``RRGGBB``, if one is given."""
+    """Composite a picture with alpha over the colour ``background`` (``RRGGBB``). Return any other array unchanged."""
     if background is None or array.ndim != 3 or array.shape[2] != 4:
         return array
     red, green, blue = bytes.fromhex(background)

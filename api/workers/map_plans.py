@@ -1,4 +1,8 @@
-"""Plans of a level's maps and tiles in a service: predictions, corrected by probes of similar maps."""
+"""Plans (choices of shadow algorithms) of a level's views in a service.
+
+Plans use predicted costs and errors. For maps and tiles, probes of similar maps (observed errors and times) correct the
+predictions.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +35,22 @@ def plan_in_service(
     basis: PlanBasis,
     policy: PolicyName = "predict",
 ) -> Plan:
-    """Return the plan of a view of a level. Raises ``SkuggaError``."""
+    """Return the plan of a view of a level. Raises ``SkuggaError``.
+
+    ``name`` is the view's name in the plan. ``overrides`` are the request's shadow settings. ``basis`` has the calibration and the
+    probes.
+    """
     return plan_of_view(
         scene, view, name, overrides, policy, basis.device, observations=_observations(scene, view, overrides, level, basis)
     )
 
 
 def plan_function_in_service(scene: Scene, view: MapView | PerspectiveView, level: LevelKey, basis: PlanBasis) -> PlanFunction:
-    """Return a function that plans a view of a level from its descriptor, as ``plan_in_service`` does, for any request."""
+    """Return a function that makes plans of a view of a level.
+
+    The function's arguments are a descriptor, the level's plan request and shadow settings. It uses the calibration and the probes
+    of ``basis``, as ``plan_in_service`` does.
+    """
 
     def plan(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None) -> Plan:
         observations = _observations(scene, view, overrides or {}, level, basis)
@@ -48,7 +60,11 @@ def plan_function_in_service(scene: Scene, view: MapView | PerspectiveView, leve
 
 
 def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis) -> MapClass | None:
-    """Return the class of a map whose predictions a probe would correct; ``None`` if it is probed or a probe cannot help."""
+    """Return the class (scale and sun) of a map if a probe of this class would improve its plan.
+
+    The result is ``None`` if the class is probed already, or if a probe cannot help. It cannot without a calibration, without a sun
+    above the horizon, or with shadow settings that probes do not cover (``PROBE_SETTINGS``).
+    """
     probe_class = _map_class(scene, view, overrides)
     return (
         probe_class

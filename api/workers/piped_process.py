@@ -1,4 +1,7 @@
-"""A process at the other end of a pipe. The imports are few: a service starts its first process before its own imports."""
+"""A child process that is connected by a pipe.
+
+This module imports little, because a service starts its first render process before its own slow imports.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ WorkerTarget = Callable[[Connection, WorkerConfig], None]
 
 
 class PipedProcess:
-    """A process that runs ``target(pipe, *args)`` once started. It ends with this process."""
+    """A child process that runs ``target(pipe, *args)`` after ``start``. It ends when this process ends."""
 
     def __init__(self, target: Callable[..., None], *args: Any, name: str) -> None:
         spawn = get_context("spawn")
@@ -27,7 +30,7 @@ class PipedProcess:
         self.child_end.close()  # otherwise the pipe would stay open when the child ends
 
     def end(self) -> None:
-        """Kill the process if it runs."""
+        """Kill the process if it was started, and close the pipe."""
         if self.process.pid is not None:
             self.process.kill()
             self.process.join(EXIT_TIMEOUT_S)
@@ -40,7 +43,7 @@ class PipedProcess:
 
 
 class SpawnedWorker(PipedProcess):
-    """A render process with its ``config``."""
+    """A render process, started or not, and the ``config`` that it starts with."""
 
     def __init__(self, target: WorkerTarget, config: WorkerConfig) -> None:
         super().__init__(target, config, name="skugga-render")

@@ -1,4 +1,7 @@
-"""The inputs of plans in render processes, and their version per level, which entity tags and caches of pictures include."""
+"""The measurements that plans (choices of shadow algorithms) use, and their version for each level.
+
+Entity tags and keys of picture caches include the version, since other plans may give other pictures.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +22,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanBasis:
-    """The inputs of plans, immutable: a change makes a new ``PlanBasis``.
+    """The measurements that plans use. It is immutable: a change makes a new ``PlanBasis``.
 
     Attributes
     ----------
     device : DeviceProfile or None
-        Calibration of the device.
+        Calibration of the device (measured costs of algorithms); ``None`` without one.
     probed : Mapping
-        Probes of each level by the level's version, as JSON of ``skugga.selector.map_probes.MapProbes``.
+        Probes (observed errors and times) of levels, by the level's version, as JSON of
+        ``skugga.selector.map_probes.MapProbes``.
     """
 
     device: DeviceProfile | None = None
@@ -38,9 +42,9 @@ class PlanBasis:
         return profile_digest(self.device)
 
     def version_of(self, level: LevelKey | None) -> str:
-        """Return the version of a level's plans; ``None`` stands for plans without a level.
+        """Return the version of a level's plans, a digest; ``None`` stands for plans without a level.
 
-        The version changes with the calibration and with the level's probes. It is empty without either.
+        The version changes with the calibration and with the level's probes. It is empty if there are neither.
         """
         probes_json = None if level is None else self.probed.get(level.version)
         if probes_json is None:
@@ -48,11 +52,11 @@ class PlanBasis:
         return hashlib.sha256(f"{self.calibration}\n{probes_json}".encode()).hexdigest()[:16]
 
     def probes_of(self, level: LevelKey) -> MapProbes:
-        """Return the probes of a level."""
+        """Return the probes of a level; they are empty if it was not probed."""
         return _parse_probes(self.probed.get(level.version, "{}"))
 
     def with_probed(self, probes_by_version: Mapping[str, str]) -> PlanBasis:
-        """Return a copy with further probes, by version of their level."""
+        """Return a copy with further probes, as JSON by the version of their level."""
         return replace(self, probed={**self.probed, **probes_by_version})
 
 

@@ -1,4 +1,4 @@
-"""Reports about points, computed in a render process because it has their levels open."""
+"""Compute sun reports, horizon files and sky charts of points. Render processes do this, because they have levels open."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from skugga.terrain.scene import Scene
 
 
 def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
-    """Return a point's report (nulls where the level has no data), horizon file, sky chart or figures. Raises ``InputError``."""
+    """Return the report, the horizon file or the sky chart of a point, as the job's ``product`` and ``format`` say.
+
+    A report has nulls for a point without data. Raises ``InputError``.
+    """
     if job.product == "report":
         return PointAnswer(report_or_null(scene, job.query).model_dump_json().encode())
     surroundings = point_surroundings(scene, job.query)
@@ -34,6 +37,6 @@ def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
 
 
 def points_answer(job: PointsJob, scene: Scene) -> PointAnswer:
-    """Return elevation, sun and hours of the day at many points as JSON."""
+    """Return a JSON list with a report for each point: elevation, the sun at its time, and hours of direct sun of the day."""
     rows = sun_at_points(scene, list(job.points), job.query)
     return PointAnswer(json.dumps([row.as_json(point) for point, row in zip(job.points, rows, strict=True)]).encode())

@@ -1,6 +1,6 @@
 """The pool of render processes: a fair queue, single-flight deduplication, a cache of finished pictures, and supervision.
 
-The service survives render processes that hang, are stopped or die.
+The pool replaces render processes that hang, are stopped or die, so the service survives them.
 """
 
 from __future__ import annotations
@@ -54,16 +54,20 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 INITIAL_BACKOFF_S, MAX_BACKOFF_S = 0.5, 30.0
-"""Backoff before restarts: from the second failed start in a row it starts here and doubles up to the maximum."""
+"""Seconds before a process is started again after failed starts: after the second failure in a row, and at most.
+
+The time doubles with each further failure. After the first failure there is no wait."""
 
 PREPARE_AFTER_S = 1.0
-"""Idle time after which a process is told what to prepare."""
+"""Idle seconds after which a process receives the blocks whose levels it should open."""
 
 HEARTBEAT_INTERVAL_S, HEARTBEAT_TIMEOUT_S = 5.0, 30.0
-"""Idle time before a heartbeat, and its timeout. The process may be opening a level for later requests."""
+"""Idle seconds before a heartbeat, and the seconds within which the process must answer it.
+
+The timeout is long since the process may be opening a level for later requests."""
 
 MAX_STARTS = 2
-"""Maximum number of starts of a job whose process dies while it runs."""
+"""Maximum number of times that a job is started, if its process dies while the job runs."""
 
 log = logging.getLogger("skugga")
 
@@ -75,17 +79,17 @@ class PoolCounters:
     Attributes
     ----------
     answered, failed : int
-        Jobs that ended with an answer or with an error.
+        Jobs that ended with an answer, and jobs that ended with an error.
     abandoned : int
         Jobs dropped because no request waited for them any more.
     started : int
-        Render processes started.
+        Render processes that became ready.
     refused : int
         Jobs refused by admission control or by the circuit breaker.
     expired : int
-        Jobs that waited too long.
+        Jobs that waited too long in the queue.
     timed_out : int
-        Jobs that ran too long.
+        Jobs that ran too long in a process.
     retried : int
         Jobs started again after their process died.
     """
@@ -101,25 +105,45 @@ class PoolCounters:
 
 
 class Pool:
-    """Runs jobs in render processes. For use from one event loop.
+    """Runs jobs in render processes. Use it from one event loop.
 
-    - Equal pending jobs are deduplicated.
-    - Finished blocks and snapshots are cached within ``block_cache_bytes``.
-    - An idle process prepares for the levels of ``first_blocks``.
-    - ``spawned_worker`` is a first process, started earlier with ``first_config``.
-    - A device without a calibration is calibrated by ``measure`` while nothing is drawn.
-    - Levels that maps are drawn of are probed by ``probe`` in idle time.
-    - Loops that are not stored are compiled in the background once a process is ready.
+    Requests for equal jobs share one job. Finished blocks and snapshots are cached, up to ``Settings.block_cache_bytes``. Once a
+    process is ready, loops (functions that numba compiles) that the cache on disk lacks are compiled in the background.
+
+    Parameters
+    ----------
+    settings
+        The service's settings.
+    target
+        Main function of a render process.
+    first_blocks
+        Returns a block of each level. Idle processes open these levels for later requests.
+    measure
+        Calibrates the device (measures the costs of algorithms) in idle time, if it has no calibration.
+    probe
+        Probes a level (observes errors and times of algorithms on its maps) in idle time, once its maps are requested.
+    spawned_worker
+        The first render process, if it has been started already, with ``first_config``.
 
     Attributes
     ----------
-    preparing : Preparing or None
-        Progress of the first process until it is ready, then of the background compilation.
-    preparing_since : float
-        Start of that step, by ``time.monotonic``.
+    renderer : str or None
+        OpenGL's name of the renderer; ``None`` until a process is ready.
     basis : PlanBasis or None
-        Inputs of plans. It may be replaced at any time: jobs that start later use the new one, in all processes, and only
-        pictures of its version are found in the cache.
+        The calibration and the probes that plans use. If it is replaced, jobs that start later use the new one in all processes,
+        and cached pictures of other plan versions are no longer used.
+    preparing : Preparing or None
+        Progress of the first process until it is ready, then of the background compilation; ``None`` without either.
+    preparing_since : float
+        Start of the preparation, in seconds of ``time.monotonic``.
+    compiling, idle, idle_calibration, idle_probes
+        The background compilation, the queue of idle work, and what calibrates and probes in idle time.
+    pids : set of int
+        Process ids of the render processes that are ready.
+    counters : PoolCounters
+        Counters for metrics.
+    on_drawn : callable
+        Called with each block or snapshot that a process has finished.
     """
 
     def __init__(
@@ -165,16 +189,16 @@ class Pool:
 
     @property
     def ready(self) -> bool:
-        """Whether a render process has warmed up and is not stopped now."""
+        """Whether a render process has warmed up and is not stopped (SIGSTOP) now."""
         return any(not is_stopped(pid) for pid in self.pids)
 
     @property
     def is_healthy(self) -> bool:
-        """Whether all supervisors of render processes still run."""
+        """Whether all tasks that supervise render processes still run, or the pool was closed."""
         return self._closed or not any(slot.done() for slot in self._slots)
 
     def plan_version(self, level: LevelKey | None) -> str:
-        """Return the version of a level's plans made now; ``None`` stands for plans of clients' descriptors."""
+        """Return the present version of a level's plans; ``None`` stands for plans of clients' descriptors."""
         return "" if self.basis is None else self.basis.version_of(level)
 
     def _plan_version_of(self, job: Job) -> str:
@@ -193,7 +217,7 @@ class Pool:
         self.basis = (self.basis or PlanBasis()).with_probed(probes)
 
     def _is_busy(self) -> bool:
-        """Return whether the cores have other work than idle work."""
+        """Return whether jobs wait or run, a process starts, or loops are compiled: idle work must not run then."""
         return bool(self.queued or self.running or self._starting or self.compiling.is_running)
 
     def _note_preparing(self, preparing: Preparing | None) -> None:
@@ -202,7 +226,7 @@ class Pool:
         self.preparing = preparing
 
     async def wait_for_first_process(self) -> None:
-        """Wait until the first process has warmed up and its renderer is known, or until it has failed to start."""
+        """Wait until the first process has warmed up, so that ``renderer`` is known, or until it has failed to start."""
         await self._first_process_event.wait()
 
     @property
@@ -221,7 +245,7 @@ class Pool:
         return self._finished.nbytes
 
     def cached_picture(self, job: Job) -> BlockTiles | Snapshot | None:
-        """Return the cached block or snapshot of a job, drawn with the current version of plans; ``None`` without one."""
+        """Return the cached block or snapshot of a job, drawn with the present version of plans; ``None`` without one."""
         cached = self._finished.get(job, self._plan_version_of(job))
         return None if isinstance(cached, Missing) else cached
 
@@ -230,12 +254,12 @@ class Pool:
         return self._queue.expected.of(job)
 
     def open(self) -> None:
-        """Start the processes. Returns at once."""
+        """Start tasks that start and supervise the render processes. Return at once."""
         self.idle.start()
         self._slots = [asyncio.create_task(self._supervise(number)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
-        """End the processes, and fail all pending jobs."""
+        """End the render processes and all background work, and fail all pending jobs."""
         self._closed = True
         self._first_process_event.set()
         for slot in self._slots:
@@ -248,31 +272,31 @@ class Pool:
         self._threads.shutdown(wait=True)
 
     def expected_wait_s(self, job: Job, client: str) -> float:
-        """Return the expected wait of a client's job that arrives now, in seconds."""
+        """Return the expected wait in the queue, in seconds, of a job that a client requests now."""
         return self._queue.wait_s(job, client, asyncio.get_running_loop().time())
 
     async def run(self, job: Job, client: str = "") -> Result:
         """Return the answer to a client's job, from the cache if possible.
 
-        The answer uses plans of the version current at the time of the call, or newer ones. A job that no request waits for any
-        more is dropped unless it has started.
+        The answer uses plans of the version at the time of the call, or of a newer version. If the call is cancelled and no other
+        request waits for the job, the job is dropped unless it has started.
 
         Raises
         ------
         RetryLaterError
-            The client has too much in the queue, or the job waited too long.
+            The client has too many jobs in the queue, or the job waited too long.
         CircuitOpenError
             Jobs of this kind fail repeatedly.
         WorkerStartError
-            No process gets ready.
+            No render process can be started.
         GraphicsError
-            No process can draw.
+            No render process can draw with OpenGL.
         RenderTimeoutError
             The job ran too long.
         WorkerCrashError
-            The process ended while the job ran.
+            The process ended while the job ran, also at its second start.
         SkuggaError
-            The work itself failed.
+            The error that the job itself raised.
         """
         cached = self.cached_picture(job)
         if cached is not None:
@@ -330,9 +354,10 @@ class Pool:
         pending.expiry_timer = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, pending)
 
     def _expire(self, pending: PendingJob) -> None:
-        """Fail a job that has waited too long.
+        """Fail a job that has waited too long in the queue.
 
-        The limit does not apply before the first process has started or failed to, or while a process compiles loops.
+        The job waits for another ``queue_timeout_s`` if no process has been ready or has failed yet, or if a process prepares (for
+        example compiles loops) now.
         """
         if self._queue.waiting.get(pending.job) is not pending:
             return
@@ -345,9 +370,10 @@ class Pool:
         self._finish(pending, RetryLaterError(message, retry_after_s(wait_s)))
 
     async def _supervise(self, number: int) -> None:
-        """Supervise one render process: restart it with backoff for ever.
+        """Run a render process, and replace it whenever it ends, for ever. Failed starts are repeated after growing pauses.
 
-        The other slots wait until the first one has started, since it compiles loops for all.
+        ``number`` counts the supervised processes from 0. All others wait for the start of process 0, which compiles loops for all
+        of them.
         """
         if number:
             await self._first_process_event.wait()
@@ -364,7 +390,10 @@ class Pool:
             failures = 0 if healthy else failures + 1
 
     async def _run_process(self, number: int) -> bool:
-        """Run one process. Return whether it started, and ended in good order or after taking a job."""
+        """Start a render process and serve jobs with it until it ends.
+
+        Return whether it worked: it became ready, and ran at least one job.
+        """
         spawned_worker, self._spawned = self._spawned, None
         if spawned_worker is None:
             # Require OpenGL if an earlier process had it: a service must not lose features at a restart.
@@ -413,7 +442,10 @@ class Pool:
             self._fail_all(_start_error_of(error), list(self._queue.waiting.values()))
 
     async def _serve(self, worker: WorkerProcess) -> bool:
-        """Serve jobs with a process. Return whether it took any: a later end is the job's doing, not a failed start."""
+        """Run jobs in a process until it ends or must be replaced.
+
+        Return whether it took any job. Otherwise its end counts as a failed start.
+        """
         for count in range(self._settings.recycle_blocks):
             pending = await self._next(worker)
             if pending is None:
@@ -447,7 +479,7 @@ class Pool:
         return True
 
     async def _next(self, worker: WorkerProcess) -> PendingJob | None:
-        """Return the next job of the queue; ``None`` if the process dies or stops answering while it waits."""
+        """Wait for the next job of the queue and return it; return ``None`` if the process dies or does not answer a heartbeat."""
         loop = asyncio.get_running_loop()
         while not worker.has_ended:
             pending = self._queue.take(loop.time())
@@ -473,7 +505,10 @@ class Pool:
         return None
 
     def _retry_or_finish(self, pending: PendingJob, outcome: Failure | SkuggaError) -> None:
-        """Start a job again, once, whose process ended, if a client still waits. Otherwise answer with the outcome."""
+        """Queue a job again whose process ended, if it was started fewer than ``MAX_STARTS`` times and a request waits.
+
+        Otherwise answer its requests with ``outcome``.
+        """
         if pending.start_count < MAX_STARTS and pending.clients and not self._closed:
             self._queue.discard(pending)
             self._queue.put(pending)
@@ -486,7 +521,10 @@ class Pool:
         self._record_crash(pending.job)
 
     def _record_crash(self, job: Job) -> None:
-        """Record that a job ended its process. If that opens the circuit breaker, fail waiting jobs of its kind."""
+        """Record that a job ended its process.
+
+        If that opens a circuit of the circuit breaker, fail the waiting jobs that the circuit breaker refuses now.
+        """
         self._circuit_breaker.record_failure(job)
         left_s = self._circuit_breaker.seconds_left(job)
         if left_s <= 0.0:
@@ -497,9 +535,9 @@ class Pool:
                 self._finish(pending, _circuit_open_error(pending.job, left_s))
 
     def _finish(self, pending: PendingJob, answer: Answer | SkuggaError, learn: bool = True) -> None:
-        """Answer all clients that wait for a job.
+        """Answer all requests that wait for a job, with a result or an error, and remove the job.
 
-        Learn its duration if ``learn`` is set. A one-time preparation before the job makes the duration unrepresentative.
+        ``learn`` says whether its duration is learnt. It is not if the process made one-time preparations before the job.
         """
         if pending.started_s is not None and not isinstance(answer, SkuggaError | Failure):
             if learn:
@@ -534,7 +572,7 @@ class Pool:
 
 
 def _start_error_of(error: SkuggaError) -> SkuggaError:
-    """Return the error for a request when its process cannot be started."""
+    """Return the error for requests if ``error`` prevents the start of render processes."""
     return error if isinstance(error, ExhaustedError | WorkerStartError) else GraphicsError(str(error))
 
 

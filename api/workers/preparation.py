@@ -1,4 +1,4 @@
-"""Preparation of a render process for later requests while it is idle: open levels, import rarely needed modules."""
+"""Prepare an idle render process for later requests: open levels, and import modules that few requests need."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ log = logging.getLogger("skugga.worker")
 
 
 def prepare_level(block: BlockJob, state: WorkerState) -> None:
-    """Open the level of a block, and compute its sky view factors if the block's plan needs them.
+    """Open the level of a block, and compute the level's sky view factors if the block's plan needs them.
 
-    A level that cannot be opened is logged; its first request reports the reason.
+    Both stay in the caches of ``state``'s process. If the level cannot be opened, the reason is only logged: the first request for
+    the level raises it again.
     """
     name = block.level.path.stem
     try:
@@ -32,5 +33,5 @@ def prepare_level(block: BlockJob, state: WorkerState) -> None:
 
 
 def import_pvlib() -> None:
-    """Import the library of sun positions. It takes half a second, and only requests with a time need it."""
+    """Import pvlib, which computes sun positions. The import takes half a second, and only requests with a time need it."""
     apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)

@@ -1,4 +1,7 @@
-"""Facts about processes from the operating system. Without ``/proc`` (not Linux) they are unknown."""
+"""Priorities of processes, and facts about them from ``/proc``: memory, open files, and whether they are stopped.
+
+Systems without ``/proc`` (other than Linux) do not tell these facts.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,25 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 NICENESS = 2
-"""Niceness of render processes: the service has priority, since it answers from its caches while they draw. See nice(2)."""
+"""Niceness (see nice(2)) of render processes.
+
+The service's own process has a higher priority, since it answers from its caches while they draw."""
 
 IDLE_NICENESS = 19
-"""Niceness of idle work."""
+"""Niceness of processes for idle work: the lowest priority."""
 
 EXIT_TIMEOUT_S = 5.0
-"""Timeout of a killed process's exit."""
+"""Maximum seconds to wait for the exit of a killed process."""
 
 EXIT_CHECK_S = 0.005
-"""Interval between checks for a killed process's exit."""
+"""Seconds between two checks whether a killed process has ended."""
 
 STOPPED_STATES = "Tt"
-"""States in ``/proc/PID/stat`` of a process that a signal or a tracer has stopped."""
+"""Letters in ``/proc/PID/stat`` for the states of a process that a signal or a tracer has stopped."""
 
 
 def lower_priority() -> None:
-    """Lower this process's priority below that of the service."""
+    """Set the niceness of this render process, so that the service's process has a higher priority."""
     with suppress(OSError, AttributeError):
         os.nice(NICENESS)
 
@@ -39,14 +44,17 @@ def set_idle_priority() -> None:
 
 
 async def process_end(process: BaseProcess) -> None:
-    """Wait until a killed process has ended, for at most ``EXIT_TIMEOUT_S``. Needs no thread, since none may be left."""
+    """Wait until a killed process has ended, for at most ``EXIT_TIMEOUT_S``.
+
+    It polls instead of waiting in a thread, since a machine under load may have no thread left.
+    """
     until_s = asyncio.get_running_loop().time() + EXIT_TIMEOUT_S
     while process.exitcode is None and asyncio.get_running_loop().time() < until_s:
         await asyncio.sleep(EXIT_CHECK_S)
 
 
 def is_stopped(pid: int) -> bool:
-    """Return whether a process is stopped (SIGSTOP or a debugger), so that it answers nothing."""
+    """Return whether a process is stopped (by SIGSTOP or a debugger), so that it cannot answer; false if unknown."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
     except (OSError, IndexError):
@@ -64,7 +72,7 @@ def resident_bytes(pid: int | None = None) -> int:
 
 
 def open_descriptors() -> int:
-    """Return the number of open file descriptors of this process; a typical number if they cannot be counted."""
+    """Return the number of open file descriptors of this process; 32, a typical number, if they cannot be counted."""
     try:
         return len(os.listdir("/proc/self/fd"))
     except OSError:

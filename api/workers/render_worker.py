@@ -1,6 +1,8 @@
-"""The main loop of a render process: it owns the only OpenGL context, receives jobs over a pipe and answers with values.
+"""The main loop of a render process, which receives jobs through a pipe and sends back their results.
 
-It is started by ``spawn`` and computes products with the same functions as the command line. It ends when its pipe is closed.
+The service's own process never uses OpenGL; each render process has one OpenGL context. A render process is started by the method
+``spawn`` of ``multiprocessing``. It computes products with the same functions as the command line. It ends when its pipe is
+closed.
 """
 
 from __future__ import annotations
@@ -91,13 +93,13 @@ from skugga.terrain.level.level import SUN, Shadows
 from skugga.terrain.scene import Scene
 
 IDLE_S = 1.0
-"""Idle time after which a ready process prepares for later jobs."""
+"""Idle seconds after which a ready process does the next step of its preparation for later jobs."""
 
 log = logging.getLogger("skugga.worker")
 
 
 def run_job(job: Job, state: WorkerState) -> Result:
-    """Run a job. Raises ``SkuggaError``."""
+    """Run a job and return its result. Raises ``SkuggaError``."""
     if isinstance(job, DescribedPlanJob):
         return _plan_of_facts(job, state)
     scene = job.request.applied_to(state.scenes.get(job.level))
@@ -138,7 +140,11 @@ def run_job(job: Job, state: WorkerState) -> Result:
 
 
 def product_of(job: Job, scene: Scene) -> str:
-    """Return the product of a job, which decides the loops that are compiled together when one is missing."""
+    """Return the group of loops that a job needs: one of ``skugga.terrain.compiling.ahead_of_time.PRODUCTS``.
+
+    A loop is a function that numba compiles. If the cache on disk lacks a loop of a group, all missing loops of the group are
+    compiled together.
+    """
     match job:
         case PointJob() | PointsJob():
             return POINTS
@@ -154,7 +160,7 @@ def product_of(job: Job, scene: Scene) -> str:
 
 
 def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) -> bool:
-    """Return whether a job shows a perspective view: a camera of the request, or a view of the level."""
+    """Return whether a job draws a perspective view, either one of the level or that of a camera in the request."""
     view_spec = scene.loaded.level.views.get(job.view)
     return job.view != "map" if view_spec is None else view_spec.kind == "perspective"
 
@@ -167,7 +173,10 @@ def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
 
 
 def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
-    """Raise ``TooCostlyError`` if a calibrated device is expected to exceed the time limit of a picture."""
+    """Raise ``TooCostlyError`` if a picture by ``plan`` is expected to exceed the time limit of pictures.
+
+    ``subject`` names the picture in the message. Without a calibration no time is expected, and nothing is raised.
+    """
     check_cost(plan, subject, state.limit_ms, "SKUGGA_RENDER_TIMEOUT_S")
 
 
@@ -192,7 +201,7 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
 
 
 def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
-    """Compute a product's whole block as an array, then cut it into tiles."""
+    """Compute a whole block of a product as an array, and cut it into encoded tiles."""
     product, start = job.request.product_record, clock.perf_counter()
     product.check(scene)
     plan = _checked_plan(job, scene, state) if product.needs else None
@@ -210,7 +219,7 @@ def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTil
 
 
 def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
-    """Return the plan of a block. Raises ``TooCostlyError``."""
+    """Return the plan of a block. Raises ``TooCostlyError`` if the block is expected to take too long."""
     plan = plan_of_tiles(job, scene, state)
     _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
     return plan
@@ -219,7 +228,7 @@ def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
 def _block_facts(
     job: BlockJob, plan: Plan, passes: Sequence[PassRecord], reach: Reach | None, scene: Scene, state: WorkerState
 ) -> dict[str, Any]:
-    """Return facts about the drawing of a block, and the class of its map if a probe would correct its plan."""
+    """Return the fields of ``BlockTiles`` that describe how a block was drawn: those of ``_facts``, and ``unprobed``."""
     unprobed = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.basis)
     return {**_facts(plan.headline, passes, reach, state, job.level), "unprobed": unprobed}
 
@@ -237,12 +246,15 @@ def _map_snapshot(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
 
 
 def _view_with_name(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
-    """Return a view, and the name of the view in its plan."""
+    """Return the view that stands for a request (a view's name, or the tiles of a zoom), and the view's name in its plan."""
     return (representative_block(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
 def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, state: WorkerState, level: LevelKey) -> dict[str, Any]:
-    """Return facts about the drawing of a picture. ``reach`` is ``None`` unless a single sun lit it."""
+    """Return the fields of ``BlockTiles`` and ``Snapshot`` that describe how a picture was drawn.
+
+    ``reach`` is ``None`` unless a single sun lit the picture.
+    """
     return {
         "headline": headline, "passes": tuple((pass_record.name, pass_record.ms) for pass_record in passes),
         "renderer": state.renderer, "plan_version": state.basis.version_of(level),
@@ -252,10 +264,14 @@ def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, sta
 
 
 def run_worker(pipe: Connection, config: WorkerConfig) -> None:
-    """Warm up, report readiness, then answer jobs until the pipe is closed or an error makes the OpenGL context unreliable."""
+    """Warm up, send ``Ready``, then answer jobs from the pipe.
+
+    The function returns when the pipe is closed, or after a fatal ``Failure``, which may have spoilt the OpenGL context.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
-    if pipe.poll(0):  # the pipe is closed, since nothing is sent yet: the service ended before this process watched it
+    # The service has sent nothing yet, so a readable pipe is a closed one: it ended before ``end_with_parent`` was called.
+    if pipe.poll(0):
         return
     lower_priority()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
@@ -278,7 +294,7 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
             if problem := loop_store().problem:
                 report(problem)
             state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.limit_ms)
-            if compiled:  # a first start lacks more loops; later starts count them in idle time
+            if compiled:  # at a first start further loops are missing, too; later starts count missing loops in idle time
                 count_missing_loops(state)
             version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
             pipe.send(Ready(state.renderer, state.device, version, egl_device, state.missing_loops))
@@ -290,14 +306,18 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
 
 
 def count_missing_loops(state: WorkerState) -> None:
-    """Count the recorded loops that are not stored. Imports the modules of all loops."""
+    """Set ``state.missing_loops`` to the number of loops without machine code in the cache on disk.
+
+    It imports the modules of all loops, which takes time.
+    """
     state.missing_loops = len(missing_tasks(PRODUCTS))
 
 
 def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
-    """Answer jobs until one ends the process. Run one idle step after another while no job arrives.
+    """Answer jobs, heartbeats and new plan inputs from the pipe, until a job fails fatally.
 
-    Raises ``EOFError`` or ``OSError`` when the pipe is closed.
+    While nothing arrives, run the functions ``idle_steps`` one after another. Raises ``EOFError`` or ``OSError`` when the pipe is
+    closed.
     """
     steps = deque(idle_steps)
     while True:

@@ -1,4 +1,4 @@
-"""Warm-up of a render process before it reports readiness: import, compile, and draw a block with a known result."""
+"""Warm up a render process before it reports readiness: import modules, compile loops, and draw a picture with a known result."""
 
 from __future__ import annotations
 
@@ -25,26 +25,45 @@ from skugga.terrain.level.level import Level, LoadedLevel
 from skugga.terrain.scene import Scene, build_scene
 
 WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
-"""A plain of 64 x 64 cells with a wall from north to south in its middle."""
+"""Terrain of the test picture: a plain of 64 x 64 cells of 30 m. In its middle a wall, 300 m high, runs from north to south."""
 
 ZOOM = 12
-"""At the equator a pixel is 38 m: the plain is 50 pixels wide, the wall's shadow 520 m long at 30 degrees."""
+"""Zoom of the test picture. At the equator its pixels are 38 m wide, so the plain is 50 pixels wide.
+
+The wall's shadow is 520 m long, since the sun stands 30 degrees high."""
 
 TEST_PICTURE_PX = 64
-"""Side of the test picture around the wall's middle. It shows the whole plain."""
+"""Side in pixels of the test picture around the wall's middle. It shows the whole plain."""
 
 TEST_DISTANCE_M = 240.0
-"""Distance of the tested pixels from the wall: one lies inside the shadow, the other on the sunny side."""
+"""Distance of the two tested pixels from the wall. One lies inside the shadow, the other on the sunny side."""
 
 log = logging.getLogger("skugga.worker")
 
 
 def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, report: Callable[[str], None] = log.warning) -> str:
-    """Pay every one-time cost, check that shadows are drawn in the right place, and return the renderer's name.
+    """Draw a first picture, check that its shadow is in the right place, and return the renderer's name.
 
-    Without OpenGL, unless it is required, the process draws products that need none, and reports this through ``report``.
+    This pays the one-time costs (imports, compilation, the OpenGL context) before the first request.
 
-    Raises ``GraphicsError`` if OpenGL is required or expected but missing, is another renderer than expected, or draws wrongly.
+    Parameters
+    ----------
+    expect_renderer
+        Text that the renderer's name must contain; ``None`` accepts every renderer.
+    needs_opengl
+        Whether OpenGL is required. Otherwise a process without OpenGL computes the products that need none.
+    report
+        Called with the reason if OpenGL is missing and not required.
+
+    Returns
+    -------
+    str
+        OpenGL's name of the renderer, or ``NO_OPENGL``.
+
+    Raises
+    ------
+    GraphicsError
+        OpenGL is missing although it is required or a renderer is expected, the renderer is another one, or the shadow is wrong.
     """
     declare_product(MAPS)
     renderer, algorithm = NO_OPENGL, "auto"
@@ -63,7 +82,10 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, repo
 
 
 def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
-    """Return the visibility west (towards the sun) and east of the wall, drawn by ``algorithm``."""
+    """Return the visibility of the sun (0 to 1) west and east of the wall, as drawn by ``algorithm``.
+
+    The sun is in the west, so the shadow lies east of the wall.
+    """
     heights = np.zeros((CELLS, CELLS), np.float32)
     heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
@@ -97,14 +119,17 @@ def _wall_scene(source: str, algorithm: str) -> Scene:
 
 
 def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]]:
-    """Return a zoom's grid, and the row and column of the wall on it."""
+    """Return the pixel grid of a zoom, and the row and column of the wall's middle on it."""
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
     x, y = _mercator_m(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
     return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
 
 
 def _view_around(grid: Grid, center: tuple[float, float]) -> MapView:
-    """Return a view of the pixels around a position, shifted to stay within its block, since blocks are drawn separately."""
+    """Return a view of ``TEST_PICTURE_PX`` pixels a side around ``center`` (row, column) of a grid.
+
+    The view is shifted so that it lies within one block, since blocks are drawn separately.
+    """
     row, col = (
         float(np.clip(int(index) - TEST_PICTURE_PX // 2, first, first + BLOCK_PX - TEST_PICTURE_PX))
         for index in center

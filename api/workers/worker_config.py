@@ -1,4 +1,4 @@
-"""The start configuration of a render process. Imports nothing that draws."""
+"""The start configuration of a render process. This module imports no rendering code, so that a service starts fast."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class WorkerConfig:
     expect_renderer : str or None
         Text that the renderer's name must contain.
     needs_opengl : bool
-        Whether the process must not start without OpenGL.
+        Whether the process must fail to start if there is no OpenGL.
     limit_ms : float or None
-        Limit of a picture's expected time in milliseconds; the process refuses costlier pictures.
+        Limit of a picture's expected time in milliseconds. The process refuses pictures that are expected to take longer.
     basis : PlanBasis or None
-        Inputs of plans; ``None`` uses the calibration in the user's cache until the process receives a basis.
+        The measurements that plans use. ``None``: the calibration in the user's cache, until the service sends a basis.
     number : int
-        Number of the process, which selects one of several OpenGL devices in turn.
+        Number of the process, counted from 0. Processes with successive numbers use the OpenGL devices in turn.
     """
 
     gl_threads: int

@@ -1,4 +1,4 @@
-"""The main function of a render process. The drawing code is imported only inside that process."""
+"""The main function of a render process. The rendering code is imported only inside that process."""
 
 from __future__ import annotations
 

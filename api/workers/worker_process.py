@@ -1,4 +1,4 @@
-"""A supervised render process: the service sends it jobs and monitors it while it answers."""
+"""A render process as the service sees it: the service sends jobs, waits for answers, and notices if the process hangs or dies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_LOGGED_CHARACTERS = 300
 """Maximum characters of a job in the log, since descriptors are long."""
 
 STOPPED_CHECK_S = 1.0
-"""Interval between checks whether a working process was stopped."""
+"""Seconds between two checks whether a process that works on a job was stopped (SIGSTOP)."""
 
 T = TypeVar("T")
 
@@ -29,7 +29,7 @@ log = logging.getLogger("skugga")
 
 
 class WorkerProcess:
-    """A render process. Call ``start``, then ``ask`` for one job at a time, then ``end``.
+    """A render process. Call ``start``, then ``ask`` with one job at a time, then ``end``.
 
     Parameters
     ----------
@@ -40,20 +40,20 @@ class WorkerProcess:
     on_death
         Called in the event loop when the process ends by itself.
     on_preparing
-        Called in the event loop with the progress before readiness or before a job.
+        Called in the event loop with the progress of preparations, before the process is ready or before it starts a job.
 
     Attributes
     ----------
     basis : PlanBasis or None
-        Inputs of its plans.
+        The measurements that its plans use, as last sent to it.
     first_blocks : tuple
-        Blocks that it prepares for while idle, once they were sent.
+        Blocks that the next heartbeat sends, so that the process opens their levels while it is idle; empty after that.
     has_ended : bool
         Whether the process ended by itself.
     has_prepared : bool
-        Whether it prepared for its last job.
+        Whether it made preparations (for example compiled loops) during its last job.
     is_preparing : bool
-        Whether it prepares now.
+        Whether it makes preparations now.
     """
 
     def __init__(
@@ -75,14 +75,20 @@ class WorkerProcess:
 
     @property
     def pid(self) -> int | None:
-        """Process id, once started."""
+        """Process id; ``None`` before the start."""
         return self._child.pid
 
     async def start(self, timeout_s: float) -> Ready:
         """Start the process if necessary, and wait until it has warmed up.
 
-        Raises ``WorkerStartError`` if it ends before that or stays silent for ``timeout_s``, ``ExhaustedError`` if the machine
-        has no resources for it, and the process's own error if it cannot draw.
+        Raises
+        ------
+        WorkerStartError
+            The process cannot be started, ends before it is ready, or sends no message for ``timeout_s`` seconds.
+        ExhaustedError
+            The machine has no thread, memory or file descriptor left for it.
+        SkuggaError
+            The process's own error, for example if it cannot draw.
         """
         if self.pid is None:
             try:
@@ -103,10 +109,25 @@ class WorkerProcess:
         return answer
 
     async def ask(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
-        """Return the answer to a job, with plans of a ``basis`` (``None``: unchanged).
+        """Send a job or a heartbeat and return the answer.
 
-        Raises ``WorkerCrashError`` or ``RenderTimeoutError``, after which the process must be ended, and ``ExhaustedError`` if
-        no thread is available.
+        Parameters
+        ----------
+        job
+            The job or heartbeat.
+        timeout_s
+            Maximum seconds until the next message of the process.
+        basis
+            The measurements that plans use, which are sent before the job if they changed; ``None`` leaves them unchanged.
+
+        Raises
+        ------
+        WorkerCrashError
+            The process ended or was stopped. The caller must end it.
+        RenderTimeoutError
+            The process sent no message in time. The caller must end it.
+        ExhaustedError
+            No thread is available. Nothing was sent.
         """
         previous_basis, self.basis = self.basis, basis or self.basis
         self.has_prepared = False
@@ -129,12 +150,15 @@ class WorkerProcess:
             ) from None
 
     async def end(self) -> None:
-        """Kill the process. No state is lost."""
+        """Kill the process and close its pipe."""
         self._unwatch()
         await self._child.end()
 
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
-        """Return the answer that follows all progress messages; each message may take ``timeout_s``. Raises as ``_receive``."""
+        """Return the first message that is no progress message (``Preparing``). Each message may take ``timeout_s`` seconds.
+
+        ``function`` returns the first message of all. Raises the errors of ``_receive``.
+        """
         message = await self._receive(function, timeout_s)
         try:
             while isinstance(message, Preparing):
@@ -149,7 +173,10 @@ class WorkerProcess:
         return message
 
     async def _receive(self, function: Callable[[], T], timeout_s: float) -> T:
-        """Return the next message from the pipe. Raises ``TimeoutError``, and ``EOFError`` if the process was stopped."""
+        """Run ``function``, which waits for the next message of the process, in a thread, and return its result.
+
+        Raises ``TimeoutError`` after ``timeout_s`` seconds, ``EOFError`` if the process was stopped, and the function's errors.
+        """
         loop = asyncio.get_running_loop()
         deadline, answer = loop.time() + timeout_s, self._child.in_new_thread(function)
         while True:

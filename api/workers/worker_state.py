@@ -25,23 +25,29 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 MAX_SCENES = 16
-"""Levels that a process keeps open. Each takes an overview (some MB), a file handle, trees and meshes (up to hundreds of MB)."""
+"""Maximum number of levels that a process keeps open.
+
+Each needs an overview of its raster (some MB), a file handle, and trees and meshes (up to hundreds of MB)."""
 
 SCENES_BYTES = 2**30
-"""Upper bound of the bytes of their overviews."""
+"""Upper bound of the bytes of the open levels' overviews together."""
 
 TILE_PLANS_BYTES = 16 * MIB
-"""Upper bound of the cached plans of tiles, some 30 KiB each."""
+"""Upper bound of the bytes of cached plans of tiles. A plan has some 30 KiB."""
 
 BLOCK_CACHE_BYTES = 48 * MIB
-"""Upper bound of the cached blocks, some 5 MiB each, which serve other layers and formats."""
+"""Upper bound of the bytes of cached blocks. A block has some 5 MiB.
+
+A cached block serves requests for its other layers and formats without rendering."""
 
 MAX_PROCESS_BYTES = 3 * 2**30
-"""Memory of a process above which it keeps only its current level open. A software rasteriser takes about 1.5 GB."""
+"""Resident bytes of a process above which it closes all levels except the current one.
+
+A software rasteriser needs about 1.5 GB."""
 
 
 class SceneCache:
-    """Cache of recently used scenes by level file. A level is reopened when one of its files has changed."""
+    """Cache of recently used scenes (open levels) by level file. A level with another version than its open scene is reopened."""
 
     def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
         self._process_bytes = process_bytes
@@ -58,7 +64,7 @@ class SceneCache:
         return len(self._scenes)
 
     def get(self, key: LevelKey) -> Scene:
-        """Return the scene of a level at a version. Raises ``LevelError`` or ``SourceError``."""
+        """Return the scene of a level in the version of ``key``; open it if necessary. Raises ``LevelError`` or ``SourceError``."""
         path = str(key.path)
         entry = self._scenes.get(path)
         if isinstance(entry, Missing) or entry[0] != key.version:
@@ -73,13 +79,13 @@ class SceneCache:
 
 
 class TilePlanCache:
-    """Cache of plans of tiles by version of the level, zoom, sun and request. Neighbouring tiles share a plan."""
+    """Cache of plans by level, version of plans, zoom (or map scale) and request. All tiles of a zoom share a plan."""
 
     def __init__(self, limit_bytes: int = TILE_PLANS_BYTES) -> None:
         self._plans: Cache[Plan] = Cache("skugga.api.workers.tile_plans", "process", limit_bytes)
 
     def get(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
-        """Return the plan of a key, and make it if missing."""
+        """Return the cached plan of a key; if it is missing, call ``make`` and cache its result."""
         plan = self._plans.get(key)
         if isinstance(plan, Missing):
             plan = make()
@@ -88,25 +94,25 @@ class TilePlanCache:
 
 
 DrawnBlock = tuple[Picture, dict[str, Any]]
-"""A block and facts about its drawing."""
+"""A drawn block, and the fields of ``BlockTiles`` that describe how it was drawn."""
 
 
 @dataclass(eq=False)
 class WorkerState:
-    """State of a render process: renderer, inputs of plans, and caches.
+    """State of a render process: its renderer, the measurements that its plans use, and its caches.
 
-    Plans and blocks are cached by the version of their plans.
+    The keys of cached plans and blocks include the version of the plans.
 
     Attributes
     ----------
     renderer : str
-        Name of the renderer.
+        OpenGL's name of the renderer.
     basis : PlanBasis
-        Inputs of plans.
+        The measurements that plans use.
     limit_ms : float or None
         Limit of a picture's expected time in milliseconds.
     missing_loops : int
-        Number of recorded loops that are not stored.
+        Number of loops (functions that numba compiles) without machine code in the cache on disk, as last counted.
     scenes, plans, blocks
         Caches of open levels, plans of tiles and drawn blocks.
     """
@@ -121,24 +127,24 @@ class WorkerState:
 
     @property
     def device(self) -> DeviceProfile | None:
-        """The device's calibration."""
+        """The device's calibration (measured costs of algorithms); ``None`` without one."""
         return self.basis.device
 
 
 def block_view(job: BlockJob) -> MapView:
-    """Return the view of a block, at the tile matrix's own pixels."""
+    """Return the map view of a block, with the pixels of its tile matrix."""
     return block_of_grid(grid_of_zoom(job.matrix_set, job.zoom), job.block_x, job.block_y)
 
 
 def representative_block(scene: Scene, tiles: Tiles) -> MapView:
-    """Return the view of the block at the level's middle; its plan serves all tiles of the zoom."""
+    """Return the map view of the block at the level's middle, whose plan all tiles of the zoom share."""
     grid = grid_of_zoom(tiles.matrix_set, tiles.zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
     return block_of_grid(grid, int((west + east) / 2 // BLOCK_PX), int((north + south) / 2 // BLOCK_PX))
 
 
 def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
-    """Return the plan shared by all tiles of a block's zoom."""
+    """Return the plan that all tiles of a block's zoom share, from the cache or newly made."""
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:

@@ -1,11 +1,14 @@
-"""Masks of cast shadows by Skugga's line sweep and by other tools: time, memory, and wrong cells against rays.
+"""Masks of cast shadows by Skugga's line sweep and by other tools: time, memory, and wrong cells compared with traced rays.
 
     python -m benchmarks.peers [--python PATH] [--repeats 3] [--side 2048] [--json FILE] [--markdown FILE] [--readme] [--write-only]
 
-Two rasters, SRTM of the Jacksboro fault and fractal mountains, under three suns on the grid's axes and diagonals and three off
-them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask; one runs at a time, and they take turns. A
-tool counts only if a pole's shadow is where it should be. Truth is rays from the nodes over quads that are cut along their higher
-diagonals, as Skugga cuts them. Cells count if truth does not depend on the rays' offset; for the other tools, nor on the diagonal.
+There are two rasters: SRTM of the Jacksboro fault, and fractal mountains. Three suns stand on the grid's axes and diagonals, and
+three off them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask. One runs at a time, and they take
+turns. A tool only takes part if its shadow of a pole lies where it should.
+
+Truth is traced with rays from the nodes over quads that are cut along their higher diagonals, as Skugga cuts them. Cells are
+counted if truth does not depend on the rays' offset from the ground. For the other tools, truth must not depend on the choice of
+the diagonal either.
 
 ``--python`` is the interpreter of the Python packages (`pip install insolation numba topocalc solweig whitebox-workflows
 rasterio`), which may have an environment of their own; the others are Debian's `grass-core`, `saga`, `pktools` and `gdal-bin`.
@@ -41,11 +44,11 @@ SUNS = [(315.0, 30.0), (135.0, 10.0), (90.0, 3.0), (202.0, 30.0), (113.0, 10.0),
 """Azimuth and altitude, degrees: the first three on the grid's axes and diagonals."""
 
 SLOW_S = 2.0
-"""A slower process runs only once: it is too far behind to need a median."""
+"""Seconds above which a process runs only once. It is then too far behind to need a median."""
 
 
 def jacksboro() -> tuple[np.ndarray, float]:
-    """Return SRTM heights in UTM 16N (rows, cols) float32 in metres, without the incomplete rim; and the side of a cell."""
+    """Return SRTM heights in UTM 16N without the incomplete rim, float32 (rows, cols) in metres, and the side of a cell."""
     with BUNDLED["jacksboro_utm"]().open() as source:
         height_m, cell_m = source.read(1), source.transform.a
     while np.isnan(height_m).any():
@@ -56,13 +59,20 @@ def jacksboro() -> tuple[np.ndarray, float]:
 
 
 def rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
-    """Name -> heights (rows, cols) float32 in metres, at most ``side`` cells a side, and the side of a cell."""
+    """Return by name the heights, float32 (rows, cols) in metres, and the side of a cell in metres.
+
+    Rasters have at most ``side`` cells a side.
+    """
     height_m, cell_m = jacksboro()
     return {"Jacksboro": (np.ascontiguousarray(height_m[:side, :side]), cell_m), "fractal": (mountains(side), CELL_M)}
 
 
 def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str], list[ToolRecord]]:
-    """Return the valid tools with the minimum seconds of their process on the pole; the others and why; the tools' versions."""
+    """Return the usable tools, the left-out tools, and records of the usable ones.
+
+    The first dictionary has the least seconds of a tool's process on the small raster of the pole. The second has the reason why a
+    tool is left out.
+    """
     start_s: dict[Tool, float] = {}
     left_out: dict[str, str] = {}
     records = []
@@ -84,7 +94,10 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
 
 
 def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
-    """Return a raster's facts, and truth under each sun; decided cells are those for tools that cut quads differently."""
+    """Return a raster's description, and the truth under each sun.
+
+    Its shares count cells that are decided for tools that cut quads differently.
+    """
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUNS]
     under = [
@@ -96,7 +109,7 @@ def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRast
 
 
 def errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
-    """Return false and missed shadow as shares of the cells where truth is ``certain``, one of its masks."""
+    """Return false and missed shadow, as shares of the cells in the mask ``certain``. It is one of the masks of ``truth``."""
     count = certain.sum()
     false, missed = (certain & (truth.lit == sunny) & (lit != sunny) for sunny in (True, False))
     return float(false.sum() / count), float(missed.sum() / count)

@@ -1,4 +1,4 @@
-"""Results of `benchmarks.peers`: answers of tools for rasters under suns, and which tools are faster and more accurate."""
+"""Results of `benchmarks.peers`: errors and costs of tools for rasters under suns, and which tools are faster and more accurate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SunShares:
-    """A raster under one sun: the shares of its decided cells in shadow, and of all cells that are undecided."""
+    """A raster under one sun: the share of its decided cells that are in shadow, and the share of cells that are not decided.
+
+    A cell is decided if truth does not depend on details of the method (``benchmarks.sweep_accuracy.GridTruth``).
+    """
 
     azimuth_deg: float
     altitude_deg: float
@@ -21,7 +24,7 @@ class SunShares:
 
 @dataclass(frozen=True)
 class TestRaster:
-    """A raster: cells, their side, its lowest and highest height in metres, and its shares under each sun."""
+    """A raster: its cells, their side and its lowest and highest height in metres, and its shares of cells under each sun."""
 
     name: str
     rows: int
@@ -34,7 +37,7 @@ class TestRaster:
 
 @dataclass(frozen=True)
 class ToolRecord:
-    """A tool that ran: ``start_s`` is the minimum time of its process for a tiny raster."""
+    """A tool that ran. ``start_s`` is the least time of its process for a tiny raster, in seconds."""
 
     name: str
     version: str
@@ -46,7 +49,7 @@ class ToolRecord:
 
 @dataclass(frozen=True)
 class ToolResult:
-    """A tool's answer for a raster under one sun: median seconds, peak memory, shares of the decided cells."""
+    """A tool's result for a raster under one sun: median seconds, peak memory, and errors as shares of the decided cells."""
 
     tool: str
     terrain: str
@@ -62,7 +65,7 @@ class ToolResult:
 
     @property
     def wrong(self) -> float:
-        """Share of the decided cells, all kinds of errors."""
+        """Share of the decided cells that are wrong in any way."""
         assert self.false_shadow is not None and self.missed_shadow is not None
         return self.false_shadow + self.missed_shadow
 
@@ -73,13 +76,13 @@ class ToolResult:
 
     @property
     def case(self) -> str:
-        """The raster and the sun."""
+        """The name of the raster and of the sun."""
         return f"{self.terrain} {self.azimuth_deg:g}/{self.altitude_deg:g}"
 
 
 @dataclass(frozen=True)
 class PeerComparison:
-    """All results. ``left_out`` are names of tools with the reason."""
+    """All results. ``left_out`` maps names of tools to the reason why they were left out."""
 
     where: str
     repeats: int
@@ -92,13 +95,13 @@ class PeerComparison:
 
     @staticmethod
     def read(values: dict[str, Any]) -> PeerComparison:
-        """Build it from JSON values."""
+        """Build the comparison from values of its JSON file."""
         terrains = [TestRaster(**{**entry, "under": [SunShares(**sun) for sun in entry["under"]]}) for entry in values["terrains"]]
         tools, answers = [ToolRecord(**entry) for entry in values["tools"]], [ToolResult(**entry) for entry in values["answers"]]
         return PeerComparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
 
     def of(self, tool: ToolRecord, terrain: str | None = None, on_axis: bool | None = None) -> list[ToolResult]:
-        """Return a tool's answers; of one raster, and on or off the axes, if given."""
+        """Return a tool's results, optionally only those of one raster, and only those on or off the grid's axes and diagonals."""
         return [
             answer
             for answer in self.answers
@@ -106,13 +109,14 @@ class PeerComparison:
         ]
 
     def compute_s(self, tool: ToolRecord, answer: ToolResult) -> float:
-        """Return seconds of computing; without the tool's own figure, at most the total minus its process's time for a tiny
-        raster.
+        """Return the seconds of computing that a tool reports.
+
+        If it reports none, return an upper bound: the total minus the time of its process for a tiny raster.
         """
         return answer.compute_s if answer.compute_s is not None else max(answer.whole_s - tool.start_s, 0.0)
 
     def bounded(self, tool: ToolRecord) -> bool:
-        """Return whether its seconds of computing are an upper bound."""
+        """Return whether a tool's seconds of computing are only upper bounds."""
         return any(answer.compute_s is None for answer in self.of(tool))
 
     @property
@@ -134,19 +138,22 @@ CLOCKS: dict[str, Callable[[PeerComparison, ToolRecord, ToolResult], float]] = {
 
 @dataclass(frozen=True)
 class ToolStanding:
-    """The standing of a tool in a case: seconds, and wrong cells as a share."""
+    """A tool in a case (a raster under a sun, or a mean): seconds, and wrong cells as a share."""
 
     tool: ToolRecord
     seconds: float
     wrong: float
 
     def beats(self, other: ToolStanding) -> bool:
-        """Return whether it is both faster and more accurate."""
+        """Return whether the tool is both faster and more accurate than another."""
         return self.seconds < other.seconds and self.wrong < other.wrong
 
 
 def cases(comparison: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
-    """Return standings of all tools: in each raster under each sun, and in the means over the suns off the axes."""
+    """Return the tools' standings in each case: every raster under every sun, and means over the suns off the grid's axes.
+
+    ``clock`` selects the seconds to compare.
+    """
     out: dict[str, list[ToolStanding]] = {}
     for tool in comparison.casting:
         for answer in comparison.of(tool):
@@ -160,17 +167,20 @@ def cases(comparison: PeerComparison, clock: str) -> dict[str, list[ToolStanding
 
 
 def dominated_results(comparison: PeerComparison, clock: str) -> list[tuple[str, str, str]]:
-    """Return Skugga's rows with peers that are both faster and more accurate, and the case."""
+    """Return triples of a row of Skugga (the sweep with some number of lines), a peer that beats it, and the case.
+
+    A peer beats a row if it is both faster and more accurate.
+    """
     return dominated_rows(cases(comparison, clock))
 
 
 def unmatched_results(comparison: PeerComparison, clock: str) -> list[tuple[str, str]]:
-    """Return peers that beat every row of Skugga's in a case, and the case."""
+    """Return pairs of a peer and a case in which the peer is faster and more accurate than every row of Skugga."""
     return unmatched_peers(cases(comparison, clock))
 
 
 def dominated_rows(standings_by_case: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
-    """Return, from standings by case, Skugga's rows with peers that are both faster and more accurate, and the case."""
+    """Return triples of a row of Skugga, a peer that is both faster and more accurate, and the case."""
     return [
         (our_row.tool.name, peer.tool.name, case)
         for case, standings in standings_by_case.items()
@@ -181,7 +191,7 @@ def dominated_rows(standings_by_case: dict[str, list[ToolStanding]]) -> list[tup
 
 
 def unmatched_peers(standings_by_case: dict[str, list[ToolStanding]]) -> list[tuple[str, str]]:
-    """Return, from standings by case, peers that beat every row of Skugga's there, and the case."""
+    """Return pairs of a peer and a case in which the peer is faster and more accurate than every row of Skugga."""
     return [
         (peer.tool.name, case)
         for case, standings in standings_by_case.items()

@@ -1,4 +1,4 @@
-"""Tables and the verdict from the results of `benchmarks.peers`. It measures nothing and contains no figures."""
+"""Tables and the verdict of `benchmarks.peers`, formatted from its results. The module measures nothing and has no figures."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ def seconds(value: float) -> str:
 
 
 def format_range(values: Iterable[float], format_value: Callable[[float], str]) -> str:
-    """Format the least and the greatest value."""
+    """Format the smallest and the largest value."""
     values = list(values)
     lowest, highest = format_value(min(values)), format_value(max(values))
     return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
 def bound_prefix(comparison: PeerComparison, tool: ToolRecord) -> str:
-    """Return the prefix of seconds of computing that are an upper bound."""
+    """Return the prefix that marks seconds of computing as an upper bound; empty if they are exact."""
     return "≤ " if comparison.bounded(tool) else ""
 
 
 def mean_wrong(comparison: PeerComparison, tool: ToolRecord, on_axis: bool) -> float:
-    """Return the mean share of wrong cells over rasters and suns."""
+    """Return a tool's mean share of wrong cells over rasters, for suns on or off the grid's axes and diagonals."""
     return float(np.mean([answer.wrong for answer in comparison.of(tool, on_axis=on_axis)]))
 
 
@@ -73,7 +73,7 @@ def error_table(comparison: PeerComparison) -> list[str]:
 
 
 def short_table(comparison: PeerComparison) -> list[str]:
-    """Format the short table: the largest raster's seconds, means over the suns off the axes."""
+    """Format the short table: seconds for the largest raster, and means over the suns off the grid's axes and diagonals."""
     rows = []
     for tool in comparison.tools:
         if tool.ours and tool.name not in SHORT_OURS:
@@ -94,7 +94,7 @@ SHORT_OURS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 
 
 def format_verdict(comparison: PeerComparison) -> str:
-    """Describe whether Skugga lies on or beyond the Pareto front of the others, and the exceptions."""
+    """Describe whether Skugga is on the Pareto front of time and error among all tools, and the exceptions."""
     peers = [tool for tool in comparison.casting if not tool.ours]
     if not peers:
         return "Open: there was no peer to compare with."
@@ -107,7 +107,7 @@ def format_verdict(comparison: PeerComparison) -> str:
 
 
 def _pareto_text(comparison: PeerComparison, clock: str, peers: int) -> str:
-    """Describe the verdict by one clock."""
+    """Describe the verdict by one measure of time, ``clock``."""
     title, count = (
         f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**",
         len(cases(comparison, clock)),
@@ -129,7 +129,10 @@ def _pareto_text(comparison: PeerComparison, clock: str, peers: int) -> str:
 
 
 def _compare_best_peers(comparison: PeerComparison) -> str:
-    """Compare the fastest and the most accurate peer, off the axes, with Skugga's row of the same merit."""
+    """Compare the fastest peer with Skugga's fastest row, and the most accurate peer with Skugga's most accurate row.
+
+    The figures are means over the suns off the grid's axes and diagonals.
+    """
     standings = cases(comparison, "computing")["all, mean off the axes"]
     peer_places, our_places = ([standing for standing in standings if standing.tool.ours == is_ours] for is_ours in (False, True))
 
@@ -154,7 +157,7 @@ def _join_names(names: list[str]) -> str:
 
 
 def page(comparison: PeerComparison, image: str) -> str:
-    """Format the page, in Markdown; ``image`` is the picture's address relative to it."""
+    """Format the page in Markdown. ``image`` is the picture's address relative to the page."""
     parts = [
         "# Masks of a DEM: Skugga beside other tools",
         "Made by `benchmarks/peers`, which writes every number and verdict below.",

@@ -1,4 +1,4 @@
-"""The plot of `benchmarks.peers`: seconds of computing against wrong cells, on logarithmic axes, with labels at the points."""
+"""The plot of `benchmarks.peers`: seconds of computing against wrong cells, on logarithmic axes. Each point has a label."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LABEL_MARGIN_PX = 14.0
 
 
 def picture(comparison: PeerComparison, path: Path) -> None:
-    """Write the plot, a panel for each raster, as WebP."""
+    """Write the plot, with a panel for each raster, as WebP."""
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK}):
         figure = Figure(figsize=(11.5, 5.4), dpi=140, layout="constrained")
         canvas = FigureCanvasAgg(figure)

@@ -1,9 +1,9 @@
-"""Programs that compute a mask of a raster with one tool: `benchmarks.peers` runs them as processes, in any interpreter.
+"""Programs that compute a shadow mask of a raster with one tool. `benchmarks.peers` runs them as processes, in any interpreter.
 
     PYTHON peer_programs.py TOOL dem.tif AZIMUTH ALTITUDE mask.tif [LINES]
     PYTHON peer_programs.py --version PACKAGE MODULE
 
-A program reads the raster, compiles its loops on a few cells, computes, and writes 1 where the sun is visible and 0 elsewhere; it
+A program reads the raster, compiles its loops on a few cells, computes, and writes 1 where the sun is visible and 0 elsewhere. It
 prints the seconds of computing. Only Skugga's own rows import Skugga, so that the other packages may have an environment of their
 own. ``r.horizon`` runs inside a GRASS session, and writes angles.
 """
@@ -33,7 +33,10 @@ COMPILED = ("insolation", "sweep")
 
 
 def insolation(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Return Corripio's running maximum along lines from the border; its y axis points south."""
+    """Return a function of a sun that computes Corripio's mask: a running maximum along lines from the border.
+
+    Its y axis points south.
+    """
     import numpy as np
     from insolation import insolf
 
@@ -46,7 +49,10 @@ def insolation(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Return horizons after Dozier and Frew: sines of angles; azimuths from south by way of east, within 180 degrees either way."""
+    """Return a function of a sun that computes a mask from horizons after Dozier and Frew.
+
+    The package returns sines of horizon angles. Its azimuths are 0 in the south and positive in the east, within 180 degrees.
+    """
     import numpy as np
     from topocalc.horizon import horizon
 
@@ -60,7 +66,10 @@ def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Return the maximum of shifted copies of the terrain, on the CPU: its GPU path is slower on software devices."""
+    """Return a function of a sun that computes a mask as the maximum of shifted copies of the terrain.
+
+    It runs on the CPU, because its GPU path is slower on software devices.
+    """
     os.environ["SOLWEIG_NO_GPU"] = "1"
     import numpy as np
     from solweig.rustalgos import shadowing
@@ -75,7 +84,7 @@ def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Return horizon angles in degrees, from a raster type of its own."""
+    """Return a function of a sun that computes a mask from horizon angles in degrees. The package has a raster type of its own."""
     from whitebox_workflows import WbEnvironment
 
     environment = WbEnvironment()
@@ -88,7 +97,10 @@ def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def sweep(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Return Skugga's line sweep, with the command line's number of lines a cell, on all cores."""
+    """Return a function of a sun that computes the mask by Skugga's line sweep, on all cores.
+
+    The number of lines per cell is the command line's.
+    """
     from skugga.shadows.sweep.grid import sunlit
 
     lines, cores = int(sys.argv[6]), os.cpu_count() or 1
@@ -105,7 +117,7 @@ PREPARE: dict[str, Callable[[str, np.ndarray, float], Ask]] = {
 
 
 def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: str) -> float:
-    """Write the mask of a raster; return seconds of computing."""
+    """Write the mask of a raster by the tool ``name``, and return the seconds of computing."""
     import numpy as np
     import rasterio
 
@@ -124,8 +136,9 @@ def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: s
 
 
 def r_horizon(path: str, azimuth_deg: float, out: str) -> float:
-    """Write horizon angles in degrees, inside a GRASS session; return seconds of the module. Directions run from east by way
-    of north.
+    """Write horizon angles in degrees with GRASS r.horizon, inside a GRASS session. Return the seconds that the module takes.
+
+    Its directions are 0 in the east and grow anticlockwise.
     """
 
     def grass(*arguments: str) -> str:

@@ -1,4 +1,4 @@
-"""Tools that compute shadows: their commands as processes of their own, the readers of their answers, and their checks."""
+"""Tools that compute shadows: commands that run them as processes, functions that read their output, and checks of the tools."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ POLE_TOLERANCE_CELLS = 2.0
 
 @dataclass(frozen=True)
 class ToolJob:
-    """A request: a raster of heights, the sun (azimuth clockwise from north) in degrees, and the output file."""
+    """A job for a tool: a raster of heights, the sun's azimuth (clockwise from north) and altitude in degrees, and the output."""
 
     dem: Path
     azimuth_deg: float
@@ -45,7 +45,19 @@ class ToolJob:
 
 @dataclass(frozen=True)
 class ToolRun:
-    """The cost of a process. ``compute_s`` is its own figure, ``None`` without one; cores are CPU time divided by wall time."""
+    """The cost of a process.
+
+    Attributes
+    ----------
+    whole_s
+        Wall time of the process, seconds.
+    compute_s
+        Seconds of computing that the process itself reports; ``None`` if it reports none.
+    peak_mb
+        Peak memory, MB.
+    cores
+        CPU time divided by wall time.
+    """
 
     whole_s: float
     compute_s: float | None
@@ -60,10 +72,23 @@ class ToolRun:
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """A tool and how it is run.
+    """A tool and how to run it.
 
-    It has the algorithm in a few words; the command for its version, which fails if the tool is absent; the command of a job; and
-    the function from its output values to where the sun is visible (rows, cols), or ``None`` if it casts no shadows.
+    Attributes
+    ----------
+    name
+        Name.
+    algorithm
+        Description of its algorithm in a few words.
+    version
+        Command that prints its version, and fails if the tool is absent.
+    command
+        Returns the command for a job.
+    lit
+        Returns the mask (rows, cols) of cells that see the sun, from the values that the tool wrote and the job; ``None`` if the
+        tool casts no shadows.
+    ours
+        Whether it is part of Skugga.
     """
 
     name: str
@@ -74,22 +99,22 @@ class Tool:
     ours: bool = False
 
     def installed_version(self) -> str | None:
-        """Return its version, or ``None`` if it is absent."""
+        """Return the tool's version, or ``None`` if it is absent."""
         return version_in_output(self.version)
 
     def run(self, job: ToolJob) -> ToolRun:
-        """Run it. Raises as ``run_process`` does."""
+        """Run the tool. Raises the errors of ``run_process``."""
         return run_process(self.command(job), job.out)
 
     def mask(self, job: ToolJob) -> np.ndarray:
-        """Return where its output shows the sun: bool (rows, cols)."""
+        """Read the tool's output, and return where the sun is visible, bool (rows, cols)."""
         assert self.lit is not None
         with rasterio.open(job.out) as dataset:
             return self.lit(dataset.read(1), job)
 
 
 def version_in_output(command: list[str]) -> str | None:
-    """Return the first number with dots in a command's output, ``None`` if it is absent or fails."""
+    """Return the first number with dots in a command's output; ``None`` if the command is absent or fails."""
     if shutil.which(command[0]) is None:
         return None
     process = subprocess.run(command, capture_output=True, text=True)
@@ -98,9 +123,10 @@ def version_in_output(command: list[str]) -> str | None:
 
 
 def run_process(command: list[str], out: Path) -> ToolRun:
-    """Run a command that writes ``out``; the last line of its output that is only a number is its seconds of computing.
+    """Run a command that writes the file ``out``, and return its cost.
 
-    Raises ``RuntimeError`` with the last line of its output if it fails.
+    Its seconds of computing are the last line of its output that is only a number. Raises ``RuntimeError`` with the last line of
+    its output if it fails.
     """
     out.unlink(missing_ok=True)
     process = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *command], capture_output=True, text=True)
@@ -123,11 +149,11 @@ with tempfile.TemporaryFile("w+") as said:
     print(json.dumps({"wall_s": wall_s, "cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss * 1024 / 1e6,
                       "code": os.waitstatus_to_exitcode(status), "said": said.read()}))
 """
-"""A small parent process of the tool's: a process's peak memory begins with that of its parent."""
+"""Program of a small parent process of a tool. It is needed because a process's peak memory begins with that of its parent."""
 
 
 def tools_of(python: str) -> list[Tool]:
-    """Return all tools; packages are those of the interpreter ``python``."""
+    """Return all tools. Python packages are those of the interpreter ``python``."""
     programs_file = str(PROGRAMS)
 
     def package(name: str, algorithm: str, program: str, distribution: str, module: str) -> Tool:
@@ -191,7 +217,7 @@ def tools_of(python: str) -> list[Tool]:
 
 
 def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, middle_m: tuple[float, float] = MIDDLE_M) -> None:
-    """Write heights (rows, cols) float32 in metres as a GeoTIFF on square cells, its middle at a position of a CRS."""
+    """Write heights, float32 (rows, cols) in metres, as a GeoTIFF with square cells. ``middle_m`` is the position of its middle."""
     rows, cols = height_m.shape
     corner = middle_m[0] - cols * cell_m / 2, middle_m[1] + rows * cell_m / 2
     transform = Affine(cell_m, 0, corner[0], 0, -cell_m, corner[1])
@@ -202,7 +228,7 @@ def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, m
 
 
 def check_pole(tool: Tool, folder: Path) -> list[ToolRun]:
-    """Check that a block on a flat floor casts a shadow away from the sun and of the right length; return the runs.
+    """Check that a tool's shadow of a block on a flat floor has the right direction and length. Return the costs of the runs.
 
     Raises ``RuntimeError`` if a shadow differs by more than ``POLE_TOLERANCE_CELLS`` cells, or if the tool fails.
     """

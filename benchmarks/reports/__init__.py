@@ -1,1 +1,1 @@
-"""The published reports of `skugga compare`, one for each kind of scene, and the page that holds them beside one another."""
+"""The published reports of `skugga compare`, one for each kind of scene, and the page that compares them."""

@@ -1,7 +1,7 @@
 """The published reports of `skugga compare` (docs/compare), and the page that compares them (docs/comparisons.md).
 
     python -m benchmarks.reports DATA [--only NAME ...] [--time-limit S]     twelve minutes on two cores, for all
-    python -m benchmarks.reports --write-only                                the page again, of the figures that are kept
+    python -m benchmarks.reports --write-only                                write the page again from the stored figures
 
 DATA is the folder of sample rasters. Each scene has a process of its own: if one fails, its error is printed and the others
 continue. Figures are stored by scene (reports.json), so that ``--only`` updates one.
@@ -28,18 +28,18 @@ REPORTS, PLOTS = ROOT / "docs" / "compare", ROOT / "docs" / "images"
 
 
 def stored_records() -> dict[str, dict[str, Any]]:
-    """Return the stored record of each compared scene, in order."""
+    """Return the stored figures of each compared scene, in the order of the page."""
     records = json.loads(RECORDS_FILE.read_text(encoding="utf-8")) if RECORDS_FILE.exists() else {}
     return {name: records[name] for name in SCENES if name in records}
 
 
 def write_page() -> None:
-    """Write the page of the stored records."""
+    """Write the page from the stored figures."""
     PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(stored_records())), encoding="utf-8")
 
 
 def make(name: str, data: Path, time_limit_s: float | None) -> None:
-    """Write a scene's report, plot and figures."""
+    """Measure a scene, and write its report, its plot and its figures."""
     scene_record = measure_scene(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
     RECORDS_FILE.write_text(json.dumps(stored_records() | {name: scene_record}, indent=1) + "\n", encoding="utf-8")
     print(

@@ -1,4 +1,4 @@
-"""One scene's comparison: its report, its plot, and its figures in the page."""
+"""Compare the algorithms in one scene: write its report and its plot, and return its figures for the page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROW_KEYS = ("wrong_cast", "coverage", "soft_error", "interior", "cold", "pareto"
 
 
 def measure_scene(scene: ReportScene, data: Path, report: Path, plot: Path, time_limit_s: float | None = None) -> Figures:
-    """Compare, write the report and the plot, and return the record.
+    """Compare the algorithms in a scene, write the report and the plot, and return the figures to store.
 
     Raises ``RuntimeError`` for a report that is too large, which is not written.
     """
@@ -48,7 +48,7 @@ def measure_scene(scene: ReportScene, data: Path, report: Path, plot: Path, time
 
 
 def publish(text: str, report: Path) -> None:
-    """Write a report of limited size. Raises ``RuntimeError`` if it is larger."""
+    """Write the text of a report to a file. Raises ``RuntimeError`` if it is larger than the limit."""
     size = len(text.encode())
     if size >= MAX_BYTES:
         raise RuntimeError(f"{report}: {size} bytes; a published report has less than {MAX_BYTES}")
@@ -56,7 +56,7 @@ def publish(text: str, report: Path) -> None:
 
 
 def record(scene: ReportScene, comparison: Comparison, report_facts: dict[str, str]) -> Figures:
-    """Return the record of a comparison; ``report_facts`` is its report's text on the run."""
+    """Return the figures of a comparison to store. ``report_facts`` are the report's facts about the run."""
     return {
         "command": scene.command,
         "title": scene.title,

@@ -1,4 +1,4 @@
-"""The measured part of docs/comparisons.md, from the stored figures."""
+"""The measured part of docs/comparisons.md, formatted from the stored figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TARGETS = [goal for goal in GOALS if goal.time_share is None]
 
 
 def comparisons(records: Mapping[str, Figures]) -> str:
-    """Format all tables, and the findings of each scene, as Markdown."""
+    """Format all tables, and the findings in each scene, as Markdown."""
     first = next(iter(records.values()))
     devices = list(dict.fromkeys(f"{record['device']}, {record['processors']} processors" for record in records.values()))
     parts = [
@@ -43,7 +43,7 @@ def comparisons(records: Mapping[str, Figures]) -> str:
 
 
 def commands(record: Figures) -> list[str]:
-    """Return the command that measures each variant that was left out."""
+    """Return for each row that was left out the command that measures it."""
     return [f"{record['command']} --only {shlex.quote(name)}" for name in record["left_out"]]
 
 
@@ -79,7 +79,10 @@ def _default(record: Figures) -> list[str]:
 
 
 def _pareto_place(record: Figures, row: Figures) -> str:
-    """Describe the fronts of the default, or a row that is at least as fast and as accurate by both errors, or by one of them."""
+    """Describe on which Pareto fronts a row lies.
+
+    If it is on none, name a row that dominates it: one at least as fast and as accurate by both errors, or by one of them.
+    """
     fronts = [f"`{by}`" for front, by in (("pareto", record["error"]), ("pareto_soft", "soft_error")) if row[front]]
     if fronts:
         return f"on the front by {format_list(fronts)}: no row dominates it"
@@ -116,13 +119,13 @@ def _section(name: str, record: Figures) -> str:
 
 
 def _coded_sentences(record: Figures) -> list[str]:
-    """Return the sentences of the report, with names of rows as code, since `_` and `*` have a meaning in Markdown."""
+    """Return the sentences of the report with names of rows as Markdown code, since `_` and `*` have a meaning in Markdown."""
     names = sorted([*record["rows"], *record["left_out"]], key=len, reverse=True)
     return [_with_code(sentence, names) for sentence in [*record["summary"], *record["remarks"]]]
 
 
 def _with_code(sentence: str, names: list[str]) -> str:
-    """Format every name of a row in a sentence as code; a longer name before one that is a part of it."""
+    """Format every name of a row in a sentence as code. Longer names come before names that they contain."""
     for name in names:
         before, match, after = sentence.partition(name)
         if match:

@@ -1,4 +1,4 @@
-"""The scenes of the published comparisons: one of each kind, as the arguments of ``skugga compare``."""
+"""The scenes of the published comparisons, one of each kind. They are arguments of ``skugga compare``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,24 @@ PERSPECTIVE_PX = (640, 512)
 
 @dataclass(frozen=True)
 class ReportScene:
-    """A scene to compare. ``level`` is a bundled level's name or a raster below ``DATA/``; ``size`` width and height in pixels.
+    """A scene to compare.
 
-    ``sun`` is azimuth and altitude in degrees (``None``: the level's own light). ``bounds`` are those of a map in units of its CRS.
-    ``data`` names the owner of the data. ``time_limit_s`` is that of the comparison, on two cores of its own.
+    Attributes
+    ----------
+    name, title
+        Name of its report, and title in the page.
+    level, view
+        Name of a bundled level or a raster below ``DATA/``, and name of its view.
+    size
+        Width and height of the picture, pixels.
+    time_limit_s
+        Time limit of the comparison on two cores of its own, seconds.
+    data
+        Owner of the data.
+    sun
+        Azimuth and altitude of the sun, degrees; ``None`` uses the level's own light.
+    bounds
+        West, south, east and north of a map, units of its CRS.
     """
 
     name: str
@@ -33,7 +47,7 @@ class ReportScene:
 
     @property
     def words(self) -> list[str]:
-        """The command line of the comparison; the commands of its rows begin with it."""
+        """The command line of the comparison as words. The commands that measure single rows begin with them."""
         words = ["skugga", "compare", self.level, "--view", self.view, "--size", "x".join(map(str, self.size))]
         if self.sun is not None:
             words += ["--azimuth", f"{self.sun[0]:g}", "--altitude", f"{self.sun[1]:g}"]
@@ -46,7 +60,7 @@ class ReportScene:
         return shlex.join(self.words)
 
     def level_path(self, data: Path) -> str:
-        """Return the level's path."""
+        """Return the path of the scene's raster in the folder ``data``, or the name of its bundled level."""
         return str(data / self.level.removeprefix(SAMPLES)) if self.level.startswith(SAMPLES) else self.level
 
 

@@ -3,10 +3,12 @@
     python -m benchmarks.seeds [EXPERIMENT ...] [--json benchmarks/seeds/seeds.json] [--markdown docs/seeds.md] [--write-only]
         [--without DEVICE]
 
-The texts: J. Sindholt, A comparison of Shadow Algorithms (DTU 2005); a thesis at Chalmers on shadows for the GIS SpatialAce; a
-bachelor's report of Copenhagen on shadow volumes and shadow maps. Without names all experiments run, one after the other; the JSON
-file has the figures of the others. `--write-only` measures nothing and writes the page from the file. Times are ratios within one
-run, since milliseconds do not compare between machines.
+The texts are J. Sindholt, A comparison of Shadow Algorithms (DTU 2005); a thesis at Chalmers on shadows for the GIS SpatialAce; and
+a bachelor's report of Copenhagen on shadow volumes and shadow maps.
+
+Without names all experiments run, one after the other. With names, the figures of the other experiments are taken from the JSON
+file. `--write-only` measures nothing and writes the page from the file. Times are ratios within one run, since milliseconds do not
+compare between machines.
 
 The experiments measure the device that commands draw with (`SKUGGA_EGL_DEVICE`). Figures of other devices stay in the file, and the
 page shows all of them; `--without` removes a device from both.
@@ -94,7 +96,7 @@ def main() -> None:
 
 
 def round_figures(figures: Any) -> Any:
-    """Round figures to their significant digits."""
+    """Round all numbers in nested figures to the number of significant digits that the file stores."""
     if isinstance(figures, dict):
         return {name: round_figures(value) for name, value in figures.items()}
     if isinstance(figures, list | tuple):
@@ -103,7 +105,7 @@ def round_figures(figures: Any) -> Any:
 
 
 def page(measured: Measured) -> str:
-    """Format the page of all measured experiments, in order, with the figures of all devices."""
+    """Format the page: all measured experiments in order, with the figures of all devices."""
     sections = (section_of(name, experiment, measured) for name, experiment in EXPERIMENTS.items())
     head = "\n\n".join([INTRODUCTION, about_devices(measured)])
     return head + "\n\n" + "\n".join(section for section in sections if section is not None)

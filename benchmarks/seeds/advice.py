@@ -37,7 +37,7 @@ MIN_WORSE_VIEWS = 3
 """The least number of views that counts as many cases."""
 
 MAX_CACHED_RATIO = 0.8
-"""The ratio of times that counts as considerably less."""
+"""Largest ratio of times that counts as considerably less time."""
 
 
 def measure() -> Figures:
@@ -60,7 +60,7 @@ def measure() -> Figures:
 
 
 def _errors_in(level: str, view: str, size: tuple[int, int], algorithms: tuple[str, ...] = FOUR) -> Figures:
-    """Return errors in a view of a bundled level."""
+    """Return the errors of algorithms in a view of a bundled level."""
     scene = bundled(level)
     return errors(with_truth(scene, view_of(scene, view, size), "main"), algorithms)
 

@@ -1,4 +1,4 @@
-"""Replication of the bachelor's report of Copenhagen: the bias of shadow maps, culling, and taps."""
+"""Replication of the bachelor's report of Copenhagen: the bias of shadow maps, culling, and filter taps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEVELS = {
     "alpine": ("jacksboro_alpine", "map"),
 }
 CLOSED_SCENES = ("street", "rocks")
-"""Scenes whose casters are only closed meshes; in the third the ground casts on itself."""
+"""Scenes in which only closed meshes cast shadows. In the third scene the ground casts shadows on itself."""
 
 SIZE, TEXELS = (512, 512), 1024
 COARSE_MAP_SIZE = 256
@@ -37,7 +37,8 @@ BIAS_CONSTANTS = tuple(float(b) for b in np.geomspace(1e-6, 3e-2, 16))
 
 FORMULAS = ("constant", "slope", "clamped")
 ACNE, TWICE, ALIKE = 10.0, 2.0, 1.5
-"""Factors over the error of the derived bias: of acne and of peter-panning; up to the last one another bias is alike."""
+"""Ratios of an error to that of the derived bias. The first marks acne, the second peter-panning. Up to the last, two biases count
+as equally good."""
 
 NO_BIAS, SLOPE, TOO_MUCH = (f"polygon_offset x {scale:g}" for scale in (0.0, 1.0, 16.0))
 BODIES, BARE_BODIES, CULLED = "bodies x 1", "bodies x 0", "bodies, front culled x 0"
@@ -64,7 +65,11 @@ def measure() -> Figures:
 
 
 def _biased(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> dict[str, float]:
-    """Return errors; among the points that face the sun, the share whose visibility is neither 0 nor 1, and its deviation."""
+    """Return the errors of a shadow map with some overrides, such as its bias.
+
+    Two further figures describe the visibility of points that face the sun. ``partial`` is the share of points with a visibility
+    strictly between 0 and 1. ``off`` is the mean absolute difference from the ray-traced visibility.
+    """
     visibility, decided = truth_view.visibility(truth_view.plan(overrides)), truth_view.truth.decidable & truth_view.receivers
     partial = (visibility > 0.0) & (visibility < 1.0) & truth_view.receivers
     shaded, ground = decided & ~truth_view.truth.lit, truth_view.buffer.kind == RELIEF
@@ -82,9 +87,10 @@ def _biased(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> dict[str, 
 
 
 def _by_formulas(truth_view: ViewWithTruth, size: int) -> dict[str, Any]:
-    """Return ``wrong_cast`` under biases in depth for each constant b, with the map of ``size`` as drawn and one tap a point.
+    """Return the share of wrong pixels (``wrong_cast``) for three formulas of the depth bias, with each constant b.
 
-    The biases are b itself, b tan(acos(n.l)), and the latter clamped to the report's bound.
+    The formulas are b itself, b tan(acos(n.l)), and the latter clamped to the report's bound. All use the same drawn map of
+    ``size`` texels a side, with one tap per point. ``texel`` is the side of a texel as a share of the map's range of depths.
     """
     plan, log = (
         truth_view.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)),
@@ -111,7 +117,7 @@ def _by_formulas(truth_view: ViewWithTruth, size: int) -> dict[str, Any]:
 
 
 def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
-    """Return ``skugga.shadows.truth.metrics.ErrorMetrics.wrong_cast`` alone, which needs no search for distances."""
+    """Return ``skugga.shadows.truth.metrics.ErrorMetrics.wrong_cast`` alone, without the slower figures on distances of edges."""
     truth = truth_view.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
@@ -284,23 +290,30 @@ def section(figures: Figures) -> Section:
 
 
 def _formula_cases(figures: Figures) -> list[dict[str, Any]]:
-    """Return the results of ``_by_formulas``, by scene and map size."""
+    """Return the results of ``_by_formulas``, one for each scene and map size."""
     return [case for scene in LEVELS for case in figures[scene]["formulas"].values()]
 
 
 def _regret(figures: Figures, formula: str) -> float:
-    """Return for the minimax constant its worst ratio to a case's own least wrong share."""
+    """Return the worst ratio of wrong shares that a single constant must accept.
+
+    The ratio compares a case's wrong share with that of the case's own best constant. The constant is the one whose worst ratio is
+    least.
+    """
     wrong_shares = np.array([case[formula] for case in _formula_cases(figures)])
     return float((wrong_shares / wrong_shares.min(axis=1, keepdims=True)).max(axis=0).min())
 
 
 def _tolerance(figures: Figures) -> float:
-    """Return the least ratio, over the cases, of the last to the first constant bias whose wrong share is alike to the least."""
+    """Return how freely the constant bias may be chosen, as a ratio of its largest to its smallest good value.
+
+    A value is good if its wrong share is at most ``ALIKE`` times the least one. The ratio is the smallest one among the cases.
+    """
     wrong_shares = (np.array(case["constant"]) for case in _formula_cases(figures))
     near_best = [np.flatnonzero(row <= ALIKE * row.min()) for row in wrong_shares]
     return min(BIAS_CONSTANTS[alike[-1]] / BIAS_CONSTANTS[alike[0]] for alike in near_best)
 
 
 def _best(figures: Figures, formula: str) -> float:
-    """Return the mean wrong share, each case with its own best constant."""
+    """Return the mean wrong share of a formula if each case uses its own best constant."""
     return float(np.mean([min(case[formula]) for case in _formula_cases(figures)]))

@@ -12,9 +12,9 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True)
 class Claim:
-    """A source's claim, in our words; our finding, with its figures; whether the claim holds here, and the reason.
+    """A claim of a source in our words, our finding with its figures, whether the claim holds here, and the reason.
 
-    ``verdict`` is ``None`` if the experiment cannot decide it.
+    ``verdict`` is ``None`` if the experiment cannot decide the claim.
     """
 
     source: str
@@ -44,7 +44,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Experiment:
-    """``measure`` takes seconds to minutes; ``section`` describes its figures and must not measure anything."""
+    """An experiment. ``measure`` takes seconds to minutes; ``section`` formats its figures for the page and measures nothing."""
 
     measure: Callable[[], Figures]
     section: Callable[[Figures], Section]
@@ -62,7 +62,7 @@ def markdown(section: Section) -> str:
 
 
 def claims_table(claims: list[Claim]) -> list[str]:
-    """Return lines of a Markdown table of claims."""
+    """Return the lines of a Markdown table of claims."""
     words = {True: "held", False: "**not held**", None: "open"}
     return table(
         [

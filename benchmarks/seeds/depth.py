@@ -1,4 +1,4 @@
-"""Depth bits: shadows in mountains with 16, 24 and 32 of them, and the errors that follow from a depth's step."""
+"""Bits of a shadow map's depths: shadows in mountains with 16, 24 and 32 bits, and the errors due to the step of depths."""
 
 from __future__ import annotations
 
@@ -28,13 +28,12 @@ RELIEF_M, SIDE_M, MIDDLE_M = 2000, 12_000, 6000
 EYE_M, AHEAD = (0.0, 0.0), (0.6, 0.8)
 PLANE, OFFSET = "receiver_plane", "polygon_offset"
 ERROR_STEPS = {PLANE: 1.0, OFFSET: 4.5}
-"""The error of a depth in steps of the map: half a step by rounding, and half a step by the point's bias or the four units
-of polygon offset.
-"""
+"""The error of a depth, in steps of the map, by kind of bias. Half a step comes from rounding. The rest is half a step by the
+point's bias, or the four units of polygon offset."""
 
 
 def mountains(folder: Path) -> Scene:
-    """Return mountains of 2,000 m, with thin walls on a slope, behind which a shadow begins at zero depth."""
+    """Return a scene of mountains of 2,000 m. Thin walls stand on a slope, and their shadows begin at their feet."""
     trimesh.creation.box(extents=(6.0, 0.2, 3.0)).export(folder / "wall.obj")
     rng = np.random.default_rng(2)
     eye, forward = np.array(EYE_M), np.array(AHEAD)
@@ -67,9 +66,10 @@ def measure() -> Figures:
 
 
 def _by_bits(truth_view: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, Any]:
-    """Return errors by bits.
+    """Return errors of shadow maps by the number of depth bits.
 
-    Also the number of pixels whose class differs from that with 32 bits, as a share of the cast shadow, and its upper bound.
+    ``changed`` is the number of pixels whose class differs from that with 32 bits, as a share of the cast shadow. ``bound`` is an
+    upper bound of it. ``healed`` counts those of them that are truly lit.
     """
     plans = {bits: truth_view.plan(one_map(MAP_SIZE, bias=bias, depth_bits=bits)) for bits in BITS}
     dark = {bits: np.nan_to_num(truth_view.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
@@ -95,14 +95,14 @@ def _by_bits(truth_view: ViewWithTruth, bias: str, altitude_deg: float) -> dict[
 
 
 def _pixel_m(truth_view: ViewWithTruth) -> np.ndarray:
-    """Return a pixel's side (rows, cols) on a surface that faces the viewer, metres."""
+    """Return the side of each pixel (rows, cols) on a surface that faces the viewer, metres."""
     if isinstance(truth_view.view, MapView):
         return np.full(truth_view.buffer.valid.shape, truth_view.descriptor.pixel_m)
     return truth_view.ahead_m * truth_view.view.pixel
 
 
 MAX_CHANGED_SHARE = 1e-4
-"""The share of the cast shadow that may change where one map is no finer than another."""
+"""Largest share of the cast shadow that may differ between two numbers of bits of which neither is finer."""
 
 
 def section(figures: Figures) -> Section:
@@ -211,10 +211,10 @@ def section(figures: Figures) -> Section:
 
 
 def _cost(case_figures: Figures) -> float:
-    """Return the increase of the wrong share from 32 to 16 bits."""
+    """Return the increase of the share of wrong pixels from 32 to 16 bits."""
     return case_figures["16"]["wrong_cast"] - case_figures["32"]["wrong_cast"]
 
 
 def _lit_share(rows: list[Figures]) -> float:
-    """Return the share of changes that are truly lit."""
+    """Return which share of the pixels that change with the number of bits is truly lit."""
     return sum(row["healed"] for row in rows) / max(sum(row["changed"] for row in rows), 1e-30)

@@ -1,4 +1,4 @@
-"""The figures of several devices on one page: a table's cells hold those of all devices, and each device judges the claims.
+"""The figures of several devices on one page: table cells show those of all devices, and claims are judged for each device.
 
 The first device in the file of figures is the page's main device.
 """
@@ -29,18 +29,18 @@ reads some of it. So shares of stages mean less there than whole times."""
 
 
 def read_measured(path: Path) -> Measured:
-    """Read the measurements so far."""
+    """Return all stored measurements, by device and experiment; empty if the file does not exist."""
     return json.loads(path.read_text("utf-8")) if path.exists() else {}
 
 
 def add_figures(measured: Measured, device: Device, name: str, figures: Figures) -> None:
-    """Replace an experiment's figures of a device; those of other devices stay."""
+    """Replace an experiment's figures of a device. The figures of other devices are kept."""
     of_device = measured.setdefault(device.renderer, {"software": device.egl_device.software, "experiments": {}})
     of_device["experiments"][name] = figures
 
 
 def about_devices(measured: Measured) -> str:
-    """Return the devices' description in the page."""
+    """Return the text about the devices for the page."""
     names = list(measured)
     lines = [f"Device: {names[0]}."]
     if len(names) > 1:
@@ -68,7 +68,10 @@ def section_of(name: str, experiment: Experiment, measured: Measured) -> str | N
 
 
 def _merge_tables(tables: Tables, other_tables: Mapping[str, Tables]) -> Tables:
-    """Merge tables of all devices into common cells; a table with other rows than the first device's stands by itself, below."""
+    """Merge the tables of all devices, so that a cell shows the values of each device.
+
+    A table whose rows differ from those of the first device is not merged. It stands below as a table of its own.
+    """
     result: Tables = []
     for number, (title, rows) in enumerate(tables):
         merged_rows, separate_tables = [[{key: [value] for key, value in row.items()} for row in rows], []]
@@ -88,7 +91,7 @@ def _merge_tables(tables: Tables, other_tables: Mapping[str, Tables]) -> Tables:
 
 
 def _heads(rows: list[dict[str, str]]) -> list[tuple[tuple[str, ...], str]]:
-    """Return the parts that two mergeable tables share: columns, and the labels of rows."""
+    """Return the columns and row labels of a table. Tables can be merged if these are equal."""
     return [((*row,), next(iter(row.values()))) for row in rows]
 
 

@@ -59,7 +59,10 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 
 
 def errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = FOUR) -> Figures:
-    """Return errors of the algorithms; the share of wrong pixels on foliage, and the median number of pixels per texel there."""
+    """Return errors by algorithm, with two figures on its wrong pixels.
+
+    ``on_foliage`` is the share of them that lies on foliage. ``texel_px`` is their median number of pixels per texel of the map.
+    """
     result: Figures = {}
     for key in algorithms:
         plan = truth_view.plan(COMPARED_VARIANTS[key])
@@ -74,7 +77,10 @@ def errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = FOUR) -> Fig
 
 @cache
 def along_path(level: str) -> list[Figures]:
-    """Return errors in a level's main view, the camera moved to its right by each of ``CAMERA_MOVES``."""
+    """Return the errors in a level's main view from several camera positions.
+
+    The camera moves to its right by each of ``CAMERA_MOVES``, shares of the median distance of the visible points.
+    """
     scene = bundled(level)
     view = scene.view("main", size=ERROR_SIZE)
     assert isinstance(view, PerspectiveView)
@@ -91,7 +97,7 @@ def measure() -> Figures:
 
 
 def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
-    """Return the figures that are compared with each column of grades, by scene and algorithm: less is better."""
+    """Return for each column of the thesis's grades the figures to compare it with, by scene and algorithm. Smaller is better."""
     paths, pairs = figures["paths"], [(scene, key) for scene in SCENES for key in FOUR]
 
     def of(scene: str, key: str, name: str) -> list[float]:
@@ -148,13 +154,16 @@ REASONS: dict[str, dict[str, str]] = {
 
 
 def agreement(column: str, measured: dict[tuple[str, str], float]) -> float:
-    """Return Spearman's rank correlation of a column's grades and the figures: 1 where the better grade has the lesser figure."""
+    """Return Spearman's rank correlation of a column of grades with the figures.
+
+    It is 1 if better grades always go with smaller figures.
+    """
     grades = [GRADES[key][scene][GRADE_COLUMNS[column]] for scene, key in measured]
     return float(spearmanr(grades, np.round([-value for value in measured.values()], 4)).statistic)
 
 
 def contradictions(column: str, measured: dict[tuple[str, str], float]) -> dict[str, list[str]]:
-    """Return scenes with the pairs of algorithms that grades and figures order differently."""
+    """Return by scene the pairs of algorithms that grades and figures order differently."""
     result: dict[str, list[str]] = {}
     for scene in SCENES:
         for algorithm, other in permutations(FOUR, 2):

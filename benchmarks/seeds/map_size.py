@@ -38,11 +38,11 @@ CROP: CropBox = (440, 520, 200, 160)
 
 
 def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return unit axis (3,) and half angle, degrees, of the smallest cone from an apex about points (n, 3), to a thousandth
-    of it.
+    """Return the smallest cone from an apex round points (n, 3): its unit axis (3,) and its half angle in degrees.
 
-    Its axis passes through the centre of the smallest ball about the unit directions (M. Badoiu and K. Clarkson 2003, Smaller
-    core-sets for balls: each step moves a share of the way to the farthest one).
+    Its error is a thousandth of the angle. Its axis passes through the centre of the smallest ball round the unit directions. The
+    method is that of M. Badoiu and K. Clarkson 2003, Smaller core-sets for balls: each step moves the centre a share of the way to
+    the farthest point.
     """
     directions = points_m - apex_m
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -54,11 +54,11 @@ def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray,
 
 
 def texels_at_edges_px(truth_view: ViewWithTruth, map_size: int) -> np.ndarray:
-    """Return the pixels per texel of a spot's map at the pixels (n,) of truth's shadow edges.
+    """Return the pixels per texel of a spot light's map at the pixels (n,) on true shadow edges.
 
-    d = d_s (r_s / r_i) (cos b / cos a): a texel's side d_s at distance 1 from the light, the distances r_s to the light and r_i to
-    the eye, the angles a and b between the surface's normal and the directions to the light and to the eye (M. Stamminger and G.
-    Drettakis 2002; the thesis's equation 1).
+    The formula is d = d_s (r_s / r_i) (cos b / cos a). d_s is a texel's side at distance 1 from the light. r_s and r_i are the
+    distances to the light and to the eye. a and b are the angles between the surface's normal and the directions to the light and
+    to the eye. (M. Stamminger and G. Drettakis 2002; the thesis's equation 1)
     """
     buffer, lamp, receivers = truth_view.buffer, truth_view.scene.lamps[truth_view.light], truth_view.receivers
     edge = boundary(~truth_view.truth.lit & receivers, receivers)
@@ -71,7 +71,7 @@ def texels_at_edges_px(truth_view: ViewWithTruth, map_size: int) -> np.ndarray:
 
 
 def measure() -> Figures:
-    """Measure the water tower's shadow by map size, under the smallest spot that contains the tower, and under a wide one."""
+    """Measure the water tower's shadow by map size, under a spot light that just contains the tower, and under a wide one."""
     level, rows, cells = level_of("thesis_water_tower"), [], []
     lamp = level["lights"]["lamp"]
     with TemporaryDirectory() as name:

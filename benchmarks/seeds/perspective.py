@@ -1,7 +1,7 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), replication of figures 54 and 55: perspective maps by light.
 
-Every picture is compared with ray-traced truth (``skugga.shadows.truth.metrics``). Maps have one tap. Some rows are *controls*, an
-algorithm without one of its parts, to find the cause of a difference by experiment.
+Every picture is compared with ray-traced truth (``skugga.shadows.truth.metrics``). Maps have one tap. Some rows are *controls*: an
+algorithm without one of its parts. They show by experiment which part causes a difference.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ DISTANCE_SHARES = (1.5, 0.5, 0.25)
 """Distances of the spot in figure 55 from the objects, as shares of the camera's."""
 
 NEAR_PLACES = ((180.0, 45.0), (45.0, 70.0), (315.0, 70.0))
-"""Its directions from the objects: degrees clockwise of the view's direction, and degrees of altitude."""
+"""Directions of the spot in figure 55 from the objects: degrees clockwise of the view's direction, and degrees of altitude."""
 
 NEAR_CUTOFF_DEG = 75.0
 SHOWN_CASE = NEAR_PLACES[0][0], DISTANCE_SHARES[-1]
@@ -79,14 +79,17 @@ from the bundled level; a sun's altitude, degrees.
 
 @contextmanager
 def without_perspective() -> Iterator[None]:
-    """Replace perspective maps by uniform ones, fitted to the same receivers."""
+    """Replace perspective maps by uniform ones that are fitted to the same receivers, while the context manager is active."""
     with patch.object(post_perspective, "UNIFORM_MAP_CONE_DEG", 90.0):
         yield
 
 
 @contextmanager
 def without_uniform_maps() -> Iterator[None]:
-    """Allow uniform maps only if no slide-back is possible, not if these have the smaller texels."""
+    """Use uniform maps only if no slide-back of the camera is possible, even where they would have smaller texels.
+
+    Slide-back moves the eye of the map's perspective back, which weakens the perspective.
+    """
 
     def penalized_uniform(*of: Any) -> PostPerspective:
         fit = PostPerspective(*of)
@@ -98,7 +101,7 @@ def without_uniform_maps() -> Iterator[None]:
 
 @contextmanager
 def without_slide_back() -> Iterator[None]:
-    """Use the camera's own perspective, or the shortest slide-back that keeps everything on the map."""
+    """Use the camera's own perspective, or the shortest slide-back by which the map contains everything."""
     ranked = perspective_shadow_map.post_perspectives
 
     def shortest_first(*args: Any) -> list[PostPerspective]:
@@ -109,8 +112,9 @@ def without_slide_back() -> Iterator[None]:
 
 
 def variants() -> dict[str, Variant]:
-    """Return a map of everything that the light reaches, and four of the visible part: without and with the camera's
-    perspective.
+    """Return the variants of shadow maps to compare, by name.
+
+    One map shows everything that the light reaches. Four maps show only what is visible: without and with the camera's perspective.
     """
     overrides = {"map_size": TEXELS, "filter": 1}
     perspective = {**overrides, "algorithm": "perspective_shadow_map"}
@@ -124,7 +128,10 @@ def variants() -> dict[str, Variant]:
 
 
 def thirds(truth_view: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
-    """Return wrong pixels in the nearest and in the farthest third of true cast shadow, as shares of that third."""
+    """Return the wrong pixels in the nearest and in the farthest third of true cast shadow, as shares of that third.
+
+    The mask ``dark`` (rows, cols) is the shadow to judge. Thirds have equal numbers of pixels of cast shadow.
+    """
     truth, ahead_m = truth_view.truth, truth_view.ahead_m
     cast = truth.decidable & ~truth.lit & truth_view.receivers
     wrong_pixels = truth.decidable & (dark == truth.lit) & truth_view.buffer.valid
@@ -134,10 +141,10 @@ def thirds(truth_view: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
 
 
 def stone_circles(folder: Path, view: str, turn_deg: float, distance_m: float | None, up: float, **lamp: Any) -> Scene:
-    """Return the stone circles under a light ``turn_deg`` clockwise of a view's direction.
+    """Return the scene of the stone circles under a light whose direction is ``turn_deg`` degrees clockwise of a view's.
 
-    The light is a spot at a distance and a height, metres, from the view's target; without a distance it is the sun at ``up``
-    degrees.
+    The light is a spot light at a distance and a height, metres, from the view's target. Without a distance it is the sun at an
+    altitude of ``up`` degrees.
     """
     level = level_of("thesis_rocks_sun" if distance_m is None else "thesis_rocks")
     level["terrain"]["flat"]["size"] = [FLOOR_M, FLOOR_M]
@@ -157,7 +164,10 @@ def _row(truth_view: ViewWithTruth, name: str, variant: Variant, place: dict[str
 
 
 def measure_light_direction() -> Figures:
-    """Measure the stone circles with the light around the viewer: uniform and perspective maps of one size, and controls."""
+    """Measure the stone circles with the light at several directions around the viewer.
+
+    Rows are uniform and perspective maps of one size, and controls.
+    """
     rows, cells = [], []
     with TemporaryDirectory() as folder:
         for light, (turn_deg, distance_m, up, lamp) in LIGHTS.items():
@@ -174,7 +184,7 @@ def measure_light_direction() -> Figures:
 
 
 def measure_bad_case() -> Figures:
-    """Measure the stone circles from afar, with a spot that comes nearer to them than the camera."""
+    """Measure the stone circles from afar, with a spot light that comes nearer to them than the camera."""
     spec, rows, cells = level_of("thesis_rocks")["views"]["overview"], [], []
     distance_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
     with TemporaryDirectory() as folder:

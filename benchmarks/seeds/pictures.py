@@ -1,4 +1,4 @@
-"""Contact sheets of the seeds' experiments: parts of views as rendered, and with their errors in colour."""
+"""Contact sheets of the experiments: parts of views as rendered, and with their errors in colour."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CaptionedPicture:
 
 
 def draw_crop(truth_view: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) -> Image.Image:
-    """Draw a part of a view, ``shrink`` times smaller; only for settings that do not depend on the view's extent."""
+    """Draw a part of a view, ``shrink`` times smaller. The settings must not depend on the view's extent."""
     with variant.without():
         color = render_frame(truth_view.scene, _part(truth_view.perspective, box), truth_view.plan(variant.overrides)).color
     clear_caches("light")
@@ -43,7 +43,7 @@ def draw_crop(truth_view: ViewWithTruth, variant: Variant, box: CropBox, shrink:
 
 
 def draw_errors(truth_view: ViewWithTruth, drawn_variant: DrawnVariant, box: CropBox) -> Image.Image:
-    """Draw a part of a result in gray, false shadow red and missed shadow blue."""
+    """Draw a part of a variant's result: the picture in gray, false shadow in red and missed shadow in blue."""
     left, top, width, height = box
     crop = slice(top, top + height), slice(left, left + width)
     gray = render_frame(truth_view.scene, _part(truth_view.perspective, box), truth_view.plan({"algorithm": "none"})).color.mean(
@@ -67,13 +67,13 @@ _writes_pictures = True
 
 
 def write_pictures(write: bool) -> None:
-    """Enable or disable writing of sheets: the page shows those of one device."""
+    """Enable or disable writing of contact sheets. The page shows only those of one device."""
     global _writes_pictures
     _writes_pictures = write
 
 
 def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> None:
-    """Write cells of one size in rows, each over its caption, as a file in ``IMAGES``."""
+    """Write pictures of one size in rows, each above its caption, as a file in ``IMAGES``."""
     if not _writes_pictures:
         return
     width, height = cells[0].picture.size

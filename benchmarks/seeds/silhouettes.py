@@ -1,4 +1,7 @@
-"""Replication of the bachelor's report of Copenhagen: shadow volumes with and without silhouettes, z-pass and z-fail."""
+"""Replication of the bachelor's report of Copenhagen: shadow volumes with and without silhouettes, z-pass and z-fail.
+
+Z-pass counts volumes in front of the visible surface, z-fail those behind it.
+"""
 
 from __future__ import annotations
 
@@ -57,9 +60,10 @@ def measure() -> Figures:
 
 
 def _volumes_of(level: str) -> dict[str, float]:
-    """Measure volumes over the same casting triangles, counted by z-fail, with shared edges and with each side as an edge.
+    """Measure shadow volumes that are built from silhouettes, or from every side of every triangle.
 
-    Also measure the engine's volumes, counted by z-fail, by the engine's own choice, and so without their caps.
+    Both are counted by z-fail over the same shadow-casting triangles. The engine's own volumes are measured too: counted by z-fail,
+    by the engine's own choice, and by that choice without caps.
     """
     truth_view = view_with_truth(bundled(level), "main", SIZE)
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
@@ -105,14 +109,14 @@ def _volumes_of(level: str) -> dict[str, float]:
 
 
 def _engines(truth_view: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
-    """Return the engine's volumes of a view's meshes."""
+    """Return the shadow volumes that the engine builds for a view's meshes."""
     return volumes_of(truth_view.buffer, truth_view.scene, light, ("meshes",), truth_view.casters, PassRecord(""))
 
 
 def _counted(
     truth_view: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], counting: CountingSetting
 ) -> tuple[np.ndarray, int]:
-    """Return the number of volumes that contain each point that faces the sun (rows, cols), and the number of drawn faces."""
+    """Return the number of volumes that contain each point facing the sun (rows, cols), and the number of drawn faces."""
     record = PassRecord("")
     receivers = truth_view.receivers
     return count(
@@ -121,7 +125,10 @@ def _counted(
 
 
 def unshared(triangles: np.ndarray) -> Edges:
-    """Return edges of triangles (m, 3) as if none were shared: the silhouette of such a mesh is that of each triangle."""
+    """Return the edges of triangles (m, 3) as if no two triangles shared an edge.
+
+    The silhouette of such a mesh includes all sides of each triangle.
+    """
     start, end = triangles, np.roll(triangles, -1, axis=1)
     ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=-1).reshape(-1, 2)
     directions = np.where(start < end, np.int8(1), np.int8(-1))
@@ -129,7 +136,10 @@ def unshared(triangles: np.ndarray) -> Edges:
 
 
 def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes:
-    """Return the sun's volumes over a silhouette's caps, as one caster: a triangle to infinity from each edge, and the caps."""
+    """Return the sun's shadow volume of a silhouette, as one caster.
+
+    It consists of the caps, and of a triangle from each silhouette edge to the point at infinity.
+    """
     count = len(vertices)
     a, b = np.repeat(of.edges, of.multiplicity, axis=0).T
     sides = np.column_stack([b, a, np.full(len(a), count)])
@@ -142,8 +152,9 @@ def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes
 
 @compiled
 def neighbours_by_search(ends):
-    """Return the neighbour (m, 3) of each side of triangles whose sides have ends (m, 3, 2), -1 for none, by exhaustive
-    comparison.
+    """Return the neighbouring triangle of each side of triangles, int (m, 3), by exhaustive comparison; -1 for none.
+
+    ``ends`` (m, 3, 2) are the vertices at the ends of the sides.
     """
     count = len(ends)
     out = np.full((count, 3), -1, np.int32)
@@ -158,7 +169,7 @@ def neighbours_by_search(ends):
 
 
 def _inside() -> dict[str, float]:
-    """Measure with the eye in shadow: wrong shares of the cast shadow for z-pass, for z-fail, and as casters request it."""
+    """Measure shadow volumes with the eye in shadow: the share of wrong cast shadow for z-pass, z-fail and the engine's choice."""
     level, name = SHADOWED_EYE_VIEW
     truth_view = view_with_truth(bundled(level), name, SIZE)
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))

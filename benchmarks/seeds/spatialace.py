@@ -1,5 +1,6 @@
-"""Replication of the SpatialAce thesis (Chalmers): frames with redrawn and cached maps by map size; benefit of 16 bits and
-512 texels.
+"""Replication of the SpatialAce thesis (Chalmers) on the cost of shadow maps.
+
+It measures frames with redrawn and cached maps by map size, and the benefit of 16 bits and 512 texels.
 """
 
 from __future__ import annotations
@@ -34,21 +35,20 @@ BLOCK_PX = 16
 """Side of the blocks whose shadow shares are compared."""
 
 HIDDEN_TEXELS = 2.0
-"""A place this near to the terminator, in texels of the map, counts as its edge."""
+"""Distance in texels of the map up to which a point counts as part of the terminator's edge."""
 
 STEEP, FLAT_SCENE, TWICE = 1.5, 1.1, 2.0
-"""Ratios of costs and gains. A cost grows steeply from the smallest map to the largest at the first ratio and above, hardly
-below the second; a gain is large at the third and above.
-"""
+"""Ratios of costs and gains. From the smallest map to the largest, a cost grows steeply at the first ratio or more, and hardly
+below the second. A gain is large at the third or more."""
 
 MAX_COVERAGE_ERROR = 0.03
 """The engine's default target error (``shadows.max_error``)."""
 
 MAX_DEPTH_CHANGE = 0.1
-"""Bits may change at most this share of the existing error."""
+"""Largest change of the error by the number of depth bits, as a share of the error."""
 
 MIN_LEAK = 0.01
-"""The least share of lit points on surfaces turned away from the sun at which there is acne to hide."""
+"""Least share of lit points on surfaces that face away from the sun. Below it there is no acne to hide."""
 
 
 def measure() -> Figures:
@@ -77,7 +77,7 @@ def measure() -> Figures:
 
 
 def _passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
-    """Return median milliseconds of drawing a map and of its lookup, by map size; sizes take turns."""
+    """Return by map size the median milliseconds of drawing a shadow map and of looking it up. The sizes take turns."""
 
     def draw_frame(plan: Plan) -> PassLog:
         clear_caches("light")
@@ -96,11 +96,13 @@ def _passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, d
 
 
 def _hidden(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
-    """Return the answers of a map alone, with the former bias, on surfaces turned away from the sun.
+    """Measure what a shadow map alone decides on surfaces that face away from the sun, with the former bias.
 
-    The figures are the share that it leaves lit, and how much of that, and of all such surfaces, lies within ``HIDDEN_TEXELS``,
-    along the rays, of the first hit from the sun. Their normals are flipped, so that the map treats them as receivers;
-    ``polygon_offset`` does not use normals.
+    Their normals are flipped, so that the map treats them as receivers. ``polygon_offset`` does not use normals. The figures are:
+
+    * ``lit``: the share of such surfaces that the map leaves lit.
+    * ``near``: the share that lies within ``HIDDEN_TEXELS`` texels, along the rays, behind the first hit from the sun.
+    * ``lit_near``: the same share among the surfaces that are left lit.
     """
     turned = truth_view.turned
     flipped = replace(

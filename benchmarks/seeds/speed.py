@@ -1,4 +1,4 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): replication of its times and its stencil.
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): replication of its times, and of its use of the stencil buffer.
 
 `benchmarks/seeds` runs it as ``stages`` (figure 47, section 7.1 and chapter 2's statements on frames) and ``stencil`` (figure 22),
 beside ``grades`` and ``advice``.
@@ -45,16 +45,16 @@ HALF_SIZE = 640, 512
 STENCIL_REPEATS, FRAME_REPEATS = 7, 4
 MAP_SIZES = 256, 1024
 THEIR_GROWTH = 260.0 / 200.0
-"""The increase of the thesis's frame times with the larger of these maps."""
+"""Ratio of the thesis's frame times with the larger and the smaller of these maps."""
 
 THEIR_MAP_SHARE = 0.25, 0.45
 """The range that counts as about 35 %, the map's share of the thesis's frames."""
 
 MAX_NEAR_RATIO = 1.5
-"""Up to this ratio a time is a little behind another."""
+"""Largest ratio of two times that counts as a little slower."""
 
 MIN_EQUAL_RATIO = 0.8
-"""Up to this ratio a time is about as long as another."""
+"""Least ratio of two times that count as about equal."""
 
 MAX_INDEPENDENT_RATIO = 1.25
 """A time does not depend on the pixels if four times as many increase it by at most this ratio."""
@@ -63,7 +63,7 @@ STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
 
 
 def timed_sizes(level: str) -> Figures:
-    """Return times in a level's main view, whole and with a quarter of the pixels: by algorithm and size."""
+    """Return times in a level's main view by algorithm and picture size: full size, and a quarter of the pixels."""
     runs = {}
     for size in (SIZE, HALF_SIZE):
         view_shot = benchmark_view(level, "main", size)
@@ -73,7 +73,10 @@ def timed_sizes(level: str) -> Figures:
 
 
 def whole_frames(level: str) -> Figures:
-    """Return median milliseconds of finished frames without shadows and with redrawn maps of ``MAP_SIZES``, and the map's share."""
+    """Return median milliseconds of whole frames, and the share that drawing the shadow map takes.
+
+    Frames are drawn without shadows, and with a redrawn map for each of ``MAP_SIZES``.
+    """
     scene = bundled(level)
     view = scene.view("main", size=SIZE)
     descriptor = describe(scene, view, "main")

@@ -21,7 +21,7 @@ CROP: CropBox = (180, 500, 480, 300)
 
 
 def measure() -> Figures:
-    """Measure the water tower's ladder and braces by the hybrids, by map size."""
+    """Measure the shadow of the water tower's ladder and braces with hybrids, by map size."""
     rows, cells = [], []
     truth_view = view_with_truth(bundled("thesis_water_tower"), "close", FRAME)
     for mask in MASKS:

@@ -1,6 +1,7 @@
 """Times of shadow algorithms, and of other tasks, that take turns.
 
-Times are those of the shadow alone (``algorithms.run_interleaved``), medians; each is measured once in a process.
+Times are medians of the shadow alone, without the rest of the frame (``algorithms.run_interleaved``). Each is measured once in a
+process.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ REPEATS = 3
 PASS_STAGES = {
     "map": "map", "depth map": "map", "visibility": "look-up", "mask": "look-up", "silhouettes": "volumes", "stencil": "counting",
 }  # fmt: skip
-"""Passes of the algorithms -> the thesis's stages; the rest lies between the passes."""
+"""Stages of the thesis by the engine's passes. The remaining time lies between the passes."""
 BETWEEN = "between"
 STAGE_NAMES = (*dict.fromkeys(PASS_STAGES.values()), BETWEEN)
 
@@ -43,7 +44,10 @@ def measure_times(level: str, view: str, algorithms: tuple[str, ...] = FOUR, rep
 
 
 def medians(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> Figures:
-    """Return median milliseconds of each run, total and by stage, redrawn and cached, and the share of marked pixels."""
+    """Return median milliseconds of each run (a view with a plan), in total and by stage, with redrawn and with cached shadow maps.
+
+    Also return the share of pixels that a hybrid leaves to its shadow volumes.
+    """
     interleaved = run_interleaved(runs, repeats)
     result: Figures = {}
     for (key, mode), milliseconds_of_runs in interleaved.times_ms.items():
@@ -60,7 +64,7 @@ def medians(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> Figure
 
 
 def ratio(at: Figures, algorithm: str, other: str, mode: str = "redrawn") -> float:
-    """Return the ratio of one algorithm's time to another's."""
+    """Return the ratio of one algorithm's time to another's. ``mode`` is ``redrawn`` (empty caches) or ``kept`` (cached maps)."""
     return at[algorithm][mode]["ms"] / at[other][mode]["ms"]
 
 

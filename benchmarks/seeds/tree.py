@@ -29,7 +29,10 @@ BARK, LEAF_GREEN = (96, 74, 54, 255), (78, 118, 52, 255)
 
 @contextmanager
 def closed_meshes_alone() -> Iterator[None]:
-    """Use volumes of the triangles that face the light, with sides at edges between two triangles, as for closed meshes."""
+    """Build shadow volumes as if all meshes were closed, while the context manager is active.
+
+    Volumes then come from the triangles that face the light. Their sides are at silhouette edges between exactly two triangles.
+    """
 
     def between_two(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) -> Silhouette:
         facing = np.maximum(orientations, 0)
@@ -43,9 +46,9 @@ def closed_meshes_alone() -> Iterator[None]:
 
 
 def open_tree(seed: int = 7) -> trimesh.Trimesh:
-    """Return a tree of open tubes that intersect, and of leaves that are two crossed rectangles each; metres.
+    """Return a tree mesh in metres: open tubes that intersect, and leaves of two crossed rectangles each.
 
-    Nothing is closed, leaves face all directions, and half of them have the opposite winding.
+    No part is closed, leaves face all directions, and half of the leaves have the opposite winding.
     """
     rng = np.random.default_rng(seed)
     trunk = np.array([[0, 0, 0], [0.1, 0.05, 2.2], [-0.05, 0.1, 4.4], [0.1, 0, 7.6]])
@@ -109,7 +112,7 @@ TREE_ROWS = {
 
 
 def measure() -> Figures:
-    """Measure an open tree under a spot and under the sun, by all four algorithms and by volumes that assume it closed."""
+    """Measure an open tree under a spot light and the sun: by all four algorithms, and by volumes that assume closed meshes."""
     rows, cells, tree = [], [], open_tree()
     sides = np.unique(np.sort(tree.edges, axis=1), axis=0, return_counts=True)[1]
     floor = {"version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [100, 100]}}, "meshes": [{"source": "tree.ply"}]}

@@ -1,4 +1,4 @@
-"""Figures in words, and verdicts of the seeds' experiments; a draw remains a draw."""
+"""Format figures as words, and judge claims by them. A verdict of ``None`` is a draw: the figures cannot decide."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ ClaimVerdict = bool | None
 
 
 def at_most(value: float, limit: float) -> ClaimVerdict:
-    """Return whether a figure is at most a limit."""
+    """Return whether a figure is at most a limit; ``None`` if it is too close to decide."""
     if value * DRAW_FACTOR <= limit:
         return True
     return False if value > limit * DRAW_FACTOR else None
 
 
 def at_least(value: float, limit: float) -> ClaimVerdict:
-    """Return whether a figure is at least a limit."""
+    """Return whether a figure is at least a limit; ``None`` if it is too close to decide."""
     return at_most(limit, value)
 
 
 def all_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
-    """Return whether all hold: false if one fails; else a draw if one is a draw."""
+    """Return whether all verdicts hold: false if one fails, else a draw (``None``) if one is a draw."""
     verdict_list = [*verdicts]
     if any(verdict is False for verdict in verdict_list):
         return False
@@ -43,7 +43,7 @@ def all_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
 
 
 def any_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
-    """Return whether one holds: a draw if none does and one is a draw."""
+    """Return whether any verdict holds: a draw (``None``) if none holds and one is a draw."""
     return opposite(all_of(opposite(verdict) for verdict in verdicts))
 
 
@@ -52,7 +52,7 @@ def opposite(verdict: ClaimVerdict) -> ClaimVerdict:
 
 
 def reason(verdict: ClaimVerdict, if_held: str, if_failed: str, if_draw: str = DRAW) -> str:
-    """Return the reason for a verdict."""
+    """Return the text that fits a verdict."""
     return if_draw if verdict is None else if_held if verdict else if_failed
 
 
@@ -79,16 +79,16 @@ def factor(ratio: float) -> str:
 
 
 def titled(name: str) -> str:
-    """Return a scene's name in words; any other name unchanged."""
+    """Return the title of a scene; any other name is returned unchanged."""
     scene, rest = next(((scene, name[len(scene) :]) for scene in SCENES if name.startswith(scene)), ("", name))
     return f"{SCENES.get(scene, '')}{rest.replace('_sun', ' (sun)')}"
 
 
 def listed_by_scene(values: dict[str, float], format_value: Callable[[float], str] = factor) -> str:
-    """Format values by the names of their scenes."""
+    """Format values of scenes as a list with the scenes' titles."""
     return ", ".join(f"{titled(name)} {format_value(value)}" for name, value in values.items())
 
 
 def join_scene_names(scene_names: list[str]) -> str:
-    """Format names of scenes."""
+    """Format names of scenes as a list of titles."""
     return ", ".join(map(titled, scene_names)) or "none"

@@ -1,4 +1,4 @@
-"""Views with their ray-traced truth, for the seeds' experiments."""
+"""Views with their ray-traced truth, for the experiments."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
 
 SAMPLES = 4
-"""Sub-samples a pixel that decide where truth is decidable."""
+"""Samples per pixel that decide where truth can be decided."""
 
 ShadowOverrides = dict[str, Any]
 LevelDocument = dict[str, Any]
@@ -44,7 +44,7 @@ LevelDocument = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class ViewWithTruth:
-    """A view of a scene with its first light: its points, its casters, and the truth that pictures are compared with."""
+    """A view of a scene with its first light: its visible points, its shadow casters, and the ray-traced truth."""
 
     scene: Scene
     view: MapView | PerspectiveView
@@ -56,7 +56,7 @@ class ViewWithTruth:
 
     @cached_property
     def receivers(self) -> np.ndarray:
-        """The mask of possible cast shadow (rows, cols): surface that the light can reach."""
+        """The mask of pixels that can have cast shadow (rows, cols): surface that faces the light and lies within its cone."""
         return self.buffer.valid & ~attached(self.buffer, self.scene, self.light)
 
     @property
@@ -71,12 +71,15 @@ class ViewWithTruth:
 
     @property
     def ahead_m(self) -> np.ndarray:
-        """Distances ahead of the eye of the visible points (rows, cols)."""
+        """Distances of the visible points from the eye along the view axis (rows, cols), metres."""
         eye, camera_from_frame = self.perspective.in_frame(self.buffer.frame)
         return (self.buffer.position_frame_m - eye) @ camera_from_frame[2]
 
     def plan(self, overrides: ShadowOverrides) -> Plan:
-        """Return a plan; ``bias_scale`` is no key of a level: it changes the settings themselves."""
+        """Return a plan for the view.
+
+        ``bias_scale`` among the overrides is no key of a level. It changes the resolved settings themselves.
+        """
         overrides = dict(overrides)
         scale = overrides.pop("bias_scale", None)
         plan = make_plan(self.descriptor, self.scene.loaded.level, overrides)
@@ -89,28 +92,28 @@ class ViewWithTruth:
         return plan.model_copy(update={"settings": {self.light: scaled}})
 
     def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:
-        """Return the light's visibility by a plan, attached shadow included; NaN off the surface."""
+        """Return the light's visibility by a plan (rows, cols), with attached shadow; NaN without a surface."""
         steps = plan.steps_under(self.light)
         return self.finished(fill_steps(steps, self.buffer, self.scene, self.casters, plan.runs, log or PassLog()))
 
     def finished(self, visibility: np.ndarray) -> np.ndarray:
-        """Return a visibility with attached shadow, NaN off the surface."""
+        """Return a visibility (rows, cols) with attached shadow added, and NaN where no surface is."""
         return np.where(self.buffer.valid, np.where(self.receivers, visibility, np.float32(0.0)), np.float32(np.nan))
 
     def texels_px(self, plan: Plan) -> np.ndarray:
-        """Return the pixels per texel of a plan's maps on level ground (rows, cols); 0 without maps."""
+        """Return the pixels per texel of a plan's shadow maps on level ground (rows, cols); 0 without maps."""
         out = np.zeros(self.buffer.valid.shape)
         for step in plan.steps_under(self.light):
             out = np.maximum(out, texel_footprint_px(self.scene, step, self.buffer, self.descriptor.pixel_m))
         return out
 
     def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:
-        """Return the figures of ``skugga.shadows.truth.metrics.ErrorMetrics``."""
+        """Return the errors of a visibility by name (``skugga.shadows.truth.metrics.ErrorMetrics``)."""
         return asdict(error_metrics(visibility, self.truth, self.descriptor.pixel_m, texels_px))
 
 
 def view_with_truth(scene: Scene, name: str, size: tuple[int, int]) -> ViewWithTruth:
-    """Return a view of a scene, by name, in pixels (cols, rows), with its truth."""
+    """Return a scene's view of a name, with its truth. ``size`` is (cols, rows) in pixels."""
     return with_truth(scene, scene.view(name, size=size), name)
 
 
@@ -128,30 +131,30 @@ def bundled(name: str) -> Scene:
 
 
 def level_of(name: str) -> LevelDocument:
-    """Return a bundled level as in its file."""
+    """Return the document of a bundled level as its file has it."""
     return YAML(typ="safe").load(find_level(name))
 
 
 def scene_of(level: LevelDocument, folder: Path) -> Scene:
-    """Build the scene of a level that is written to a folder, beside the files that it names."""
+    """Write a level into a folder that holds the files it names, and build its scene."""
     path = folder / "level.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
     return build_scene(load_level(path))
 
 
 def one_map(size: int, **overrides: Any) -> ShadowOverrides:
-    """Return settings of one hard-edged shadow map of 24 bits, with overrides."""
+    """Return overrides for one hard-edged shadow map of 24 bits and ``size`` texels a side, with further overrides."""
     return {"algorithm": "shadow_map", "map_size": size, "cascades": 1, "filter": 1, "depth_bits": 24, **overrides}
 
 
 def settings_of(truth_view: ViewWithTruth, plan: Plan) -> AlgorithmSettings:
-    """Return settings that all casters share."""
+    """Return the settings of a plan, which must be the same for all caster kinds."""
     return next(iter(plan.settings[truth_view.light].values()))
 
 
 @dataclass(frozen=True)
 class Variant:
-    """Overrides and, for a control, the part that is disabled meanwhile."""
+    """A variant of an algorithm: overrides and, for a control, a context manager that disables a part of the algorithm."""
 
     overrides: ShadowOverrides
     without: Callable[[], AbstractContextManager[Any]] = nullcontext
@@ -159,7 +162,7 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class DrawnVariant:
-    """An algorithm's result in a view: its shadow (rows, cols), figures, and the notes of its passes."""
+    """An algorithm's result in a view: its shadow mask (rows, cols), figures by name, and the notes of its passes."""
 
     dark: np.ndarray
     figures: dict[str, float]
@@ -167,10 +170,10 @@ class DrawnVariant:
 
 
 def draw_variant(truth_view: ViewWithTruth, variant: Variant) -> DrawnVariant:
-    """Draw an algorithm's result in a view, with everything redrawn.
+    """Draw a variant's result in a view, without cached data of the light.
 
-    The figures are errors; ``cast_edge_mean``, the mean displacement of the edges of cast shadow alone, pixels; and ``marked``, the
-    share of the surface's pixels that a hybrid leaves to its volumes.
+    The figures are errors and two more. ``cast_edge_mean`` is the mean displacement of the edges of cast shadow alone, pixels.
+    ``marked`` is the share of the surface's pixels that a hybrid leaves to its volumes.
     """
     log = PassLog()
     clear_caches("light")
@@ -189,8 +192,9 @@ def draw_variant(truth_view: ViewWithTruth, variant: Variant) -> DrawnVariant:
 
 
 def shallow(truth_view: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
-    """Return which points see the sun after a move of ``depth_m`` towards it: those less than that behind the first hit from
-    the sun.
+    """Return which points see the sun after they are moved towards it by ``depth_m`` metres, bool (rows, cols).
+
+    These are the points that lie less than ``depth_m`` behind the first hit of a ray from the sun.
     """
     assert truth_view.scene.sun is not None
     to_sun = truth_view.scene.sun.in_frame(buffer.frame)

@@ -1,1 +1,1 @@
-"""The selector's choices against the best measured choices: ``python -m benchmarks.selection``, docs/selection.md."""
+"""Comparison of the selector's choices with the best measured ones: ``python -m benchmarks.selection``, docs/selection.md."""

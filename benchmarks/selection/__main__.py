@@ -1,7 +1,7 @@
-"""Quality of the selector: every choice of many views is measured, and each policy's choices are compared with the best of them.
+"""Quality of the selector: all choices of shadow algorithms for many views are measured, and compared with those of each policy.
 
     python -m benchmarks.selection measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
-    python -m benchmarks.selection probe DATA [--folder build/selection]      what probes see of every choice; half an hour
+    python -m benchmarks.selection probe DATA [--folder build/selection]      what probes measure of every choice; half an hour
     python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
     python -m benchmarks.selection keep [--folder build/selection]            write it all to benchmarks/selection/selection.jsonl
     python -m benchmarks.selection fit                                        write selector/cost/error_model.json and
@@ -9,8 +9,9 @@
     python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them,
                                                                               and what accuracy costs into README and docs
 
-Each command resumes where it stopped; `time DATA` times all rows again, `--again` repeats finished views. DATA is the folder of
-sample rasters. The device must be calibrated (`skugga calibrate`).
+A row is a measured plan of a view. A probe renders a few choices and compares them with ray-traced truth. Each command resumes
+where it stopped. `time DATA` times all rows again, and `--again` repeats finished views. DATA is the folder of sample rasters. The
+device must be calibrated (`skugga calibrate`).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ TYPICAL_DEVICE = MODEL.with_name("typical_device.json")
 
 
 def _rounded(value: Any) -> Any:
-    """Round every number to four digits."""
+    """Round every number in nested values to four significant digits."""
     return {key: _rounded(entry) for key, entry in value.items()} if isinstance(value, dict) else float(f"{value:.4g}")
 
 
@@ -79,7 +80,10 @@ def main() -> None:
 
 
 def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done: bool) -> None:
-    """Run a step for all views where it is not done."""
+    """Run a step for views whose names contain a word of ``only``, or for all views.
+
+    Views that have the step's results already are skipped unless ``repeats_done`` is true.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for instance in instances():
         record = _read(folder, instance)

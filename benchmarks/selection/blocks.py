@@ -1,10 +1,11 @@
-"""Whether probes in the middle of a level apply elsewhere: choices in other blocks of the level against those in the middle.
+"""Test whether probes in the middle of a level apply elsewhere: compare choices in other blocks with those in the middle.
 
     python -m benchmarks.selection.blocks DATA       minutes on two cores; the device must be calibrated (skugga calibrate)
 
-It prints how far errors and times of the same choice differ between blocks (``skugga.selector.map_probes``). It also prints how
-often plans of other blocks meet 1 % and 3 %, and their cost: by prediction, with a probe of the middle, and with probes as a
-service makes them.
+A probe renders a few choices of shadow algorithms, and compares them with ray-traced truth. The script prints how far errors and
+times of the same choice differ between blocks (``skugga.selector.map_probes``). It also prints how often plans of other blocks meet
+errors of 1 % and 3 %, and their cost. Plans are made by prediction, with a probe of the middle, and with probes as a service makes
+them.
 """
 
 from __future__ import annotations
@@ -112,7 +113,10 @@ def _compare_block(
 
 
 class _Block:
-    """A block whose options under the sun are drawn once each; ``options`` is ``None`` where nothing casts."""
+    """A block of tiles. Each option (choice of algorithms for the sun) is drawn at most once.
+
+    ``options`` is ``None`` if nothing in the block casts shadows.
+    """
 
     def __init__(self, scene: Scene, view: MapView, profile: DeviceProfile) -> None:
         descriptor = describe(scene, view, "map", "points")
@@ -124,8 +128,10 @@ class _Block:
         self._drawn: dict[int, tuple[float, float, float]] = {}
 
     def measured_option(self, which: int) -> tuple[float, float, float]:
-        """Return error and milliseconds of an option, and the standard deviation of the error's logarithm from the sampling
-        of points.
+        """Return error, milliseconds and error noise of an option, given by its number.
+
+        The noise is the standard deviation of the error's logarithm that sampling of points causes. A refused option has the error
+        1 and infinite time.
         """
         if which not in self._drawn:
             ms = self._prover.draw(which)

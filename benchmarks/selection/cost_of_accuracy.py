@@ -1,8 +1,8 @@
-"""Price of accuracy in time, over all measured views: the sentence of the first page, its table and its figure.
+"""Price of accuracy in time, over all measured views: a sentence for the README, and a table and a figure for the docs.
 
-For each view the price of a target is the time of the cheapest plan that meets it, divided by that of the cheapest plan that meets
-the loosest one. Plans meet a target by the judge's rule (``benchmarks.selection.judge``). Views where no plan meets both targets
-have no price, and are counted apart.
+For each view the price of a goal is a ratio of two times. The first is that of the cheapest plan that meets the goal. The second is
+that of the cheapest plan that meets the loosest goal. Plans meet a goal by the rule of ``benchmarks.selection.judge``. Views where
+no plan meets both goals have no price, and are counted separately.
 """
 
 from __future__ import annotations
@@ -42,10 +42,16 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True)
 class Price:
-    """The price of a goal in some views where both goals can be met: times of the cheapest plans as multiples of the loosest
-    goal's.
+    """The price of a goal over some views.
 
-    It also counts the views with more than one choice.
+    Attributes
+    ----------
+    goal
+        The goal.
+    ratios
+        Time of the cheapest plan for the goal divided by that for the loosest goal, of each view where both can be met.
+    views
+        Number of all views, with or without a price.
     """
 
     goal: Goal
@@ -64,7 +70,7 @@ class Price:
 def cheapest_ms(view: Figures) -> dict[str, float]:
     """Return by goal the milliseconds of the cheapest plan that meets it.
 
-    It omits goals that no plan meets, and those that truth's own noise makes undecidable.
+    Goals that no plan meets are omitted. So are goals that cannot be decided because of the noise of truth.
     """
     result = {}
     for instance in instances_of([view], [LOOSE, *FINER]):
@@ -75,7 +81,7 @@ def cheapest_ms(view: Figures) -> dict[str, float]:
 
 
 def prices(views: Sequence[Figures]) -> list[Price]:
-    """Return the prices of each finer goal over views."""
+    """Return the price of each goal that is finer than the loosest one, over some views."""
     cheapest = [cheapest_ms(view) for view in views]
     result = []
     for goal in FINER:
@@ -85,7 +91,7 @@ def prices(views: Sequence[Figures]) -> list[Price]:
 
 
 def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
-    """Group views by kind of scene."""
+    """Group views by kind of scene (family)."""
     result: dict[str, list[Figures]] = {}
     for view in views:
         result.setdefault(view["family"], []).append(view)
@@ -165,7 +171,7 @@ def write_cost_of_accuracy(views: Sequence[Figures]) -> None:
 
 
 def _strip(axes: Axes, row: int, family_prices: Sequence[Price]) -> None:
-    """Draw the points of a kind of scene, a line for each goal."""
+    """Draw the points of one kind of scene in the figure, a line of points for each goal."""
     for number, (price, colour) in enumerate(zip(family_prices, SHADES, strict=True)):
         y = row + 0.24 * (number - 1)
         axes.plot(price.ratios, np.full(len(price.ratios), y), ".", color=colour, markersize=7, alpha=0.6, markeredgewidth=0)

@@ -49,18 +49,17 @@ EXACT_ALGORITHMS = ("shadow_volume", "hybrid", "sweep", DECIMATED)
 KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
 
 INITIAL_CONSTANTS = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
-"""Start values: the parameters (maximum, half, steepness) of each kind of casters' response; pixels of a perspective map's
-texels at the picture's own size; the floors of both kinds of maps.
-"""
+"""Start values of the fit. They are maximum, half and steepness for each kind of casters; pixels of a perspective map's texels at
+the picture's own size; and the error floors of both kinds of maps."""
 
 NARROWEST_PERSPECTIVE = 1e-9
-"""A constant of perspective maps that makes them certainly narrower than a uniform one."""
+"""A constant of perspective maps that surely gives them narrower texels than a uniform map."""
 
 PRIOR_WEIGHT = 0.1
 """The weight of the prior, which pulls constants to their start, in residuals."""
 
 MIN_WRONG_SHARE = 5e-4
-"""The least share of wrong pixels for a fit of the interior ones."""
+"""Least share of wrong pixels in rows to which the share of interior ones is fitted."""
 
 USUAL_TIME_SPREAD = 0.2
 """The spread of times where no calibration is available."""
@@ -76,7 +75,7 @@ LADDER = np.log2(TEXEL_SIZES_PX)
 
 @dataclass(frozen=True, eq=False)
 class FitCase:
-    """A measured row: its view, its steps, and its errors."""
+    """A measured plan (row): its view, the steps of the plan, and its errors."""
 
     view: Figures
     descriptor: Descriptor
@@ -103,19 +102,22 @@ class FitCase:
         return expected_errors(self.descriptor, self.light, self.steps, model)
 
     def expected_ms(self, device: DeviceProfile) -> float:
-        """Return the milliseconds that a device is expected to take."""
+        """Return the milliseconds that the plan is expected to take on a device."""
         return sum(
             predicted_ms(device, self.descriptor, self.light, step.kinds, step.algorithm, step.settings) for step in self.steps
         )
 
 
 def request_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
-    """Return the request for a descriptor without a level."""
+    """Return a planning request for a descriptor alone, without a level file."""
     return StandaloneRequest(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
 
 
 def cases_of(view: Figures) -> list[FitCase]:
-    """Return the rows of a view's choices, each once; none without cast shadow, since errors are shares of it."""
+    """Return the measured plans of a view's choices, each once.
+
+    A view without cast shadow gives none, because errors are shares of cast shadow.
+    """
     if view["error"] == "wrong":
         return []
     descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
@@ -129,9 +131,10 @@ def cases_of(view: Figures) -> list[FitCase]:
 
 
 def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> ErrorModel:
-    """Return the constants that fit measured rows; with the calibration of the device that measured them, also those of times.
+    """Return the constants of the error model that fit measured plans.
 
-    It omits views whose targets use coverage.
+    With the calibration of the device that measured them, constants for times are fitted too. Views whose errors are measured by
+    coverage are omitted.
     """
     cases = [case for case in cases if case.view["error"] != "coverage"]  # the model does not predict coverage
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
@@ -185,7 +188,17 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Deviations:
-    """Deviations of rows from their expected values (n,), with the number of the view and the family of each."""
+    """Deviations of measured plans from their expected values.
+
+    Attributes
+    ----------
+    deviations
+        Deviation of each plan (n,).
+    view
+        Number of each plan's view (n,).
+    family
+        Number of each plan's family (n,). Plans of a family have the same algorithms for the same caster kinds.
+    """
 
     deviations: np.ndarray
     view: np.ndarray
@@ -210,9 +223,9 @@ class _Deviations:
 
     @property
     def shared(self) -> SharedVariance:
-        """Return shares of the variance: mean products of two rows of a view, of different families and of the same one.
+        """The shares of the variance that plans of a view have in common, and that those of the same family have in common besides.
 
-        Each view has the same weight.
+        They follow from mean products of the deviations of two plans of a view. Each view has the same weight.
         """
         variance, other, same_family = [], [], []
         for number in np.unique(self.view):
@@ -228,9 +241,9 @@ class _Deviations:
 
 
 class _Terms:
-    """The sum of ``skugga.selector.cost.error_model``, split into terms for many sets of constants.
+    """The expected errors of ``skugga.selector.cost.error_model``, split into terms that can be summed for many sets of constants.
 
-    Each step has a term for each band of each kind.
+    Each step of a plan has a term for each band of distance of each caster kind.
     """
 
     def __init__(self, cases: Sequence[FitCase]) -> None:
@@ -295,6 +308,9 @@ def _model(x: np.ndarray) -> ErrorModel:
 
 
 def _scale(ratios: Sequence[float]) -> float:
-    """Return the scale of the logistic distribution that has the same central interval of nine tenths as the ratios' logarithms."""
+    """Return the scale of a logistic distribution that fits the logarithms of some ratios.
+
+    Both have the same central interval of nine tenths.
+    """
     deviations = float(np.quantile(np.abs(np.log(ratios)), 0.9)) if len(ratios) else 0.0
     return max(deviations / np.log(19.0), MIN_SPREAD)

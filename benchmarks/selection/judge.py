@@ -1,9 +1,12 @@
-"""Scores of choices: losses, regret, and the closed share of the gap between the single best and the virtual best.
+"""Scores of choices: losses, regret, and the closed share of the gap between single best and virtual best.
 
-An instance is a view under a light with a target. The loss of a row (one plan, measured) is its milliseconds if it meets the
-target, and ten times those of the slowest row that meets it if it does not. If no row meets the target, the loss is the overshoot.
-Losses are multiples of the virtual best's, so that a view that takes seconds has the same weight as one that takes milliseconds. In
-strict scores a miss costs ten times the view's slowest row instead, whatever meets the target (PAR10 with a fixed cutoff).
+A row is a measured plan of a view. An instance is a view under a light with a target. The single best is the one choice with the
+least mean loss over all views. The virtual best is the row with the least loss in each instance.
+
+The loss of a row that meets the target is its milliseconds. Otherwise it is ten times the milliseconds of the slowest row that
+meets the target. If no row meets the target, the loss is the overshoot. Losses are multiples of the virtual best's, so that a view
+that takes seconds has the same weight as one that takes milliseconds. In strict scores a miss costs ten times the view's slowest
+row instead, whichever rows meet the target (PAR10 with a fixed cutoff).
 
 A target below ``NOISE_FLOORS`` times the error of truth's own sub-samples cannot be distinguished from a somewhat larger one. Such
 instances are a class of their own (``is_decidable``), which counts neither in met targets nor in regret.
@@ -26,7 +29,7 @@ NOISE_FLOORS = 3.0
 """The smallest decidable target, as a multiple of truth's own noise."""
 
 MIN_GAP = 0.10
-"""Where the single best lies this near to the virtual best, the gap is too small to report."""
+"""Gap between single best and virtual best up to which its closed share is not reported."""
 
 WORST_COUNT = 5
 """The number of worst choices in the report."""
@@ -36,9 +39,9 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True)
 class Goal:
-    """A target: the largest error, and a limit of time or none.
+    """A target: the largest error and, optionally, a limit of time.
 
-    The limit is a share of the way from the quickest to the slowest row in logarithms of milliseconds.
+    The limit is a share of the way from the quickest to the slowest row of a view (measured plan), in logarithms of milliseconds.
     """
 
     name: str
@@ -53,7 +56,10 @@ GOALS = (
 
 @dataclass(frozen=True, eq=False)
 class GoalInstance:
-    """A measured view (``view``: its record) with a goal. ``max_ms`` is in milliseconds; row names describe their steps."""
+    """A measured view (``view``: its record) with a goal. ``max_ms`` is the limit of time in milliseconds; ``None`` for no limit.
+
+    Names of rows (measured plans) describe their steps.
+    """
 
     view: Figures
     goal: Goal
@@ -68,7 +74,7 @@ class GoalInstance:
 
     @property
     def is_decidable(self) -> bool:
-        """Whether truth's own noise allows to decide which rows keep to the error."""
+        """Whether the noise of truth is small enough to decide which rows meet the largest error."""
         return self.goal.max_error >= NOISE_FLOORS * self.view["noise_floor"]
 
     @property
@@ -77,7 +83,7 @@ class GoalInstance:
         return any(map(self.meets, self.rows))
 
     def meets(self, name: str) -> bool:
-        """Return whether a row meets the error (or the smallest decidable error) and the time."""
+        """Return whether a row meets both limits: the error (or the smallest decidable error) and the time."""
         max_error = max(self.goal.max_error, NOISE_FLOORS * self.view["noise_floor"])
         row = self.rows[name]
         return (
@@ -85,7 +91,7 @@ class GoalInstance:
         )
 
     def losses(self, strict: bool = False) -> dict[str, float]:
-        """Return the loss of every row, as a multiple of the least; ``strict``: with a fixed cutoff."""
+        """Return the loss of every row, as a multiple of the least loss. ``strict`` uses the fixed cutoff of strict scores."""
         met = {name: row["ms"] for name, row in self.rows.items() if self.meets(name)}
         if met:
             cutoff = max(row["ms"] for row in self.rows.values()) if strict else max(met.values())
@@ -103,7 +109,7 @@ class GoalInstance:
         return min(filter(self.meets, self.rows), key=lambda name: self.rows[name]["ms"], default=None)
 
     def share_of_best(self, ms: float) -> float:
-        """Return milliseconds as a multiple of those of the quickest row that meets the target; 0 if none does."""
+        """Return ``ms`` as a multiple of the time of the quickest row that meets the target; 0 if no row does."""
         return ms / self.rows[self.cheapest]["ms"] if self.cheapest is not None else 0.0
 
     def _overshoot(self, name: str) -> float:
@@ -113,7 +119,7 @@ class GoalInstance:
 
 
 def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[GoalInstance]:
-    """Return every view with every goal; those with fewer than two rows offer no choice."""
+    """Return every view with every goal. Views with fewer than two rows are omitted, because they offer no choice."""
     result = []
     for view in views:
         ms = [row["ms"] for row in view["rows"].values()]
@@ -127,21 +133,22 @@ def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> lis
 
 @dataclass(frozen=True)
 class PolicyScore:
-    """Scores of a policy on some instances: means, as in the page of figures."""
+    """Scores of a policy: means over some instances, as the page shows them."""
 
     instances: int
     met: float
     """Share of the instances with a feasible target in which the policy's row meets it."""
     met_interval: tuple[float, float]
-    """The 95 % interval of that share over resampled terrains."""
+    """The 95 % interval of ``met`` over resampled terrains."""
     regret: float
     regret_interval: tuple[float, float]
     regret_median: float
     regret_p95: float
     regret_met: float
-    """The mean of the choices that met their target."""
+    """The mean regret of the choices that met their target."""
     unclean: float
-    """Share in which its row has an interior error above ``MAX_INTERIOR`` though a clean row met the target."""
+    """Share of instances in which the chosen row has an interior error above ``MAX_INTERIOR``, although another row met the target
+    without one."""
     single: float
     """Mean loss of the single best."""
     single_met: float
@@ -158,9 +165,10 @@ def score_choices(
     own_ms: Callable[[GoalInstance], float] = lambda instance: 0.0,
     strict: bool = False,
 ) -> PolicyScore:
-    """Score the rows ``choices`` by (view, goal), and compare them with those of the single best.
+    """Score a policy's choices, and compare them with those of the single best.
 
-    ``own_ms`` is the time of the choice itself, ``strict`` as in ``GoalInstance.losses``.
+    ``choices`` and ``single`` hold names of rows by (view, goal). ``own_ms`` is the time that the choice itself takes. ``strict``
+    is that of ``GoalInstance.losses``.
     """
     losses = [instance.losses(strict) for instance in instances]
     keys = [(instance.view["name"], instance.goal.name) for instance in instances]
@@ -190,7 +198,7 @@ DRAWS = 2000
 
 
 def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of a mean, over draws of as many terrains with repetition.
+    """Return the 95 % bootstrap interval of a mean. Each draw takes as many terrains as there are, with repetition.
 
     Views of one terrain are not independent (B. Efron, Bootstrap methods: another look at the jackknife, 1979).
     """
@@ -206,13 +214,14 @@ def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
 
 
 def _mean(values: np.ndarray) -> float:
-    """Return the mean; 0 of nothing."""
+    """Return the mean of values; 0 without any."""
     return float(values.mean()) if values.size else 0.0
 
 
 def equivalent_row(choice: str, view: Figures) -> str | None:
-    """Return the row that a choice becomes in a view, without options that do not apply (cascades, sizes, a sweep of level
-    ground).
+    """Return the row that a choice amounts to in a view; ``None`` if there is none.
+
+    Options of the choice that do not apply in the view are dropped: cascades, map sizes, or a sweep of level ground.
     """
     company, *settings = choice.split()
     swept = next((name for name, row in view["rows"].items() if row["algorithms"] == ["sweep"]), None)
@@ -228,7 +237,7 @@ def equivalent_row(choice: str, view: Figures) -> str | None:
 
 
 def single_best(training: Sequence[GoalInstance]) -> str:
-    """Return the choice with the least mean loss over the training instances; a choice that cannot be drawn misses the target."""
+    """Return the choice with the least mean loss over the training instances. A choice that cannot be drawn counts as a miss."""
     names = sorted({name for instance in training for name in instance.view["picks"] if not name.startswith("rules ")})
     losses = [(instance, instance.losses()) for instance in training]
 
@@ -240,9 +249,10 @@ def single_best(training: Sequence[GoalInstance]) -> str:
 
 
 def marginal(instances: Sequence[GoalInstance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the marginal value of each algorithm.
+    """Return two figures on the value of each algorithm.
 
-    It is the increase of the virtual best's mean loss without it, and the share of instances whose best row has it.
+    The first is the increase of the virtual best's mean loss without the algorithm. The second is the share of instances whose best
+    row uses it.
     """
     result = {}
     for algorithm in algorithms:

@@ -1,4 +1,4 @@
-"""Measure an instance: every choice of the portfolio is drawn on the real view, timed, and compared with ray-traced truth."""
+"""Measure an instance (a view under a light): draw every choice of algorithms, time it, and compare it with ray-traced truth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Figures = dict[str, Any]
 
 
 def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan]:
-    """Return by name the plans of all choices of a light, and those of the rules for each requested error."""
+    """Return by name the plans of all choices for a light, and the plans of the fixed rules for the largest error of each goal."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
     choices = portfolio(descriptor, light, planner.casting(light), planner.requested_shadows)
@@ -44,10 +44,10 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
 
 
 def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
-    """Return by choice the name of its row: choices with the same steps, and only these, share one.
+    """Return by choice the name of its row (measured plan). Choices share a row exactly if their plans have the same steps.
 
-    The rules may split cascades where no choice does, under the same name. A second row then has the name of the choice that takes
-    it.
+    The fixed rules may split cascades differently from a choice of the same name. The name of the second row then has the choice in
+    parentheses.
     """
     names: dict[str, str] = {}
     rows_by_name: dict[str, list[tuple[list[Step], str]]] = {}
@@ -61,10 +61,11 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
 
 
 def measure_instance(instance: ViewInstance, data: Path) -> Figures:
-    """Return an instance's record: its descriptor as ``POST /plan`` takes it, times and errors of its rows, and by choice
-    the row.
+    """Measure an instance, and return its record.
 
-    ``error`` is the figure of targets: ``wrong`` without cast shadow, since ``wrong_cast`` is a share of it.
+    The record has the descriptor as ``POST /plan`` takes it, times and errors of all rows, and by choice the name of the row
+    (``picks``). ``error`` names the error of targets. It is ``wrong`` in a view without cast shadow, since ``wrong_cast`` is a
+    share of cast shadow.
     """
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
@@ -89,7 +90,7 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
 
 
 def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """Return the record with its rows timed again."""
+    """Return a record whose rows are timed again."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light = record["light"]
@@ -100,7 +101,7 @@ def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
 def _timed(
     scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
 ) -> dict[str, Figures]:
-    """Return rows with their median milliseconds: of a perspective view, or the mean over a map's blocks."""
+    """Return rows with their median milliseconds: of a perspective view, or per block of a map."""
     pictures = picture_blocks(scene, view)
     plan_by_row = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
@@ -118,7 +119,7 @@ def _row(figures: Figures, light: str) -> Figures:
 
 
 def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """Return the record with a new descriptor, and the milliseconds of describing the warm scene and choosing."""
+    """Return a record with a new descriptor, and with the milliseconds of describing the loaded scene and of choosing."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
@@ -132,7 +133,7 @@ def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
 
 
 def probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """Return the record with the observations of probes."""
+    """Return a record with the measurements of probes."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
@@ -153,7 +154,7 @@ def _all_rounded(value: Any) -> Any:
 
 
 def _compared(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, plans: dict[Any, Plan]) -> Any:
-    """Return the comparison of the plans that serve the view; it removes refused plans from ``plans``."""
+    """Compare the plans that support a view with ray-traced truth. Refused plans are removed from ``plans``."""
     while True:
         try:
             return compare(scene, view, name, light=light, time_limit_s=0.0, plans=list(plans.values()))

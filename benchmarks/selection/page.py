@@ -1,4 +1,4 @@
-"""The measured tables of docs/selection.md, from the table in the repository."""
+"""The measured tables of docs/selection.md, formatted from the table of measurements in the repository."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def page(views: Sequence[Figures], device: DeviceProfile) -> str:
 
 
 def with_tables(text: str, tables: str) -> str:
-    """Replace the tables of a page."""
+    """Replace the measured tables in the text of a page."""
     before, rest = text.split(START)
     _, after = rest.split(END)
     return before + START + tables + END + after
@@ -83,7 +83,7 @@ def _instances_text(views: Sequence[Figures]) -> str:
 
 
 def _policies(split: Split) -> str:
-    """Format the scores of the policies: first of decidable instances, then by other rules of counting."""
+    """Format the scores of the policies on decidable instances, and then by other rules of counting."""
     decidable = [instance for instance in split.instances if instance.is_decidable]
     free = [instance for instance in decidable if instance.max_ms is None]
     rows = []
@@ -141,7 +141,7 @@ def _alternative_scores(split: Split) -> str:
 
 
 def _singles(split: Split) -> str:
-    """Format the single best of each goal."""
+    """Format the single best (the choice with the least mean loss over views) of each goal."""
     best: dict[str, tuple[str, int]] = {}
     for name, parts in split.best.items():
         goal, choice = name.split(": ", 1)
@@ -156,7 +156,7 @@ def _singles(split: Split) -> str:
 
 
 def _anytime(all_splits: Sequence[Split]) -> str:
-    """Format the value of more time, with dense woods (whose frames take a second) and without."""
+    """Format the value of longer probes, with and without views of dense woods, whose frames take a second."""
     rows = []
     for split in all_splits:
         decidable = [instance for instance in split.instances if instance.is_decidable]
@@ -174,7 +174,10 @@ def _anytime(all_splits: Sequence[Split]) -> str:
 
 
 def _met_shares(split: Split) -> str:
-    """Format the share of met targets that are feasible, by target and by family; families without the limit of time."""
+    """Format how many of the feasible targets each policy meets, by target and by family of scenes.
+
+    The shares by family only count targets without a limit of time.
+    """
     able = [instance for instance in split.instances if instance.is_decidable and instance.can_be_met]
     parts = {goal.name: [instance for instance in able if instance.goal.name == goal.name] for goal in GOALS}
     for instance in able:
@@ -271,6 +274,6 @@ def _times(views: Sequence[Figures], device: DeviceProfile) -> str:
 
 
 def markdown_table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return a table in Markdown, with line ends."""
+    """Return the text of a Markdown table."""
     lines = [list(map(str, heads)), ["---"] * len(heads), *(list(map(str, row)) for row in rows)]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines)

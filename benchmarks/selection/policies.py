@@ -1,4 +1,4 @@
-"""The choices of each policy for measured views, from the body of ``POST /plan`` only; models are fitted to other views."""
+"""The choices of each policy for measured views. Policies see only the body of ``POST /plan``. Models are fitted to other views."""
 
 from __future__ import annotations
 
@@ -31,32 +31,32 @@ FOLDS = 3
 
 
 BUDGET_S = 3.0
-"""The time of a probe, seconds ..."""
+"""Time of a probe, seconds."""
 
 BUDGETS_S = (1.0, 3.0, 10.0, 30.0)
-"""... and other times to compare, beside that of ``measure``, which has no limit."""
+"""Other times of a probe to compare, seconds. The policy ``measure`` has no limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The choices of each policy for all instances, with models fitted to a fold without the instance."""
+    """The choices of each policy for all instances. Models are fitted to views of folds that do not contain the instance."""
 
     name: str
     instances: Sequence[GoalInstance]
     choices: Mapping[str, RowChoices]
     single: RowChoices
     best: Mapping[str, int]
-    """The single best choices by goal, and the number of folds where each was it."""
+    """Number of folds by goal and the choice that was the single best in them."""
     probe_s: Mapping[tuple[str, str], float]
-    """The duration of an instance's probe."""
+    """Seconds of the probe of each instance."""
     drawn: Mapping[tuple[str, str], int]
-    """The number of options that it draws."""
+    """Number of options that the probe of each instance draws."""
     by_budget: Mapping[str, RowChoices]
-    """The choices with probes of other durations."""
+    """The choices with probes of other times."""
 
 
 def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
-    """Return folds with views of each terrain in turn."""
+    """Split views into folds, so that each fold has views of every terrain in turn."""
     counts: dict[str, int] = {}
     parts: list[list[Figures]] = [[] for _ in range(FOLDS)]
     for view in views:
@@ -66,12 +66,16 @@ def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
 
 
 def terrains(views: Sequence[Figures]) -> list[list[Figures]]:
-    """Return folds of one terrain each."""
+    """Split views into folds of one terrain each."""
     return [[view for view in views if view["terrain"] == name] for name in dict.fromkeys(view["terrain"] for view in views)]
 
 
 def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]], device: DeviceProfile) -> Split:
-    """Judge all folds (views to judge, views to fit to) by models and a single best for each goal from the training views."""
+    """Return the choices of each policy for the views of all folds.
+
+    ``parts`` are pairs of views to judge and views to train with. The training views give the error model, and the single best
+    choice for each goal.
+    """
     cases: dict[str, list[FitCase]] = {}
     choices: dict[str, RowChoices] = {policy: {} for policy in POLICIES}
     single: RowChoices = {}
@@ -107,7 +111,7 @@ def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]
 
 
 def _rules_pick(instance: GoalInstance) -> str:
-    """Return the name of the rules' plan for a goal."""
+    """Return the name of the fixed rules' plan for a goal."""
     within = f"rules {instance.goal.max_error:g} within"
     return within if instance.max_ms is not None and within in instance.view["picks"] else f"rules {instance.goal.max_error:g}"
 
@@ -117,13 +121,13 @@ def _leader(probe: LightProbe, instance: GoalInstance) -> int:
 
 
 def _policy_input(instance: GoalInstance) -> tuple[Descriptor, StandaloneRequest]:
-    """Return the input of a policy: the descriptor without the view's name, and the target."""
+    """Return the input of a policy: the descriptor without the view's name, and a request with the target."""
     descriptor = Descriptor.model_validate({**instance.view["descriptor"], "view": "view"})
     return descriptor, request_of(descriptor, Shadows(max_error=instance.goal.max_error, max_ms=instance.max_ms))
 
 
 def predicted(instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
-    """Return the row that ``predict`` chooses."""
+    """Return the name of the row that the policy ``predict`` chooses."""
     descriptor, request = _policy_input(instance)
     return name_of(predicted_plan(descriptor, request, None, device, model), instance.view["light"])
 
@@ -131,9 +135,9 @@ def predicted(instance: GoalInstance, device: DeviceProfile, model: ErrorModel |
 def replayed(
     instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None, budget_s: float | None
 ) -> tuple[LightProbe | None, list[str]]:
-    """Replay a probe of an instance from its view's record; also return the names of its options' rows.
+    """Replay a probe of an instance from the record of its view. Return its result, and the names of its options' rows.
 
-    The result is ``None`` without a record.
+    The result is ``None`` if the view has no record of probes.
     """
     record, light = instance.view.get("probe") or {}, instance.view["light"]
     options = plan_options(planner_of(*_policy_input(instance)), device, model)
@@ -149,7 +153,10 @@ def replayed(
 
 
 def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
-    """Return views held out of known terrains, all of a terrain held out, and terrains that no model was ever fitted to."""
+    """Return three ways of splitting views into folds for testing.
+
+    They hold out single views, all views of a terrain, and terrains that no model was ever fitted to.
+    """
     known_views, unseen_views = ([view for view in views if bool(view.get("unseen")) is which] for which in (False, True))
 
     def held_out_folds(parts: Sequence[Sequence[Figures]]) -> list[tuple[Sequence[Figures], Sequence[Figures]]]:
@@ -168,7 +175,7 @@ def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
 def errors_of_time(
     cases: Iterable[FitCase], device: DeviceProfile, which: Callable[[FitCase], bool] = lambda case: True
 ) -> np.ndarray:
-    """Return the errors of rows' expected times, as shares of the measured ones."""
+    """Return the errors of expected times as shares of the measured times, for the cases that ``which`` selects."""
     deviations = []
     for case in filter(which, cases):
         deviations.append(case.expected_ms(device) / case.row["ms"] - 1.0)

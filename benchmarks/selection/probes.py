@@ -1,4 +1,4 @@
-"""Observations of probes in a measured view, recorded once for every row, so that any policy can be replayed with any model."""
+"""Record the measurements of probes in a view, once for every row. Any policy can then be replayed with any model."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ Figures = dict[str, Any]
 
 
 def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, profile: DeviceProfile) -> Figures:
-    """Record the observations of probes for a light's options.
+    """Record the measurements of probes for all options of a light.
 
-    ``start_s`` is the time of work that is done once, whatever is drawn. ``points_s`` is the time of truth on all lattices up to
-    each step. Each row has the milliseconds of a probe's draw, and its proofs with one lattice of points, 2, 4, 8 and 16.
+    ``start_s`` is the time of work that is done once, whatever is drawn. ``points_s`` is the time of ray-traced truth on all
+    lattices of points up to each step. Each row has the milliseconds of a probe's drawing, and its errors (``proofs``) with 1, 2,
+    4, 8 and 16 lattices of points.
     """
     descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     options = plan_options(planner_of(descriptor, level), profile)
@@ -61,7 +62,7 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
 
 
 class RecordedProver:
-    """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record; ``rows`` names the row of each option."""
+    """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record. ``rows`` names the row of each option."""
 
     def __init__(self, record: Figures, rows: Sequence[str]) -> None:
         self._record, self._rows = record, rows
@@ -69,11 +70,11 @@ class RecordedProver:
         self._step: int | None = None
 
     def elapsed_s(self) -> float:
-        """The simulated seconds since it began."""
+        """Return the simulated seconds since the probe began."""
         return self._elapsed_s
 
     def draw(self, which: int) -> float | None:
-        """Return an option's milliseconds; ``None`` if it was refused."""
+        """Return the recorded milliseconds of an option; ``None`` if it was refused."""
         row = self._record["rows"].get(self._rows[which])
         if row is None:
             return None
@@ -81,23 +82,23 @@ class RecordedProver:
         return row["ms"]
 
     def draw_s(self, ms: float) -> float:
-        """Return the seconds of a probe's draw for an option of ``ms`` milliseconds."""
+        """Return the seconds that a probe needs to draw an option whose frame takes ``ms`` milliseconds."""
         return SceneProber.draw_s(ms)
 
     def measurement(self, which: int) -> ErrorMeasurement:
-        """Return the recorded measurement at the points so far."""
+        """Return the recorded measurement of an option at the points of truth that have been added so far."""
         if self._step is None:
             self._step = 0
             self._elapsed_s += self._record["points_s"][0]
         return ErrorMeasurement(*self._record["rows"][self._rows[which]]["proofs"][self._step])
 
     def add_points_s(self) -> float | None:
-        """The seconds that truth at more points would take; ``None`` if all of them are known."""
+        """Return the seconds that truth at more points would take; ``None`` if no more points are recorded."""
         points_s, step = self._record["points_s"], self._step or 0
         return None if step + 1 == len(points_s) else points_s[step + 1] - points_s[step]
 
     def add_points(self) -> None:
-        """Evaluate truth at more points."""
+        """Advance to the recorded truth at more points."""
         more_s = self.add_points_s()
         assert more_s is not None and self._step is not None
         self._elapsed_s += more_s
@@ -105,6 +106,6 @@ class RecordedProver:
 
 
 def recorded_options(options: LightOptions, names: Sequence[str], record: Figures) -> LightOptions:
-    """Return the options that have a record; the others count as refused."""
+    """Return a light's options, where those without a record count as refused."""
     missing = {which for which, name in enumerate(names) if name not in record["rows"]}
     return LightOptions(options.options, options.error, options.interior, options.time, refused=frozenset(missing))

@@ -1,4 +1,4 @@
-"""The table of measurements in the repository: a line with the device, then one a view."""
+"""The table of measurements in the repository: a line with the device, then a line for each view."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ def read_table(path: Path = TABLE) -> tuple[list[Figures], DeviceProfile]:
 
 
 def _packed(view: Figures) -> Figures:
-    """Return the record without defaults and names of columns; ``picks`` and ``probe`` refer to rows by number."""
+    """Return a view's record in a compact form for the table.
+
+    Default values and names of columns are omitted. ``picks`` and ``probe`` refer to rows by number.
+    """
     names = list(view["rows"])
     descriptor = Descriptor.model_validate(view["descriptor"]).model_dump(mode="json", exclude_defaults=True)
     probe = _with_rows(view, lambda rows: {str(names.index(row)): observations for row, observations in rows if row in names})
@@ -58,7 +61,10 @@ def _unpacked(line: Figures) -> Figures:
 
 
 def _with_rows(view: Figures, renamed: Callable[[Iterable[tuple[str, Any]]], Figures]) -> Figures:
-    """Return the observations of probes in a view, if recorded, with renamed rows and rounded numbers."""
+    """Return the measurements of probes in a view with renamed rows and rounded numbers; empty without them.
+
+    ``renamed`` maps pairs of row name and measurements to a dictionary with new names.
+    """
     if not view.get("probe"):
         return {}
     probe = _rounded(view["probe"], PROBE_DIGITS)

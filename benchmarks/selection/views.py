@@ -26,20 +26,21 @@ SunAngles = tuple[float, float]
 FAULT_BOUNDS = (740_900.0, 4_021_000.0, 747_300.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16: the ridge of the Jacksboro fault and the hills west of it."""
 VILLAGE_BOUNDS = (754_330.0, 4_012_390.0, 755_530.0, 4_013_590.0)
-"""The same of houses, hedges and woods in its valley."""
+"""West, south, east and north, metres in UTM zone 16: houses, hedges and woods in the valley of the Jacksboro fault."""
 
 CITY = "urban/goteborg_1m"
 
 DENSE_WOOD_BOUNDS = (-84.200, 36.21633, -84.148, 36.25433)
-"""West, south, east and north, degrees: a part of the same, modelled as entirely wooded."""
+"""West, south, east and north, degrees: a part of the Jacksboro fault, modelled as entirely wooded."""
 
 
 @dataclass(frozen=True)
 class ViewInstance:
-    """A view of a scene under a light. ``terrain`` is the ground that it belongs to: its views are held out together.
+    """A view of a scene under a light.
 
-    ``level`` is a bundled level's name, or the keys of one whose files lie in the folder of sample data. ``view`` is a view's name
-    or its keys, ``bounds`` those of a map, ``sun`` azimuth and altitude, degrees (``None``: the level's own light).
+    ``terrain`` is the ground that the view belongs to. All views of a terrain are held out of model fits together. ``level`` is a
+    bundled level's name, or the keys of a level whose files lie in the folder of sample data. ``view`` is a view's name or its
+    keys. ``bounds`` are those of a map. ``sun`` is azimuth and altitude in degrees; ``None`` uses the level's own light.
     """
 
     name: str
@@ -59,7 +60,7 @@ class ViewInstance:
     """Columns and rows, if they differ from the default."""
 
     def opened(self, data: Path, folder: Path) -> tuple[Scene, MapView | PerspectiveView]:
-        """Open the scene and its view. ``folder`` takes the level file that is written for a scene of sample data."""
+        """Build the scene and return it with its view. A level file for a scene of sample data is written into ``folder``."""
         scene = scene_of(self.level, data, folder)
         scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
         if self.look is not None:
@@ -72,7 +73,7 @@ class ViewInstance:
 
 
 def scene_of(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
-    """Build the scene of a bundled level, or of the text of one; ``folder`` takes its file."""
+    """Build the scene of a bundled level, or of the keys of a level. The latter are written to a level file in ``folder``."""
     if isinstance(level, str):
         return build_scene(load_level(find_level(level)))
     path = folder / "level.yaml"
@@ -89,7 +90,10 @@ def _rectangle(bounds: tuple[float, float, float, float]) -> dict[str, Any]:
 
 
 def _middle(scene: Scene) -> tuple[float, float, float, float] | None:
-    """Return the middle of a raster, a pixel a cell; ``None`` (all of it) if it is smaller than the picture, and in flat worlds."""
+    """Return the bounds of a raster's middle for a picture with one pixel per cell, clamped to the raster.
+
+    In flat worlds return ``None``, which stands for the whole raster.
+    """
     if scene.world.flat:
         return None
     full_view = scene.view("map")
@@ -211,9 +215,9 @@ def _wooded() -> Iterator[ViewInstance]:
 
 
 def _dense() -> Iterator[ViewInstance]:
-    """Return views across woods where most pixels show leaves of several trees.
+    """Yield views across woods where most pixels show leaves of several trees.
 
-    Their visibility is not decidable, so targets use ``coverage``.
+    The visibility of single pixels cannot be decided there, so targets use ``coverage``.
     """
     looks: tuple[tuple[tuple[float, float, float, float, float], SunAngles], ...] = (
         ((0.02, 0.02, 0.60, 0.60, 450.0), (248.0, 14.0)), ((0.98, 0.98, 0.30, 0.30, 450.0), (23.0, 24.0)),
@@ -229,7 +233,7 @@ def _dense() -> Iterator[ViewInstance]:
 
 
 def _unseen() -> Iterator[ViewInstance]:
-    """Return views on terrains that no model is fitted to."""
+    """Yield views on terrains to which no model is fitted."""
     maps: tuple[tuple[str, tuple[SunAngles, ...]], ...] = (
         ("sanfrancisco", ((118.0, 19.0), (244.0, 7.0))), ("lisbon", ((251.0, 11.0), (171.0, 43.0))), ("rmnp", ((108.0, 14.0),)),
         ("autzen", ((204.0, 31.0), (97.0, 13.0))), ("nz", ((302.0, 5.0),)), ("texas", ((88.0, 1.5),)),

@@ -1,1 +1,1 @@
-"""Sun questions compared with other tools: ``python -m benchmarks.sun_questions`` writes docs/sun-questions.md."""
+"""Questions about the sun for Skugga and other tools: ``python -m benchmarks.sun_questions`` writes docs/sun-questions.md."""

@@ -35,11 +35,11 @@ QUESTION_BY_OPTION = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
 
 
 REPEATS = 2
-"""Runs of a horizon, of whose seconds the figure is the median."""
+"""Number of runs of a horizon. Their median is the figure."""
 
 
 class Measuring:
-    """The measurements so far."""
+    """Measure the questions, and hold the results so far."""
 
     def __init__(self, data: Path, python: str, side: int, cells: int, folder: Path) -> None:
         self._data, self._python, self._side, self._cells, self._folder = data, python, side, cells, folder
@@ -50,7 +50,7 @@ class Measuring:
         self._begin = time.perf_counter()
 
     def hours(self) -> None:
-        """Measure the first question."""
+        """Measure the first question: hours of sun."""
         tools = []
         for tool in hours_tools(self._python):
             try:
@@ -72,7 +72,7 @@ class Measuring:
                     self._add(answer)
 
     def point(self) -> None:
-        """Measure the second question."""
+        """Measure the second question: horizons of points."""
         for name, (_, _, description) in RASTERS.items():
             dem = read_dem(self._data, name, None, self._folder)
             if dem is not None:
@@ -83,7 +83,7 @@ class Measuring:
                     self._add(answer)
 
     def masks(self) -> None:
-        """Measure the third question."""
+        """Measure the third question: masks of a day."""
         name, (_, _, description) = next(iter(RASTERS.items()))
         dem = read_dem(self._data, name, None, self._folder)
         if dem is not None:
@@ -108,7 +108,7 @@ class Measuring:
 
 
 def measure_questions(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
-    """Measure the questions ``only``; the other questions have their stored figures."""
+    """Measure the questions in ``only``. The stored figures of the other questions are kept."""
     with tempfile.TemporaryDirectory() as folder_name:
         measuring = Measuring(data, python, side, cells, Path(folder_name))
         for name in only:

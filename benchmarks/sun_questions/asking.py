@@ -20,7 +20,7 @@ PROGRAMS_FILE = Path(__file__).with_name("programs.py")
 DATE = "2024-03-21"
 
 SKUGGA = ["env", f"PYTHONPATH={ROOT}", sys.executable]
-"""Runs Python on this tree."""
+"""Command that runs Python with this checkout's packages."""
 
 SKUGGA_COMMAND = [*SKUGGA, "-c", "from skugga.api.cli.main import main; main()"]
 
@@ -33,9 +33,9 @@ RASTERS = {
 
 @dataclass(frozen=True)
 class QuestionDem:
-    """A raster file of heights (rows, cols) float32 in metres on square cells.
+    """A raster file of heights, float32 (rows, cols) in metres, on square cells.
 
-    Its middle lies on its zone's central meridian, so that grid north is true north within a tenth of a degree.
+    Its middle lies on its UTM zone's central meridian. Grid north is therefore true north within a tenth of a degree.
     """
 
     name: str
@@ -51,7 +51,7 @@ class QuestionDem:
         return Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True).transform(*self.middle_m)
 
     def xy(self, row: int, col: int) -> tuple[float, float]:
-        """Return easting and northing of a cell's middle."""
+        """Return easting and northing of the middle of a cell."""
         rows, cols = self.height_m.shape
         return (
             self.middle_m[0] + (col + 0.5 - cols / 2) * self.cell_m,
@@ -60,14 +60,14 @@ class QuestionDem:
 
 
 def dem_of(name: str, height_m: np.ndarray, cell_m: float, crs: str, northing_m: float, folder: Path) -> QuestionDem:
-    """Write heights as a raster on the central meridian."""
+    """Write heights as a raster whose middle lies on the central meridian of its zone."""
     path, middle = folder / f"{name.replace(' ', '_')}_{height_m.shape[0]}.tif", (500_000.0, northing_m)
     write_dem(path, height_m, cell_m, crs, middle)
     return QuestionDem(name, path, height_m, cell_m, crs, middle)
 
 
 def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionDem | None:
-    """Read a raster of ``RASTERS``, at most its middle ``side`` cells a side; ``None`` if its file is absent."""
+    """Read a raster of ``RASTERS``, or its middle of at most ``side`` x ``side`` cells; ``None`` if its file is absent."""
     file, crs, _ = RASTERS[name]
     if not (data / file).exists():
         return None
@@ -82,7 +82,7 @@ def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionD
 
 
 def versions_of(python: str) -> dict[str, str]:
-    """Return tool -> version of the available tools; packages are those of the interpreter ``python``."""
+    """Return the versions of the available tools by name. Python packages are those of the interpreter ``python``."""
     packages = {"Whitebox Workflows": "whitebox-workflows whitebox_workflows", "topocalc": "topocalc topocalc.horizon"}
     commands = {
         name: [python, str(PEERS_PROGRAMS), "--version", *packages_of_tool.split()] for name, packages_of_tool in packages.items()

@@ -1,4 +1,4 @@
-"""The first question: sun hours of 21 March, on a mountain raster and a city's surface model, by several tools and by rays."""
+"""The first question: hours of sun on 21 March, on a mountain raster and a city's surface model, by several tools and by rays."""
 
 from __future__ import annotations
 
@@ -49,10 +49,22 @@ CLIFF_COL, CLIFF_CHECKED = 160, slice(60, 150, 10)
 
 @dataclass(frozen=True, eq=False)
 class HoursTool:
-    """A tool with its setting.
+    """A tool with its settings.
 
-    It has the arguments for a raster and an output file, the name of its sun (``SUNS``), the reader of its file into hours (rows,
-    cols), and, if the first command does not report them, a command that prints its seconds of computing.
+    Attributes
+    ----------
+    name, tool
+        Name with the settings, and name of the tool.
+    sun
+        Name of the sun that it uses (``SUNS``).
+    command
+        Returns its command for a raster and an output file.
+    read
+        Reads its output file into hours (rows, cols).
+    suffix
+        Suffix of its output file.
+    computing
+        Returns a command that prints its seconds of computing, if ``command`` does not print them; else ``None``.
     """
 
     name: str
@@ -68,7 +80,10 @@ class HoursTool:
         return self.tool == "Skugga"
 
     def run(self, dem: QuestionDem) -> tuple[np.ndarray, ToolRun, float | None]:
-        """Return hours, the cost of the whole process, and seconds of computing. Raises ``RuntimeError`` if it fails."""
+        """Run the tool. Return hours (rows, cols), the cost of the process, and seconds of computing.
+
+        Raises ``RuntimeError`` if the tool fails.
+        """
         out = dem.path.with_name(f"hours{self.suffix}")
         compute_s = None
         if self.computing is not None:
@@ -79,7 +94,7 @@ class HoursTool:
 
 
 class HoursTruth:
-    """Sun hours of some cells of a raster by rays, for each of the suns that tools use."""
+    """Hours of sun in some cells of a raster by rays, for each sun that a tool uses."""
 
     def __init__(self, dem: QuestionDem, cells: int) -> None:
         self._dem = dem
@@ -91,7 +106,7 @@ class HoursTruth:
 
     @cached_property
     def astronomy(self) -> np.ndarray:
-        """Hours by NREL's sun with refraction, on the round earth, above the level plane: Skugga's definition."""
+        """Hours (n,) by NREL's sun with refraction, on the round earth, above the level plane. This is Skugga's definition."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
         hours = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), STEP_S / 60.0)[0]
@@ -100,7 +115,7 @@ class HoursTruth:
 
     @cached_property
     def solar_day(self) -> np.ndarray:
-        """Hours by GRASS's sun without refraction, on the round earth, above the level plane."""
+        """Hours (n,) by GRASS's sun without refraction, on the round earth, above the level plane."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
         rays, frame = CellRays.over(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
@@ -112,7 +127,10 @@ class HoursTruth:
 
     @cached_property
     def suncalc(self) -> np.ndarray:
-        """Hours by Whitebox's sun without refraction, on a flat earth, from half a degree below the level plane on."""
+        """Hours (n,) by Whitebox's sun without refraction, on a flat earth.
+
+        The sun counts from half a degree below the level plane.
+        """
         dem = self._dem
         rows, cols = dem.height_m.shape
         nodes = np.empty((rows, cols, 3))
@@ -125,7 +143,7 @@ class HoursTruth:
         return _hours(rays, enu, np.sin(np.radians(SUNCALC_LEAST_DEG)))
 
     def of(self, sun: str) -> np.ndarray:
-        """Return hours (n,) by the sun of that name."""
+        """Return the hours (n,) by the sun of a name."""
         return {"astronomy": self.astronomy, "solar day": self.solar_day, "suncalc": self.suncalc}[sun]
 
 
@@ -134,19 +152,22 @@ def _hours(rays: CellRays, directions: np.ndarray, least_sine: float) -> np.ndar
 
 
 def astronomical_day(scene) -> WindowSun:  # noqa: ANN001
-    """Return the sun through ``DATE`` by true solar time."""
+    """Return the sun's positions during ``DATE`` by true solar time."""
     return window_suns(scene.world, [daily_window(date.fromisoformat(DATE), 0.0, 1440.0, UTC, scene.world)])[0]
 
 
 def day_length_h(sun: str, dem: QuestionDem) -> float:
-    """Return hours from rise to set over a level horizon, by a tool's own sun; Whitebox's begin half a degree below it."""
+    """Return the hours from sunrise to sunset over a level horizon, by a tool's own sun.
+
+    Those of Whitebox begin and end half a degree below the horizon.
+    """
     if sun == "suncalc":
         return float((suncalc(*dem.lon_lat, STEP_S)[1] >= SUNCALC_LEAST_DEG).mean() * 24.0)
     return float((_path(sun, dem)[1] > 0.0).mean() * 24.0)
 
 
 def _path(sun: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and altitudes (n,) every ``STEP_S`` seconds of a day."""
+    """Return azimuths and altitudes (n,) of a tool's sun, every ``STEP_S`` seconds of a day."""
     if sun == "suncalc":
         return suncalc(*dem.lon_lat, STEP_S)
     if sun == "solar day":
@@ -165,7 +186,7 @@ def _raster(path: Path, dem: QuestionDem) -> np.ndarray:
 
 
 def hours_tools(python: str) -> list[HoursTool]:
-    """Return all tools with their settings; packages are those of the interpreter ``python``."""
+    """Return all tools with their settings. Python packages are those of the interpreter ``python``."""
     asking = str(PROGRAMS_FILE)
 
     def skugga(minutes: int) -> HoursTool:
@@ -202,7 +223,10 @@ def hours_tools(python: str) -> list[HoursTool]:
 
 
 def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
-    """Compare a tool's hours on a level floor and before a cliff with its own sun's. Raises ``RuntimeError`` if they disagree."""
+    """Compare a tool's hours on a level floor and before a cliff with those expected from its own sun.
+
+    Raises ``RuntimeError`` if they disagree.
+    """
     floor = np.full(CLIFF_SHAPE, 100.0, np.float32)
     cliff = floor.copy()
     cliff[:, CLIFF_COL:] += CLIFF_M
@@ -217,7 +241,7 @@ def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
 
 
 def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Return the answers of tools for a raster; it adds those that fail to ``left_out``."""
+    """Yield the results of tools for a raster. Tools that fail are added to ``left_out`` with the reason."""
     truth = HoursTruth(dem, cells)
     for tool in tools:
         try:

@@ -1,4 +1,4 @@
-"""Results of `sun_questions`: answers of tools to three sun questions, and which tools are faster and more accurate."""
+"""Results of `sun_questions`: the tools' answers to three questions about the sun, and which tools are faster and more accurate."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from benchmarks.peers.figures import ToolRecord, ToolStanding
 class SunAnswer:
     """A tool's answer to a question in one case.
 
-    Seconds of computing by its own clock, of the whole process, and CPU seconds of the process and its children; ``None`` if not
-    measured. ``wrong`` is the mean error and ``wrong_p99`` its 99th percentile, with the sun, the earth and the north that the tool
-    uses. ``wrong_as_is`` is the mean error against astronomy's sun on the round earth. The unit is minutes, degrees or shares of
-    cells, by question. ``scaled`` marks seconds that were extrapolated from a part of the work.
+    Three durations are recorded: computing by the tool's own clock, the whole process, and CPU time of the process and its
+    children. They are seconds, and ``None`` if not measured. ``scaled`` marks durations that were extrapolated from a part of the
+    work.
+
+    ``wrong`` is the mean error and ``wrong_p99`` its 99th percentile. Their truth uses the same sun, earth and north as the tool.
+    ``wrong_as_is`` is the mean error against astronomy's sun on the round earth. The unit of errors is minutes, degrees or shares
+    of cells, depending on the question.
     """
 
     question: str
@@ -34,9 +37,18 @@ class SunAnswer:
 
 @dataclass(frozen=True)
 class ConventionCheck:
-    """A tool's hours on a level floor, and the length of the day by its own sun.
+    """Check of a tool's conventions.
 
-    Before a long cliff it has the mean error in minutes against the closed form.
+    Attributes
+    ----------
+    tool
+        Name of the tool.
+    floor_h
+        Its hours of sun on a level floor.
+    day_h
+        The length of the day by its own sun, hours.
+    cliff_wrong_min
+        Its mean error before a long cliff against the closed form, minutes.
     """
 
     tool: str
@@ -47,7 +59,7 @@ class ConventionCheck:
 
 @dataclass(frozen=True)
 class QuestionCase:
-    """The data of a question: its name and a description."""
+    """The data with which a question is asked: a name and a description."""
 
     question: str
     case: str
@@ -56,7 +68,7 @@ class QuestionCase:
 
 @dataclass(frozen=True)
 class SunComparison:
-    """All results. ``versions`` are those of tools; ``left_out`` are names of tools with the reason."""
+    """All results. ``versions`` maps tools to their versions. ``left_out`` maps left-out tools to the reason."""
 
     where: str
     load: float
@@ -69,12 +81,12 @@ class SunComparison:
 
     @staticmethod
     def read(values: dict[str, Any]) -> SunComparison:
-        """Build it from JSON values."""
+        """Build the comparison from values of its JSON file."""
         kinds = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
         return SunComparison(**{**values, **{key: [kind(**entry) for entry in values[key]] for key, kind in kinds.items()}})
 
     def of(self, question: str, case: str | None = None) -> list[SunAnswer]:
-        """Return the answers to a question; of one case, if given."""
+        """Return the answers to a question, optionally only those in one case."""
         return [answer for answer in self.answers if answer.question == question and case in (None, answer.case)]
 
 
@@ -87,7 +99,10 @@ ANSWER_CLOCKS: dict[str, Callable[[SunAnswer], float | None]] = {
 
 
 def standings(comparison: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
-    """Return the standings of all tools in each case of a question, if they have seconds by a clock and an error."""
+    """Return the tools' standings in each case of a question.
+
+    Tools without seconds by ``clock``, or without an error, are omitted.
+    """
     result: dict[str, list[ToolStanding]] = {}
     for answer in comparison.of(question):
         taken_s = ANSWER_CLOCKS[clock](answer)

@@ -1,4 +1,7 @@
-"""The third question: 31 masks of a day as GeoTIFF: one run of Skugga, a run for each mask, and runs of other tools."""
+"""The third question: 31 masks of a day as GeoTIFF.
+
+It compares one run of Skugga for all masks, a run of Skugga for each mask, and runs of other tools.
+"""
 
 from __future__ import annotations
 
@@ -30,28 +33,30 @@ MASK_COUNT, MASK_STEP_MIN, FIRST_FROM_NOON_MIN = 31, 23, -345
 """Times: their number, minutes apart, and minutes of the first before the mean noon of the place."""
 
 EACH_OF, EACH_OF_SLOW = 3, {"Whitebox Workflows": 5}
-"""Of runs for one mask each, one in so many is measured, and seconds are multiplied."""
+"""Of the runs for one mask each, only one in so many is measured, and its seconds are multiplied. The dictionary holds exceptions
+by tool."""
 
 PEER_NAMES = ("insolation", "solweig", "Whitebox Workflows", "gdaldem hillshade")
 
 NEAR_DEG = 0.01
-"""A cell counts if a sun so much lower and higher gives the same answer."""
+"""Change of the sun's altitude, degrees. Truth in a cell is certain if a sun lower and a sun higher by this give the same
+result."""
 
 MASK_RIM = 3
 
 
 def mask_times(lon_deg: float) -> list[datetime]:
-    """Return the times of the masks, UTC, on 21 March about the mean noon of a longitude."""
+    """Return the times of the masks on 21 March, UTC, around the mean noon of a longitude."""
     noon = datetime(2024, 3, 21, 12, tzinfo=UTC) - timedelta(minutes=round(4.0 * lon_deg))
     return [noon + timedelta(minutes=FIRST_FROM_NOON_MIN + n * MASK_STEP_MIN) for n in range(MASK_COUNT)]
 
 
 @dataclass(frozen=True, eq=False)
 class MaskTruth:
-    """Truth at some cells for each time: whether the sun is visible, and where that is certain; bool (times, n).
+    """Truth at some cells for each time: whether the sun is visible (``lit``) and where that is certain (``sure``).
 
-    ``round_`` uses astronomy's sun on the round earth. ``flat_`` uses the angles of each time, which other tools get as input, in a
-    flat world.
+    These are bool (times, n). Fields with the prefix ``round_`` use astronomy's sun on the round earth. Those with ``flat_`` use a
+    flat world and the sun's angles at each time, which are the input of other tools. ``row`` and ``col`` (n,) are the cells.
     """
 
     row: np.ndarray
@@ -65,7 +70,7 @@ class MaskTruth:
 
 
 def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth:
-    """Compute truth by rays."""
+    """Trace truth with rays."""
     rows, cols = dem.height_m.shape
     rng = np.random.default_rng(1)
     row, col = (rng.integers(MASK_RIM, length - MASK_RIM, cells) for length in (rows, cols))
@@ -101,12 +106,12 @@ def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth
 
 
 def wrong_share(lit: np.ndarray, truth: np.ndarray, sure: np.ndarray) -> float:
-    """Return the share of the certain answers that are wrong."""
+    """Return which share of the results in cells with certain truth is wrong."""
     return float((sure & (lit != truth)).sum() / sure.sum())
 
 
 def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Return the answers of Skugga and of other tools; it adds those that fail to ``left_out``."""
+    """Yield the results of Skugga and of other tools. Tools that fail are added to ``left_out`` with the reason."""
     times = mask_times(dem.lon_lat[0])
     truth = mask_truth(dem, times, cells)
     yield from _skugga(dem, times, truth)
@@ -119,7 +124,7 @@ def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, 
 
 
 def _skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterator[SunAnswer]:
-    """Measure one run for all masks and a run for each; an untimed run compiles the loops first."""
+    """Measure one run for all masks, and a run for each mask. An untimed run compiles the loops first."""
     begin, end = (time.strftime("%Y-%m-%dT%H:%M:%SZ") for time in (times[0], times[-1]))
     names = [dem.path.with_name(f"mask_{time.strftime('%Y%m%dT%H%M%SZ')}.tif") for time in times]
     shade = [*SKUGGA_COMMAND, "shade", str(dem.path), "-o", str(dem.path.with_name("mask_{time}.tif"))]

@@ -1,4 +1,4 @@
-"""The second question: the horizon at a point, by several tools, and the exact profile of the ground towards each azimuth."""
+"""The second question: the horizon at a point, by several tools, and the exact horizon of the ground towards each azimuth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROUND_DEG = 0.5
 """Degrees between directions: 720 of them."""
 
 TOPOCALC_DEG = 15.0
-"""Number of directions of the one tool that computes a raster for each: its seconds are multiplied."""
+"""Degrees between directions of the tool that computes a whole raster for each direction. Its seconds are multiplied."""
 
 FAR_M = 20_000.0
 """Distance of the second place for the conversion of an azimuth to the grid."""
@@ -34,17 +34,18 @@ MARGIN = 0.15
 """Distance of points from the rim, as a share of a raster's sides."""
 
 STREET_CELLS = 15
-"""The search for a street requires higher ground on both sides within so many cells."""
+"""Distance in cells within which higher ground must lie on both sides of a street."""
 
 
 def exact_horizon(
     height_m: np.ndarray, row: int, col: int, right: float, down: float, step_m: float, radius_m: float = np.inf
 ) -> float:
-    """Return the exact horizon of a node, degrees, along a direction (a unit vector of columns and rows).
+    """Return the exact horizon angle of a node in a direction, degrees.
 
-    It uses every crossing with the triangles' edges: rows, columns and both diagonals of quads; the diagonal that is no edge does
-    no harm. A column is ``step_m`` metres; ``radius_m`` is that of the earth. At a distance s the point of height h stands at the
-    angle of ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
+    ``right`` and ``down`` are the unit vector of the direction in columns and rows. A column is ``step_m`` metres wide, and
+    ``radius_m`` is the earth's radius R. The result uses every crossing of the direction with edges of triangles: rows, columns and
+    both diagonals of quads. Only one diagonal is an edge; crossings with the other do no harm. At a distance s, the tangent of the
+    angle of a point of height h is ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
     """
     rows, cols = height_m.shape
     rim_distances = [
@@ -64,8 +65,9 @@ def exact_horizon(
 
 
 def surface_at(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return heights (n,) of the triangles between nodes (rows, cols), quads cut along their higher diagonals, at rows and
-    columns.
+    """Return the heights (n,) of a triangle mesh at fractional rows and columns.
+
+    The triangles join nodes (rows, cols). Quads are cut along their higher diagonals.
     """
     rows, cols = height_m.shape
     r0, c0 = np.clip(np.floor(row).astype(int), 0, rows - 2), np.clip(np.floor(col).astype(int), 0, cols - 2)
@@ -77,7 +79,10 @@ def surface_at(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.nda
 
 
 def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the horizon (n,) towards azimuths from true north on the round earth, degrees, to the raster's rim."""
+    """Return the horizon angles (n,) towards azimuths from true north on the round earth, degrees.
+
+    Ground counts up to the raster's rim.
+    """
     to_degrees = Transformer.from_crs(dem.crs, "EPSG:4326", always_xy=True)
     x, y = dem.xy(row, col)
     lon, lat = to_degrees.transform(x, y)
@@ -93,14 +98,14 @@ def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) 
 
 
 def flat_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the horizon towards azimuths from the grid's north in a flat world."""
+    """Return the horizon angles (n,) towards azimuths from the grid's north in a flat world, degrees."""
     azimuth = np.radians(azimuth_deg)
     directions = zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
     return np.array([exact_horizon(dem.height_m, row, col, right, down, dem.cell_m) for right, down in directions])
 
 
 def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the ellipsoid's radius of curvature towards azimuths (Euler)."""
+    """Return the ellipsoid's radius of curvature towards azimuths, metres (Euler's formula)."""
     a, b = WGS84_AXES_M
     e2, lat, azimuth = 1.0 - (b / a) ** 2, np.radians(lat_deg), np.radians(azimuth_deg)
     w2 = 1.0 - e2 * np.sin(lat) ** 2
@@ -109,10 +114,10 @@ def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:
 
 
 def places_of(dem: QuestionDem) -> dict[str, tuple[int, int]]:
-    """Return rows and columns of points by kind, away from the rim.
+    """Return row and column of some points by kind, away from the rim.
 
-    Mountains have the highest, the lowest and the steepest cell. A city has a cell in a street, between walls in the west and the
-    east.
+    In mountains they are the highest, the lowest and the steepest cell. In a city it is a cell in a street, between walls in the
+    west and in the east.
     """
     rows, cols = dem.height_m.shape
     top, left = int(rows * MARGIN), int(cols * MARGIN)
@@ -133,11 +138,26 @@ def places_of(dem: QuestionDem) -> dict[str, tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class HorizonTool:
-    """A tool and how it is run.
+    """A tool and how to run it.
 
-    It has the command for a raster, a file and a place; the reader of the file into azimuths and angles (2, n), degrees; the truth
-    that it is compared with; the share of 720 directions that its command computes; and, if the first command only measures
-    computing, the command of its whole process.
+    Attributes
+    ----------
+    name
+        Name with the settings.
+    ours
+        Whether it is part of Skugga.
+    command
+        Returns its command for a raster, an output file and a point (x, y).
+    read
+        Reads its output file into azimuths and horizon angles (2, n), degrees.
+    truth
+        Returns the horizon with which it is compared.
+    suffix
+        Suffix of its output file.
+    share
+        Number of directions that its command computes, as a share of 720.
+    full_command
+        Returns the command of the whole process, if ``command`` only measures computing; else ``None``.
     """
 
     name: str
@@ -151,7 +171,7 @@ class HorizonTool:
 
 
 def horizon_tools(python: str) -> list[HorizonTool]:
-    """Return all tools; packages are those of the interpreter ``python``."""
+    """Return all tools. Python packages are those of the interpreter ``python``."""
     asking = str(PROGRAMS_FILE)
 
     def grass(path: Path) -> np.ndarray:
@@ -188,9 +208,9 @@ def horizon_tools(python: str) -> list[HorizonTool]:
 
 
 def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Return the answers of tools for the points of a raster, seconds as medians; it adds those that fail to ``left_out``.
+    """Yield the results of tools for the points of a raster, with median seconds.
 
-    Skugga's commands run once before to compile loops.
+    Tools that fail are added to ``left_out`` with the reason. Skugga's commands run once before, to compile loops.
     """
     for tool in tools:
         if tool.full_command is not None:

@@ -1,4 +1,4 @@
-"""Programs that ask one tool a sun question: `sun_questions` runs them as processes of their own, in any interpreter.
+"""Programs that answer a question about the sun with one tool. `sun_questions` runs them as processes, in any interpreter.
 
     PYTHON programs.py sunhours dem.tif hours.tif DATE MINUTES
     PYTHON programs.py time_in_daylight dem.tif share.tif DAY DEGREES
@@ -20,7 +20,7 @@ from pathlib import Path
 
 
 def sunhours(path: str, out: str, date: str, minutes: str) -> float:
-    """Compute Skugga's sun hours as an array, without a file: the second run, with compiled loops and cached heights."""
+    """Compute Skugga's hours of sun as an array. The timed run is the second one, with compiled loops and cached heights."""
     import numpy as np
 
     from skugga import open_level
@@ -35,7 +35,7 @@ def sunhours(path: str, out: str, date: str, minutes: str) -> float:
 
 
 def time_in_daylight(path: str, out: str, day: str, degrees: str) -> float:
-    """Compute Whitebox's share of the day's sun."""
+    """Compute Whitebox's share of the day during which a cell is in the sun."""
     import numpy as np
     from whitebox_workflows import WbEnvironment
 
@@ -58,7 +58,10 @@ def _dem(path: str) -> None:
 
 
 def r_sun(path: str, out: str, day: str, minutes: str, degrees: str = "") -> float:
-    """Compute GRASS's hours of insolation, on two threads; by maps of the horizon every so many degrees, or by its own ray walk."""
+    """Compute GRASS's hours of insolation, on two threads.
+
+    With ``degrees`` it uses maps of the horizon in steps of so many degrees. Without, it traces its own rays.
+    """
     _dem(path)
     options = ["elevation=dem", f"day={day}", f"step={float(minutes) / 60.0:.6f}", "insol_time=hours", "nprocs=2"]
     start = time.perf_counter()
@@ -72,7 +75,10 @@ def r_sun(path: str, out: str, day: str, minutes: str, degrees: str = "") -> flo
 
 
 def point(path: str, out: str, x: str, y: str) -> float:
-    """Compute Skugga's horizon in 720 directions, after that of another place: the level is open, its loops are compiled."""
+    """Compute Skugga's horizon in 720 directions.
+
+    The horizon of another place is computed before. The level is then open, and its loops are compiled.
+    """
     import numpy as np
 
     from skugga.api.raster_view import raster_view
@@ -94,8 +100,9 @@ def point(path: str, out: str, x: str, y: str) -> float:
 
 
 def topocalc(path: str, out: str, x: str, y: str, degrees: str) -> float:
-    """Compute horizons of a whole raster towards azimuths so many degrees apart, and keep those of a cell: it has no single
-    points.
+    """Compute the horizons of a whole raster in azimuth steps of ``degrees``, and write those of one cell.
+
+    The package cannot compute single points.
     """
     import numpy as np
     import rasterio
@@ -113,7 +120,10 @@ def topocalc(path: str, out: str, x: str, y: str, degrees: str) -> float:
 
 
 def r_horizon(path: str, out: str, x: str, y: str, degrees: str, distance: str) -> float:
-    """Compute GRASS's horizon round a point, sampled at a share of a cell's side; directions run from east by way of north."""
+    """Compute GRASS's horizon round a point, in azimuth steps of ``degrees``. ``distance`` is the sampling step, in cells.
+
+    Its directions are 0 in the east and grow anticlockwise.
+    """
     _dem(path)
     start = time.perf_counter()
     _grass("r.horizon", "-d", "--quiet", "--overwrite", "elevation=dem", "direction=0", f"step={degrees}", f"coordinates={x},{y}",

@@ -1,4 +1,4 @@
-"""Sun positions on 21 March by other tools' own formulas, so that only their shadows are judged."""
+"""Sun positions on 21 March by the other tools' own formulas. With these, only the tools' shadows are judged."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def r_sun_path(lat_deg: float, every_s: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _angles(hour: np.ndarray, declination: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and altitudes, degrees, of hour angles (0 at noon), declinations and a latitude, radians."""
+    """Return azimuths and altitudes, degrees, from hour angles (0 at noon), declinations and a latitude, all in radians."""
     azimuth = np.arctan2(np.sin(hour), np.cos(hour) * np.sin(lat) - np.tan(declination) * np.cos(lat))
     sine = np.sin(lat) * np.sin(declination) + np.cos(lat) * np.cos(declination) * np.cos(hour)
     return (np.degrees(azimuth) + 180.0) % 360.0, np.degrees(np.arcsin(sine))
@@ -53,9 +53,10 @@ def _angles(hour: np.ndarray, declination: np.ndarray, lat: np.ndarray) -> tuple
 def hours_before_cliff(
     azimuth_deg: np.ndarray, altitude_deg: np.ndarray, every_s: float, height_m: float, distance_m: np.ndarray
 ) -> np.ndarray:
-    """Return sun hours (n,) on a level floor, at distances to the west of an endless cliff that runs north and south.
+    """Return hours of sun (n,) on a level floor to the west of an endless cliff that runs north and south.
 
-    Towards an azimuth A east of the meridian its edge stands at the angle whose tangent is height sin A / distance.
+    ``distance_m`` (n,) are the distances from the cliff. Towards an azimuth A east of the meridian, the tangent of the angle of the
+    cliff's edge is height sin A / distance.
     """
     eastward = np.maximum(np.sin(np.radians(azimuth_deg)), 0.0)
     edge_deg = np.degrees(np.arctan(height_m * eastward / distance_m[:, None]))

@@ -1,4 +1,4 @@
-"""Tables and verdicts from the results of `sun_questions`. It measures nothing and contains no figures."""
+"""Tables and verdicts of `sun_questions`, formatted from its results. The module measures nothing and has no figures."""
 
 from __future__ import annotations
 
@@ -53,8 +53,9 @@ def answer_table(comparison: SunComparison, question: str) -> list[str]:
 
 
 def question_verdict(comparison: SunComparison, question: str) -> str:
-    """Describe by each clock whether a peer is both faster and more accurate than rows of Skugga's, and who is faster or
-    more accurate.
+    """Describe, by each measure of time, whether a peer is both faster and more accurate than rows of Skugga.
+
+    Also name the peers that are faster, and those that are more accurate.
     """
     peers = {answer.tool for answer in comparison.of(question) if not answer.ours and answer.wrong is not None}
     if not peers or not any(answer.ours for answer in comparison.of(question)):
@@ -82,13 +83,13 @@ def question_verdict(comparison: SunComparison, question: str) -> str:
 
 
 def _better_peers(comparison: SunComparison, question: str) -> list[str]:
-    """Describe which peers are better than every row of Skugga's in one respect: more accurate, or faster."""
+    """Describe which peers are better than every row of Skugga in one respect: accuracy, or time."""
     lines = [_better_peers_text(comparison, question, "wrong", "the whole process", "more accurate")]
     return lines + [_better_peers_text(comparison, question, "seconds", clock, f"faster by {clock}") for clock in ANSWER_CLOCKS]
 
 
 def _better_peers_text(comparison: SunComparison, question: str, merit: str, clock: str, word: str) -> str:
-    """Describe the peers that are better than Skugga's best row, with the number of cases and the largest factor."""
+    """Describe the peers that beat Skugga's best row in accuracy or time, with the number of cases and the largest factor."""
     standings_by_case = standings(comparison, question, clock)
     if not standings_by_case:
         return f"- {word[0].upper()}{word[1:]}: not measured."
@@ -109,7 +110,7 @@ def _better_peers_text(comparison: SunComparison, question: str, merit: str, clo
 
 
 def check_table(comparison: SunComparison) -> list[str]:
-    """Format a line for each tool: its results on a level floor and before a cliff."""
+    """Format a line for each tool: its hours of sun on a level floor, and its error before a cliff."""
     return table([
         {
             "tool": check.tool,

@@ -1,1 +1,1 @@
-"""Predict times and errors: calibration of the device, its rates, and the error model."""
+"""Predict the times and errors of shadow algorithms: calibration of a device, its time rates, and the error model."""

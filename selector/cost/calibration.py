@@ -31,8 +31,9 @@ from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
 
 TIMING_ROUNDS = 3
-"""Rounds of timing. Each round times every job, so that other load on the machine affects all jobs alike. The least time counts,
-since the first run includes compilation.
+"""Rounds of timing. Each round times every job, so that other load on the machine affects all jobs alike.
+
+The least time of a job counts, because the first run includes compilation.
 """
 
 TIME_LIMIT_S = 90.0
@@ -43,7 +44,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class CalibrationJob:
-    """A step to time on the geometry of a calibration view.
+    """A step of a plan (one call of an algorithm) that is timed on the geometry of a calibration view.
 
     Attributes
     ----------
@@ -56,9 +57,9 @@ class CalibrationJob:
     step
         The step.
     work
-        Counts by part of the work.
+        Counts of operations by part of the work (``skugga.shadows.work``).
     min_ms
-        Least time by part, milliseconds.
+        Least time so far by part of the work, milliseconds.
     """
 
     scene: Scene
@@ -96,7 +97,7 @@ def _timed_jobs(start_s: float, on_step: Progress) -> list[CalibrationJob]:
 
 
 def calibration_jobs(calibration_view: CalibrationView) -> list[CalibrationJob]:
-    """Return the jobs of a calibration view."""
+    """Return the jobs to time on a calibration view: one for each algorithm and its settings to calibrate."""
     descriptor = describe(calibration_view.scene, calibration_view.view, calibration_view.name, "points")
     picture = picture_buffer(calibration_view.scene, calibration_view.view)
     casters = find_casters(calibration_view.scene, picture.pixel_buffer)
@@ -113,7 +114,10 @@ def calibration_jobs(calibration_view: CalibrationView) -> list[CalibrationJob]:
 
 
 def _steps(descriptor: Descriptor, calibration_view: CalibrationView) -> Iterator[Step]:
-    """Yield the steps to time on a calibration view: the calibrated settings of each algorithm, for the casters that it serves."""
+    """Yield the steps to time on a calibration view.
+
+    Each algorithm is timed with several settings, for the kinds of casters whose shadows it can draw.
+    """
     for algorithm in ALGORITHMS.values():
         kinds = tuple(
             kind for kind in calibration_view.kinds if can_serve(algorithm.name, descriptor, calibration_view.light, kind)
@@ -124,7 +128,7 @@ def _steps(descriptor: Descriptor, calibration_view: CalibrationView) -> Iterato
 
 
 def _run(job: CalibrationJob) -> None:
-    """Run a job once and store the times of its parts."""
+    """Run a job once, and update the least time of each part of its work."""
     clear_caches("light")
     step, log, start = job.step, PassLog(), time.perf_counter()
     fill_steps([step], job.buffer, job.scene, job.casters, (), log)
@@ -144,10 +148,11 @@ def _base_part(part: str) -> str:
 
 
 def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, float]]:
-    """Return non-negative rates in nanoseconds by part and count, fitted to ``rows`` of counts, part and milliseconds.
+    """Fit the rates (nanoseconds per counted operation) that explain measured times. Rates are not negative.
 
-    The fit minimizes the sum of squares of the relative errors. The algorithm is that of C. Lawson and R. Hanson, Solving Least
-    Squares Problems, 1974.
+    Each of ``rows`` holds counts of operations by name, the part of the work, and its milliseconds. The result is the rate by part
+    and by name of the count. The fit minimizes the sum of squares of the relative errors. The algorithm is that of C. Lawson and R.
+    Hanson, Solving Least Squares Problems, 1974.
     """
     from scipy.optimize import nnls
 
@@ -163,7 +168,7 @@ def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, f
 
 
 def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[CalibrationJob]) -> dict[str, Residual]:
-    """Return the relative errors of the rates for the times of whole steps, by algorithm."""
+    """Return the relative errors of the times that the rates predict for whole steps, by algorithm."""
     errors: dict[str, list[float]] = {}
     for job in jobs:
         real_ms = sum(job.min_ms.values())

@@ -1,6 +1,6 @@
 """Generated scenes for calibration: grounds, meshes and forests of several sizes, written as levels to a temporary folder.
 
-They contain nothing of the bundled levels. So the predictions there are tested on scenes that were never measured.
+They contain nothing of the levels that Skugga bundles. So the bundled levels can test the predictions.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class CalibrationView:
     light
         Name of the light to time.
     kinds
-        Kinds of casters that take part.
+        Kinds of casters whose shadows are timed.
     grid
-        Number of settings to time: all (``full``), less (``some``), or only those that need the scene (``few``).
+        Which settings of each algorithm are timed: all (``full``), less (``some``), or only those that need this scene (``few``).
     """
 
     name: str
@@ -52,7 +52,7 @@ class CalibrationView:
 
 
 def calibration_views(folder: Path) -> Iterator[CalibrationView]:
-    """Yield the calibration views. Their files are written to a folder."""
+    """Yield the calibration views. The files of their levels are written to ``folder``."""
     for name, level, view, size, light, kinds, grid in calibration_levels(folder):
         path = folder / f"{name}.yaml"
         path.write_text(json.dumps({"version": 1, **level}), encoding="utf-8")  # JSON is YAML
@@ -63,9 +63,10 @@ def calibration_views(folder: Path) -> Iterator[CalibrationView]:
 def calibration_levels(
     folder: Path,
 ) -> Iterator[tuple[str, dict[str, Any], str, tuple[int, int], str, tuple[CasterKind, ...], str]]:
-    """Yield name, level, view, its width and height, light, casters and grid of each calibration view.
+    """Yield the definition of each calibration view.
 
-    Files that the levels refer to are written to a folder.
+    It holds the name, the content of a level file, the name of the view, its width and height in pixels, and the ``light``,
+    ``kinds`` and ``grid`` of ``CalibrationView``. Files to which the levels refer are written to ``folder``.
     """
     few, many = _balls(folder, 1, 5), _balls(folder, 3, 36)
     near, wide = _camera([-30, -46, 34], [0, -4, 0]), _camera([40, -70, 60], [0, 0, 0])
@@ -152,14 +153,17 @@ def _hills(side_m: float, cell_m: float, relief_m: float) -> dict[str, Any]:
 
 
 def _positions(count: int, side_m: float) -> list[list[float]]:
-    """Return evenly spread positions in a square: multiples of the golden ratio along one axis, even steps along the other."""
+    """Return evenly spread positions x and y, metres, in a square with sides of ``side_m`` around the origin.
+
+    They are multiples of the golden ratio along one axis, and even steps along the other.
+    """
     number = np.arange(count)
     places = np.stack([(number * 0.6180339887498949) % 1.0 - 0.5, (number + 0.5) / count - 0.5], axis=1)
     return np.round(places * side_m, 3).tolist()
 
 
 def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_RADIUS_M) -> dict[str, Any]:
-    """Return a mesh of a level: balls of 20 x 4^halvings triangles each."""
+    """Return an entry of a level's ``meshes``: ``count`` balls with 20 x 4^halvings triangles each."""
     import trimesh
 
     path = folder / f"ball_{halvings}_{radius_m:g}.ply"
@@ -168,7 +172,7 @@ def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_RADIU
 
 
 def _box_lattice(folder: Path) -> dict[str, Any]:
-    """Return a mesh of a level: 8 x 8 x 6 boxes above one another, whose shadow volumes overlap in many layers."""
+    """Return an entry of a level's ``meshes``: a lattice of 8 x 8 x 6 boxes, whose shadow volumes overlap in many layers."""
     import trimesh
 
     steps = (np.arange(count) - (count - 1) / 2.0 for count in (8, 8, 6))
@@ -179,7 +183,7 @@ def _box_lattice(folder: Path) -> dict[str, Any]:
 
 
 def _forest(folder: Path, name: str, side_m: float, density: float) -> dict[str, Any]:
-    """Return a forest of a level: a square of trees, ``density`` trees a hectare."""
+    """Return an entry of a level's ``forest``: a square of trees, ``density`` of them per hectare."""
     half = side_m / 2.0
     ring = [[-half, -half], [half, -half], [half, half], [-half, half], [-half, -half]]
     feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}

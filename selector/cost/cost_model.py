@@ -1,6 +1,6 @@
-"""Predict the time of a plan's steps on a device: counts of the work, times the device's rates.
+"""Predict the time of a plan's steps on a device: counts of operations, multiplied by the device's rates.
 
-A frame pays for all of its work: the model assumes empty caches.
+A step is one call of an algorithm. The model assumes empty caches, so a frame includes all of its work.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ MS_PER_NS = 1e-6
 def step_work(
     descriptor: Descriptor, light: str, kinds: Collection[CasterKind], algorithm: AlgorithmName, settings: AlgorithmSettings | None
 ) -> Work:
-    """Return the counts of a step's work by part. The algorithm ``none`` has none."""
+    """Return the counts of operations of a step (one call of an algorithm) by part of its work.
+
+    They are empty for the algorithm ``none``.
+    """
     return ALGORITHMS[algorithm].work(Workload(descriptor, light, kinds), settings)
 
 
@@ -34,9 +37,9 @@ def predicted_ms(
     algorithm: AlgorithmName,
     settings: AlgorithmSettings | None,
 ) -> float:
-    """Return the expected milliseconds of a step's shadow work in a redrawn frame. In a map view it is that of one block.
+    """Return the expected milliseconds of wall-clock time of a step, with empty caches.
 
-    It is wall-clock time, and 0 for the algorithm ``none``. Raises the errors of ``predicted_parts_ms``.
+    In a map view this is the time of one block. It is 0 for the algorithm ``none``. Raises the errors of ``predicted_parts_ms``.
     """
     return sum(predicted_parts_ms(profile, descriptor, light, kinds, algorithm, settings).values())
 
@@ -61,5 +64,5 @@ def predicted_parts_ms(
 
 
 def counts_to_ms(rates_ns: Mapping[str, float], counts: Counts) -> float:
-    """Return the milliseconds of counts at rates in nanoseconds. Counts without a rate cost nothing."""
+    """Return the milliseconds of counted operations at rates in nanoseconds each. Counts without a rate take no time."""
     return MS_PER_NS * sum(count * rates_ns.get(name, 0.0) for name, count in counts.items())

@@ -1,4 +1,4 @@
-"""Calibration of a device, stored in a file of the user's cache folder."""
+"""Calibration of a device: the times of counted operations, stored in a file of the user's cache folder."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from skugga.terrain.atomic_files import disk_error, write_atomically
 from skugga.terrain.user_cache import user_cache
 
 SCHEMA: Final = 1
-"""Changes with the meaning of the rates. Profiles of another schema are not used."""
+"""Version of the profile's format. It changes if the meaning of the rates changes. Profiles of another version are ignored."""
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Error = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Residual(BaseModel):
-    """Relative errors of the rates for the times that they were fitted to.
+    """Relative errors of an algorithm's predicted times, for the times from which the rates were fitted.
 
-    ``rows`` is the number of times, ``p90`` the 90th percentile.
+    ``rows`` is the number of times. ``median`` and ``p90`` are the median and the 90th percentile of the errors.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -35,10 +35,12 @@ class Residual(BaseModel):
 
 
 class DeviceProfile(BaseModel):
-    """The rates of a device, in nanoseconds by part of the work and by count (``skugga.shadows.work``).
+    """The calibration of a device.
 
-    ``renderer`` and ``version`` are OpenGL's strings for the device and its driver. ``engine`` is the version of Skugga that
-    measured the device, ``took_s`` the seconds that this took. ``residuals`` are the relative errors of the rates by algorithm.
+    ``rates_ns`` are nanoseconds per counted operation, by part of the work and by name of the count (``skugga.shadows.work``).
+    ``renderer`` and ``version`` are OpenGL's strings for the device and its driver. ``cpus`` is the number of CPU cores. ``engine``
+    is the version of Skugga that measured the device. ``measured`` is the time of the measurement, and ``took_s`` its duration in
+    seconds. ``residuals`` are the relative errors of predicted times by algorithm.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -55,7 +57,7 @@ class DeviceProfile(BaseModel):
 
 
 def profile_path(renderer: str, version: str) -> Path:
-    """Return the file of a device and driver. Its name has readable words and a digest, which is unique."""
+    """Return the path of the profile of a device and driver. The file name has readable words and a unique digest."""
     words = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")[:40] or "device"
     digest = hashlib.sha256(f"{renderer}\n{version}".encode()).hexdigest()[:12]
     return user_cache("devices") / f"{words}-{digest}.json"
@@ -111,5 +113,5 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
 
 
 def profile_digest(device: DeviceProfile | None) -> str:
-    """Return a digest that changes with the calibration; empty without one."""
+    """Return a digest that changes with the calibration of a device; empty without a calibration."""
     return "" if device is None else hashlib.sha256(device.model_dump_json().encode()).hexdigest()[:16]

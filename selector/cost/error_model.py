@@ -1,18 +1,21 @@
-"""Predict errors of a plan's steps from the descriptor: analytic predictors, with a few fitted constants.
+"""Predict the errors of a plan's steps from the descriptor (facts of a view): formulas with a few fitted constants.
 
-**Maps.** A nearest look-up returns the visibility at a texel's centre instead of the point's own. ``CastBand.differs`` has the
-measured frequency of a difference in the scene: for displacements within a texel, for texels of many sizes, by distance from the
-eye. The side of a texel follows from the settings. It is the side in light space divided by that of a pixel: a cascade's, or the
-light cone's at the lamp's distance (J. Sindholt's equation 1, solved for the texel). Only a part of the differing pixels counts as
-wrong: pixels on a shadow's edge are not decidable, and filter taps smooth the stairs. That part, ``counted``, grows with the texel
-from 0 to 1. A perspective map's texels follow the picture's pixels: ``perspective`` of them cover a pixel's side if the map has as
-many texels as the picture has pixels. They are never larger than those of a uniform map.
+A step is one call of an algorithm.
 
-**Planar** shadows are right on the ground only: cast shadow on bodies is wrong. **All other algorithms** are exact except for a
-constant floor. The floor is high where a perspective view's ground is swept with fewer triangles than its nodes have.
+**Shadow maps.** A nearest-neighbour look-up returns the visibility at a texel's centre instead of the point's own.
+``CastBand.differs`` holds how often the two differ in the scene, by texel size and by distance from the eye. The side of a texel in
+pixels follows from the settings. It is the side in light space divided by that of a pixel. For the sun it depends on the cascade,
+for a lamp on the width of the light cone at the lamp's distance (J. Sindholt's equation 1, solved for the texel). Only a part of
+the differing pixels counts as wrong, since ground truth does not decide pixels on a shadow's edge, and filter taps smooth the edge.
+This part, ``counted``, grows with the texel from 0 to its limit. A perspective shadow map has texels that follow the picture's
+pixels. ``perspective`` of them cover a pixel's side if the map has as many texels as the picture has pixels. They are never larger
+than those of a uniform map.
 
-The model includes its uncertainty: the logarithm of an error has a logistic distribution around the expected value, with a fitted
-scale. The probability of a missed target follows from it.
+**Planar** shadows are right on the ground only, so cast shadow on bodies is wrong. **All other algorithms** are exact except for a
+constant error, the floor. It is larger for sweeps in a perspective view whose ground is drawn with fewer triangles.
+
+The model includes its uncertainty. The logarithm of an error has a logistic distribution around the expected value, with a fitted
+scale. The probability that an error exceeds the requested limit follows from it.
 
 `benchmarks/selection` fits the constants to measured views.
 """
@@ -48,17 +51,20 @@ ASSUMED_CASTING = Casting(
 """Assumed shadows without facts in the descriptor: a tenth of the visible surface, with an edge every hundred pixels."""
 
 POOLED_SIZES = 3
-"""Number of texel sizes that are averaged for each size."""
+"""Number of texel sizes of ``CastBand.differs`` that are averaged for each size."""
 
 ERROR_OFFSET, INTERIOR_OFFSET = 1e-3, 1e-5
-"""Offsets of errors and interior errors before the logarithm."""
+"""Offsets that are added to errors and to interior errors before their logarithm is taken, so that 0 is allowed."""
 
 MIN_SPREAD = 0.05
-"""Lower bound of the scale of every algorithm."""
+"""Lower bound of every fitted scale, and the scale of an error that is expected to be 0."""
 
 
 def error_groups() -> tuple[str, ...]:
-    """Return the groups with fitted constants: algorithms, and kinds of views of an algorithm where they differ."""
+    """Return the names of the error groups, each with its own fitted constants.
+
+    A group is an algorithm, or an algorithm in certain views if its errors differ there.
+    """
     view_groups = [group for algorithm in ALGORITHMS.values() for group in algorithm.error_groups if group != algorithm.name]
     return (*ALGORITHMS, *view_groups)
 
@@ -70,15 +76,15 @@ class ExpectedErrors:
     Attributes
     ----------
     wrong
-        Share of all pixels, in [0, 1].
+        Wrong share of all pixels, in [0, 1].
     wrong_cast
-        Share of the cast shadow, in [0, 1].
+        Wrong share of the cast shadow, in [0, 1].
     interior
-        Interior error, in [0, 1].
+        Share of all pixels that are wrong far from shadow edges, in [0, 1].
     spread
-        Scale of the logarithm of ``wrong_cast``.
+        Scale of the logistic distribution of the logarithm of ``wrong_cast``.
     interior_spread
-        Scale of the logarithm of ``interior``.
+        Scale of the logistic distribution of the logarithm of ``interior``.
     """
 
     wrong: float
@@ -88,7 +94,7 @@ class ExpectedErrors:
     interior_spread: float
 
     def probability_over(self, max_error: float) -> float:
-        """Return the probability, in [0, 1], that a picture misses a limit.
+        """Return the probability, in [0, 1], that the errors of a picture exceed a limit.
 
         The limits are ``max_error`` for the wrong share of the cast shadow, and ``MAX_INTERIOR`` for the interior error.
         """
@@ -98,17 +104,20 @@ class ExpectedErrors:
 
 
 def log_error(error: float) -> float:
-    """Return the logarithm of an error, with an offset."""
+    """Return the natural logarithm of an error plus ``ERROR_OFFSET``."""
     return log(error + ERROR_OFFSET)
 
 
 def log_interior(interior: float) -> float:
-    """Return the logarithm of an interior error, with an offset."""
+    """Return the natural logarithm of an interior error plus ``INTERIOR_OFFSET``."""
     return log(interior + INTERIOR_OFFSET)
 
 
 class SharedErrors(BaseModel):
-    """Shares of the models' errors that the candidates of a view have in common."""
+    """Shares of the variance of the models' deviations that the candidates of a view have in common.
+
+    ``error``, ``interior`` and ``time`` are those for the logarithms of the error, the interior error and the time.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -118,9 +127,10 @@ class SharedErrors(BaseModel):
 
 
 class HillCurve(BaseModel):
-    """Share of the pixels with differing look-ups that are wrong, by texel size.
+    """Share of wrong pixels among those whose shadow-map look-up differs from their own visibility, by texel size.
 
-    It is ``most / (1 + (half_px / texel_px) ** steepness)``.
+    It is ``most / (1 + (half_px / texel_px) ** steepness)``. ``half_px`` is the texel size in pixels with half of the limit
+    ``most``.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -134,12 +144,14 @@ class HillCurve(BaseModel):
 
 
 class ErrorModel(BaseModel):
-    """The fitted constants of the error model.
+    """The fitted constants of the error model. Those in ``floor`` to ``interior_spread`` are by error group.
 
-    ``counted`` is by kind of casters. ``perspective`` is the number of a perspective map's texels a pixel's side. ``floor`` is each
-    algorithm's share of wrong cast shadow at any resolution. ``interior`` is the share of the wrong pixels that are interior
-    errors. ``spread`` and ``interior_spread`` are the scales of both around their expected values. ``time_spread`` is the scale of
-    times around those of a calibration. ``shared`` has the shares that the candidates of a view have in common.
+    ``counted`` is the share of wrong pixels among those with a differing look-up, by kind of casters. ``perspective`` is the number
+    of texels of a perspective shadow map along a pixel's side. ``floor`` is the wrong share of the cast shadow at any resolution.
+    ``interior`` is the share of the wrong pixels that are interior errors (far from shadow edges). ``spread`` and
+    ``interior_spread`` are the scales of the logistic distributions of the logarithms of error and interior error. ``time_spread``
+    is that for times predicted from a calibration. ``shared`` holds the shares of variance that the candidates of a view have in
+    common.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -161,18 +173,18 @@ class ErrorModel(BaseModel):
 
 @cached("process", MIB)
 def packaged_model() -> ErrorModel:
-    """Return the error model of the package."""
+    """Return the error model with the constants that the package contains."""
     return ErrorModel.model_validate_json(files("skugga.selector.cost").joinpath("error_model.json").read_text(encoding="utf-8"))
 
 
 def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> ExpectedErrors:
-    """Return the expected errors of all steps of a light together."""
+    """Return the expected errors of all steps (calls of algorithms) under a light together."""
     model = model or packaged_model()
     return combine_errors(descriptor, light, [(step, step_wrong_share(descriptor, light, step, model)) for step in steps], model)
 
 
 def error_group_of(descriptor: Descriptor, step: Step) -> str:
-    """Return the error group of a step."""
+    """Return the name of the error group that has the fitted constants of a step."""
     return ALGORITHMS[step.algorithm].error_group(descriptor)
 
 
@@ -194,7 +206,11 @@ def step_wrong_share(descriptor: Descriptor, light: str, step: Step, model: Erro
 def combine_errors(
     descriptor: Descriptor, light: str, step_shares: Iterable[tuple[Step, float]], model: ErrorModel
 ) -> ExpectedErrors:
-    """Return the errors of steps, each with its wrong share. Raises ``UnmeasuredError`` for a step without constants."""
+    """Return the expected errors of several steps together.
+
+    ``step_shares`` holds each step and the share of all visible points that it gets wrong. Raises ``UnmeasuredError`` for a step
+    without constants.
+    """
     wrong_share = interior = spread = interior_spread = 0.0
     for step, step_wrong in step_shares:
         constants = _constants(descriptor, step, model)
@@ -215,13 +231,16 @@ def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorCo
 
 
 def _cast_share(descriptor: Descriptor, light: str) -> float:
-    """Return the share of the visible surface in cast shadow, or an assumption about it."""
+    """Return the share of the visible surface in cast shadow, an assumed one if unknown; at least ``MIN_CAST_SHARE``."""
     facts = descriptor.lights.get(light)
     return max(ASSUMED_CASTING.share if facts is None else facts.cast_share, MIN_CAST_SHARE)
 
 
 def step_castings(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
-    """Return the shadows of a step's kinds of casters; ``ASSUMED_CASTING`` if the descriptor has no facts of the light."""
+    """Return the facts about the shadows of each kind of casters of a step.
+
+    They are ``ASSUMED_CASTING`` if the descriptor has no facts about the light.
+    """
     casts = descriptor.lights[light].casts if light in descriptor.lights else {}
     return [(kind, casts.get(kind, ASSUMED_CASTING)) for kind in step.kinds if not casts or kind in casts]
 
@@ -242,9 +261,9 @@ def _wrong_share_of_kind(
 
 
 def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, perspective: float) -> float:
-    """Return a texel's side in a band in pixels, across the light: the geometric mean of both sides. It is 0 without texels.
+    """Return the side of a step's shadow-map texel in a band of distances, in pixels; 0 for an algorithm without texels.
 
-    ``perspective`` is ``ErrorModel.perspective``.
+    It is the geometric mean of the texel's two sides, perpendicular to the light. ``perspective`` is ``ErrorModel.perspective``.
     """
     texel_px = ALGORITHMS[step.algorithm].accuracy.texel_px
     return 0.0 if texel_px is None else texel_px(descriptor, light, step.settings, band, perspective)
@@ -252,10 +271,11 @@ def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, 
 
 @cached("process", MIB)
 def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
-    """Return ``differs`` with less noise.
+    """Return the values of ``CastBand.differs`` with less sampling noise, one for each of ``TEXEL_SIZES_PX``.
 
-    The differing share grows about in proportion to a texel's side. So each value is estimated from the next ``POOLED_SIZES`` sizes
-    together; the larger ones have most of the observations.
+    A value is the share of points whose shadow-map look-up differs. It grows about in proportion to the texel's side. So each value
+    is estimated from this texel size and the next larger ones, ``POOLED_SIZES`` sizes together. Larger texels give more
+    observations of a difference.
     """
     sides = [sum(TEXEL_SIZES_PX[k : k + POOLED_SIZES]) for k in range(len(TEXEL_SIZES_PX))]
     window_sums = [sum(differs[k : k + POOLED_SIZES]) for k in range(len(TEXEL_SIZES_PX))]
@@ -265,7 +285,10 @@ def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _interpolated_difference(band: CastBand, texel_px: float) -> float:
-    """Interpolate ``differs`` between the texel sizes of the ladder. Below the smallest size it is proportional."""
+    """Return the share of a band's points whose shadow-map look-up differs, for texels of ``texel_px`` pixels a side.
+
+    It is interpolated between ``TEXEL_SIZES_PX``. Below the smallest size it is proportional to the texel's side.
+    """
     differs = smoothed_ladder(band.differs)
     if texel_px <= TEXEL_SIZES_PX[0]:
         return differs[0] * texel_px / TEXEL_SIZES_PX[0]

@@ -1,7 +1,7 @@
-"""A typical device for use without a calibration: rates of one measured device, assumed right within a factor.
+"""Time rates of a typical device, for use on a device without a calibration.
 
-Only the policies that measure afterwards use it (``skugga.selector.measure``). The ratio of two candidates' times is similar on
-many devices, but their absolute times are not.
+They come from one measured device. The ratio of two candidates' times is similar on many devices, but absolute times are not. So
+only the policies that also draw candidates and time them use these rates (``skugga.selector.measure``).
 """
 
 from __future__ import annotations
@@ -14,10 +14,13 @@ from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.terrain.cache import MIB, cached
 
 UNKNOWN_TIME_SPREAD = 0.7
-"""Scale of the logistic distribution of times around those of the typical device: half of them are off by a factor of two."""
+"""Scale of the logistic distribution of the logarithm of a time around that of the typical device.
+
+With this scale about half of the times are off by a factor of more than two.
+"""
 
 UNKNOWN_SHARED = SharedVariance(view=0.85, family=0.08)
-"""Most of this uncertainty is one factor of the device."""
+"""Shares of the variance of these times that candidates have in common. Most of it is one factor of the device."""
 
 
 @cached("process", MIB)
@@ -29,7 +32,7 @@ def typical_device() -> DeviceProfile:
 
 
 def uncalibrated_model(errors: ErrorModel | None = None) -> ErrorModel:
-    """Return the error model with uncertain times."""
+    """Return the error model for a device without a calibration: its times have a larger uncertainty."""
     model = errors or packaged_model()
     shared = model.shared.model_copy(update={"time": UNKNOWN_SHARED})
     return model.model_copy(update={"time_spread": UNKNOWN_TIME_SPREAD, "shared": shared})

@@ -9,7 +9,10 @@ NO_RATES = "this device has no rates for {part}: run skugga calibrate again"
 
 
 class UnmeasuredError(Exception):
-    """An algorithm cannot be predicted. The policy that predicts catches this, falls back, and reports the reason."""
+    """The time or the error of an algorithm cannot be predicted.
+
+    The policy ``predict`` catches this, leaves the algorithm out, and reports the reason.
+    """
 
     def __init__(self, algorithm: AlgorithmName, reason: str) -> None:
         super().__init__(f"{algorithm}: {reason}")

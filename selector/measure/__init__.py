@@ -1,1 +1,1 @@
-"""Draw candidates and compare them with ground truth: the policies `probe` and `measure`, and the accuracy report."""
+"""Draw candidate plans and compare them with ray-traced truth: the policies `probe` and `measure`, and the accuracy report."""

@@ -1,4 +1,7 @@
-"""Compare error and time of all capable algorithms with several settings, on one geometry, against ground truth."""
+"""The accuracy report: compare the errors and times of candidate plans on one view with ray-traced ground truth.
+
+A candidate is a plan with one algorithm, or one combination of algorithms, and its settings. All are drawn on the same geometry.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +33,10 @@ from skugga.terrain.scene import Scene
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
 
 ROW_REPEATS = 5
-"""Timed repeats of a row, if the time limit allows."""
+"""Number of timed repeats of each candidate, if the time limit allows."""
 
 TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
-"""Time limit of a comparison, and the share of it after which no further rows begin."""
+"""Time limit of a comparison in seconds, and the share of it after which no further candidates are drawn."""
 
 FINE_SAMPLES = 16
 
@@ -43,18 +46,18 @@ NO_CAST = "no cast shadow in the view: only false shadow can be measured"
 
 @dataclass(frozen=True, eq=False)
 class ComparisonRow:
-    """One candidate of a comparison.
+    """The result of a comparison for one candidate plan.
 
     Attributes
     ----------
     figures
-        Figures as ``compare --json`` prints them.
+        Errors, times and settings by name, as ``compare --json`` prints them.
     visibility
-        Visibility, uint8 (rows, cols): 0 dark to 255 lit, and 255 off the surface.
+        Visibility of the light, uint8 (rows, cols): from 0 (dark) to 255 (lit); 255 in pixels without a surface.
     false_shadow
-        Pixels with false shadow, bool (rows, cols).
+        Pixels that are dark, but lit in truth, bool (rows, cols).
     missed_shadow
-        Pixels with missed shadow, bool (rows, cols).
+        Pixels that are lit, but dark in truth, bool (rows, cols).
     """
 
     figures: dict[str, Any]
@@ -78,19 +81,19 @@ class Comparison:
     valid
         Valid mask of the surface, bool (rows, cols).
     error
-        The error that targets limit in this view.
+        Name of the error that is compared with the requested limit in this view.
     boundary
-        Share of the surface that truth cannot decide, in [0, 1].
+        Share of the surface, in [0, 1], for which truth is undecided, since samples within a pixel disagree.
     cast
         Share of the surface in true cast shadow, in [0, 1].
     surface
-        Share of the pixels that the simplification of the drawn grid changes, in [0, 1].
+        Share of the pixels that change because the ground is drawn with fewer nodes than its data have, in [0, 1].
     noise_floor
-        Error of truth with other sub-samples.
+        Error of a second truth with other sub-samples, in [0, 1]. Smaller errors are not significant.
     remarks
-        Remarks for the reader: no surface, night, no casters.
+        Remarks for the reader, for example that it is night.
     left_out
-        Names of the candidates that the time limit left out.
+        Names of the candidates that were not drawn, because of the time limit.
     default
         Name of the default plan's row; empty if it is not among the rows.
     """
@@ -110,7 +113,7 @@ class Comparison:
 
 
 Times = tuple[float, dict[str, float]]
-"""Milliseconds of a run: the total, and by stage."""
+"""Milliseconds of one execution of a plan: the total, and by render pass."""
 
 DrawnBlock = tuple[MultisampledBuffer, Casters]
 """The geometry of a view's block, and the casters that reach it."""
@@ -118,16 +121,16 @@ DrawnBlock = tuple[MultisampledBuffer, Casters]
 
 @dataclass(frozen=True, eq=False)
 class TimedRun:
-    """One execution of a plan's steps.
+    """The result of one execution of a plan's steps.
 
     Attributes
     ----------
     times
-        Times of the run, milliseconds.
+        Times of the execution, milliseconds.
     parts
-        Visibilities of the blocks, (rows, cols).
+        Visibilities, (rows, cols) for each block of the view.
     log
-        Log of the passes.
+        Log of the render passes.
     """
 
     times: Times
@@ -137,18 +140,18 @@ class TimedRun:
 
 @dataclass(frozen=True, eq=False)
 class TimedPlan:
-    """A plan with its measurements so far.
+    """A plan with the measurements of its executions so far.
 
     Attributes
     ----------
     plan
         The plan.
     row
-        Its row of the comparison.
+        Its result, still without final times.
     first
-        Times of the first run.
+        Times of the first execution.
     later
-        Times of the other runs.
+        Times of all other executions.
     """
 
     plan: Plan
@@ -168,11 +171,12 @@ def compare(
     plans: Sequence[Plan] | None = None,
     only: Collection[str] = (),
 ) -> Comparison:
-    """Measure all candidates of a view on one geometry.
+    """Measure the errors and times of all candidate plans of a view on one geometry.
 
     Each candidate is drawn once for its errors. Then all candidates are timed in turns, fastest first, so that other load on the
-    machine affects them alike. Work that would end after the time limit is left out: repeats, and, after the greater part of the
-    time, variants of algorithms that are drawn already. Each algorithm, ``plans`` and named candidates are always drawn.
+    machine affects them alike. Repeats that would end after the time limit are left out. After a share of ``ROWS_SHARE`` of the
+    limit, further variants of algorithms that were drawn already are left out, too. Each algorithm is drawn at least once.
+    Candidates from ``plans`` and ``only`` are always drawn.
 
     Parameters
     ----------
@@ -183,17 +187,17 @@ def compare(
     name
         Name of the view.
     fine
-        Whether truth takes 16 sub-samples of a pixel instead of 4.
+        Whether truth uses 16 sub-samples of a pixel instead of 4.
     on_step
-        Called as ``on_step(done, total)`` during the work.
+        Called as ``on_step(done, total)`` to report progress.
     light
-        Name of the light. ``None`` takes the sun, or the first light of a level without a sun.
+        Name of the light. ``None``: the sun, or the first light of a level without a sun.
     time_limit_s
         Time limit, seconds.
     plans
         Plans to measure instead of ``candidates``.
     only
-        Names of candidates; empty takes all.
+        Names of the candidates to measure; empty: all.
 
     Raises
     ------
@@ -249,9 +253,10 @@ def compare(
 def measure_plan(
     scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 0
 ) -> ComparisonRow:
-    """Measure one plan, with ``light`` and ``fine`` as in ``compare``.
+    """Measure the errors and the time of one plan. ``light`` and ``fine`` are those of ``compare``.
 
-    Its time is that of ``repeats`` runs after the first one, or of the first one alone.
+    The time is the median of ``repeats`` executions after the first one. Without repeats it is that of the first one, which
+    includes compilation.
     """
     scene, light = with_apparent_sun(scene, plan.runs), _check_light(scene, light)
     view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
@@ -262,7 +267,10 @@ def measure_plan(
 
 
 def false_colours(base: np.ndarray, row: ComparisonRow) -> np.ndarray:
-    """Return an error picture, uint8 (rows, cols, 3), over a gray one (rows, cols). False shadow is red, missed shadow blue."""
+    """Return a picture of errors, uint8 (rows, cols, 3): false shadow is red, and missed shadow is blue.
+
+    ``base`` (rows, cols) is a gray picture of the view, which is shown paler in all other pixels.
+    """
     out = np.repeat((120 + base.astype(float) * 0.5)[..., None], 3, axis=2)
     out[row.false_shadow] = (214, 30, 30)
     out[row.missed_shadow] = (30, 70, 214)
@@ -276,7 +284,7 @@ def _check_light(scene: Scene, light: str | None) -> str:
 
 
 def _select_plans(plans: list[Plan], light: str, names: Collection[str]) -> list[Plan]:
-    """Return the plans with some names, or all of them without names."""
+    """Return the plans with the given names; all plans if ``names`` is empty. Raises ``InputError`` for an unknown name."""
     by_name = {name_of(plan, light): plan for plan in plans}
     for name in names:
         if name not in by_name:
@@ -285,7 +293,10 @@ def _select_plans(plans: list[Plan], light: str, names: Collection[str]) -> list
 
 
 def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
-    """Return the error of truth with sub-samples of another seed (their majority or their share) against truth."""
+    """Return the error of a second truth, with sub-samples of another seed, against the view's truth.
+
+    Errors of algorithms below this value are not significant.
+    """
     light = view_truth.blocks[0].light
     if (light == SUN and not scene.sun_is_up) or not view_truth.full_truth.valid.any():
         return 0.0
@@ -303,7 +314,10 @@ def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
 
 
 def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
-    """Return a plan's first run with its errors, but without its final times."""
+    """Execute a plan for the first time, and return it with its errors, but without final times.
+
+    ``pictures`` are the blocks of the view, and ``pixel_m`` is the side of a pixel, metres.
+    """
     light, truth = view_truth.blocks[0].light, view_truth.full_truth
     run = run_light(scene, pictures, plan, light)
     for ground, part in zip(view_truth.blocks, run.parts, strict=True):
@@ -329,9 +343,9 @@ def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBloc
 
 
 def picture_blocks(scene: Scene, view: View) -> list[DrawnBlock]:
-    """Return the geometry and the casters of a view, with samples at edges.
+    """Return the geometry and the casters of each block of a view. The geometry includes antialiasing samples at edges.
 
-    The view is cut into blocks or bands as in ``render_frame``.
+    A map is cut into blocks, and a perspective view into bands of rows, as in ``render_frame``.
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     pictures = [picture_buffer(scene, part) for part, _, _ in parts]
@@ -339,9 +353,9 @@ def picture_blocks(scene: Scene, view: View) -> list[DrawnBlock]:
 
 
 def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: str) -> TimedRun:
-    """Execute a plan's steps of a light on the blocks of a view, with empty caches.
+    """Execute a plan's steps for a light on the blocks of a view, with empty caches, and measure the time.
 
-    Samples at edges take time as in any picture. The visibilities are those of the picture's own pixels.
+    The time includes antialiasing samples at edges, as in any picture. The resulting visibilities are those of whole pixels.
     """
     clear_caches("light")  # the time includes all work of a moving sun
     steps = plan.steps_under(light)
@@ -358,9 +372,9 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
 
 
 def _with_times(trial: TimedPlan) -> ComparisonRow:
-    """Return the row with its times.
+    """Add the final times to the result of a plan, and return it.
 
-    The first run counts only without later runs, because it includes compilation and allocation.
+    The first execution counts only if there are no later ones, because it includes compilation and allocation.
     """
     runs = sorted(trial.later or [trial.first], key=lambda run: run[0])
     times_ms = [ms for ms, _ in runs]
@@ -377,9 +391,9 @@ def _with_times(trial: TimedPlan) -> ComparisonRow:
 
 
 def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
-    """Mark the rows on the Pareto fronts of time and error: no other row is as good in both and better in one.
+    """Mark the candidates on the Pareto fronts of time and error: no other candidate is as good in both and better in one.
 
-    ``pareto`` uses the error that targets limit, ``pareto_soft`` uses ``soft_error``.
+    The figure ``pareto`` is for the error named ``error``, and ``pareto_soft`` for ``soft_error``.
     """
     for front, by in (("pareto", error), ("pareto_soft", "soft_error")):
         keys = [(row.figures["ms_median"], row.figures[by]) for row in rows]

@@ -1,4 +1,4 @@
-"""Size of a shadow map's texels at the points of look-up. Metrics use it to tell failures from aliasing."""
+"""Size of a shadow map's texels at the visible points. Metrics use it to tell failures of an algorithm from aliasing."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from skugga.terrain.scene import Scene
 
 
 def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, pixel_m: float) -> np.ndarray:
-    """Return a texel's larger side on level ground in pixels (rows, cols).
+    """Return the larger side of a shadow-map texel on level ground at each point of a buffer, in pixels (rows, cols).
 
-    It is 0 for algorithms without texels, and off the surface.
+    ``step`` is the call of an algorithm with its settings, and ``pixel_m`` the side of a map's pixel, metres. The result is 0 for
+    algorithms without texels, and in pixels without a surface.
     """
     texel_of = None if step is None else ALGORITHMS[step.algorithm].accuracy.texel_m
     if step is None or texel_of is None:
@@ -27,7 +28,7 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
 
 @cached("scene", 512 * MIB)
 def _pixel_at_points_m(buffer: GeometryBuffer) -> np.ndarray:
-    """Return the side of a perspective view's pixel at the depths of its points (rows, cols), metres."""
+    """Return the side of a perspective view's pixel at the depth of each visible point: metres (rows, cols)."""
     view = buffer.view
     assert isinstance(view, PerspectiveView)
     eye, camera_from_frame = view.in_frame(buffer.frame)

@@ -1,8 +1,9 @@
-"""Ground truth at sample points of a picture, and comparison of shadows with it. A probe cannot afford truth in all pixels.
+"""Ground truth at sample points of a picture, and comparison of shadows with it.
 
-Points are pixels of the picture, with the same width and the same sub-samples. They form lattices of every n-th row and column,
-each between the lattices before it. So every step of a probe adds points, and the same ones each time. To find whether a shadow
-edge is near a wrong point, the pixels around it are needed, but with one ray each.
+A probe (a test of candidates within a time limit) cannot afford ray-traced truth in all pixels. So truth is computed at some
+pixels, the points, with the sub-samples of a whole pixel. The points are added in lattices of every n-th row and column. Each new
+lattice lies between the earlier ones, and their order is always the same. To find whether a wrong point is near a shadow edge, one
+ray is traced for each pixel around it.
 """
 
 from __future__ import annotations
@@ -31,25 +32,25 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LATTICE_POINTS = 10_000
-"""Minimum number of points of a lattice; the maximum is just below four times this."""
+"""Minimum number of points of a lattice. The maximum is just below four times this number."""
 
 
 @dataclass(frozen=True)
 class PointCounts:
-    """Counts of points.
+    """Numbers of sample points, from the comparison of a picture with truth.
 
     Attributes
     ----------
     decided
-        Points that truth decides.
+        Points for which truth decides between shadow and light.
     wrong
-        Decided points with the wrong class.
+        Decided points that are wrong in the picture.
     cast
-        Decided points in cast shadow, of truth or of the picture.
+        Decided points that are in cast shadow, in truth or in the picture.
     wrong_cast
-        Wrong points of these.
+        Points of ``cast`` that are wrong in the picture.
     inside
-        Wrong points inside shadows or lit areas, far from edges.
+        Wrong points that are far from shadow edges.
     """
 
     decided: int = 0
@@ -67,9 +68,9 @@ class PointCounts:
 
 
 def share_interval(part: int, total: int, z: float = INTERVAL_Z) -> tuple[float, float]:
-    """Return the Wilson score interval of a share, for ``part`` of ``total`` observations.
+    """Return the lower and upper limit of the Wilson score interval of a share, for ``part`` of ``total`` observations.
 
-    The source is E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927. The interval is 0 to 1
+    ``z`` is the number of standard errors to either side. The source is E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927. The interval is 0 to 1
     without observations.
     """
     if total == 0:
@@ -81,9 +82,9 @@ def share_interval(part: int, total: int, z: float = INTERVAL_Z) -> tuple[float,
 
 
 def lattice_offsets(every: int) -> list[tuple[int, int]]:
-    """Return first rows and columns of the lattices of every n-th pixel, n a power of two.
+    """Return the first row and column of each lattice of every n-th pixel; n is ``every``, a power of two.
 
-    Each lattice is as far as possible from the earlier ones.
+    The lattices are in the order in which they are used: each one is as far as possible from the earlier ones.
     """
     offsets, half = [(0, 0)], every // 2
     while half >= 1:
@@ -94,7 +95,7 @@ def lattice_offsets(every: int) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Truth at the points of one lattice of a picture.
+    """Ground truth at the points of one lattice of a picture: every n-th row and column from a first pixel on.
 
     Attributes
     ----------
@@ -103,7 +104,7 @@ class Lattice:
     first
         Row and column of the first point.
     every
-        Distance of neighbouring points, pixels.
+        Distance n of neighbouring points, pixels.
     truth
         Truth at the points.
     """
@@ -114,14 +115,14 @@ class Lattice:
     truth: Truth
 
     def at_points(self, values: np.ndarray) -> np.ndarray:
-        """Return a picture's values (rows, cols) at the points."""
+        """Return the values of a picture (rows, cols) at the points of the lattice."""
         return values[self.first[0] :: self.every, self.first[1] :: self.every]
 
 
 class PictureTruth:
     """Ground truth of a picture under a light, lattice by lattice.
 
-    ``effects`` are the running effects. Points so far away that haze hides their shadows count as off the surface.
+    ``effects`` are the names of the effects in use. With haze, points so far away that it hides their shadows are not counted.
     """
 
     def __init__(
@@ -138,7 +139,7 @@ class PictureTruth:
 
     @property
     def lattice_count(self) -> int:
-        """The number of lattices."""
+        """The number of lattices that together contain all pixels."""
         return self.every**2
 
     def prepare(self) -> None:
@@ -146,7 +147,7 @@ class PictureTruth:
         _ = self.rays, self.nodes
 
     def lattice(self, number: int) -> Lattice:
-        """Return one lattice."""
+        """Compute truth at the points of the lattice with index ``number``."""
         first = lattice_offsets(self.every)[number]
         full = subsampled_points(self.picture, self.every, first)
         truth = trace_truth(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
@@ -157,20 +158,20 @@ class PictureTruth:
 
     @cached_property
     def rays(self) -> RayScene:
-        """The ray scene. A map under the sun needs too few rays to justify a copy of its ground."""
+        """The casters for ray tracing. For a map under the sun the rays are few, so they walk the ground's cells without a BVH."""
         traverse_sheets = isinstance(self.picture.view, MapView) and self.light == SUN
         return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS, traverse_sheets)
 
     @cached_property
     def nodes(self) -> MapNodes | None:
-        """The data that the sub-samples of all lattices share."""
+        """The ground nodes that the sub-samples of all lattices of a map share; ``None`` if they share none."""
         return sample_nodes(self.picture, self.scene, TRUTH_SAMPLES)
 
     def counts(self, lattice: Lattice, dark: np.ndarray, steps: Sequence[Step], pixel_m: float) -> PointCounts:
-        """Compare a picture with truth at the points of a lattice.
+        """Compare a picture with truth at the points of a lattice, and return the numbers of points.
 
-        ``dark`` (rows, cols) is True in shadow, including attached shadow. ``steps`` are the plan's steps that drew it, and
-        ``pixel_m`` is a pixel's side.
+        ``dark`` bool (rows, cols) is True in shadow, including surfaces that face away from the light. ``steps`` are the calls of
+        algorithms that drew the picture, and ``pixel_m`` is the side of a pixel, metres.
         """
         truth = lattice.truth
         dark, true_dark = lattice.at_points(dark) & truth.valid, ~truth.lit & truth.valid
@@ -182,7 +183,10 @@ class PictureTruth:
         return PointCounts(decided, wrong_count, cast_count, wrong_cast, self._inside(lattice, is_wrong, steps, pixel_m))
 
     def _inside(self, lattice: Lattice, is_wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
-        """Return the number of wrong points (rows, cols) inside truth's shadows or lit areas."""
+        """Return the number of wrong points that are far from the edges of true shadows.
+
+        ``is_wrong`` is a mask of the lattice's points.
+        """
         if not is_wrong.any():
             return 0
         drawing: Sequence[Step | None] = steps or [None]
@@ -193,7 +197,7 @@ class PictureTruth:
         return int(np.count_nonzero(far_from_edges(self._dark, self.picture.valid, row, col, distance_px)))
 
     def _trace(self, pixels: np.ndarray) -> None:
-        """Trace one ray for each of some pixels (rows, cols), and store truth's class."""
+        """Trace one ray for each pixel in the mask ``pixels`` (rows, cols), and store whether it is dark."""
         new = pixels & self.picture.valid & ~self._traced
         if new.any():
             self._dark |= new & ~lit_mask(self.picture, self.scene, self.light, self.rays, receiver_mask=new)

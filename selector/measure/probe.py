@@ -1,4 +1,7 @@
-"""Plan a view by the policies ``probe`` and ``measure``, with the drawn candidates and their results as reasons."""
+"""Plan a view by the policies ``probe`` and ``measure``, which draw candidates and compare them with ground truth.
+
+The plan's reasons list the drawn candidates and their results.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,14 @@ from skugga.terrain.describe import describe
 from skugga.terrain.scene import Scene
 
 DEFAULT_BUDGET_S = 3.0
-"""Default time limit of a probe."""
+"""Default time limit of a probe in seconds."""
 
 UNCALIBRATED_PROBE = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"
 
 
 @dataclass(frozen=True, eq=False)
 class ProbedView:
-    """A plan, and the observations of choices that led to it.
+    """A plan, and the observed times and errors of drawn choices that led to it.
 
     Attributes
     ----------
@@ -56,11 +59,11 @@ def probed_plan(
     errors: ErrorModel | None = None,
     on_step: Callable[[int], None] = lambda drawn: None,
 ) -> ProbedView:
-    """Return the plan of a scene's view, with choices that were tested on the view itself.
+    """Return the plan of a scene's view, with choices of algorithms that were tested on the view itself.
 
-    The plan keeps all settings of the level and the request; only the rest is chosen. Without a calibration, times are estimates
-    for a typical device until some are measured. If no candidate meets the target, the nearest one is chosen, and the plan states
-    its overshoot.
+    The plan keeps all settings of the level and the request, and chooses only the rest. Without a calibration, times are those of
+    a typical device until some candidates are timed. If no candidate meets the target (the limits of error and time), the plan uses
+    the one that comes nearest. It states by how much that exceeds a limit.
 
     Parameters
     ----------
@@ -75,13 +78,13 @@ def probed_plan(
     device
         Calibration of the device.
     budget_s
-        Time limit, seconds. ``None`` means no limit, the policy ``measure``.
+        Time limit, seconds. ``None`` means no limit, which is the policy ``measure``.
     plan_request
-        Request instead of the scene's level.
+        Request to use instead of the scene's level.
     errors
-        Error model instead of the packaged one.
+        Error model to use instead of the packaged one.
     on_step
-        Called as ``on_step(drawn)`` after each candidate.
+        Called as ``on_step(drawn)`` after each candidate, with the number of drawn candidates.
 
     Raises
     ------
@@ -113,7 +116,7 @@ def probed_plan(
 
 
 def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[NamedReason]:
-    """Return the drawn candidates of a light, their results and the change that they made."""
+    """Return reasons that list the drawn candidates for a light, their results, and how these changed the choice."""
     light_options, reasons = probe.options, []
     expected = {option.choice.name: option for option in light_options.options}
     for which, (ms, measurement) in probe.drawn.items():
@@ -126,7 +129,7 @@ def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[NamedR
 
 
 def _errors_text(measurement: ErrorMeasurement) -> str:
-    """Return a picture's errors in words."""
+    """Return the errors of a drawn candidate in words."""
     text = f"{format_percent(measurement.error)} wrong"
     if measurement.high > measurement.low:
         text += f" ({format_percent(measurement.low)} to {format_percent(measurement.high)} with 95 % confidence)"
@@ -137,7 +140,7 @@ def _errors_text(measurement: ErrorMeasurement) -> str:
 
 
 def _result_text(options: PlanOptions, light: str, probe: LightProbe) -> str:
-    """Return the result of a probe in words."""
+    """Return the result of a probe (the test of candidates for one light) in words."""
     light_options, max_error = probe.options, options.max_error
     drawn_count = len(probe.drawn)
     text = (

@@ -1,12 +1,13 @@
-"""The policies ``probe`` and ``measure``: draw leading candidates on the scene and compare them with truth until one is confirmed.
+"""The policies ``probe`` and ``measure``: draw the most promising candidates on the scene, and compare them with ground truth.
 
-Models know a scene only roughly, and most of their error is common to all candidates of a scene. So one observation corrects the
-expectations of every candidate (``skugga.selector.options``).
+Models predict times and errors only roughly. Most of their deviation is common to all candidates of a scene. So an observation of
+one candidate corrects the predictions of all (``skugga.selector.options``).
 
-- The leader, the candidate with the least expected loss, is drawn first. Truth is computed at more and more points until it decides
-  whether the leader meets the target. Then the new leader is drawn, and so on.
-- After the leader is confirmed, other candidates are drawn as long as their expected gain exceeds ``MIN_SAVING``.
-- A probe ends without such a candidate, or when its time is spent. ``measure`` is a probe without a time limit.
+- The leader is the candidate with the least expected loss. It is drawn first. Ground truth is computed at more and more points,
+  until it is certain whether the leader meets the target (the limits of error and time). Then another candidate may lead, which is
+  drawn next.
+- When the leader has been drawn and decided, other candidates are drawn as long as their expected gain exceeds ``MIN_SAVING``.
+- A probe ends if no candidate has such a gain, or when its time is spent. ``measure`` is a probe without a time limit.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ from skugga.selector.ranking import relative_overshoot
 from skugga.shadows.truth.metrics import MAX_INTERIOR
 
 MIN_SAVING = 0.03
-"""Expected gain, at least, of a candidate that is drawn: a share of the leader's time, or of its error if it misses the target."""
+"""Minimum expected gain of a candidate that is drawn next.
+
+It is a share of the leader's time, or of the leader's error if the leader misses the target.
+"""
 
 MIN_SAVING_UNLIMITED = 0.002
 """``MIN_SAVING`` for probes without a time limit."""
@@ -33,38 +37,40 @@ MIN_SAVING_UNLIMITED = 0.002
 TIME_NOISE = 0.12
 """Standard deviation of the logarithm of a time that a probe measures.
 
-In 77 views of ``benchmarks/selection`` the times of probes differ from those of rows measured in another hour by 0.09 within a view
-and by 0.14 overall.
+In 77 views of ``benchmarks/selection`` the logarithms of times of probes were compared with times measured in another hour. They
+differ by 0.09 within a view, and by 0.14 overall.
 """
 
 INTERVAL_Z = 1.96
-"""Standard errors between a share and the limits of its 95 % interval."""
+"""Number of standard errors from a share to the limits of its 95 % interval."""
 
 DECIDED_Z, MIN_NOISE = 2.58, 1e-9
-"""Standard errors between an error and its limit, at least, of a decided verdict (99 in 100 cases), and the least standard error.
+"""Minimum distance of an error from its limit, in standard errors, of a decided comparison (confidence 99 %).
+
+``MIN_NOISE`` is a lower bound of the standard error.
 """
 
 
 @dataclass(frozen=True)
 class ErrorMeasurement:
-    """Errors of a picture according to truth at points, with 95 % intervals.
+    """Errors of a picture against ground truth at sample points, with 95 % confidence intervals.
 
     Attributes
     ----------
     error
-        The error that targets limit, in [0, 1].
+        The error that is compared with the requested limit ``max_error``, in [0, 1].
     low
-        Lower limit of its interval.
+        Lower limit of the interval of ``error``.
     high
-        Upper limit of its interval.
+        Upper limit of the interval of ``error``.
     interior
-        Interior error, in [0, 1].
+        Share of points that are wrong far from shadow edges, in [0, 1].
     interior_low
-        Lower limit of its interval.
+        Lower limit of the interval of ``interior``.
     interior_high
-        Upper limit of its interval.
+        Upper limit of the interval of ``interior``.
     points
-        Number of points in cast shadow, or of blocks if coverage counts.
+        Number of sample points in cast shadow. If ``error`` is a difference of coverage, the number of blocks of pixels.
     """
 
     error: float
@@ -76,7 +82,7 @@ class ErrorMeasurement:
     points: int
 
     def decides(self, max_error: float) -> bool:
-        """Return whether it is decided that a picture stays within ``max_error`` and ``MAX_INTERIOR``, or that it does not."""
+        """Return whether the sample points suffice to tell if the errors stay within ``max_error`` and ``MAX_INTERIOR``."""
         over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, MIN_NOISE)
         inside_over = (log_interior(self.interior) - log_interior(MAX_INTERIOR)) / max(self._interior_noise, MIN_NOISE)
         return max(over, inside_over) < -DECIDED_Z or over > DECIDED_Z or inside_over > DECIDED_Z
@@ -98,43 +104,46 @@ class ErrorMeasurement:
 
 
 class OptionProber(Protocol):
-    """Draws a light's options, by number, and compares them with truth at points."""
+    """Draws the options (choices of algorithms and settings) for a light, and compares them with truth at sample points.
+
+    Options are identified by their indices in ``LightOptions.options``.
+    """
 
     def elapsed_s(self) -> float:
         """Return the seconds since the start."""
 
     def draw(self, which: int) -> float | None:
-        """Draw an option and return its milliseconds; ``None`` if its algorithm refuses the view."""
+        """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
 
     def draw_s(self, ms: float) -> float:
         """Return the expected seconds to draw an option that takes ``ms`` milliseconds."""
 
     def measurement(self, which: int) -> ErrorMeasurement:
-        """Return the errors of a drawn option according to truth at the points so far."""
+        """Return the errors of a drawn option against truth, at all sample points that were requested so far."""
 
     def add_points_s(self) -> float | None:
         """Return the expected seconds to compute truth at more points; ``None`` if it is known at all points."""
 
     def add_points(self) -> None:
-        """Request truth at more points."""
+        """Request truth at more sample points for the following measurements."""
 
 
 @dataclass(frozen=True, eq=False)
 class LightProbe:
-    """Result of a probe of a light.
+    """Result of a probe (a test of the options for one light on the scene).
 
     Attributes
     ----------
     options
-        The options, corrected by the observations.
+        The options, with predictions corrected by the observations.
     drawn
-        Milliseconds and error measurements of the drawn options by number, in order.
+        Milliseconds and error measurement of each drawn option by its number, in the order of drawing.
     initial_leader
-        Number of the leader before the probe.
+        Number of the best option before the probe.
     seconds
-        Time of the probe.
+        Duration of the probe.
     confirmed
-        Whether the probe ended because no candidate promised more, not because of its time limit.
+        Whether the probe ended because no other option promised a gain, and not because of its time limit.
     """
 
     options: LightOptions
@@ -152,10 +161,12 @@ def probe_options(
     budget_s: float | None = None,
     on_step: Callable[[int], None] = lambda drawn: None,
 ) -> LightProbe:
-    """Probe the options of a light.
+    """Draw the most promising options for a light, compare them with truth, and return the corrected options.
 
-    At least one option is drawn, even without time. ``on_step(drawn)`` is called after each. No choice remains if the algorithms
-    refuse all options.
+    ``prior`` holds the options with their predictions. ``max_error`` and ``max_ms`` are the limits of error and time. ``budget_s``
+    is the time limit of the probe in seconds; ``None`` means no limit. At least one option is drawn, whatever the limit.
+    ``on_step(drawn)`` is called after each drawing, with the number of drawn options. If algorithms refuse to draw all options,
+    none remains in the result.
     """
     drawn_ms: dict[int, float] = {}
     least_gain = MIN_SAVING if budget_s is not None else MIN_SAVING_UNLIMITED
@@ -209,27 +220,30 @@ def leader_of(options: LightOptions, max_error: float, max_ms: float | None) -> 
 def _gains(
     options: LightOptions, leader: int, option_numbers: Collection[int], max_error: float, max_ms: float | None
 ) -> dict[int, float]:
-    """Return the expected gains of other options over the leader."""
+    """Return the expected gains over the leader (``expected_gain``) of options by number."""
     return {which: expected_gain(options, which, leader, max_error, max_ms) for which in sorted(option_numbers) if which != leader}
 
 
 def _largest_gain(gains: Mapping[int, float], least_gain: float) -> int | None:
-    """Return the option with the largest gain, if it exceeds ``least_gain``. Of equal gains the first option counts."""
+    """Return the number of the option with the largest gain; ``None`` if that is at most ``least_gain``.
+
+    Of several options with the same gain it is the first one.
+    """
     best = max(gains, key=lambda which: (gains[which], -which), default=None)
     return best if best is not None and gains[best] > least_gain else None
 
 
 def expected_gain(options: LightOptions, which: int, leader: int, max_error: float, max_ms: float | None) -> float:
-    """Return the expected gain of an option over the leader.
+    """Return the expected gain of option ``which`` over the leader, the best option so far, in [0, 1].
 
-    The gain is a share of the leader's time, or of its error if the leader misses the target. A worse result counts as a gain of 0,
-    because the leader is kept then.
+    The gain is the share of the leader's time that the option saves. If the leader misses the target, it is the share of the
+    leader's error. A result that is worse than the leader's counts as 0, because the leader remains the choice then.
     """
     candidate, leader_forecast = (options.forecast(number, max_error) for number in (which, leader))
     meets = 1.0 - candidate.miss_chance(max_ms)
     if leader_forecast.miss_chance(max_ms) <= LIKELY_MISS_CHANCE:
         return meets * _expected_saving(options.time, which, log(max(leader_forecast.figures.ms, 1e-9)))
-    # An option that meets a target which the leader misses has the largest gain; otherwise the smaller error counts.
+    # If the leader misses the target, to meet it counts as a gain of 1. Otherwise the gain is the reduction of the error.
     in_time = 1.0 - candidate.late_chance(max_ms)
     over = relative_overshoot(leader_forecast.figures, max_error, max_ms)
     nearer = _expected_saving(options.error, which, log_error(leader_forecast.figures.error)) if over > 0.0 else 0.0
@@ -237,9 +251,9 @@ def expected_gain(options: LightOptions, which: int, leader: int, max_error: flo
 
 
 def _expected_saving(estimate: GaussianEstimate, which: int, than_log: float) -> float:
-    """Return the expected relative saving of a log-normal value against another one, whose logarithm is ``than_log``.
+    """Return the expected relative saving of a log-normal value against a known value, whose logarithm is ``than_log``.
 
-    A larger value saves 0. The formula is that of a put option's price (F. Black and M. Scholes, 1973).
+    The log-normal value is that of candidate ``which``. A larger value counts as a saving of 0. The formula is that of a put option's price (F. Black and M. Scholes, 1973).
     """
     mean, sd = float(estimate.mean[which]) - than_log, sqrt(max(float(estimate.covariance[which, which]), 0.0))
     if sd == 0.0:

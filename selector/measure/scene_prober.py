@@ -1,4 +1,7 @@
-"""Draw options of a light on a scene's view, and compare them with truth at points of the picture. Probes use this."""
+"""Draw options (choices of algorithms) for a light on a scene's view, and compare them with truth at sample points.
+
+The policies ``probe`` and ``measure`` use this.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +26,27 @@ from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.scene import Scene
 
 MAX_DOUBLINGS = 4
-"""Doublings of the number of lattices with truth: 1, 2, 4, 8, 16. In pictures of usual size 16 lattices contain all pixels."""
+"""Number of times that the number of lattices (sets of sample points) is doubled: 1, 2, 4, 8, 16.
+
+In pictures of usual size 16 lattices contain all pixels.
+"""
 
 COVERAGE_BLOCKS = 16
-"""Blocks of pixels in the first comparison of coverage. The number doubles with every step, up to that of the report."""
+"""Number of blocks of pixels in the first comparison of coverage. It doubles whenever more sample points are requested."""
 
 DRAW_REPEATS, MAX_REPEATED_MS = 2, 3000.0
-"""Repeats of a drawing, if one takes less than ``MAX_REPEATED_MS``. The least time counts: other load and one-time work only add to
-it.
+"""Number of times that an option is drawn, if a drawing takes less than ``MAX_REPEATED_MS``.
+
+The least time counts, because other load and one-time work only add to the time.
 """
 
 
 class ProbedPictures:
-    """The geometry of a view for all lights. A map is represented by the block that covers most of the view."""
+    """The geometry of the probed part of a view, which all lights share.
+
+    The probed part is the whole view, or the block of a map that covers most of it. ``effects`` are the names of the effects in
+    use.
+    """
 
     def __init__(self, scene: Scene, view: View, effects: Collection[str]) -> None:
         self.scene, self.view = with_apparent_sun(scene, effects), probed_part(view)
@@ -50,7 +61,7 @@ class ProbedPictures:
 
 
 def probed_part(view: View) -> View:
-    """Return the part of a view that is probed: all of it, or the block of a map that covers most of it."""
+    """Return the part of a view on which options are drawn: all of it, or the block of a map that covers most of it."""
     if not isinstance(view, MapView):
         return view
 
@@ -63,7 +74,7 @@ def probed_part(view: View) -> View:
 
 
 class SceneProber:
-    """A ``skugga.selector.measure.probing.OptionProber`` for a light's options on a scene."""
+    """Implementation of ``skugga.selector.measure.probing.OptionProber`` for the options of a light on a scene's view."""
 
     def __init__(self, pictures: ProbedPictures, planner: Planner, light: str, options: LightOptions) -> None:
         self._start_s = time.perf_counter()
@@ -88,7 +99,7 @@ class SceneProber:
         return (DRAW_REPEATS if ms < MAX_REPEATED_MS else 1) * ms / 1000.0
 
     def draw(self, which: int) -> float | None:
-        """Draw an option and return its milliseconds; ``None`` if its algorithm refuses the view."""
+        """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
         plan = self._planner.plan({self._light: self._options.options[which].choice}, {})
         try:
             run = run_light(self._pictures.scene, self._pictures.drawn, plan, self._light)
@@ -114,13 +125,13 @@ class SceneProber:
 
     @property
     def uses_coverage(self) -> bool:
-        """Whether truth decides so few points that coverage is the error that counts."""
+        """Whether truth is undecided at so many points that the error is the difference of shadow shares in blocks of pixels."""
         counts = [lattice.truth for picture_lattices in self._lattices_so_far() for lattice in picture_lattices]
         surface, decided = (sum(int(getattr(truth, name).sum()) for truth in counts) for name in ("valid", "decidable"))
         return decided < (1.0 - MAX_UNDECIDABLE_SHARE) * surface
 
     def _lattices_so_far(self) -> list[list[Lattice]]:
-        """Return the lattices so far, by picture."""
+        """Return the lattices of sample points that are in use, by picture. Missing ones are computed."""
         while len(self._lattices) < len(self._truths):
             self._lattices.append([])
         for truth, picture_lattices in zip(self._truths, self._lattices, strict=True):
@@ -132,7 +143,7 @@ class SceneProber:
         return self._lattices
 
     def measurement(self, which: int) -> ErrorMeasurement:
-        """Return the errors of a drawn option according to truth at the points so far."""
+        """Return the errors of a drawn option against truth, at all sample points that were requested so far."""
         total = PointCounts()
         for number, picture_lattices in enumerate(self._lattices_so_far()):
             for index, lattice in enumerate(picture_lattices):
@@ -144,7 +155,10 @@ class SceneProber:
         return self._coverage_measurement(which, total) if self.uses_coverage else measurement_from_counts(total, self._is_complete)
 
     def _coverage_measurement(self, which: int, total: PointCounts) -> ErrorMeasurement:
-        """Return the errors by coverage: the mean difference of the shadow shares in blocks of pixels."""
+        """Return the errors of a drawn option, with the error of coverage.
+
+        It is the mean difference from truth of the shadow share in blocks of pixels. ``total`` gives the interior error.
+        """
         blocks = COVERAGE_BLOCKS * 2**self._doublings
         if not self._shares:
             start = time.perf_counter()
@@ -191,13 +205,16 @@ class SceneProber:
         return self._points_s * 2**self._doublings * len(self._truths) + 2.0 * self._coverage_s
 
     def add_points(self) -> None:
-        """Request truth at more points."""
+        """Request truth at more sample points for the following measurements."""
         self._doublings += 1
         self._shares = []
 
 
 def measurement_from_counts(counts: PointCounts, is_complete: bool) -> ErrorMeasurement:
-    """Return the errors that counts of points give. ``is_complete`` means all pixels are counted: intervals have no width."""
+    """Return the errors that follow from numbers of sample points.
+
+    ``is_complete`` tells whether the sample contains all pixels. Then the confidence intervals have no width.
+    """
     error, interior = counts.wrong_cast / max(counts.cast, 1), counts.inside / max(counts.decided, 1)
     if is_complete:
         return ErrorMeasurement(error, error, error, interior, interior, interior, counts.cast)

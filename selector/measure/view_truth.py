@@ -1,4 +1,4 @@
-"""Ground truth of a view, block by block, and errors of visibilities against it. The report and the policy ``measure`` use it."""
+"""Ray-traced ground truth of a whole view, and errors of visibilities against it. The accuracy report uses it."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ View = MapView | PerspectiveView
 ErrorName = Literal["wrong_cast", "coverage"]
 
 TRUTH_SAMPLES = 4
-"""Sub-samples of a pixel that must agree for truth to decide it."""
+"""Number of sub-samples of a pixel. Truth decides between shadow and light only if all of them agree."""
 
 SOFT_PIXELS = 40_000
-"""Number of evenly spaced pixels of a view, approximately, with the true visibility of an area light."""
+"""Approximate number of evenly spaced pixels of a view for which the true visibility of an area light is computed."""
 
 MAX_UNDECIDABLE_SHARE = 0.5
-"""Undecidable share of the surface above which coverage is the error that counts."""
+"""Share of the surface where truth is undecided, above which errors are measured by coverage (shadow shares of pixel blocks)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class TruthBlock:
     truth
         Truth of the block.
     attached
-        Surfaces turned away from the light, bool (rows, cols).
+        Pixels whose surface faces away from the light, bool (rows, cols).
     row
         First row of the block in the view.
     col
@@ -88,7 +88,7 @@ class ViewTruth:
     full_truth
         Truth of the whole view.
     true_shares
-        True shadow shares by block, the reference of coverage; empty if coverage is not computed.
+        True shadow shares of blocks of pixels, one array for each block of the view; empty if coverage is not computed.
     """
 
     view: View
@@ -98,21 +98,21 @@ class ViewTruth:
 
     @cached_property
     def true_visibility(self) -> np.ndarray:
-        """Visibility (rows, cols) of the light as an area, the reference of soft edges. NaN except in every n-th pixel."""
+        """True visibility (rows, cols) of the light as an area light, for errors of soft edges. NaN except in every n-th pixel."""
         every = max(round((self.view.rows * self.view.cols / SOFT_PIXELS) ** 0.5), 1)
         return self.assembled([_area_visibility(ground, every) for ground in self.blocks], np.nan)
 
     @property
     def error(self) -> ErrorName:
-        """The error that targets limit in this view."""
+        """Name of the error that is compared with the requested limit ``max_error`` in this view."""
         return "coverage" if self.full_truth.boundary > MAX_UNDECIDABLE_SHARE else "wrong_cast"
 
     def assembled(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
-        """Return one array of the view (rows, cols) from an array for each block."""
+        """Return one array of the view (rows, cols) from one array for each block. Other pixels have the value ``empty``."""
         return _assemble(self.view, self.blocks, parts, empty)
 
     def cut(self, visibility: np.ndarray) -> list[np.ndarray]:
-        """Return a visibility of the view (rows, cols) as blocks, with NaN outside the view."""
+        """Cut a visibility of the view (rows, cols) into the arrays of its blocks. Pixels of a block outside the view are NaN."""
         parts = []
         for ground in self.blocks:
             rows, cols = ground.truth.lit.shape
@@ -124,9 +124,11 @@ class ViewTruth:
         return parts
 
     def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float, soft: bool = False) -> ErrorMetrics:
-        """Return the errors of the blocks' visibilities (rows, cols), including attached shadow, drawn by a plan's steps.
+        """Return the errors of visibilities, one array (rows, cols) for each block, against truth.
 
-        ``soft`` compares ``soft_error`` with the light as an area, which takes more rays, instead of a point.
+        The visibilities include attached shadow (surfaces that face away from the light). ``steps`` are the calls of algorithms
+        that drew them, and ``pixel_m`` is the side of a pixel, metres. With ``soft``, the reference of ``soft_error`` is an area
+        light, which takes more rays; otherwise it is a point light.
         """
         footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.blocks]
         true_visibility = self.true_visibility if soft else None
@@ -135,7 +137,10 @@ class ViewTruth:
         )
 
     def coverage(self, parts: Sequence[np.ndarray]) -> float:
-        """Return the mean difference between the shadow shares of the blocks' visibilities (rows, cols) and truth's."""
+        """Return the error of coverage: the mean difference from truth of the shadow share in blocks of pixels, in [0, 1].
+
+        ``parts`` are visibilities, one array (rows, cols) for each block of the view.
+        """
         pairs = zip(self.true_shares, parts, strict=True)
         return float(np.mean([coverage_error(block_shares(1.0 - part), shares) for shares, part in pairs]))
 
@@ -143,10 +148,10 @@ class ViewTruth:
 def truth_of_view(
     scene: Scene, view: View, light: str, samples: int = TRUTH_SAMPLES, effects: Collection[str] = frozenset()
 ) -> ViewTruth:
-    """Return the truth of a view's blocks or bands under a light. ``samples``, a square number of sub-samples, decide a pixel.
+    """Compute the ground truth of a view under a light, block by block (map) or band by band of rows (perspective view).
 
-    ``effects`` are the running effects. Points so far away that haze hides their shadows count as off the surface
-    (``skugga.shadows.visibility``).
+    ``samples`` is the number of sub-samples of a pixel, a square number. ``effects`` are the names of the effects in use. With
+    haze, points so far away that it hides their shadows are left out (``skugga.shadows.visibility``).
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     view_truth = truth_of_parts(scene, view, parts, light, samples, effects)
@@ -162,22 +167,22 @@ def truth_of_parts(
     samples: int = TRUTH_SAMPLES,
     effects: Collection[str] = frozenset(),
 ) -> ViewTruth:
-    """Return the truth of a view from parts, each with its first row and column in the view.
+    """Compute the ground truth of a view from parts, each with the row and column of its first pixel in the view.
 
-    True shadow shares are not computed.
+    ``ViewTruth.true_shares`` is not computed. The other parameters are those of ``truth_of_view``.
     """
     blocks = [_truth_block(scene, light, part, row, col, samples, effects) for part, row, col in parts]
     return ViewTruth(view, blocks, _joined_truth(view, blocks))
 
 
 def _joined_truth(view: View, blocks: Sequence[TruthBlock]) -> Truth:
-    """Return the truth of the whole view."""
+    """Join the truth of blocks to that of the whole view."""
     fields = ("lit", "attached", "decidable", "valid")
     return Truth(*(_assemble(view, blocks, [getattr(ground.truth, field) for ground in blocks], False) for field in fields))
 
 
 def texels_px(ground: TruthBlock, steps: Sequence[Step], pixel_m: float) -> np.ndarray:
-    """Return the largest texels of a plan's steps at a block's points, pixels (rows, cols)."""
+    """Return the side of the largest shadow-map texel of several steps at each point of a block, in pixels (rows, cols)."""
     drawing: Sequence[Step | None] = steps or [None]
     return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in drawing], axis=0)
 
@@ -195,9 +200,9 @@ def _truth_block(scene: Scene, light: str, block: View, row: int, col: int, samp
 
 
 def _area_visibility(ground: TruthBlock, every: int) -> np.ndarray:
-    """Return a block's true visibility (rows, cols) of the light as an area in every n-th pixel.
+    """Return the true visibility of the light as an area light, in every n-th pixel of a block: float32 (rows, cols).
 
-    Other pixels and points off the surface are NaN.
+    n is ``every``. All other pixels, and pixels without a surface, are NaN.
     """
     out = np.full(ground.truth.lit.shape, np.nan, np.float32)
     if ground.light == SUN and not ground.scene.sun_is_up:

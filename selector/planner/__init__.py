@@ -1,1 +1,1 @@
-"""Turn choices into plans: the rules, and the algorithm for each light and kind of casters, each with its reason."""
+"""Turn choices into plans: the fixed rules, and the planner, which assigns an algorithm to each light and kind of casters."""

@@ -1,4 +1,4 @@
-"""The policy ``rules``: choose algorithms by fixed rules over the descriptor, each with its source."""
+"""The policy ``rules``: choose algorithms by fixed rules over the descriptor (facts of a view), each with its source."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ NO_RULE = "default: no rule applies, and a shadow map serves every view, light a
 
 
 def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[str]) -> dict[str, Choice]:
-    """Return the choices of the rules for some lights. The reason is the first rule that applies, with its source."""
+    """Return the choices of the fixed rules by light.
+
+    For each kind of casters the first rule that applies decides. The reason is that of the rule, with its source.
+    """
     choices = {}
     for light in lights:
         algorithms = {kind: _first_applicable_rule(RuleInput(descriptor, light, kind, shadows)) for kind in descriptor.casters}
@@ -28,7 +31,10 @@ def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[
 
 
 def _first_applicable_rule(case: RuleInput) -> tuple[AlgorithmName, str]:
-    """Return the algorithm and the reason of the first rule that applies and whose algorithm can serve."""
+    """Return the algorithm and the reason of the first rule that applies.
+
+    Rules are skipped if their algorithm cannot draw the case. If no rule applies, the algorithm is ``FALLBACK``.
+    """
     for rule in RULES:
         if (
             can_serve(rule.algorithm, case.descriptor, case.light, case.kind, case.requested_shadows)

@@ -1,8 +1,8 @@
 """The rules of the policy ``rules``, in order of precedence: an algorithm, the condition, and the source.
 
 Most rules are the advice of a thesis: J. Sindholt, A comparison of Shadow Algorithms, DTU 2005, section 8.2 and table 1. The other
-rules cover what the thesis does not: maps without perspective, and the sweep of heightfields. ``docs/seeds.md`` compares the advice
-with our own measurements. Each threshold has a note on its source.
+rules cover cases outside of the thesis: maps without perspective, and heightfields, which the line sweep can draw.
+``docs/seeds.md`` compares the advice with measurements of this engine. Each threshold has a note on its source.
 """
 
 from __future__ import annotations
@@ -20,63 +20,70 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 TYPICAL_MAP_ERROR = 0.006
-"""Mean share of the cast shadow that perspective shadow maps get wrong in the thesis's five scenes. Plain maps have four times the
-error (``docs/seeds.md``, the grades). Maps cannot meet a smaller limit.
+"""Mean share of wrong cast shadow of perspective shadow maps in the thesis's five scenes.
+
+Uniform shadow maps have four times this error (``docs/seeds.md``, the grades). Neither can meet a smaller limit of the error.
 """
 
 MAX_FEW_TRIANGLES = 2000
-"""Triangles, at most, of a mesh with few triangles.
+"""Maximum number of triangles of casters for which shadow volumes count as fast.
 
-Volumes are fastest with the 400 triangles of the street. With the 12,000 and more of the thesis's other scenes they cost 1.7 to 4
-times a map (``docs/seeds.md``, the advice). The limit is the geometric middle.
+In the thesis's scene of a street, with 400 triangles, shadow volumes are fastest. In its other scenes, with 12,000 and more, they
+take 1.7 to 4 times as long as a shadow map (``docs/seeds.md``, the advice). The limit is the geometric mean.
 """
 
 CLOSED_SHARE = 0.5
-"""Share of the triangles that must belong to closed meshes. Below it a mesh of few triangles still has many volume faces: each open
-edge is a silhouette.
+"""Minimum share of the triangles that belong to closed meshes, for shadow volumes to count as fast.
+
+Each open edge of a mesh is a silhouette. So open meshes with few triangles still have many faces of shadow volumes.
 """
 
 REFERENCE_MAP_TEXELS = 1024
-"""Texels a side of the map in the thesis's advice."""
+"""Texels per side of the shadow map to which the thesis's advice refers."""
 
 SHARP_TEXEL_PX = 2.0
 """If a texel covers at most this many pixels, 95 % of the edges are off by at most one pixel (``docs/seeds.md``, figure 52)."""
 
 COARSE_TEXEL_PX = 4.0
-"""If a texel covers more pixels than this, some edges are off by more than two pixels, and the camera counts as near.
+"""Pixels per texel above which the camera counts as near to a shadow edge: some edges are off by more than two pixels.
 
 See figure 52 in ``docs/seeds.md``. In the thesis's scenes a texel covers 1.4 to 3 pixels in overviews, and 6 to 30 pixels from a
 near camera.
 """
 
 MAX_SMALL_SHADOW_SHARE = 0.02
-"""Share of the visible surface, at most, of a small shadowed area. The thesis gives no number."""
+"""Maximum share of the visible surface of a shadowed area that counts as small. The thesis gives no number."""
 
 MIN_BEHIND_ANGLE_DEG = 160.0
-"""Where light and view directions differ by at most 20 degrees, most shadows are hidden behind their casters."""
+"""Minimum angle between the direction to the light and the view direction for a light behind the camera.
+
+With such a light most shadows are hidden behind their casters.
+"""
 
 MIN_COMPLEX_LAYERS = 7.0
-"""Volume faces over a pixel, at least, of complex shadows.
+"""Minimum mean number of faces of shadow volumes in front of a pixel for shadows that count as complex.
 
-The box grid, the water tower and the room have 9 to 65 of them, the stone circles and the street 1 to 5. The thesis grades them
-accordingly (section 7).
+In the thesis's scenes, the box grid, the water tower and the room have 9 to 65, the stone circles and the street 1 to 5. The thesis
+grades the scenes' complexity accordingly (section 7).
 """
 
 MAP_SETTINGS = tuple(key for key in Shadows.model_fields if key in ShadowMapSettings.model_fields)
-"""Settings that only shadow maps have. Filters of one tap and ``sun`` are exceptions: other algorithms have them, too."""
+"""Shadow settings of shadow maps. Other algorithms have none of them, except for the filters ``1`` and ``sun``."""
 
 MAX_VISIBLE_LIT_SHARE = 1.0 / 3.0
-"""Share of the lit area, at most, of which the camera sees a small part. In the stone circles under the sun the share is 30 %.
-Perspective maps get half as much wrong there as plain maps, in the same time (``docs/seeds.md``, the advice).
+"""Maximum share of the lit area that a camera sees, for which a perspective shadow map is preferred.
+
+In the thesis's scene of stone circles under the sun the share is 30 %. There a perspective shadow map has half the error of a
+uniform one, in the same time (``docs/seeds.md``, the advice).
 """
 
 MIN_GAIN = 4.0
-"""Reduction of a texel's size near the eye, at least, that makes the uneven texels of a perspective map worthwhile."""
+"""Minimum factor by which a perspective shadow map reduces texels near the eye, for it to be preferred to a uniform one."""
 
 
 @dataclass(frozen=True)
 class RuleInput:
-    """Input of a rule: a kind of casters under a light, and the requested shadow settings.
+    """Input of a rule: a kind of casters under a light in a view, and the requested shadow settings.
 
     Attributes
     ----------
@@ -120,11 +127,11 @@ class Rule:
     name
         Name of the rule.
     algorithm
-        Its algorithm.
+        The algorithm that the rule recommends.
     reason_for
-        Returns the reason for a case; ``None`` if the rule does not apply or facts are unknown.
+        Function that returns the reason for the algorithm; ``None`` if the rule does not apply, or if facts are unknown.
     source
-        Source of the rule.
+        Publication or document from which the rule comes.
     """
 
     name: str
@@ -226,8 +233,8 @@ def _small_visible_lit_area(case: RuleInput) -> str | None:
     bands, light_facts = case.descriptor.bands, case.light_facts
     if not bands or light_facts is None or light_facts.area_share > MAX_VISIBLE_LIT_SHARE:
         return None
-    # If the camera is slid back until all casters lie before it, the plane of infinity lies at depth m in post-perspective space.
-    # The far distance is then m / (m - 1) times the near one. No texel gets smaller by more than this factor.
+    # A perspective shadow map moves the camera back until all casters lie before it. In post-perspective space, points at infinity
+    # then have depth m. The far distance is m / (m - 1) times the near one. No texel gets smaller by more than this factor.
     gain = bands[-1].far_m / bands[0].near_m
     if gain < MIN_GAIN:
         return None
@@ -235,9 +242,9 @@ def _small_visible_lit_area(case: RuleInput) -> str | None:
 
 
 def _near_texel_px(case: RuleInput) -> float | None:
-    """Return the pixels that a map's texel covers at the nearest shadow edge of a perspective view, or ``None`` if unknown.
+    """Return the pixels that a shadow-map texel's side covers at the nearest shadow edge of a perspective view.
 
-    The map has ``REFERENCE_MAP_TEXELS`` a side.
+    The map has ``REFERENCE_MAP_TEXELS`` texels per side. The result is ``None`` in a map view, or if facts are unknown.
     """
     descriptor, light_facts, lamp = case.descriptor, case.light_facts, case.lamp
     if descriptor.pixel is None or light_facts is None or light_facts.nearest_edge_m is None:
@@ -283,4 +290,4 @@ RULES: tuple[Rule, ...] = (
         f"{THESIS_SECTION}; docs/seeds.md: half the errors of a map",
     ),
 )
-"""The first rule that applies wins, for each light and kind of casters."""
+"""The rules in order of precedence: the first one that applies decides, for each light and kind of casters."""

@@ -1,4 +1,7 @@
-"""Combine the shadow settings of the request, of the level's pins and of the level, and tell which of them set a key."""
+"""Combine the shadow settings of the request, the level's pins and the level, and record the source of each setting.
+
+A pin is an entry in a level file that sets algorithms or settings for some views and suns.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,8 @@ from skugga.terrain.level.level import LevelShadows, Pin, Shadows, override
 class ShadowRequest:
     """The shadow settings of one view under one sun.
 
-    For each key, the request's ``overrides`` take precedence over the level's first pin that applies, and the pin over the level's
-    own ``shadows``.
+    For each key, the request's ``overrides`` take precedence over the level's first pin that applies. A pin (settings for some
+    views and suns) takes precedence over the level's own ``shadows``.
 
     Attributes
     ----------
@@ -27,7 +30,7 @@ class ShadowRequest:
     pin
         The pin that applies, or ``None``.
     pin_number
-        Its index in the level's list of pins, or ``None``.
+        Index of this pin in the level's list of pins, or ``None``.
     """
 
     shadows: Shadows
@@ -36,7 +39,7 @@ class ShadowRequest:
     pin_number: int | None = None
 
     def requester(self, key: str) -> str:
-        """Return the source of a setting as the subject of a sentence."""
+        """Return who set a setting, in words: the request, the level, or a pin of the level."""
         if key in self.overrides:
             return "the request"
         return "the level" if not self._is_pinned(key) else f"the level's pin for {self._pin_scope}"
@@ -46,7 +49,7 @@ class ShadowRequest:
         return f"pinned by the level for {self._pin_scope}" if self._is_pinned(key) else f"set by {self.requester(key)}"
 
     def key_path(self, key: str) -> str:
-        """Return the name of a setting where it is set: a parameter, or a key of the level file."""
+        """Return the name of the parameter, or the path of the key in the level file, that sets a setting."""
         if key in self.overrides:
             return key
         return f"shadows.pins.{self.pin_number}.{key}" if self._is_pinned(key) else f"shadows.{key}"
@@ -62,7 +65,10 @@ class ShadowRequest:
 def resolve_shadow_request(
     descriptor: Descriptor, plan_request: PlanRequest, overrides: Mapping[str, Any] | None = None
 ) -> ShadowRequest:
-    """Return the shadow settings for a descriptor's view under its sun. Raises ``InputError`` for a wrong override."""
+    """Return the combined shadow settings for a descriptor's view under its sun.
+
+    ``overrides`` are the settings of the request; values of ``None`` are ignored. Raises ``InputError`` for a wrong override.
+    """
     request_overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
     request_shadows = plan_request.shadows
     number = request_shadows.pin_number(descriptor.view, descriptor.sun_altitude_deg)

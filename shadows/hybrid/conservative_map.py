@@ -1,8 +1,9 @@
-"""Conservative shadow map: classifies points that a small map decides with certainty, even with casters thinner than its texels.
+"""Classify points with a small shadow map that decides only with certainty, even with casters thinner than its texels.
 
 The map of Chan and Durand (2004, An Efficient Hybrid Shadow Rendering Algorithm) samples depths at texel centres and misses casters
-between them. This map stores bounds over whole texels. A texel joins the depth intervals of casting triangles and silhouette edges
-into disjoint runs. A run without an edge is *whole*: it covers each point of the texel by the same number of layers.
+between them. This conservative map stores bounds over whole texels. In each texel, the depth intervals of casting triangles and
+silhouette edges are joined into disjoint runs. A run without an edge is *whole*: it covers each point of the texel by the same
+number of layers.
 
 - A point in front of all runs is lit.
 - A point behind a whole run of one layer or more is in shadow.
@@ -26,16 +27,17 @@ LIT, SHADED, MASKED = 255, 0, 128
 
 @dataclass(frozen=True, eq=False)
 class ConservativeMap:
-    """Depth bounds float64 (rows, cols) of the certain classes, per texel; infinite if a texel has no such bound.
+    """Depths float64 (rows, cols) at which a map's texels decide with certainty; infinite if a texel has no such bound.
 
     Attributes
     ----------
     nearest
-        Near bound of the nearest run: points in front of it are lit.
+        Near bound of the nearest run of casters: points in front of it are lit.
     nearest_other_depth
-        Points on a casting triangle in front of it are lit.
+        Near bound of the nearest run, but of the second one if the first is a single layer without an edge. Points on a casting
+        triangle in front of it are lit.
     shadow_depth
-        Points behind it are in shadow.
+        Far bound of the nearest run that covers the whole texel: points behind it are in shadow.
     """
 
     nearest: np.ndarray
@@ -71,7 +73,7 @@ def classify_points(
     slack: float | np.ndarray,
     on_caster: bool | np.ndarray = False,
 ) -> np.ndarray:
-    """Classify points by a map: `LIT`, `SHADED` or `MASKED`, uint8 (n,).
+    """Return the class of each point by a map: `LIT`, `SHADED` or `MASKED` (undecided), uint8 (n,).
 
     Parameters
     ----------
@@ -92,11 +94,11 @@ def classify_points(
 
 
 def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Clip triangles (t, 3, 3) of lamp space at z >= z_near and return the parts (t', 3, 3) with the same winding.
+    """Clip triangles (t, 3, 3) in lamp space at z >= z_near and return the parts (t', 3, 3) with the same winding.
 
-    The cuts bound the parts like silhouette edges, but need no edges. This requires that no caster is nearer to the lamp than
-    sqrt(1 + 2 tangent²) z_near, with the tangent of half the map's angle of view. Then all cuts fall outside of the map, and the
-    map misses no clipped part.
+    A cut bounds a part like a silhouette edge, but is not added to the edges. This requires that no caster is nearer to the lamp
+    than sqrt(1 + 2 tangent²) z_near, with the tangent of half the map's angle of view. Then all cuts fall outside of the map, and
+    the map misses no clipped part.
     """
     is_in_front = corners_lamp_m[..., 2] >= z_near_m
     front_count = is_in_front.sum(axis=1)
@@ -115,7 +117,7 @@ def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray
 
 
 def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Clip edges (e, 2, 3) of lamp space at z >= z_near and return the parts (e', 2, 3).
+    """Clip edges (e, 2, 3) in lamp space at z >= z_near and return the parts (e', 2, 3).
 
     The cut points are bit-identical to those of `clipped_triangles`.
     """

@@ -1,7 +1,7 @@
-"""Conservative rasterisation of triangles and edges: each texel that they touch stores their depths as runs.
+"""Rasterise triangles and edges conservatively: each texel that they touch stores their depths as runs.
 
-A run is a union of depth intervals that overlap or touch. A texel keeps disjoint runs in the order of depth. If it has more than
-`MAX_DEPTH_RUNS`, the two farthest merge (a merged run is as correct as two separate ones, only less precise).
+A run is a union of depth intervals that overlap or touch. A texel stores disjoint runs in the order of depth. If it has more than
+`MAX_DEPTH_RUNS`, the two farthest merge. A merged run is as correct as two separate ones, only less precise.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ DEPTH_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 @compiled
 def certain_depths(cols, rows, corners, edges):
-    """Rasterise triangles and edges and return the depth bounds of the certain classes.
+    """Rasterise triangles and edges, and return the depths at which each texel decides with certainty.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def certain_depths(cols, rows, corners, edges):
         Depths float64 (rows, cols), infinite if a texel has no such run:
 
         - the near bound of the first run,
-        - the near bound of the second run if the first is whole and of one layer, otherwise of the first,
+        - the near bound of the second run if the first is whole (without an edge) and of one layer, otherwise of the first,
         - the far bound of the first run that is whole and of one layer or more.
     """
     nearest = np.full((rows, cols), np.inf)
@@ -87,8 +87,8 @@ def certain_depths(cols, rows, corners, edges):
 def _draw_triangle(runs, counts, corners):
     """Add a triangle's depth interval to each texel that it touches.
 
-    The interval holds the extremes of its plane over the texel's square, limited to the extremes of its corners. It adds a layer if
-    the triangle covers the probe.
+    The interval holds the extremes of the triangle's plane over the texel's square, limited to the extremes of its corners. It
+    counts as a layer if the triangle covers the point ``LAYER_PROBE`` of the texel.
     """
     rows, cols = counts.shape
     a, b, c = corners[0], corners[1], corners[2]
@@ -125,7 +125,10 @@ def _draw_triangle(runs, counts, corners):
 
 @internal
 def _draw_edge(runs, counts, a, b):
-    """Add an edge's depth interval to each texel that it touches. Its run becomes open (`OPEN_LAYERS` layers or more)."""
+    """Add an edge's depth interval to each texel that it touches.
+
+    Its run gets ``EDGE_RUN_LAYERS`` layers or more, which tells that the run has an edge.
+    """
     rows, cols = counts.shape
     v_min, v_max = min(a[1], b[1]), max(a[1], b[1])
     if v_max < -EDGE_MARGIN or v_min > rows + EDGE_MARGIN:
@@ -147,7 +150,10 @@ def _draw_edge(runs, counts, a, b):
 
 @internal
 def _insert(runs, count, near, far, layers):
-    """Insert an interval into a texel's runs, merged with the runs that it overlaps or touches. Return the new number of runs."""
+    """Insert an interval of depths into a texel's runs, and return the new number of runs.
+
+    The interval merges with the runs that it overlaps or touches, and their layers add up.
+    """
     first = 0
     while first < count and runs[first, 1] < near:
         first += 1
@@ -176,7 +182,7 @@ def _insert(runs, count, near, far, layers):
 def _u_range(corners, low, high):
     """Return the minimum and maximum u of the part of a triangle with v in [low, high]; inf and -inf if it is empty.
 
-    The part is convex, so it meets exactly the squares of the row between these bounds.
+    The part is convex, so it meets exactly the texels between these bounds in a row of texels from ``low`` to ``high``.
     """
     u_min, u_max = np.inf, -np.inf
     for k in range(3):

@@ -51,7 +51,7 @@ def fill(
     settings: HybridSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Return the visibility of a light, float32 (rows, cols), 0 or 1, for a buffer's points with some kinds of casters.
+    """Return a light's visibility at a buffer's points where only some kinds of casters block it, float32 (rows, cols), 0 or 1.
 
     The value is undefined off the surface and in attached shadow. Raises ``GraphicsError``.
     """
@@ -88,7 +88,10 @@ def _classify_by_comparison(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Classify points by comparison with 2 x 2 texels. Supersamples (rows after the view's) are masked: volumes decide them."""
+    """Return the class of each point by comparison with 2 x 2 texels: LIT, SHADED or MASKED, uint8 (rows, cols).
+
+    Further samples (rows below the view's) are masked: volumes decide them.
+    """
     map_settings = settings.map
     if isinstance(map_settings, ShadowMapSettings):
         maps = sun_maps(buffer, scene, map_settings, None)

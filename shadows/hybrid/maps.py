@@ -1,4 +1,4 @@
-"""The hybrid's conservative maps: light-space windows round a buffer's points, and the classification of the points."""
+"""Make the hybrid's conservative maps: light-space windows round a buffer's points, and the classification of the points."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ class _Window:
     near_m
         Near plane of a lamp, metres; 0 for the sun.
     map_origin, texel
-        Origin and texel size (2,) of the map in the light's axes: texels are ``(at - map_origin) / texel``.
+        Origin and texel size (2,) of the map in the light's axes. A point p there has the texel coordinates
+        (p - ``map_origin``) / ``texel``.
     size
         Columns and rows, texels.
     """
@@ -94,7 +95,7 @@ def classify_pixels(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Classify the points in the mask ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
+    """Return the class of each point in ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
     classes, on_caster = np.full(receiver_mask.shape, LIT, np.uint8), _caster_mask(buffer, scene, light, kinds, receiver_mask)
     with log.run(passes[1]), log.run(passes[2]):
         windows = [*_windows(buffer, scene, light, map_size, receiver_mask)]
@@ -114,10 +115,10 @@ def classify_pixels(
 def _caster_mask(
     buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...], receiver_mask: np.ndarray
 ) -> np.ndarray:
-    """Return the mask (n,) of a buffer's flattened points that certainly lie on casting triangles.
+    """Return which of a buffer's points certainly lie on casting triangles, bool (n,) for the flattened points.
 
-    These are points on front faces, as seen from the light, of meshes without simplified casters. Visible back faces have the
-    normal of a front face, so the test uses the corners. Ground casts by its back faces, so it is excluded.
+    These are points on front faces, as seen from the light, of meshes without simplified casters. The buffer gives visible back
+    faces the normal of a front face, so the test uses the triangles' corners. Ground casts by its back faces, so it is excluded.
     """
     solids, result = scene.objects.solids, np.zeros(receiver_mask.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
@@ -133,7 +134,7 @@ def _caster_mask(
 def map_pictures(
     buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, receiver_mask: np.ndarray
 ) -> np.ndarray:
-    """Return the maps' nearest depths as pictures side by side: 0 is nearest to the light, 1 has no caster.
+    """Return the maps' nearest depths as one picture, the maps side by side: 0 is nearest to the light, 1 has no caster.
 
     The light's up direction is at the top.
     """

@@ -1,4 +1,4 @@
-"""Settings of the hybrid and their resolution."""
+"""The settings of the hybrid, and how they are resolved from a request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cost model input of the hybrid: the work of its map, of the mask, and of its volumes in marked pixels."""
+"""Count the work of the hybrid for the cost model: its map, the mask, and its volumes in marked pixels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MIN_TEXEL_SHARE = 256.0 * POSITION_ERROR
 
 
 def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
-    """Return the hybrid's work for a picture, as amounts by unit of each pass."""
+    """Return the hybrid's work for a picture, as counts by part."""
     texel_px, size = _texel_px(task, settings.map.map_size)
     counting = {
         task.by_view("silhouettes"): silhouette_counts(task),
@@ -45,7 +45,7 @@ def _texel_px(task: Workload, map_size: int) -> tuple[float, float]:
 
 
 def _masked_share(task: Workload, side_px: float) -> float:
-    """Return the share of the picture in squares of a side (pixels) with a shadow edge; 1 without facts on casters."""
+    """Return the share of the picture in squares of ``side_px`` pixels that a shadow edge crosses; 1 without facts on casters."""
     if not task.facts.casts:
         return 1.0
     ladder = np.log2(TEXEL_SIZES_PX)

@@ -66,7 +66,7 @@ Above it the view gets several maps, since some edges are then off by over two p
 """
 
 MAX_RANGES = 4
-"""Upper bound of the number of maps: that of the cascades of a shadow map."""
+"""Upper bound of the number of maps, the same as for the cascades of a shadow map."""
 
 FRONT_DEPTH_SHARE = 0.01
 """Share of the map's depth range in front of the nearest receiver."""

@@ -295,7 +295,7 @@ def _farthest_corners(first, last, corners, mask, out):
 
 
 def depth_steps(depth_bits: int) -> int:
-    """Return the number of steps from depth 0 to depth 1. For 32-bit floats it is that of 24 bits, their step near 1."""
+    """Return the number of steps from depth 0 to depth 1. 32-bit floats count as 24 bits, since these are their steps near 1."""
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 

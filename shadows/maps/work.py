@@ -65,9 +65,9 @@ def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: floa
 
 
 def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
-    """Return the texels of each of the sun's maps and its area across the light, square metres.
+    """Return the number of texels of each of the sun's maps, and its area perpendicular to the light, square metres.
 
-    The maps are those of ``skugga.shadows.maps.windows``.
+    The maps are predicted from a descriptor, as ``skugga.shadows.maps.windows`` makes them.
     """
     spans_m = []
     if descriptor.bands:

@@ -1,8 +1,8 @@
 """The horizon profile of a point by all casters, and the objects that hide the sun from it.
 
-A point is lit if two conditions hold. Its ray towards the centre of the sun's disc meets nothing, and the sun is above the horizontal
-plane through the eye. With a sun below that plane no point is lit (``Scene.sun_is_up``), because the terrain beyond the edge of a
-level's data is unknown.
+A point is lit if two conditions hold. Its ray towards the centre of the sun's disc meets nothing, and the sun is above the
+horizontal plane through the eye. With a sun below that plane no point is lit (``Scene.sun_is_up``), because the terrain beyond the
+edge of a level's data is unknown.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class SunCaster:
     elevation_deg
         Elevation angle above the horizontal plane through the eye.
     height_m
-        Height above sea level of the highest point of the caster in this direction, metres.
+        Height of the highest point of the caster in this azimuth, metres.
     lon_deg, lat_deg
         Longitude and latitude of this point; ``None`` in a flat world.
     """

@@ -1,8 +1,8 @@
 """The horizon of a point by ground: the largest elevation angle of the ground along each line of sight.
 
-Elevation angles are measured from the horizontal plane through the eye. A line of sight crosses the triangles that cast shadows (or,
-for ``surface: blocks``, the tops and walls of columns). Between two crossings of edges the ground is straight along the line, so
-its elevation angle is largest at one of them.
+Elevation angles are measured from the horizontal plane through the eye. A line of sight crosses the triangles that cast shadows
+(or, for ``surface: blocks``, the tops and walls of columns). Between two crossings of edges the ground is straight along the line,
+so its elevation angle is largest at one of them.
 
 The ground is stored in pages of 256 quads a side, and a page has tiles of 16 quads a side. A page or tile is skipped if it cannot
 exceed the horizon found so far. For this test its highest ground is assumed to lie at its near end. All other pages are read, the
@@ -184,7 +184,7 @@ def _walk_to_ground(
 
 
 def farthest_m(scene: Scene, place: PointPlace) -> float:
-    """Return an upper bound in metres for the distance of ground that is visible from a place.
+    """Return an upper bound in metres for the distance of ground that can be visible from a place.
 
     It is the distance to the raster's corners with a margin, or less if the earth's curvature hides ground so far away.
     """

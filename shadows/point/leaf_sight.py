@@ -1,8 +1,8 @@
-"""The occlusion of the sky around a point by trees: by their quads, as far as the texture on them is opaque.
+"""The occlusion of the sky around a point by trees, which are drawn as textured quads with opaque and transparent texels.
 
-The vertical plane of a direction cuts a quad in a straight segment. A ray of the direction meets the segment in one point, where
-the alpha test decides between leaf and gap. The horizon is the highest leaf. The search runs along the segment from its upper end
-down, in steps of a quarter of a texel, or of ``TANGENT_STEP`` where that is larger.
+A direction is an azimuth. Its vertical plane cuts a quad in a straight segment. A ray in this plane meets the segment in one point,
+where the alpha test of the texture decides between leaf and gap. The horizon is the highest leaf. The search follows the segment
+from its upper end down, in steps of a quarter of a texel, or of ``TANGENT_STEP`` where that is larger.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TANGENT_STEP = 1e-4
 
 
 class VisibleTrees(NamedTuple):
-    """Trees that rise above the eye's level, for compiled loops: see ``TreeInstances``.
+    """Trees (n,) that rise above the horizontal plane through the eye, for compiled loops.
 
     Attributes
     ----------
@@ -34,11 +34,11 @@ class VisibleTrees(NamedTuple):
     eye_frame
         (3,) metres: the eye in the frame.
     low, high
-        (n,) degrees: azimuths that bound each tree.
+        (n,) degrees: azimuths between which each tree lies.
     steepest
-        (n,): upper bound of each tree's tangent above the eye's level.
+        (n,): upper bound of the tangent of each tree's elevation angle.
     alpha
-        Alpha of the trees' texture layers.
+        (layers, rows, cols): alpha channel of the trees' textures.
     """
 
     base: np.ndarray
@@ -55,7 +55,10 @@ class VisibleTrees(NamedTuple):
 
 
 def visible_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_frame_m: np.ndarray) -> VisibleTrees:
-    """Return the trees that rise above an eye's level, with the eye. Trees below that level cannot hide a sun that is up."""
+    """Return the trees that rise above the horizontal plane through an eye. Lower trees cannot hide a sun that is up.
+
+    ``enu_from_frame`` (3, 3) rotates vectors of the frame to east, north and up. ``eye_frame_m`` (3,) is the eye in the frame.
+    """
     enu_from_frame = np.ascontiguousarray(enu_from_frame)
     number, low, high, steepest = _trees_above_eye(instances.base_frame_m, instances.shape, enu_from_frame, eye_frame_m)
     return VisibleTrees(
@@ -66,7 +69,10 @@ def visible_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_fram
 
 @compiled
 def _trees_above_eye(base, shape, enu_rotation, origin):
-    """Return the indices of trees that rise above the eye's level, with bounds of their azimuths and tangents."""
+    """Return the indices of the trees that rise above the horizontal plane through the eye, and three bounds of each.
+
+    The bounds are the lowest and the highest azimuth in degrees, and an upper bound of the tangent of the elevation angle.
+    """
     number = np.empty(len(base), np.int64)
     bounds = np.empty((3, len(base)))
     count = 0
@@ -89,12 +95,15 @@ def _trees_above_eye(base, shape, enu_rotation, origin):
 
 
 def highest_leaves(trees: VisibleTrees, directions: Directions, sighting: Sighting) -> None:
-    """Replace entries of ``sighting`` by leaves with larger tangents towards directions."""
+    """Replace entries of ``sighting`` by the highest leaves in their directions, where these have larger elevation angles."""
     _sight_trees(trees, directions, sighting.tangent, True, sighting)
 
 
 def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndarray, sighting: Sighting) -> None:
-    """Replace entries of ``sighting`` by nearer leaves that rays meet, with ``tangent`` (n,) above the eye's level."""
+    """Replace entries of ``sighting`` by leaves that rays meet, where these are nearer.
+
+    ``tangent`` (n,) is the tangent of each ray's elevation angle, in the order of ``directions``.
+    """
     _sight_trees(trees, directions, tangent, False, sighting)
 
 
@@ -139,7 +148,12 @@ def _to_enu(enu_rotation, origin, x, y, z, out):
 
 @internal
 def _sight_quad(quad, alpha, sine, cosine, tangent, highest, sighting, n, m):
-    """Test one quad (its first corner, its side to the right and its side up) in one direction."""
+    """Update the entry ``n`` of ``sighting`` with the leaves of one quad of tree ``m``.
+
+    ``quad`` (3, 3) holds the quad's first corner, its side to the right and its side up, in metres east, north and up from the eye.
+    ``sine`` and ``cosine`` are those of the direction's azimuth. ``highest`` asks for the highest leaf, otherwise for the leaf on
+    the ray with ``tangent``.
+    """
     first, right, up = quad[0], quad[1], quad[2]
     offset = first[0] * cosine - first[1] * sine
     by_right, by_up = right[0] * cosine - right[1] * sine, up[0] * cosine - up[1] * sine
@@ -186,7 +200,11 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, sighting, n, m):
 
 @internal
 def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m):
-    """Search a segment of a quad for a leaf, from its upper end to its lower one or to the highest leaf so far."""
+    """Search a segment of a quad from its upper end down for a leaf, and store it as the entry ``n`` of ``sighting``.
+
+    Each end of the segment has texture coordinates u and v, a distance s and a height z from the eye, metres. The search ends at
+    the elevation angle that the entry has already.
+    """
     if s0 < MIN_DISTANCE_M or s1 < MIN_DISTANCE_M:  # clip at the vertical through the eye
         share = (MIN_DISTANCE_M - s0) / (s1 - s0)
         u, v, z = u0 + share * (u1 - u0), v0 + share * (v1 - v0), z0 + share * (z1 - z0)
@@ -212,7 +230,10 @@ def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m):
 
 @internal
 def _is_leaf(alpha, u, v):
-    """Return whether a texture (h, w) is opaque at a position on a quad, as in ``skugga.terrain.casters.rays.sample_alpha``."""
+    """Return whether the bilinear alpha (h, w) of a texture is opaque at texture coordinates u and v.
+
+    The result equals that of ``skugga.terrain.casters.rays.sample_alpha``.
+    """
     height, width = alpha.shape
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)

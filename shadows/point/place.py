@@ -1,4 +1,4 @@
-"""A position on a level's ground, and the eye above it that looks at the sun."""
+"""A position on a level's ground, and the eye (the point for which sun is computed) at or above it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class PointPlace:
     lon_deg, lat_deg
         Longitude and latitude in degrees; ``None`` in a flat world.
     row, col
-        (Fractional) node of the ground's grid.
+        Fractional row and column on the ground's grid.
     ground_m, height_m
-        Height of the ground, metres, and of the eye above the ground.
+        Height of the ground, and height of the eye above the ground, metres.
     ellipsoid
-        Ellipsoid of heights and degrees.
+        Ellipsoid to which heights, longitudes and latitudes refer.
     eye_earth_m
-        float64 (3,), the eye, earth-fixed.
+        float64 (3,) metres: earth-fixed position of the eye.
     earth_from_enu
         Rotation (3, 3) from local east, north, up to earth-fixed axes.
     """
@@ -61,26 +61,26 @@ class PointPlace:
 
 
 POINT = "point"
-"""The name of the coordinates in errors."""
+"""The name of the parameter in error messages about coordinates."""
 
 
 MAX_COORDINATE = 1e9
-"""Upper bound of coordinates, as of bounds: nodes are counted in integers."""
+"""Upper bound of coordinates. It equals that of bounds, since rows and columns of nodes are integers."""
 
 
 def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, height_m: float = 0.0) -> PointPlace:
-    """Return the place at coordinates.
+    """Return the place at coordinates, on the ground or above it.
 
-    Its ground is the ground that casts shadows: the triangles, or the tops of columns, of ``skugga.terrain.ground``.
+    The ground is the one that casts shadows: the triangles, or the tops of columns, of ``skugga.terrain.ground``.
 
     Parameters
     ----------
     scene
         The scene.
     at
-        Longitude and latitude; in a flat world metres east and north of its centre; or x and y of ``crs``.
+        Longitude and latitude in degrees. In a flat world, metres east and north of its centre. With ``crs``, x and y in that CRS.
     crs
-        The CRS of ``at``, if it is another one.
+        The CRS of ``at``; ``None``: the default above.
     height_m
         Height of the eye above the ground, metres.
 
@@ -136,7 +136,10 @@ def _in_raster(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[f
 
 
 def _allowed_places(scene: Scene, at: tuple[float, float], crs: CRS | None) -> str:
-    """Return the phrase for the allowed coordinates. Within the level's bounds the raster has no height at these."""
+    """Return the allowed coordinates as a phrase for an error message.
+
+    If ``at`` lies within the level's bounds, the phrase says that the raster has no height there.
+    """
     if scene.world.flat or scene.bounds_lon_lat is None:
         return "a place on the level's data"
     west, south, east, north = scene.bounds_lon_lat

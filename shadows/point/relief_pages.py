@@ -1,8 +1,9 @@
 """The ground around a point, in pages that are read when a line of sight needs them.
 
-A page is 256 quads a side of the raster's own nodes (or, for ``surface: blocks``, cells). Far ground uses every second, fourth ...
-node; ``skugga.terrain.casters.reach`` defines the level of detail by distance. The raster's overview gives an upper bound for
-every page without reading it. A page in memory also holds the maximum of each tile of 16 quads a side.
+A page has 256 quads a side, between nodes of the ground's grid (or, for ``surface: blocks``, 256 cells). Distant ground uses a
+coarser level of detail with every second, fourth and so on node. ``skugga.terrain.casters.reach`` defines the level of detail by
+distance. The raster's overview gives an upper bound of the heights of each page before it is read. A page in memory also holds the
+maximum height of each tile of 16 quads a side.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from skugga.terrain.ground.surface import Surface
 from skugga.terrain.scene import Scene
 
 TILE_QUADS = 16
-"""Quads a side of a tile, the smallest part of a page whose maximum is stored."""
+"""Quads per side of a tile, the part of a page whose maximum height is stored."""
 
 PAGE_TILES = PATCH_QUADS // TILE_QUADS
 
 MAX_PAGES = 1024
-"""Maximum number of pages in the cache, 0.26 MB each. A point may need more; the next request then empties the cache."""
+"""Number of pages, 0.26 MB each, above which the next request empties the cache. One request may read more."""
 
 
 @dataclass(eq=False)
@@ -42,15 +43,15 @@ class PagedLevel:
     bound_m
         float32 (m, n): upper bound of each page's heights; -inf without ground.
     first_row, first_col
-        The page of ``bound_m[0, 0]``, counted from the grid's origin.
+        Row and column of the page of ``bound_m[0, 0]``, counted in pages from the grid's origin.
     number
         int32 (m, n): index of each page in ``height_m`` and ``high_m``; -1 if it is not read.
     height_m
-        float32 (pages, 257, 257): heights; NaN without ground.
+        float32 (pages, 257, 257), metres: heights; NaN without ground.
     high_m
-        float32 (pages, 16, 16): the maximum of each tile.
+        float32 (pages, 16, 16), metres: the maximum height of each tile.
     pages
-        Number of pages that are read.
+        Number of pages that have been read.
     """
 
     level: int
@@ -63,7 +64,7 @@ class PagedLevel:
     pages: int = 0
 
     def put(self, row: int, col: int, height_m: np.ndarray) -> None:
-        """Store the heights of a page."""
+        """Store the heights (257, 257) of the page at ``row`` and ``col`` of ``bound_m``."""
         if self.pages == len(self.height_m):
             room = max(2 * self.pages, 16)
             self.height_m, self.high_m = _grown_copy(self.height_m, room), _grown_copy(self.high_m, room)
@@ -83,7 +84,19 @@ class PageCache:
 
 @dataclass(frozen=True, eq=False)
 class PagedRelief:
-    """A level's ground by level of detail. ``grid`` holds the nodes of the finest one."""
+    """A level's ground in pages, by level of detail.
+
+    Attributes
+    ----------
+    world
+        The world.
+    elevation
+        The elevation raster.
+    grid
+        Grid of the nodes at full detail.
+    levels
+        Pages by level of detail.
+    """
 
     world: World
     elevation: Elevation
@@ -117,16 +130,19 @@ class PagedRelief:
             pages.put(row, col, self.nodes(level, *first, side, side))
 
     def nodes(self, level: int, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:
-        """Return heights (rows, cols) of the nodes, or of the columns, of a level of detail."""
+        """Return the heights (rows, cols) in metres of a window of nodes, or of columns, at a level of detail.
+
+        ``row0`` and ``col0`` are the first row and column, counted at this level of detail.
+        """
         if self.blocks:
             return Columns(self.world, self.elevation, level).heights(row0, col0, rows, cols)[0]
         surface = Surface(self.world, self.elevation, self.grid.coarser(level))
         return surface.height_window(row0, col0, rows, cols).height_m
 
     def node_of(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Return (fractional) rows and columns of coordinates in the grid's CRS.
+        """Convert coordinates in the grid's CRS to fractional rows and columns of the grid.
 
-        Longitudes wrap to those nearest to the raster's centre.
+        In a CRS with degrees, x is shifted by multiples of 360 degrees, as near as possible to the raster's centre.
         """
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         if self.grid.crs.is_geographic:
@@ -135,9 +151,9 @@ class PagedRelief:
         return self.grid.row(y), self.grid.col(x)
 
     def ground_at(self, row: float, col: float) -> tuple[float, bool]:
-        """Return the height of the ground at a (fractional) node, and whether a picture shows ground there.
+        """Return the height of the ground at a fractional row and column, and whether a picture shows ground there.
 
-        The height is in metres; NaN without ground. A hole is filled, but not shown.
+        The height is in metres, and NaN without ground. Small holes of the raster have an interpolated height, but are not shown.
         """
         near_row, near_col = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
         if self.blocks:
@@ -155,7 +171,10 @@ class PagedRelief:
 
 
 def paged_relief(scene: Scene) -> PagedRelief:
-    """Return the ground of a level in pages; it does not depend on the sun. Too many pages of earlier points are dropped."""
+    """Return the ground of a level in pages. It does not depend on the sun.
+
+    Pages read for earlier points are reused. All of them are dropped if they are more than ``MAX_PAGES``.
+    """
     cache = _page_cache(scene.world, scene.elevation, scene.map_crs)
     if sum(pages.pages for pages in cache.levels.values()) > MAX_PAGES:
         cache.levels.clear()
@@ -164,7 +183,7 @@ def paged_relief(scene: Scene) -> PagedRelief:
 
 @cached("scene", 1024 * MIB, size_of=lambda _: MAX_PAGES * MIB // 4)
 def _page_cache(world: World, elevation: Elevation, map_crs: CRS) -> PageCache:
-    """Return the pages of a ground; more are read, and stored there, as points need them."""
+    """Return the cache for a ground's pages, without any page. Later reads store their pages in it."""
     if elevation.is_north_up:
         return PageCache(Columns(world, elevation, 0).grid, {})
     west, south, east, north = elevation.bounds
@@ -176,7 +195,10 @@ def _page_cache(world: World, elevation: Elevation, map_crs: CRS) -> PageCache:
 
 
 def detail_ends(farthest_nodes: float) -> list[tuple[float, float]]:
-    """Return the range of distances of each level of detail, in nodes of the finest one, up to a distance."""
+    """Return the nearest and the farthest distance at which each level of detail is used, in nodes at full detail.
+
+    The last range includes ``farthest_nodes``.
+    """
     ends, near, far = [], 0.0, float(FULL_DETAIL_NODES)
     while near < farthest_nodes:
         ends.append((near, far))
@@ -185,10 +207,13 @@ def detail_ends(farthest_nodes: float) -> list[tuple[float, float]]:
 
 
 def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
-    """Return upper bounds float32 (m, n) of the heights of pages, and the row and column of the first page."""
+    """Return upper bounds of the heights of pages at a level of detail, float32 (m, n) in metres, and the first page.
+
+    The first page is given by its row and column, counted in pages from the grid's origin.
+    """
     row, col, half = overview_on_grid(ground.world, ground.elevation, ground.grid)
     high = ground.elevation.overview.high_m
-    holes = FILL_CELLS * 2**level if np.isnan(high).any() else 0  # holes are filled from their rims
+    holes = FILL_CELLS * 2**level if np.isnan(high).any() else 0  # heights in holes are interpolated from the ground around them
     valid = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)
     row, col, half, high = row[valid], col[valid], half[valid] + holes + 2**level, high[valid]
     side = PATCH_QUADS * 2**level
@@ -202,14 +227,14 @@ def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
             np.maximum.at(bound, (np.minimum(top + down, bottom) - first_row, np.minimum(left + offset, right) - first_col), high)
     if not revolution:
         return bound, first_row, first_col
-    reach = int(np.ceil(revolution)) + 1  # all round the earth: one turn more to either side, bounded by the overall maximum
+    reach = int(np.ceil(revolution)) + 1  # a global raster: add 360 degrees to either side
     wide = np.full((bound.shape[0], bound.shape[1] + 2 * reach), high.max(), np.float32)
     wide[:, reach:-reach] = np.where(np.isfinite(bound), bound, high.max())
     return wide, first_row, first_col - reach
 
 
 def _columns_per_revolution(ground: PagedRelief) -> float:
-    """Return the nodes in 360 degrees of a ground that spans the whole earth; 0 for all others."""
+    """Return the number of grid columns in 360 degrees, if the ground spans the whole earth; otherwise 0."""
     west, _, east, _ = ground.elevation.bounds
     if not ground.grid.crs.is_geographic or east - west < 360.0 - 1.5 * ground.grid.step:
         return 0.0
@@ -217,7 +242,7 @@ def _columns_per_revolution(ground: PagedRelief) -> float:
 
 
 def _grown_copy(array: np.ndarray, room: int) -> np.ndarray:
-    """Return a copy of an array with room for more pages."""
+    """Return a copy of an array of pages, enlarged to ``room`` pages."""
     grown = np.empty((room, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array
     return grown
@@ -225,7 +250,10 @@ def _grown_copy(array: np.ndarray, room: int) -> np.ndarray:
 
 @compiled
 def _tile_max(height):
-    """Return the maximum (16, 16) of a page's nodes (257, 257) by tile, with the tiles' borders; -inf without ground."""
+    """Return the maximum height (16, 16) of each tile of a page with nodes (257, 257); -inf without ground.
+
+    A node on the border of two tiles counts for both.
+    """
     out = np.empty((PAGE_TILES, PAGE_TILES), np.float32)
     out[:] = -np.inf
     for i in range(height.shape[0]):
@@ -241,9 +269,10 @@ def _tile_max(height):
 
 @compiled
 def quad_height(nw, ne, sw, se, fr, fc):
-    """Return the height at a share of the way south and east of a quad; NaN outside of its triangles.
+    """Return the height in a quad at ``fr`` of the way from north to south and ``fc`` of the way from west to east.
 
-    The quad is cut along its higher diagonal (``skugga.terrain.ground.sheet``).
+    ``nw``, ``ne``, ``sw`` and ``se`` are the heights of its corners. The quad is cut into two triangles along its higher diagonal
+    (``skugga.terrain.ground.sheet``). The result is NaN in a triangle with a missing corner.
     """
     rising = ne + sw
     if nw + se > rising or np.isnan(rising):

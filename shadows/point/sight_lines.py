@@ -4,10 +4,11 @@ A line is the geodesic of its azimuth on the ellipsoid. It leaves the vertical p
 tangent plane like a circle with the ellipsoid's radius in that azimuth (Euler's formula, 1/R = cos^2 A / M + sin^2 A / N). After
 100 km the drop is accurate to 0.1 m, a millionth of a radian (0.04 m at the latitudes from 0 to 80).
 
-The positions on the grid are exact for ``SPOKES`` azimuths and a few distances. Between these azimuths they follow the
-trigonometric polynomial through them: a map's distortion grows with powers of the distance over the earth's radius, one harmonic
-per power. This fails at a pole of a grid in degrees, where every azimuth is computed. Between distances a line is straight on the
-grid. The distances grow by an eighth, so it is off by at most a few hundred-thousandths of its distance.
+The positions on the grid are exact for ``SPOKES`` azimuths and a few distances. Between these azimuths a trigonometric polynomial
+interpolates them. Few harmonics suffice, because each one belongs to a further power of the distance divided by the earth's radius.
+At a pole of a grid in degrees this fails, and the positions are computed for every azimuth. Between two distances a line is
+straight on the grid. Each distance is an eighth larger than the one before. So the error is at most a few hundred-thousandths of
+the distance.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, is_longitude_lat
 from skugga.terrain.ground.elevation import Elevation
 
 FIRST_M, GROWTH = 500.0, 1.125
-"""The first distance of the lines' positions, and the factor from one to the next."""
+"""The first distance in metres at which positions of lines are computed, and the factor from one distance to the next."""
 
 SPOKES, HARMONICS = 20, 8
-"""Number of azimuths with exact positions, and of harmonics between them."""
+"""Number of azimuths with exact positions, and number of harmonics of the polynomial that interpolates between them."""
 
 SPOKES_ERROR = 1e-3
-"""Tolerance in nodes for the highest harmonics; beyond it every line is computed exactly."""
+"""Tolerance in nodes for the harmonics that the polynomial leaves out. If they exceed it, every line is computed exactly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +44,11 @@ class SightLines:
     azimuth_deg
         (n,), clockwise from true north (in a flat world from grid north).
     distance_m
-        (k,): along the ground at height 0, from 0 on.
+        (k,): distances along the ground at height 0, the first one 0.
     row, col
-        (n, k): nodes of the ground's grid.
+        (n, k): fractional rows and columns on the ground's grid.
     curvature
-        (n,): 1 / the earth's radius in metres; 0 in a flat world.
+        (n,), 1 / metres: the earth's curvature along each line; 0 in a flat world.
     """
 
     azimuth_deg: np.ndarray
@@ -58,7 +59,10 @@ class SightLines:
 
 
 def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray, farthest_m: float) -> SightLines:
-    """Return the lines from a place towards azimuths (n,), up to a distance, or to the edge of the grid's CRS."""
+    """Return the lines of sight from a place towards azimuths (n,) in degrees.
+
+    They reach at least to ``farthest_m``, or to the edge of the area where the grid's CRS is defined.
+    """
     count = max(int(np.ceil(np.log(max(farthest_m / FIRST_M, 1.0)) / np.log(GROWTH))), 1)
     distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
     if ground.world.flat:
@@ -76,16 +80,16 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
 
 @dataclass(frozen=True, eq=False)
 class Spokes:
-    """Trigonometric polynomials in the azimuth for rows and columns at k distances.
+    """Trigonometric polynomials in the azimuth that give the rows and columns of lines of sight at k distances.
 
-    Lines of sight are interpolated between the exact ones at a few azimuths (spokes).
+    They interpolate between the exact lines at a few azimuths (spokes).
 
     Attributes
     ----------
     real, imaginary
-        (m, 2 k): coefficients.
+        (m, 2 k): real and imaginary parts of the coefficients, for m harmonics.
     is_smooth
-        Whether they are accurate between the spokes.
+        Whether the polynomials are accurate between the spokes.
     """
 
     real: np.ndarray
@@ -95,7 +99,11 @@ class Spokes:
 
 @cached("scene", 4 * MIB)
 def _spokes(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> Spokes:
-    """Return the spokes of a place, up to the edge of the grid's CRS. They are cached: a report uses one place several times."""
+    """Return the polynomials for lines of sight from a place, at ``count`` + 2 distances.
+
+    Distances beyond the edge of the area where the grid's CRS is defined are left out. The result is cached, since a report uses
+    one place several times.
+    """
     distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
     nodes = _globe_nodes(grid, place, np.arange(SPOKES) * (360.0 / SPOKES), distance)
     finite = np.isfinite(nodes).all(axis=(0, 2))
@@ -114,7 +122,10 @@ def _flat_nodes(
 
 
 def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
-    """Return rows and columns (n, k, 2) at distances (k,) towards azimuths (n,); NaN beyond the edge of the grid's CRS."""
+    """Return rows and columns (n, k, 2) on a grid, at distances (k,) in metres towards azimuths (n,) in degrees.
+
+    They are NaN where the grid's CRS is not defined.
+    """
     azimuth, distance = (v.ravel() for v in np.broadcast_arrays(azimuth_deg[:, None], distance_m))
     lon, lat, _ = place.ellipsoid.fwd(np.full(azimuth.size, place.lon_deg), np.full(azimuth.size, place.lat_deg), azimuth, distance)
     x, y = np.asarray(lon), np.asarray(lat)
@@ -130,7 +141,7 @@ def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distanc
 
 
 def _curvature(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the ellipsoid's curvature (n,), 1 / metres, in vertical planes at azimuths (n,)."""
+    """Return the ellipsoid's curvature (n,), 1 / metres, in vertical planes with azimuths (n,) in degrees."""
     assert place.lat_deg is not None
     a, es = place.ellipsoid.a, place.ellipsoid.es
     root = 1.0 - es * np.sin(np.radians(place.lat_deg)) ** 2

@@ -1,7 +1,8 @@
 """The occlusion of the sky around a point by triangles, for example of buildings and models.
 
-The vertical plane of a direction cuts a triangle in a straight segment, which ends on two of the triangle's edges. Its elevation
-angle is largest at one end. A ray of the direction meets the triangle if it passes between the ends.
+A direction is an azimuth. Its vertical plane cuts a triangle in a straight segment, which ends on two of the triangle's edges. The
+elevation angle of the segment, seen from the eye, is largest at one end. A ray in the plane meets the triangle if it passes between
+the ends.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from skugga.shadows.point.directions import Directions, direction_range
 from skugga.terrain.compiled import compiled, internal
 
 MIN_DISTANCE_M = 1e-6
-"""Minimum distance in metres from the vertical through the eye; nearer segments are clipped there."""
+"""Minimum distance in metres from the vertical line through the eye. Nearer parts of segments are ignored."""
 
 
 class Sighting(NamedTuple):
@@ -23,11 +24,11 @@ class Sighting(NamedTuple):
     Attributes
     ----------
     tangent
-        (n,): tangent of its elevation angle above the eye's level.
+        (n,): tangent of the elevation angle of the point that is seen.
     distance
-        (n,) metres; inf without an object.
+        (n,), metres: horizontal distance of the point from the eye; inf without an object.
     number
-        (n,): index of the object; -1 without one.
+        (n,): index of the object, a triangle or a tree; -1 without one.
     """
 
     tangent: np.ndarray
@@ -36,14 +37,14 @@ class Sighting(NamedTuple):
 
 
 def empty_sighting(count: int, tangent: float = -np.inf) -> Sighting:
-    """Return a sighting without objects, in so many directions."""
+    """Return a sighting without objects in ``count`` directions, with an initial ``tangent``."""
     return Sighting(np.full(count, tangent), np.full(count, np.inf), np.full(count, -1, np.int64))
 
 
 def highest_solids(point_enu_m: np.ndarray, triangles: np.ndarray, directions: Directions, sighting: Sighting) -> None:
-    """Replace entries of ``sighting`` by triangles (m, 3) of points (k, 3) with larger tangents towards directions.
+    """Replace entries of ``sighting`` by triangles in their directions, where these have larger elevation angles.
 
-    The points are in metres east, north and up from the eye.
+    ``triangles`` (m, 3) holds indices of points. ``point_enu_m`` (k, 3) are metres east, north and up from the eye.
     """
     _sight_triangles(point_enu_m, triangles, directions, sighting.tangent, True, sighting)
 
@@ -51,7 +52,11 @@ def highest_solids(point_enu_m: np.ndarray, triangles: np.ndarray, directions: D
 def nearest_solids(
     point_enu_m: np.ndarray, triangles: np.ndarray, directions: Directions, tangent: np.ndarray, sighting: Sighting
 ) -> None:
-    """Replace entries of ``sighting`` by nearer triangles that rays meet, with ``tangent`` (n,) above the eye's level."""
+    """Replace entries of ``sighting`` by triangles that rays meet, where these are nearer.
+
+    ``tangent`` (n,) is the tangent of each ray's elevation angle, in the order of ``directions``. The other parameters are those of
+    ``highest_solids``.
+    """
     _sight_triangles(point_enu_m, triangles, directions, tangent, False, sighting)
 
 
@@ -90,14 +95,17 @@ def azimuth_of(p):
 
 @internal
 def _is_overhead(a, b, c):
-    """Return whether the vertical through the eye meets a triangle, or nearly does."""
+    """Return whether the vertical line through the eye meets a triangle or its rim."""
     ab, bc, ca = a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]
     return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)
 
 
 @internal
 def _sight_triangle(a, b, c, sine, cosine, tangent, highest, sighting, n, m):
-    """Test one triangle in one direction."""
+    """Update the entry ``n`` of ``sighting`` with the triangle ``m`` with the corners ``a``, ``b`` and ``c``.
+
+    ``sine`` and ``cosine`` are those of the direction's azimuth. ``tangent`` and ``highest`` are those of ``sight_segment``.
+    """
     crossings = 0
     s0 = z0 = s1 = z1 = 0.0
     for k in range(3):
@@ -119,7 +127,12 @@ def _sight_triangle(a, b, c, sine, cosine, tangent, highest, sighting, n, m):
 
 @internal
 def sight_segment(s0, z0, s1, z1, tangent, highest, sighting, n, m):
-    """Test a straight segment in the plane of a direction, from one distance and height above the eye to another."""
+    """Update the entry ``n`` of ``sighting`` with a straight segment of object ``m`` in the vertical plane of a direction.
+
+    The segment leads from the distance ``s0`` and the height ``z0`` above the eye to ``s1`` and ``z1``, metres. If ``highest``, it
+    replaces the entry if its elevation angle is larger. Otherwise it does so if the ray with ``tangent`` meets it at a smaller
+    distance.
+    """
     if s0 > s1:
         s0, z0, s1, z1 = s1, z1, s0, z0
     if s1 <= MIN_DISTANCE_M:

@@ -1,6 +1,7 @@
-"""The sun's direction at a point, in the point's own axes. A level has one direction to the sun.
+"""Azimuth and altitude of the sun at a point, relative to the horizontal plane and the north direction at the point.
 
-Refraction is that of the level's anchor, as everywhere (``skugga.terrain.geo.sun``), so that points and masks agree.
+The earth-fixed direction to the sun is the same for all points of a level. Refraction is computed at the level's anchor
+(``skugga.terrain.geo.sun``), so that results for points agree with shadow masks.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from skugga.terrain.scene import Scene
 
 
 def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
-    """Return earth-fixed unit vectors (n, 3) towards the sun, refracted, at UTC seconds since 1970.
+    """Return earth-fixed unit vectors (n, 3) towards the apparent (refracted) sun, at times ``utc_s`` (n,).
 
-    Raises ``InputError`` off the earth, and for years outside of the sun's ephemeris.
+    Times are UTC seconds since 1970.
+
+    Raises ``InputError`` for worlds other than the earth, and for years outside of the sun's ephemeris.
     """
     if world.off_earth_reason is not None:
         raise InputError(
@@ -29,9 +32,9 @@ def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
 
 
 def sun_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return UTC seconds (n,) in even steps and at the end of a time span, and the sun's directions (n, 3).
+    """Return UTC seconds (n,) in even steps and at the end of a time span, and the unit vectors (n, 3) towards the sun.
 
-    The last results are cached, since all points of a level share them. Raises as ``sun_directions``.
+    The last results are cached, since all points of a level share them. Raises the errors of ``sun_directions``.
     """
     if world.off_earth_reason is not None:
         sun_directions(world, np.zeros(0))
@@ -45,7 +48,7 @@ def _cached_samples(world: World, begin_s: float, end_s: float, step_s: float) -
 
 
 def angles_at(place: PointPlace, to_sun_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and altitudes (n,) in degrees of earth-fixed directions (n, 3) at a place."""
+    """Return the azimuths and the altitudes, (n,) degrees each, of earth-fixed directions (n, 3) at a place."""
     east, north, up = (to_sun_earth @ place.earth_from_enu).T
     return np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arctan2(up, np.hypot(east, north)))
 

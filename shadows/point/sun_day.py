@@ -1,8 +1,8 @@
 """A day's sun at a point: sunrise and sunset, the intervals of direct sun, and the occluders at their ends.
 
-The sun is the centre of its disc, refracted as everywhere in this engine. It is up while it is above the level plane through the
-point. It is sampled every ``STEP_S``. Changes between two samples are located to ``FINE_STEP_S``. Sun or shade of less than
-``STEP_S`` may be missed.
+The sun is the centre of its disc, with refraction. It is up while it is above the horizontal plane through the point. It is sampled
+every ``STEP_S`` seconds. Changes between two samples are located with an accuracy of ``FINE_STEP_S`` seconds. Intervals of sun or
+shade that are shorter than ``STEP_S`` may be missed.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class SunlitInterval:
     Attributes
     ----------
     begin, end
-        Its times.
+        Start and end of the interval.
     after
-        The caster that hides the sun before ``begin``; ``None`` at sunrise over the level horizon, or where the day begins.
+        The caster that hides the sun before ``begin``; ``None`` at sunrise over a flat horizon, or if the day begins there.
     before
-        The caster that hides the sun after ``end``; ``None`` at sunset over the level horizon, or where the day ends.
+        The caster that hides the sun after ``end``; ``None`` at sunset over a flat horizon, or if the day ends there.
     """
 
     begin: datetime
@@ -55,13 +55,13 @@ class SunDay:
     day
         The date.
     sunrise, sunset
-        Over the level horizon; ``None`` on a day without.
+        Times of sunrise and sunset over a flat horizon; ``None`` on a day without.
     noon
         The time of the sun's highest altitude.
     noon_altitude_deg
-        That altitude.
+        The sun's highest altitude, degrees.
     first_sun, last_sun
-        The ends of direct sun; ``None`` without any.
+        Start of the first and end of the last interval of direct sun; ``None`` without any.
     daylight_h
         Hours with the sun up.
     direct_h
@@ -71,7 +71,7 @@ class SunDay:
     sunlit
         The intervals of direct sun.
     remark
-        The reason in words for a value of ``None``.
+        Explanation of values of ``None``, such as polar night; ``None`` if there is nothing to explain.
     """
 
     day: date
@@ -89,7 +89,7 @@ class SunDay:
 
 
 def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
-    """Return the sun of a day at a place.
+    """Compute the sun of a day at a place, from midnight to midnight by ``clock``.
 
     Raises ``InputError`` in a flat world, for years outside of the sun's ephemeris, and for a day that the clock's calendar skips.
     """
@@ -145,7 +145,10 @@ def _remark(up: np.ndarray, shines: bool, rises: int, sets: int) -> str | None:
 
 
 def _crossings(times_s: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> np.ndarray:
-    """Return the times at which the altitude crosses 0 upwards or downwards, linear between two samples."""
+    """Return the times, in seconds, at which the sun's altitude crosses 0 upwards (``rising``) or downwards.
+
+    The altitude is interpolated linearly between samples.
+    """
     up = altitude_deg > 0.0
     n = np.flatnonzero(up[1:] & ~up[:-1] if rising else ~up[1:] & up[:-1])
     share = altitude_deg[n] / (altitude_deg[n] - altitude_deg[n + 1])
@@ -153,14 +156,17 @@ def _crossings(times_s: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> n
 
 
 def _daylight_s(times_s: np.ndarray, altitude_deg: np.ndarray, up: np.ndarray, rises: np.ndarray, sets: np.ndarray) -> float:
-    """Return the seconds during which the sun is up."""
+    """Return the total time in seconds during which the sun is up."""
     begins = np.concatenate([[times_s[0]] if up[0] else [], rises])
     ends = np.concatenate([sets, [times_s[-1]] if up[-1] else []])
     return float(np.sum(ends - begins))
 
 
 def _culmination_s(times_s: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
-    """Return the time of the highest altitude: the vertex of the parabola through three samples."""
+    """Return the time in seconds of the sun's highest altitude, near sample ``n``, which is the highest one.
+
+    It is the vertex of the parabola through this sample and its two neighbours.
+    """
     if not 0 < n < len(times_s) - 1:
         return float(times_s[n])
     before, at, after = altitude_deg[n - 1 : n + 2]
@@ -176,9 +182,10 @@ def _change_times_s(
     lit: np.ndarray,
     changes: np.ndarray,
 ) -> np.ndarray:
-    """Return the times, in seconds, at which direct sun begins or ends after each of the samples ``changes``.
+    """Return the times, in seconds, at which direct sun begins or ends.
 
-    The sun moves evenly between two samples.
+    ``changes`` holds the indices of the samples with a change before the next sample. The sun is assumed to move evenly between two
+    samples.
     """
     if not len(changes):
         return np.zeros(0)
@@ -201,15 +208,19 @@ def _occluders_at(
     lit: np.ndarray,
     changes: np.ndarray,
 ) -> list[SunCaster | None]:
-    """Return the occluder of the sun on the dark side of each change."""
+    """Return the caster that hides the sun just before or after each change between sun and shade.
+
+    ``changes`` holds the indices of the samples with a change before the next sample. The caster is that at the sample in shade.
+    """
     dark = np.where(lit[changes], changes + 1, changes)
     return sun_occluders(surroundings, azimuth_deg[dark], altitude_deg[dark]) if len(dark) else []
 
 
 def sampled_sun_hours(surroundings: Surroundings, day: date, clock: tzinfo) -> float:
-    """Return the hours of direct sun of a day from samples every ``COARSE_STEP_S`` alone.
+    """Return the approximate hours of direct sun of a day, from samples every ``COARSE_STEP_S`` seconds.
 
-    This is for many points: each end of direct sun is off by at most 2.5 minutes.
+    It is faster than ``sun_day`` and meant for many points. The start and the end of each interval of sun are off by at most 2.5
+    minutes.
     """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
     _, to_sun = sun_samples(surroundings.scene.world, begin + COARSE_STEP_S / 2, end, COARSE_STEP_S)

@@ -1,8 +1,8 @@
 """Hours of sun of each day of a year at a point.
 
-The sun is sampled every ``YEAR_STEP_S``, and each sample counts for one step. So each end of direct sun is off by up to half a
-step; over a day the errors of the two ends mostly cancel. Ground is tested against the horizon every ``FINE_HORIZON_DEG``, linear
-between. Buildings and trees are tested by rays.
+The sun is sampled every ``YEAR_STEP_S`` seconds, and each sample counts for one step. So the start and the end of an interval of
+direct sun are off by at most half a step. Over a day these errors mostly cancel. The sun is compared with the horizon by ground,
+which is computed every ``FINE_HORIZON_DEG`` degrees of azimuth and interpolated linearly. Buildings and trees are tested by rays.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ class SunYear:
 
 
 def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
-    """Return the hours of sun of every day that a year has by a clock. Raises as ``sun_day``."""
+    """Return the hours of sun of every day of a year by a clock. Days that the clock's calendar skips are left out.
+
+    Raises the errors of ``sun_directions``.
+    """
     dates = (date(year, 1, 1) + timedelta(days=n) for n in range((date(year + 1, 1, 1) - date(year, 1, 1)).days))
     days = tuple(day for day in dates if has_day(day, clock))
     midnight = np.array([day_bounds(day, clock)[0].astimezone(UTC).timestamp() for day in days])
@@ -58,7 +61,7 @@ def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
 
 
 def _interpolated_relief_deg(surroundings: Surroundings, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the horizon angle by ground (n,) towards azimuths, in degrees."""
+    """Return the elevation angle of the ground's horizon, (n,) degrees, towards azimuths (n,) in degrees."""
     grid = np.arange(0.0, 360.0 + FINE_HORIZON_DEG / 2, FINE_HORIZON_DEG)
     tangent = relief_horizon(surroundings.scene, surroundings.place, grid).tangent
     return np.interp(azimuth_deg, grid, np.degrees(np.arctan(tangent)))

@@ -1,4 +1,4 @@
-"""Terms and limits of queries for points."""
+"""Kinds of casters and limits for queries about the sun at a point."""
 
 from __future__ import annotations
 

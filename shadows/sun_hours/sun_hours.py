@@ -57,7 +57,8 @@ LINES_PER_COLUMN = 8
 CASTER_SEARCH_MIN = 15.0
 """Minutes between two searches for ground beside a block that casts shadows on it.
 
-Ground that hides the sun only between two searches is missed. Such ground is about fifteen times as far away as the block is wide.
+Ground that hides the sun only between two searches is missed. Such ground is at least about fifteen times as far away as the block
+is wide.
 """
 
 DRAWN_STEP_MIN = 2.0
@@ -139,8 +140,8 @@ def sun_hours(
     rules
         The definition of direct sun.
     plan_of
-        Function that returns the plan (algorithms and settings) for a scene. It is called only if objects stand on the ground, or if
-        cells are not nodes of the map's grid.
+        Function that returns the plan (algorithms and settings) for a scene. It is called only if objects stand on the ground, or
+        if cells are not nodes of the map's grid.
     on_day
         Function to call after each day.
 
@@ -321,7 +322,10 @@ class _TerrainBlock:
 
 
 class _RenderedBlock:
-    """A block with objects, whose shadows a plan's algorithms render. The clearance of a cell is the visible share of the sun - 0.5."""
+    """A block with objects, whose shadows a plan's algorithms render.
+
+    The clearance of a cell is the visible share of the sun less 0.5.
+    """
 
     def __init__(self, scene: Scene, view: MapView, plan_of: Callable[[Scene], Plan]) -> None:
         self._scene, self._view, self._plan_of = scene, view, plan_of

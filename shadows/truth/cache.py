@@ -1,4 +1,7 @@
-"""Disk cache of truth. The cache key is a digest of the content: points, triangles, sun and number of sub-samples."""
+"""Disk cache of the ray-traced reference (truth).
+
+The cache key is a digest of the content: points, triangles, light and number of sub-samples.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,10 @@ def cached_truth(
     folder: Path | None = None,
     make: Callable[..., Truth] = trace_truth,
 ) -> Truth:
-    """Return ``trace_truth``, from the disk cache if possible. A read-only folder is no error."""
+    """Return the result of ``trace_truth``, from the disk cache if possible.
+
+    A folder that cannot be written raises no error. ``make`` computes a truth that is not cached.
+    """
     folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.valid.shape

@@ -41,7 +41,7 @@ class ErrorMetrics:
     Attributes
     ----------
     wrong
-        Share of D with the wrong class.
+        Share of D (the decidable pixels of the surface) with the wrong class.
     wrong_cast
         Wrong pixels as a share of the pixels that truth or the algorithm puts in cast shadow (attached shadow excluded); 0 if there
         are none.
@@ -79,14 +79,15 @@ class ErrorMetrics:
 
 @dataclass(frozen=True)
 class MetricCoverage:
-    """Numbers of cast shadow pixels of a picture that a metric covers, and of wrong pixels in all of the picture.
+    """The number of pixels in cast shadow that a metric covers, and of wrong pixels in the whole picture.
 
     Attributes
     ----------
     cast_px
         Decidable pixels in cast shadow by truth (attached shadow excluded). For an edge metric, the boundary of the cast shadow.
     covered_px
-        Those of them that the metric would count if all cast shadow were missed. For an edge metric, those with a counterpart.
+        Number of ``cast_px`` that the metric would count if all cast shadow were missed. For an edge metric, those whose shadow
+        overlaps a shadow of the algorithm.
     wrong_px
         Decidable pixels outside of attached shadow with the wrong class.
     union_px
@@ -110,9 +111,10 @@ class MetricCoverage:
 
 
 def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> MetricCoverage:
-    """Return how much cast shadow lies in a metric's mask ``region``, and how many pixels are wrong.
+    """Return how much cast shadow lies in the mask of a metric, and how many pixels of the whole picture are wrong.
 
-    ``dark`` is the algorithm's class (rows, cols), True in shadow; ``region`` the metric's mask (rows, cols).
+    ``dark`` (rows, cols) is the algorithm's class, True in shadow. ``region`` (rows, cols) is the mask of the pixels that the
+    metric covers.
     """
     comparable, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.valid
     dark, cast = dark & truth.valid, comparable & true_dark
@@ -121,7 +123,10 @@ def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> Metri
 
 
 def edge_metric_coverage(dark: np.ndarray, truth: Truth) -> MetricCoverage:
-    """Return the shadow that the edge metric covers: the boundary of the components of true shadow that ``dark`` overlaps."""
+    """Return how much of the true shadow's boundary the edge metric covers.
+
+    It covers the boundary of the components of true shadow that the algorithm's shadow ``dark`` (rows, cols) overlaps.
+    """
     from scipy.ndimage import label
 
     comparable, true_dark = truth.valid & ~truth.attached, ~truth.lit & truth.valid
@@ -134,7 +139,10 @@ def edge_metric_coverage(dark: np.ndarray, truth: Truth) -> MetricCoverage:
 
 
 def interior_region(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
-    """Return the mask (rows, cols) of ``interior``: pixels farther from truth's boundary than 2 px and two texel footprints."""
+    """Return the mask (rows, cols) of the pixels that the metric ``interior`` covers.
+
+    They are farther from truth's boundary than 2 px and two texel footprints.
+    """
     return _distance_to_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px)
 
 
@@ -193,9 +201,10 @@ def error_metrics(
 
 
 def edge_distances(dark: np.ndarray, true_dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return the distances (n,) in pixels, in both directions, between boundaries of overlapping shadow components.
+    """Return the distances (n,), in pixels, between the boundaries of shadow components that overlap in both pictures.
 
-    A component without overlap in the other picture is missed or false shadow. It counts in ``interior``, not here.
+    They run from each boundary pixel of one picture to the nearest one of the other, in both directions. A component without
+    overlap in the other picture is missed or false shadow. It counts in ``interior``, not here.
     """
     from scipy.ndimage import label
     from scipy.spatial import KDTree
@@ -232,16 +241,20 @@ def distance_to_edges_px(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the mask (of a shape) of pixels whose classes ``far_from_edges`` reads for pixels (n,) and distances (n,)."""
+    """Return the mask of the pixels whose classes ``far_from_edges`` reads, bool of the given ``shape``.
+
+    It is for pixels ``row``, ``col`` (n,) and their distances (n,).
+    """
     out = np.zeros(shape, bool)
     _mark_squares(row, col, distance_px, out)
     return out
 
 
 def far_from_edges(dark: np.ndarray, valid: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
-    """Return the mask (n,) of pixels farther than distances (n,) from both sides of any shadow boundary (``distance_to_edges_px``).
+    """Return which pixels lie farther from both sides of any shadow boundary than given distances, bool (n,).
 
-    It reads only the classes in the mask of ``edge_test_region``.
+    ``row``, ``col`` and ``distance_px`` (n,) are the pixels and their distances. Distances are as in ``distance_to_edges_px``. The
+    function reads only the classes in the mask of ``edge_test_region``.
     """
     return _far_from_edges(dark, valid, row, col, distance_px)
 

@@ -1,10 +1,10 @@
-"""`truth`: ray-traced visibility of a light, through the same triangles and from the same points as all algorithms.
+"""Algorithm `truth`: ray-traced visibility of a light, through the same triangles and from the same points as all algorithms.
 
-- A pixel is lit if its triangle's geometric normal faces the sun, and a ray from its visible point to the sun hits nothing. The ray
-  starts off the triangle by the offset that ``skugga.terrain.casters.rays`` derives.
-- A pixel is *decidable* if the results at one, two and four offsets, and at S stratified sub-samples of the pixel, all agree.
-  Otherwise it is boundary, where no error counts.
-- If several triangles share a point, the one that faces the sun most counts (``skugga.terrain.gbuffer.light_facing``).
+- A pixel is lit if its triangle's geometric normal faces the light, and a ray from its visible point to the light hits nothing. The
+  ray starts off the triangle by the offset that ``skugga.terrain.casters.rays`` derives.
+- A pixel is *decidable* if the results at one, two and four times this offset, and at S stratified sub-samples of the pixel, all
+  agree. Otherwise it is boundary, where no error counts.
+- If several triangles share a point, the one that faces the light most counts (``skugga.terrain.gbuffer.light_facing``).
 """
 
 from __future__ import annotations
@@ -96,9 +96,9 @@ def fill(
     settings: TruthSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Return the visibility of a light, float32 (rows, cols) in [0, 1]: the interface of all algorithms.
+    """Return a light's visibility at a buffer's points where only some kinds of casters block it, float32 (rows, cols) in [0, 1].
 
-    With more than one of ``light_samples`` the light is an area, and visibility is the mean over that many stratified points.
+    If ``light_samples`` is more than 1, the light is an area. Visibility is then the mean over that many stratified points of it.
     """
     (rays_pass,) = log.named(light, kinds, PASSES)
     with log.run(rays_pass):
@@ -206,7 +206,7 @@ def coverage_truth(
     light: str = SUN,
     rays: RayScene | None = None,
 ) -> np.ndarray:
-    """Return true shadow shares of a sample of blocks, float64 (rows // block_px, cols // block_px), NaN for other blocks.
+    """Return the true shares of shadow in sampled blocks, float64 (rows // block_px, cols // block_px), NaN for other blocks.
 
     At most ``blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``samples`` (a square number)
     regular sub-samples. ``rays`` is as in ``trace_truth``.
@@ -317,7 +317,10 @@ def lit_mask(
     offset_factor: float = 1.0,
     receiver_mask: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the mask (rows, cols) of a buffer's points that see a light; False off the surface and outside ``receiver_mask``."""
+    """Return which points of a buffer see a light, bool (rows, cols); False off the surface and outside of ``receiver_mask``.
+
+    Rays start off their triangles by ``offset_factor`` times the offset of ``rays``.
+    """
     if light == SUN:
         assert scene.sun is not None
         return lit_mask_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offset_factor, receiver_mask)
@@ -333,7 +336,10 @@ def lit_mask(
 def _unblocked_mask(
     buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_factor: float
 ) -> np.ndarray:
-    """Return the mask (rows, cols) of ``facing`` points from which nothing blocks the ray ``to_light`` (rows, cols, 3)."""
+    """Return which points in the mask ``facing`` have nothing on their ray to a light, bool (rows, cols).
+
+    ``to_light`` (rows, cols, 3) are the rays from the points to the light, metres.
+    """
     directions = to_light[facing]
     length = np.linalg.norm(directions, axis=-1)
     directions /= length[:, None]
@@ -350,9 +356,10 @@ def lit_mask_towards(
     offset_factor: float = 1.0,
     receiver_mask: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the mask (rows, cols) of a buffer's points that see a direction (3,) of its frame.
+    """Return which points of a buffer see a direction (3,) of its frame, bool (rows, cols).
 
-    It is False off the surface and outside of ``receiver_mask``.
+    The result is False off the surface and outside of ``receiver_mask``. Rays start off their triangles by ``offset_factor`` times
+    the offset of ``rays``.
     """
     direction = np.asarray(direction, np.float64)
     source = light_position(direction, 0.0)
@@ -377,7 +384,7 @@ def _offset_origins(
 
 
 def jittered_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
-    """Return views shifted within a pixel: a random offset in each of ``samples`` (a square number) strata.
+    """Return views shifted within a pixel, one for each of ``samples`` sub-samples: a random offset in each of as many strata.
 
     Raises ``ValueError`` if ``samples`` is no square number.
     """

@@ -1,1 +1,1 @@
-"""Shadow volumes: `shadow_volume`; edges, silhouettes, the volumes' triangles, and counting them in the stencil."""
+"""Algorithm `shadow_volume`: edges and silhouettes of casters, the volumes' triangles, and counting them in the stencil."""

@@ -1,12 +1,12 @@
-"""Count shadow volumes in the pixels of a view, through the stencil.
+"""Count the shadow volumes that contain the points of a view, through the stencil.
 
-A surface counts as in front of its near cap: the cap lies behind the point.
+In each pixel, the volume of a caster adds a signed sum over its faces. Z-pass sums over the faces in front of the pixel's point,
+z-fail over those behind it. Z-pass is right while the near plane lies outside of the volume. Z-fail is always right, but needs near
+and far caps. Both kinds of sums add up in one stencil. A volume is counted by z-fail if the caster's bounds reach into the region
+between the light and the near plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above and uses
+z-pass. Under a lamp, volumes that contain even that viewpoint count in every pixel.
 
-Each caster's volume adds a sum of its own in every pixel. The sum is over its faces in front of the point (z-pass), or over those
-behind it (z-fail). Z-pass is right while the near plane lies outside of the volume. Z-fail is always right, but needs near and far
-caps. Both sums add up in one stencil. A volume is counted by z-fail if the caster's bounds reach into the region between the light
-and the near plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above and uses z-pass. Under a lamp,
-volumes that contain even that viewpoint count in every pixel.
+A near cap coincides with the surface of its caster. It counts as behind the points of that surface.
 
 Volumes are drawn in rectangles of tiles that contain points. Each rectangle draws only the faces that matter there
 (``skugga.shadows.volumes.tiles``).
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from moderngl import Framebuffer
 
 COUNT_BITS = ~MARK_BIT & 0xFF
-"""The bits of the stencil that count."""
+"""The bits of the stencil that hold the count. The other bit marks pixels."""
 
 MAP_OFFSET_STEPS = 16.0
 """Steps of a float32 depth by which faces are drawn farther away in a map.
@@ -65,8 +65,8 @@ def count(
 ) -> np.ndarray:
     """Return the number of volumes that contain each point of a buffer, uint8 (rows, cols), at most 127.
 
-    It is 0 outside of ``receiver_mask``. If ``uses_mark_bit`` is true, a stencil bit rejects all other pixels of the view. Pixels
-    of the samples' view that are no samples are always rejected.
+    It is 0 outside of ``receiver_mask``. If ``uses_mark_bit`` is true, a bit of the stencil restricts counting to the receivers'
+    pixels. Further samples of a perspective view are drawn in a finer view, which always uses this bit.
     """
     counts = np.zeros(receiver_mask.shape, np.uint8)
     if not any(len(volume_set.faces) for volume_set in volumes):
@@ -89,8 +89,8 @@ def count(
 def _is_sun_aligned(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bool:
     """Return whether sides of volumes may pass exactly through pixel centres.
 
-    That is in a flat world's map, under a sun along the axes or the diagonals of its pixels. A rasteriser assigns such a centre to
-    one side only, always the same. A point on a side lies in the volume, as an edge stops a ray that meets it. Such a view is
+    They may in a flat world's map, under a sun along the axes or the diagonals of its pixels. A rasteriser assigns such a centre to
+    one side only, always the same. A point on a side should lie in the volume, as an edge stops a ray that meets it. Such a view is
     therefore counted a second time, rotated by half a turn, where the centre falls to the other side.
     """
     view = buffer.view
@@ -159,7 +159,7 @@ def _count_points(
     uses_mark_bit: bool,
     record: PassRecord,
 ) -> np.ndarray:
-    """Return the counts (n,) uint8 of some points."""
+    """Return the number of volumes that contain each of some points, uint8 (n,)."""
     gl, size = device(), points.size
     from_above = points.near_frame_m is None
     clamped, offset_steps = from_above and light[3] != 0.0, MAP_OFFSET_STEPS if from_above else 0.0
@@ -215,7 +215,7 @@ def _layers_around_viewer(volumes: Volumes, points: VisiblePoints, lamp: np.ndar
 def _counting_methods(
     volumes: Volumes, points: VisiblePoints, light: np.ndarray, settings: StencilSettings
 ) -> list[tuple[CountMode, np.ndarray]]:
-    """Return the counting methods, each with the faces (m, 3) that it counts."""
+    """Return the counting methods (z-pass, z-fail) of some volumes, each with the faces (m, 3) that it counts."""
     if points.near_frame_m is None:
         return [("z_pass", volumes.faces)]
     if settings.counting == "z_fail":
@@ -225,9 +225,12 @@ def _counting_methods(
 
 
 def _render(gl: Device, target: Framebuffer, array: moderngl.VertexArray, parts: np.ndarray, starts: np.ndarray) -> None:
-    """Draw the faces of each rectangle of a framebuffer, clipped to it."""
+    """Draw the faces of each rectangle in ``parts`` (k, 4) of a framebuffer, clipped to the rectangle.
+
+    ``starts`` (k + 1,) are the indices of the rectangles' first faces.
+    """
     for part, first, end in zip(parts.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         if end > first:
             target.scissor = tuple(part)
             gl.render(array, vertices=3 * (end - first), first=3 * first)
-    target.scissor = None  # type: ignore[assignment]  # the stubs know of no way to put it back
+    target.scissor = None  # type: ignore[assignment]  # the stubs do not allow None, which ends clipping

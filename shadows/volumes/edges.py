@@ -93,7 +93,10 @@ def closed_parts(edges: Edges) -> np.ndarray:
 
 
 def _welded_vertices(vertices: np.ndarray) -> np.ndarray:
-    """Return one vertex number (n,) int32 for all vertices at one position: that of the first."""
+    """Return the number (n,) int32 of the first vertex at each vertex's position.
+
+    All vertices at one position thus have one number.
+    """
     bits = (vertices + np.float32(0.0)).view(np.uint32)  # -0 becomes 0
     column, _ = _unique_numbers(_packed_pairs(bits[:, 0], bits[:, 1]))
     number, first = _unique_numbers(_packed_pairs(column, bits[:, 2]))
@@ -109,8 +112,8 @@ def _packed_pairs(high: np.ndarray, low: np.ndarray) -> np.ndarray:
 def _unique_numbers(keys):
     """Return the numbers (n,) int32 of keys (n,) uint64 in the order of their first appearance, and each key's first index, int32.
 
-    It is an open hash table, at most half full. The keys' bits are mixed as in SplitMix64 (Steele, Lea and Flood 2014, "Fast
-    splittable pseudorandom number generators", OOPSLA).
+    The keys are held in a hash table with open addressing, at most half full. Their bits are mixed as in SplitMix64 (Steele, Lea
+    and Flood 2014, "Fast splittable pseudorandom number generators", OOPSLA).
     """
     size = 16
     while size < 2 * len(keys):

@@ -1,9 +1,9 @@
-"""Upper bounds of the layers of shadow volumes over a point, and batches of casters that keep them within the range of a counter.
+"""Bound the layers of shadow volumes over a point, and split casters into batches whose layers a counter can hold.
 
 The layers over a point are the casting triangles between it and the light. They are at most the triangles that cover the point as
-seen from the light. That number is the silhouette's winding number: 0 where no triangle is. Across a directed edge, from its right
-to its left, it grows by the edge's multiplicity. All bounds here count such crossings. They also hold for triangles moved by
-rounding, at every point that rounding does not carry across an edge.
+seen from the light. The number of these triangles is the silhouette's winding number. It is 0 where no triangle is. Across a
+directed edge, from its right to its left, it grows by the edge's multiplicity. All bounds here count such crossings. They also hold
+for triangles moved by rounding, at every point that rounding does not carry across an edge.
 """
 
 from __future__ import annotations
@@ -41,20 +41,23 @@ POLE_AXIS = np.array([0.4364, 0.2182, 0.8729])
 
 
 def max_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -> int:
-    """Return an upper bound of the layers of the volumes of vertices (n, 3) over any point, at most the number of caps.
+    """Return an upper bound of the layers of shadow volumes over any point, at most the number of caps.
 
-    Directions from the light have an angle phi around an axis, rising to the left with the axis upwards. Half-circles phi = phi_k
-    between the poles cut them into lunes. On a plane one unit away from the light, ahead in the middle of a lune, the half-circles
-    and the edges are straight lines; let v be the height there. The count of layers at the lower pole, N(pole), is found triangle
-    by triangle. Along the half-circle phi_k it is known exactly: with rising v it grows by the multiplicity m at an edge that runs
-    to the right, and falls at one that runs to the left. From there to the left, within the lune, it grows only at edges that run
-    upwards. So
+    ``points`` (n, 3) are the vertices of the ``silhouette``.
+
+    Directions from the light have an angle phi around an axis. With the axis upwards, phi rises to the left. Half-circles phi =
+    phi_k between the poles cut the directions into lunes. Take a plane one unit away from the light, ahead in the middle of a lune.
+    On it the half-circles and the edges are straight lines; let v be the height there.
+
+    The number of layers at the lower pole, N(pole), is found triangle by triangle. From there it is known exactly along the
+    half-circle phi_k. With rising v it grows by the multiplicity m at an edge that runs to the right, and falls by m at one that
+    runs to the left. From the half-circle to the left, within the lune, it grows only at edges that run upwards. So
 
         N(phi, v) <= N(phi_k, v) + P_k(v)
 
     where P_k(v) sums the multiplicities of the edges that run upwards through v, cut off at the lune's half-circles. The right-hand
     side is a sum of steps in v. For the sun, the same holds for the points where its rays meet a plane across them, as seen from
-    one unit in front of the plane; there, N(pole) = 0.
+    one unit in front of the plane. There, N(pole) = 0.
     """
     light = homogeneous(light)
     if not len(silhouette.edges):
@@ -86,9 +89,10 @@ def batches(
 ) -> list[np.ndarray]:
     """Return the casting triangles in groups that cover no point more than ``layer_limit`` times; one group if possible.
 
-    Each group is given as turns (m,) int8. Any set of triangles casts a shadow of its own, and a point is dark where any group's
-    shadow covers it. A group that exceeds the bound is halved between connected parts, ordered by their distance from the light. A
-    single part is halved between near and far triangles. Raises ``InputError`` for ``layer_limit`` below 1.
+    A group is given as the orientations (m,) int8 of all triangles, 0 for triangles outside of it. Any set of triangles casts a
+    shadow of its own, and a point is dark where any group's shadow covers it. A group that exceeds the bound is halved between
+    connected parts, ordered by their distance from the light. A single part is halved between near and far triangles. Raises
+    ``InputError`` for ``layer_limit`` below 1.
     """
     if layer_limit < 1:
         raise InputError("layer_limit", layer_limit, "1 or more")
@@ -111,10 +115,10 @@ def batches(
 def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return whether boxes from ``low`` to ``high`` (k, 3) may cast on the near plane's rectangle, bool (k,).
 
-    They may if they reach into the volume swept from the rectangle, corners (4, 3) in order, to the light (4,): the near-clip
-    volume of Everitt and Kilgard 2002. The result is False only where a plane separates the two by more than rounding: the near
-    plane, a side of the volume or a side of the box. It is True for all where the light lies within ``NEAR_PLANE_DEG`` of the near
-    plane.
+    ``rectangle`` (4, 3) are its corners in order. A box may cast on it if it reaches into the volume swept from the rectangle to
+    the light (4,): the near-clip volume of Everitt and Kilgard 2002. The result is False only where a plane separates the two by
+    more than rounding: the near plane, a side of the volume or a side of the box. It is True for all where the light lies within
+    ``NEAR_PLANE_DEG`` of the near plane.
     """
     light = homogeneous(light)
     low, high, rectangle = (np.asarray(v, np.float64).reshape(-1, 3) for v in (low, high, rectangle))
@@ -139,7 +143,10 @@ def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, lig
 
 
 def _project_along_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) projected along the sun's rays to the plane one unit ahead, within half a unit of its middle."""
+    """Return points (n, 3) projected along the sun's rays to a plane one unit ahead, within half a unit of its middle.
+
+    The result (n, 3) is ahead (1), left and up.
+    """
     right = np.cross(to_sun, [0.0, 0.0, 1.0]) if to_sun[:2].any() else np.array([1.0, 0.0, 0.0])
     plane = np.stack([axis / np.linalg.norm(axis) for axis in (right, np.cross(right, to_sun))]) @ points.T
     low, high = plane.min(axis=1), plane.max(axis=1)
@@ -156,9 +163,10 @@ def _axes_towards(forward: np.ndarray) -> np.ndarray:
 
 
 def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.ndarray) -> int | None:
-    """Return the maximum of N(phi_k, v) + P_k(v) - N(pole) for vertices (n, 3) as seen from a light: ahead, left and up.
+    """Return the maximum of N(phi_k, v) + P_k(v) - N(pole) in all lunes (``max_layers``).
 
-    It is ``None`` where an edge meets the axis through the poles.
+    ``directions`` (n, 3) are the vertices as seen from the light: ahead, left and up. The result is ``None`` where an edge meets
+    the axis through the poles.
     """
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     phi = azimuth[edges]
@@ -185,7 +193,7 @@ def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.nda
 
 @compiled
 def _winding_steps(directions, edges, multiplicity, lune_of_end, leftwards, first, width, lunes):
-    """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes.
+    """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes (``max_layers``).
 
     A position is the lune's number plus v as a share of 1.
     """
@@ -225,7 +233,7 @@ def _winding_steps(directions, edges, multiplicity, lune_of_end, leftwards, firs
 
 @internal
 def _lune_height(lune, forward, up):
-    """Return a lune's number, plus a direction's height as a share between the poles."""
+    """Return a lune's number plus a direction's height, as a share of the way between the poles."""
     return lune + 0.5 + np.arctan2(up, max(forward, 0.0)) / 3.2
 
 

@@ -1,4 +1,4 @@
-"""The settings of shadow volumes, and their resolution."""
+"""The settings of shadow volumes, and how they are resolved from a request."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class VolumeSettings(StencilSettings, AreaSettings):
 
 
 def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
-    """Return the settings of shadow volumes, and the reason for a penumbra."""
+    """Return the settings of shadow volumes, and the reason for a penumbra or for a filter without effect."""
     settings = stencil_settings(request.shadows)
     if not request.is_area:
         return VolumeSettings(**settings), request.ignored_filter_reasons("shadow_volume")

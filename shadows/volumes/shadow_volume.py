@@ -33,7 +33,7 @@ def fill(
     settings: VolumeSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Return the visibility of a light (rows, cols), float32, for a buffer's points past some kinds of casters.
+    """Return a light's visibility at a buffer's points where only some kinds of casters block it, float32 (rows, cols).
 
     It is 0 or 1, and in between for an area light. The value has no meaning off the surface and where the surface faces away from
     the light. Raises ``GraphicsError``.
@@ -61,7 +61,7 @@ Above it they were measured to take ten to twenty times as long as a sweep, with
 
 
 def has_too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
-    """Return whether the ground has too many triangles for volumes of its edges."""
+    """Return whether casters are ground with too many triangles for shadow volumes (``MAX_GROUND_TRIANGLES``)."""
     relief_facts = (caster_facts for caster_facts in descriptor.stands if caster_facts.kind == kind == "relief")
     return sum(caster_facts.triangles + caster_facts.outside_triangles for caster_facts in relief_facts) > MAX_GROUND_TRIANGLES
 

@@ -1,8 +1,9 @@
-"""Silhouettes as seen from a light: the edges at which the shadow of casting triangles begins and ends.
+"""Find silhouettes as seen from a light: the edges at which the shadow of casting triangles begins and ends.
 
 Take one triangle that is oriented towards the light (counter-clockwise as seen from there). Its shadow is bounded by the triangle,
 by a side from each of its three edges away from the light and, for a lamp, by a cap at infinity. A ray that leaves a point of the
-shadow crosses this boundary outwards once more often than inwards. A ray from any other point crosses it equally often both ways.
+shadow crosses this boundary outwards once more often than inwards. A ray from any other point crosses it equally often outwards and
+inwards.
 
 Boundaries add up. Over a set of triangles, the signed count of crossings is the number of triangles between the point and the
 light. Where triangles run along an edge in opposite directions, their sides cancel before anything is drawn. The multiplicity of an
@@ -11,15 +12,15 @@ manifold (B. Kim, K. Kim, G. Turk 2008, "A shadow-volume algorithm for opaque an
 Tools 13(3), who count by multiplicity; for closed bodies C. Everitt, M. Kilgard 2002, "Practical and robust stenciled shadow
 volumes for hardware-accelerated rendering").
 
-The triangles that need to cast depend on what they bound:
+A rule says which triangles cast, depending on what they bound:
 
-- ``facing``: those that face the light, for closed bodies with their faces outwards. A segment from a point to the light crosses as
-  many facing triangles as others, and one more for each body that contains the point. Where any triangle blocks it, a facing one
-  does. (One less for each body that contains the lamp: a lamp's own housing needs another rule.)
-- ``turned_away``: the others, flipped, for ground seen from above. A blocked segment from a point on or above the ground first
-  enters the ground, through a triangle that faces away from the light. The caps lie in attached shadow. (A segment that passes into
-  a gap of the ground may come up from below it: around gaps all triangles need to cast.)
-- ``all``: both, for any triangles, open or closed.
+- ``facing``: triangles that face the light cast. It serves closed bodies with their faces outwards. A segment from a point to the
+  light crosses as many facing triangles as other ones, and one more for each body that contains the point. Where any triangle
+  blocks it, a facing one does. (It crosses one less for each body that contains the lamp: a lamp's own housing needs another rule.)
+- ``turned_away``: triangles that do not face the light cast, flipped. It serves ground seen from above. A blocked segment from a
+  point on or above the ground first enters the ground, through a triangle that faces away from the light. The caps lie in attached
+  shadow. (A segment that passes into a gap of the ground may come up from below it: around gaps all triangles need to cast.)
+- ``all``: all triangles cast. It serves any triangles, open or closed.
 
 Whether a triangle faces the light is computed once, and both neighbours across an edge use the result. The edges of the silhouette
 therefore join up, even if rounding affects a triangle seen edge-on.
@@ -89,8 +90,9 @@ def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np
 def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
     """Return the orientations in which triangles cast, int8 (m,): +1 as given, -1 flipped, 0 not at all.
 
-    ``rule`` is one for all, or a number for each triangle: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles
-    that cast nothing. All triangles of a part of a mesh have the same number. Raises ``InputError`` for any other rule.
+    ``facing`` (m,) says which triangles face the light. ``rule`` is one rule for all, or a number for each triangle:
+    ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles that cast nothing. All triangles of a part of a mesh
+    have the same number. Raises ``InputError`` for any other rule.
     """
     if isinstance(rule, str) and rule not in FACING_RULE_CODES:
         raise InputError("rule", rule, " or ".join(FACING_RULE_CODES))
@@ -101,7 +103,7 @@ def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.nda
 
 
 def silhouette(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) -> Silhouette:
-    """Return the silhouette of triangles (m, 3) that cast as ``orientations`` (m,) says. ``edges`` are their edges."""
+    """Return the silhouette of triangles (m, 3) that cast in the given ``orientations`` (m,). ``edges`` are their edges."""
     multiplicity = signed_sums(edges, orientations)
     edge_numbers = np.flatnonzero(multiplicity)
     has_length = edges.side_signs[:, 0] != 0
@@ -109,9 +111,9 @@ def silhouette(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) ->
 
 
 def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silhouette:
-    """Return the silhouette of a sheet of nodes (rows, cols, 3). Vertices are numbered row by row.
+    """Return the silhouette of a sheet: ground of nodes (rows, cols, 3) and triangles. Vertices are numbered row by row.
 
-    The result equals that from ``edges_of``, unless two nodes are at one position.
+    The result equals that of ``silhouette`` with ``edges_of``, unless two nodes are at one position.
     """
     position, is_cut_nw_se = sheet.position_frame_m, sheet.is_cut_nw_se
     rows, cols = position.shape[:2]
@@ -137,7 +139,10 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
 
 
 def _directed(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return edges in their direction of traversal, and their multiplicity."""
+    """Return edges (k, 2) with their ends in the direction of the casters' boundary, and their multiplicities (k,), positive.
+
+    ``multiplicity`` is negative where the boundary runs from the second end to the first.
+    """
     return np.where(multiplicity[:, None] > 0, ends, ends[:, ::-1]), np.abs(multiplicity)
 
 

@@ -1,4 +1,4 @@
-"""Rectangles that contain all marked pixels of a picture and few others, and culling of the shadow volumes' faces in each."""
+"""Find rectangles that contain all marked pixels of a picture and few others, and cull the shadow volumes' faces in each."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ CULLING_TILE_PX = 8
 """Side in pixels of the tiles that rectangles consist of."""
 
 RECTANGLE_COST = 4e4
-"""Cost of another rectangle, in tiles times faces: with few faces, many tiles are drawn in no time."""
+"""Cost of another rectangle, as tiles times faces. With few faces, drawing additional tiles costs next to nothing."""
 
 MIN_RECTANGLE_COST = 8
-"""Lower bound of this cost, in tiles."""
+"""Lower bound of the cost of another rectangle, in tiles."""
 
 GROUP_SIZE = 16
 """Number of consecutive rectangles for which faces beside all of them are culled together."""
@@ -24,20 +24,24 @@ OUTSIDE, PARTIAL, COVERS = 0, 1, 2
 """Positions of a triangle relative to a rectangle."""
 
 DEPTH_MARGIN = 1e-4
-"""Share of a depth by which a face must lie beyond it to count as beyond."""
+"""Margin, as a share of a depth, by which a face must lie beyond the depth to count as beyond it."""
 
 
 def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return which tiles of a picture of ``size`` (rows, cols) contain one of the pixels (n,), bool."""
+    """Return which tiles of a picture contain a pixel of the given rows and columns (n,), bool (tile rows, tile columns).
+
+    ``size`` is the rows and columns of the picture.
+    """
     return _mark_tiles(rows, cols, *(-(-side // CULLING_TILE_PX) for side in size))
 
 
 def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarray:
     """Return rectangles of tiles that contain all marked ones, int32 (k, 4): first column, first row, columns and rows, in pixels.
 
-    Consecutive rectangles are neighbours. ``faces`` is the number of faces to draw in them. The bounding rectangle is cut in two,
-    and its parts again, in two cases: the cut saves more tiles than a rectangle costs, or a side is longer than twice as many
-    tiles. Within small rectangles depths vary little, and few faces matter.
+    Consecutive rectangles are neighbours. ``faces`` is the number of faces to draw in them. Another rectangle costs
+    ``RECTANGLE_COST`` divided by ``faces`` tiles. The bounding rectangle is cut in two, and its parts again, in two cases. The cut
+    saves more tiles than a rectangle costs, or a side has more than twice as many tiles as a rectangle costs. Within small
+    rectangles depths vary little, and few faces matter.
     """
     merged = _rectangles(tiles, max(RECTANGLE_COST / max(faces, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
     merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
@@ -71,7 +75,7 @@ class CulledFaces:
     starts
         int64 (k + 1,): index of each rectangle's first face.
     added
-        int64 (k,): amount that culled faces add to the counts of a rectangle, the same in all of its pixels.
+        int64 (k,): number that culled faces add to the count of each pixel of a rectangle, the same in all of them.
     """
 
     faces: np.ndarray
@@ -90,13 +94,13 @@ def cull_faces(
 ) -> CulledFaces:
     """Return the faces (m, 3) that matter in each rectangle, given bounds (k, 2) of its pixels' depths. Greater depths are nearer.
 
-    ``clip`` (n, 4) are homogeneous clip coordinates. ``counts_behind`` says whether faces behind the pixels' points count (z-fail)
-    or those in front of them (z-pass). Two kinds of faces are culled: faces beside a rectangle, and faces wholly on the side that
-    does not count. Faces that cover all of it, wholly on the side that counts, add the same everywhere (T. Aila and T.
-    Akenine-Moller, A Hierarchical Shadow Volume Algorithm, 2004). Faces in front of the near plane, at depths above 1, are not
-    drawn and add nothing, unless depths are ``clamped``.
+    ``clip`` (n, 4) are homogeneous clip coordinates. ``counts_behind`` is true if faces behind the pixels' points count (z-fail),
+    and false if those in front of them do (z-pass). Two kinds of faces are culled: faces beside a rectangle, and faces wholly on
+    the side that does not count. Faces that cover all of a rectangle, wholly on the side that counts, add the same number
+    everywhere (T. Aila and T. Akenine-Moller, A Hierarchical Shadow Volume Algorithm, 2004). Faces in front of the near plane, at
+    depths above 1, are not drawn and add nothing, unless depths are ``clamped``.
 
-    A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of them with no negative weight. The
+    A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of the corners with no negative weight. The
     weights are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant (M.
     Olano and T. Greer, Triangle Scan Conversion Using 2D Homogeneous Coordinates, 1997). Nothing needs clipping, neither at the eye
     nor at infinity. Depth is the same sum of the corners' z, and therefore linear over the picture.
@@ -245,7 +249,10 @@ def _cull(points, triangles, counts_behind, rectangles, depths, near_plane):
 
 @internal
 def _classify_triangle(lines, left, top, right, bottom):
-    """Classify a triangle's position relative to a rectangle, given the lines of its sides."""
+    """Return a triangle's position relative to a rectangle: ``OUTSIDE``, ``PARTIAL`` or ``COVERS``.
+
+    ``lines`` (from ``_lines``) are the triangle's weights as linear functions of a pixel.
+    """
     relation = COVERS
     for n in range(3):
         low, high = _range(lines[n], left, top, right, bottom)

@@ -1,14 +1,16 @@
-"""The views in which shadow volumes are drawn: clip coordinates, and the depths of the visible points.
+"""Make the views in which shadow volumes are drawn: clip coordinates, and the depths of the visible points.
 
-Meshes, near caps and sides use one program, so that a near cap has exactly the depth of its surface. Points of ground and trees
-bring their own depths, since no near cap lies on a lit one. There are two exceptions, where the ground is drawn as well. The first
-is the ground of a map that bends: a point that is off by a share of a pixel may lie on the wrong side of a volume that grazes it.
-The second is ground with gaps, all of which casts. A rasteriser leaves out some pixels whose centres lie exactly on the ground's
-rim. They keep their points' own depths.
+Depths of points on meshes come from drawing the meshes. Meshes, near caps and sides use one shader program, so that a near cap has
+exactly the depth of its surface.
 
-In perspective, depth is n over the distance along the view's axis. Points at infinity have depth 0, and nothing is clipped there.
-The near plane n lies half-way to the nearest visible point, which keeps float32 steps fine. A map is seen from above everything.
-Volumes below all visible points are clipped, since nothing is counted there.
+Depths of points on ground and trees are computed from the points, since no near cap lies on a lit one. There are two exceptions,
+where the ground is drawn as well. The first is the ground of a map that bends: a point that is off by a share of a pixel may lie on
+the wrong side of a volume that grazes it. The second is ground with gaps, all of whose triangles cast. A rasteriser leaves out some
+pixels whose centres lie exactly on the ground's rim. They keep the depths computed from their points.
+
+In perspective, depth is n over the distance along the view's axis, where n is the distance of the near plane. Points at infinity
+have depth 0, and nothing is clipped there. The near plane lies half-way to the nearest visible point, which keeps float32 steps
+fine. A map is seen from above everything. Volumes below all visible points are clipped, since nothing is counted there.
 
 **Samples** of a perspective view's pixels are pixels of a finer view of the same camera.
 """
@@ -55,10 +57,10 @@ class VisiblePoints:
     depth
         float64 (n,): the points' depths.
     is_drawn
-        bool (n,): whether drawing the surface gives the depth, if it covers the pixel: on meshes, on ground that bends in a map,
-        and on ground with gaps.
+        bool (n,): whether the depth comes from drawing the surface, if this covers the pixel: on meshes, on ground that bends in a
+        map, and on ground with gaps.
     ground
-        Such ground in a map.
+        The ground to draw in a map that bends or has gaps; ``None`` otherwise.
     clip_from_frame, origin_frame_m
         Matrix (4, 4) to clip coordinates, from homogeneous frame points in metres from an origin (3,).
     near_frame_m
@@ -82,9 +84,10 @@ class VisiblePoints:
 
 
 def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the points in ``mask`` of a view's own points, part by part. ``near_m`` is the distance of the near plane.
+    """Yield the view's own points in ``mask``, without samples, part by part.
 
-    Each column is drawn at the middle of its top, in a view whose pixels are the cells.
+    ``near_m`` is the distance of the near plane. Ground of columns (raster cells with flat tops) is drawn in a view with one pixel
+    for each cell. A point on a column lies at the middle of its top.
     """
     if buffer.columns is not None:
         yield from _top_points(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
@@ -93,7 +96,7 @@ def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: f
 
 
 def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the points in ``mask`` that lie at their pixels, part by part."""
+    """Yield the points in ``mask`` that lie at their pixels, part by part, each part in a view of its own."""
     view = buffer.view
     for part, top, left in affine_parts(scene.world, view):
         row, col = np.nonzero(mask[top : top + part.rows, left : left + part.cols])
@@ -128,9 +131,9 @@ def sample_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m
 def receiver_stencil(
     gl: Device, buffer: GeometryBuffer, scene: Scene, points: VisiblePoints, parts: np.ndarray, marks_pixels: bool
 ) -> Iterator[tuple[Framebuffer, Program]]:
-    """Provide a stencil with the depths of some points, and the program that draws volumes.
+    """Provide a framebuffer with a stencil and the depths of some points, and the program that draws volumes into it.
 
-    The depths are set in rectangles ``parts`` (k, 4) of the view. If ``marks_pixels`` is true, the points' pixels are marked.
+    The depths are set in the rectangles ``parts`` (k, 4) of the view. If ``marks_pixels`` is true, the points' pixels are marked.
     """
     rows, cols = points.size
     target = gl.stencil.target(cols, rows)
@@ -157,19 +160,19 @@ def receiver_stencil(
             for part in parts.tolist():
                 target.scissor = tuple(part)
                 gl.draw_quad(depth_program)
-            target.scissor = None  # type: ignore[assignment]  # the stubs know of no way to put it back
+            target.scissor = None  # type: ignore[assignment]  # the stubs do not allow None, which ends clipping
     texture.release()
     yield target, program
 
 
 def _covered_mask(target: Framebuffer) -> np.ndarray:
-    """Return where anything was drawn into the depths of a framebuffer, bool (rows, cols), not infinitely far away."""
+    """Return where something was drawn into a framebuffer at a finite distance, bool (rows, cols)."""
     cols, rows = target.size
     return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols) > 0.0
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:
-    """Return points (..., 3) as float32 (..., 4)."""
+    """Return points (..., 3) as homogeneous float32 (..., 4), with 1 as the last coordinate."""
     out = np.ones((*points.shape[:-1], 4), np.float32)
     out[..., :3] = points
     return out
@@ -214,7 +217,10 @@ def _visible_points(
 
 @compiled
 def _depths(points, buffer_indices, rows, origin):
-    """Return the depths (n,) of some of points (m, 3), by the last two rows (2, 4) of clip coordinates."""
+    """Return the depths (n,) of the points (m, 3) at some indices (n,).
+
+    ``rows`` (2, 4) are the last two rows of the matrix to clip coordinates, for points in metres from ``origin``.
+    """
     out = np.empty(len(buffer_indices))
     for n in range(len(buffer_indices)):
         x, y, z = (
@@ -230,9 +236,10 @@ def _depths(points, buffer_indices, rows, origin):
 
 @compiled
 def _depth_image(row, col, is_drawn, depth, parts, rows, cols):
-    """Return the depths at their pixels, float32 (rows, cols).
+    """Return the points' depths at their pixels, float32 (rows, cols).
 
-    The value is -1 where drawing gives the depth. It is NaN at other pixels of the parts (k, 4), and undefined outside of them.
+    The value is -1 where drawing the surface gives the depth. It is NaN at other pixels of the parts (k, 4), and undefined outside
+    of the parts.
     """
     out = np.empty((rows, cols), np.float32)
     for k in range(len(parts)):
@@ -244,7 +251,7 @@ def _depth_image(row, col, is_drawn, depth, parts, rows, cols):
 
 
 def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
-    """Return the ground in a part of a map; for columns, all of it."""
+    """Return the ground in a part of a map. For columns, return the ground of the whole map."""
     if buffer.columns is not None:
         return buffer.columns.window.sheet
     surface = buffer.surface

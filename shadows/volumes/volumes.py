@@ -1,4 +1,4 @@
-"""Shadow volumes as triangles: built once for a light and its casters, and cached while neither changes.
+"""Build shadow volumes as triangles, once for a light and its casters, and cache them while neither changes.
 
 The volume of a set of casting triangles is bounded by these triangles, by a side for each edge of their silhouette, and by their
 images infinitely far away from the light. ``skugga.shadows.volumes.silhouettes`` defines the casting triangles and the silhouette.
@@ -8,9 +8,9 @@ Shadow Volumes for Hardware-Accelerated Rendering, 2002):
 - The sun at L (a direction) projects every point to (-L, 0). A side is one triangle, and no far cap is needed.
 - A lamp at P projects v to (v - P, 0). A side is a quad, and the far cap consists of the casting triangles' images.
 
-**Casters.** Of a closed body with its faces outwards, the triangles that face the light cast. Of the ground, which all visible
-points lie on or above, those that face away cast: its near caps lie in attached shadow. Of everything else, open or not manifold,
-all triangles cast. The same holds for a body that contains a lamp, and for ground with gaps.
+**Casters.** Of a closed body with its faces outwards, the triangles that face the light cast. All visible points lie on or above
+the ground. Of the ground, the triangles that face away cast, so its near caps lie in attached shadow. Of everything else, open or
+not manifold, all triangles cast. The same holds for a body that contains a lamp, and for ground with gaps.
 
 **Layers.** A stencil of n bits distinguishes 2^n - 1 layers. Casters are drawn in batches, none of which can cover a point more
 often (``skugga.shadows.volumes.layers``).
@@ -66,9 +66,9 @@ class Volumes:
     low_m, high_m
         float64 (parts, 3): bounds of the casters, metres.
     edges
-        int32 (e, 2): the silhouette.
+        int32 (e, 2): vertex numbers of the silhouette's edges.
     first_cap, casting
-        Number of the first face that is a near cap, and number of near caps: the casting triangles.
+        Index of the first face that is a near cap (a casting triangle), and number of near caps.
     """
 
     vertices: np.ndarray
@@ -101,9 +101,10 @@ def volumes_of(
     casters: Casters,
     record: PassRecord,
 ) -> list[Volumes]:
-    """Return the volumes of all casters of a buffer's points under a light (4,), and record them, with the number of cached ones.
+    """Return the volumes of all casters of a buffer's points under a light (4,).
 
-    A map's ground is never the same arrays twice, so the pictures of its blocks are cached instead.
+    ``record`` takes the numbers of edges, bytes and cached volumes. A map's ground is never the same arrays twice, so the pictures
+    of its blocks are cached instead.
     """
     volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
@@ -143,7 +144,7 @@ def _has_gaps(height_m: np.ndarray) -> bool:
 
 
 def has_gaps(valid: np.ndarray) -> bool:
-    """Return whether the valid nodes (rows, cols) of any row or column are interrupted."""
+    """Return whether the valid nodes (rows, cols) of any row or column are interrupted by invalid ones."""
     if valid.all():
         return False
     return any(
@@ -240,7 +241,11 @@ def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
 def _volumes(
     vertices: np.ndarray, outline: Silhouette, light: np.ndarray, part_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Volumes:
-    """Return the volumes over near caps and along a silhouette. The sides from (a, b) are b, a, and their images."""
+    """Return the volumes of the near caps and along the edges of a silhouette.
+
+    The side at an edge (a, b) has the corners b and a and their images at infinity. ``part_of_vertex`` (n,) is the caster of each
+    vertex; ``low`` and ``high`` are the casters' bounds.
+    """
     used_vertices, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
     edges = number[: outline.edges.size].reshape(-1, 2)
     caps = number[outline.edges.size :].reshape(-1, 3)

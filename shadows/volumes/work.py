@@ -1,4 +1,4 @@
-"""The work of shadow volumes: finding silhouettes, and counting faces in the stencil."""
+"""Count the work of shadow volumes: finding silhouettes, and counting faces in the stencil."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from skugga.terrain.casters.reach import PATCH_QUADS
 from skugga.terrain.level.level import SUN
 
 MARKED_LAYERS = 50.0
-"""Number of layers over the whole picture that take the time of one in marked pixels only.
+"""Number of layers over the whole picture that take as long as one layer that is counted in marked pixels only.
 
-Few layers cover a rectangle of marked pixels.
+A layer over the whole picture covers many rectangles, where it is not drawn. Few layers cover a rectangle of marked pixels.
 """
 
 SHEET_TRIANGLES = 2 * PATCH_QUADS**2
@@ -41,7 +41,10 @@ def _mesh_edges(task: Workload) -> int:
 
 
 def volume_faces(task: Workload) -> tuple[float, float, float]:
-    """Return the sides and caps of the volumes of meshes, and the faces of those of the ground; twice as many under a lamp."""
+    """Return three numbers of faces: sides and caps of the volumes of meshes, and all faces of the volumes of the ground.
+
+    Under a lamp there are twice as many.
+    """
     end_count = 1.0 if task.light == SUN else 2.0
     closed = getattr(task.caster_facts("meshes"), "closed_share", 0.0)
     caps = task.triangles("meshes") * (1.0 - closed / 2.0)
@@ -50,10 +53,11 @@ def volume_faces(task: Workload) -> tuple[float, float, float]:
 
 
 def stencil_counts(task: Workload, settings: StencilSettings, marked_share: float | None = None) -> Counts:
-    """Return the counts of counting volumes over the whole picture, or over the share of its tiles that is ``marked_share``.
+    """Return the counts of counting volumes in the stencil, over the whole picture or in marked tiles only.
 
-    Sides reach across the picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not
-    drawn. More layers cover more rectangles, so time grows far slower than their number. The growth was measured.
+    ``marked_share`` is the share of the picture's tiles with a marked pixel; ``None``: the whole picture. Sides reach across the
+    picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not drawn. More layers cover
+    more rectangles, so time grows far slower than their number. The growth was measured.
     """
     edges, caps, ground = volume_faces(task)
     faces = edges + caps + ground

@@ -6,11 +6,11 @@ parts. Two quantities of each part are stored, since they do not depend on the s
 Either of two conditions proves that a part cannot shade a block:
 
 * **The part is too low.** Seen from the sun, the part's highest ground lies below the lowest ground of the block's parts that its
-  shadow could reach. Then no ray from the block to the sun meets the part. The comparison is made in light space (axes right, up and
-  away from the sun), where rays are straight and points include the earth's curvature.
-* **All facets of the part face the sun.** A ray to the sun starts on the ground or above it. The ground along the ray can rise above
-  it only over a facet that rises more steeply than the ray. Such a facet does not face the sun. So ground whose facets all face the
-  sun never is the first ground that stops a ray. It can be left out, wherever it lies and however high it is.
+  shadow could reach. Then no ray from the block to the sun meets the part. The comparison is made in light space (axes right, up
+  and away from the sun), where rays are straight and points include the earth's curvature.
+* **All facets of the part face the sun.** A ray to the sun starts on the ground or above it. The ground along the ray can rise
+  above it only over a facet that rises more steeply than the ray. Such a facet does not face the sun. So ground whose facets all
+  face the sun never is the first ground that stops a ray. It can be left out, wherever it lies and however high it is.
 
   This condition needs ground without gaps. It is not applied to parts with unknown heights at their nodes or beside them. It is
   not applied to ground of coarser detail either, whose edge does not meet that of the finer ground beside it.
@@ -18,8 +18,8 @@ Either of two conditions proves that a part cannot shade a block:
 A ray may pass below the edge of the ground, where no wall stands. Such a ray counts as stopped there, as in the sweep algorithm
 (``skugga.shadows.sweep``).
 
-Both conditions must hold for the whole disc of the sun. Margins allow for rounding, and for the sweep's lines, which run between the
-nodes.
+Both conditions must hold for the whole disc of the sun. Margins allow for rounding, and for the sweep's lines, which run between
+the nodes.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ MAX_ROUNDING_M = 4e-3
 """
 
 MARGIN_NODES = 4
-"""Distance in nodes within which ground beside a ray counts as crossed by the ray. The sweep algorithm's lines lie between nodes."""
+"""Distance in nodes within which ground beside a ray counts as crossed by the ray. The sweep algorithm's lines lie between nodes.
+"""
 
 ALTITUDE_SINE_MARGIN = 0.05
 """Maximum increase of the sine of the sun's altitude within a level, 300 km away from its anchor."""
@@ -225,8 +226,8 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
     """Return the mask (n, m) of the parts of patches of one grid in which every facet faces all of the sun's disc.
 
     A facet that rises by a from column to column and by b from row to row spans the vectors e + a u and f + b u. Here e and f are
-    the horizontal sides of its quad, to the next column and to the next row. u is the unit vector up and s the direction to the sun.
-    The facet's normal times s is s (f x e) + a s (f x u) + b s (u x e). This is linear in a and b, and ``rise_m`` bounds such
+    the horizontal sides of its quad, to the next column and to the next row. u is the unit vector up and s the direction to the
+    sun. The facet's normal times s is s (f x e) + a s (f x u) + b s (u x e). This is linear in a and b, and ``rise_m`` bounds such
     weighted sums of a and b. e, f and u vary over a patch, so the condition is tested at its corners and in its middle.
     """
     assert scene.light is not None
@@ -272,10 +273,10 @@ def _light_space_bounds(
 ) -> np.ndarray:
     """Return the light-space bounds, metres, of the ``parts`` x ``parts`` parts of each of n patches.
 
-    The result is float64 (n parts parts, 8), NaN without ground. The first four columns are the minima of four coordinates, the last
-    four the maxima. The coordinates run right, up, away from the sun, and horizontally towards the sun. The last one increases along
-    every ray to the sun, and does not depend on the height. ``ground_at`` is the height at which the bounds of the coordinate up are
-    computed: the part's lowest or highest one.
+    The result is float64 (n parts parts, 8), NaN without ground. The first four columns are the minima of four coordinates, the
+    last four the maxima. The coordinates run right, up, away from the sun, and horizontally towards the sun. The last one increases
+    along every ray to the sun, and does not depend on the height. ``ground_at`` is the height at which the bounds of the coordinate
+    up are computed: the part's lowest or highest one.
     """
     assert scene.light is not None
     low_m, high_m = ground.low_m, ground.high_m
@@ -304,11 +305,11 @@ def _part_corners(corners: np.ndarray, parts: int) -> np.ndarray:
 
 @compiled
 def _may_occlude(bounds, receiver_bounds, beside_m, above_m):
-    """Return which parts ``bounds`` (n, 8) may occlude any of the parts ``receiver_bounds`` (m, 8) from any point of the sun's disc.
+    """Return which of n parts may occlude any of m receiver parts from any point of the sun's disc, bool (n,).
 
-    The bounds are those of ``_light_space_bounds``; the result is bool (n,). A part may occlude a receiver part if it lies between
-    that part and the sun, and not wholly below it as the sun sees them. ``above_m`` is the margin of the comparison of heights,
-    ``beside_m`` the margin in the other coordinates, metres.
+    ``bounds`` (n, 8) and ``receiver_bounds`` (m, 8) are those of ``_light_space_bounds``. A part may occlude a receiver part if it
+    lies between that part and the sun, and not wholly below it as the sun sees them. ``above_m`` is the margin of the comparison of
+    heights, ``beside_m`` the margin in the other coordinates, metres.
     """
     may_occlude = np.empty(len(bounds), np.bool_)
     for n in range(len(bounds)):
@@ -343,8 +344,8 @@ _patch_cache: Cache[np.ndarray] = Cache(
 def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
     """Read the heights of consecutive patches and return the bounds of their m parts, float64 (n, m, 11).
 
-    The last axis holds ``low_m``, ``high_m``, ``is_complete`` and the eight values ``rise_m`` of ``PatchGround``. The patches lie in
-    the row ``row`` of patches, in the columns ``cols``.
+    The last axis holds ``low_m``, ``high_m``, ``is_complete`` and the eight values ``rise_m`` of ``PatchGround``. The patches lie
+    in the row ``row`` of patches, in the columns ``cols``.
     """
     halo = HALO_NODES
     window = surface.height_window(
@@ -365,8 +366,8 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
 def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
     """Write the result of ``_read_patches`` to ``out`` (n, m, 11). A part is ``quads`` quads wide.
 
-    ``height_m`` holds the heights of the patches' nodes, with ``halo`` more nodes on each side. If ``refined``, it holds the nodes of
-    a grid with half as many nodes per side, from which ``refined_row`` interpolates. ``row0`` and ``col0`` are then 1 where the
+    ``height_m`` holds the heights of the patches' nodes, with ``halo`` more nodes on each side. If ``refined``, it holds the nodes
+    of a grid with half as many nodes per side, from which ``refined_row`` interpolates. ``row0`` and ``col0`` are then 1 where the
     first row or column of the patches' nodes lies between two of the coarser grid, else 0.
     """
     cols = len(out) * PARTS_PER_SIDE * quads + 1

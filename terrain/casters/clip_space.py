@@ -2,9 +2,9 @@
 
 In clip space x points right and y down the picture (row 0 is at y = -1). Depth is 1 near the eye and 0 at infinity.
 
-A camera has a projection matrix. A map has no camera, and on a globe its pixels are a curved function of points. There a map is drawn
-in parts of ``AFFINE_PART_PX`` pixels a side. Each part uses the affine camera (an orthographic one with sheared axes) that fits it
-best. ``bend_px`` is the largest error of this fit.
+A camera has a projection matrix. A map has no camera, and on a globe its pixels are a curved function of points. There a map is
+drawn in parts of ``AFFINE_PART_PX`` pixels a side. Each part uses the affine camera (an orthographic one with sheared axes) that
+fits it best. ``bend_px`` is the largest error of this fit.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def map_clip(
     """Return the matrix (4, 4) from homogeneous frame points to the clip coordinates of a map.
 
     The points are metres from the frame's point ``origin_frame_m`` (3,). The matrix is an affine camera, fitted to the map by least
-    squares between the two heights ``heights_frame_m`` above the frame's plane. Depth is 0 at the lower height, 1 at the higher one.
+    squares between the two heights ``heights_frame_m`` above the frame's plane. Depth is 0 at the lower height, 1 at the higher
+    one.
     """
     low, high = heights_frame_m
     points, pixel = _samples(world, frame, view, low, high)
@@ -80,9 +81,9 @@ def map_clip(
 def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float:
     """Return the largest distance, in pixels, of the ground's points in a map from the same points in the map's affine cameras.
 
-    It is measured in five parts of the map: in the middle and at the corners of the level. It depends on the level, the grid and the
-    pixels' size only, so that neighbouring blocks are drawn alike. The result is ``MAX_BEND_PX`` if a part reaches beyond the area
-    of the CRS, and 0 in a flat world. ``row_step`` and ``col_step`` are the distances of neighbouring pixels in nodes.
+    It is measured in five parts of the map: in the middle and at the corners of the level. It depends on the level, the grid and
+    the pixels' size only, so that neighbouring blocks are drawn alike. The result is ``MAX_BEND_PX`` if a part reaches beyond the
+    area of the CRS, and 0 in a flat world. ``row_step`` and ``col_step`` are the distances of neighbouring pixels in nodes.
     """
     if scene.world.flat:
         return 0.0

@@ -378,8 +378,8 @@ class _ShadingCells:
 def _find_shading_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _ShadingCells]:
     """Find the overview's cells whose ground can shade a block.
 
-    The first result is the mask (rows, cols) of these cells, without those under the block. The second one also includes cells under
-    the block. It has finer cells where the overview's cells are larger than ``COARSE_CELL_NODES``.
+    The first result is the mask (rows, cols) of these cells, without those under the block. The second one also includes cells
+    under the block. It has finer cells where the overview's cells are larger than ``COARSE_CELL_NODES``.
     """
     can_shade = _shading_cells(scene, buffer)
     grid, block_ground = _grid_and_ground(buffer)
@@ -559,8 +559,8 @@ def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, 
 def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float, float]:
     """Return the distance to the raster's end towards the sun, and the distance up to which ground could shade receivers, metres.
 
-    The first distance is the minimum over the positions of ``_ray_starts``. The second one is the longest shadow of ground that rises
-    ``UNKNOWN_RELIEF_M``, or as high as the level's ground, above the lowest receiver.
+    The first distance is the minimum over the positions of ``_ray_starts``. The second one is the longest shadow of ground that
+    rises ``UNKNOWN_RELIEF_M``, or as high as the level's ground, above the lowest receiver.
     """
     assert scene.sun is not None and scene.light is not None
     lowest = float(np.nanmin(buffer.height_m))

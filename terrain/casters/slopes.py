@@ -146,8 +146,8 @@ def _empty_support() -> np.ndarray:
 def _extend_support(normals, anchor_from_frame, directions, support):
     """Extend a support function in place by the slopes of facets with the normals (n, 3), of any length, in a frame.
 
-    ``anchor_from_frame`` (3, 3) rotates normals to the anchor's axes. ``directions`` (k, 2) are those of ``support`` (k,). If a facet
-    is steeper than ``MAX_SLOPE``, all of ``support`` becomes infinite.
+    ``anchor_from_frame`` (3, 3) rotates normals to the anchor's axes. ``directions`` (k, 2) are those of ``support`` (k,). If a
+    facet is steeper than ``MAX_SLOPE``, all of ``support`` becomes infinite.
     """
     inner = 0.0  # slopes shorter than this cannot extend the support
     t = anchor_from_frame

@@ -1,7 +1,8 @@
-"""Effects: one module each, with the predicate that decides whether a scene needs the effect, and the function that renders it.
+"""Rendering effects, such as haze, snow and clouds.
 
-``skugga.terrain.level.level.EffectName`` lists the effects in the order in which those of one stage run. Each module is named after
-its effect.
+Each effect is a module with its name. It has a predicate that decides whether a scene needs the effect, and a function that renders
+it. ``skugga.terrain.level.level.EffectName`` lists the effects in the order in which they run within a stage (the array that they
+change).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ SWITCHES: dict[EffectName, str] = {
     "soft_edges": "an unset filter takes three taps per side instead of one (selector/planner/planner.py)",
     "outside_casters": "ground beyond a map's block casts shadows into it (shadows/passes.py)",
 }
-"""Switches of the pipeline: effects without a rendering function, with the behaviour that each switches and its source file.
+"""Effects without a rendering function of their own: each switches a behaviour of other code, named here with its source file.
 
-They are planned, forced and reported like all other effects.
+A plan lists them, and a level or a request can turn them on or off, like all other effects.
 """

@@ -1,6 +1,6 @@
-"""Alpha-tested casters: light passes between the leaves of trees, since depth passes sample the alpha of the foliage texture.
+"""Alpha-tested casters: light passes between the leaves of trees, since shadow passes sample the alpha of the foliage texture.
 
-Without this effect the depth shaders contain no texture look-up at all.
+The effect is off if no foliage can cast a visible shadow. Then the shaders need no texture look-up.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from skugga.terrain.scene import Scene
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without foliage, if all trees are too small to draw, or if no foliage
-    shadow can be visible.
+    """Return whether the effect is needed, with the reason.
+
+    It is not needed without foliage, if all trees are too small to draw, or if no shadow of foliage can be visible.
     """
     if "forest" not in descriptor.casters:
         return Verdict(False, "there is no foliage")
@@ -32,7 +33,7 @@ def judge(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Return the fact ``drawn``: whether the view still draws any tree after it decimates small ones."""
+    """Return the fact ``drawn``: whether the view draws any tree after the decimation of small trees. Empty without trees."""
     if scene.objects.trees is None:
         return {}
     sampled_view = supersampled_view(scene, view)

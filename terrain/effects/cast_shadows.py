@@ -1,14 +1,14 @@
 """Cast shadows: needed if direct light reaches the view and an occluder can block it.
 
-**Relief.** Suppose that a ray from the ground to the sun hits ground again. Then it passes a facet that does not face the sun:
-there the ground falls away from the sun more steeply than the ray rises. It follows that
+**Relief** (the ground). Suppose that a ray from the ground to the sun hits ground again. On its way there is a facet (a triangle of
+the ground) that does not face the sun, since the ground must rise above the ray. It follows that
 
 - if every facet of the ground faces the sun, no ground is in cast shadow;
 - if no facet faces the sun, all ground is unlit anyway, and no cast shadow is visible.
 
-Both conditions are evaluated on the facets as drawn, once for each ground and zoom. A facet with the normal (-a, -b, 1) has the
-slopes (a, b) at the level's anchor. It faces the sun (e, n, u) if u > a e + b n. For all facets only the extent of the slopes in
-``SUPPORT_DIRECTIONS`` directions is stored.
+Both conditions are evaluated on the facets as drawn. A facet with the normal (-a, -b, 1) in east, north and up at the level's
+anchor has the slope (a, b). It faces the sun in the direction (e, n, u) if u > a e + b n. The maximum slopes in several directions
+bound those of all facets; they are computed once for each ground and zoom (``skugga.terrain.casters.slopes``).
 
 **Objects on the ground** can shade any point of a map. In a perspective view they can cast a visible shadow only if they overlap
 visible surfaces in light space.
@@ -36,13 +36,15 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 COARSE_NODES = 2**18
-"""Maximum number of nodes of the coarse ground that is tested first. If it casts shadows, finer ground does too."""
+"""Maximum number of nodes of the coarse ground that is tested first. If coarse ground casts shadows, finer ground does, too."""
 
 MAX_NODES = 2**21
-"""Ground with more nodes is not tested facet by facet (about 0.3 s per million) and counts as possible caster."""
+"""Maximum number of nodes of ground that is tested facet by facet, which takes about 0.3 s per million. Larger ground counts as a
+possible caster.
+"""
 
 MAX_TREES_TESTED = 2000
-"""More trees than these are not tested one by one: if so many are in view or towards the light, some of them cast shadows."""
+"""Maximum number of trees that are tested one by one. If more are in view or towards the light, some of them cast shadows."""
 
 MASK_CELLS = 128
 """Number of cells along each side of the depth grid in which visible points are compared with possible occluders."""
@@ -50,14 +52,16 @@ MASK_CELLS = 128
 DISC_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
 """Tolerance of the test whether a facet faces the sun: the sine of the sun's angular radius, and a margin for float32 normals.
 
-A facet whose plane is closer than this to the centre of the sun may cut the disc. The value has to be multiplied by the length of
-the normal (-a, -b, 1) of a slope that is as steep as the sun is high.
+A facet whose plane is closer than this to the centre of the sun may cut the disc. The value is for unit normals. A test with the
+normal (-a, -b, 1) multiplies it by the length of this normal, for a slope as steep as the sun's rays.
 """
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without lights, at night or overcast without lamps, and without
-    possible occluders.
+    """Return whether the effect is needed, with the reason.
+
+    It is not needed without possible occluders, or if no direct light reaches the view: without lamps, and with no sun, at night or
+    under an overcast sky.
     """
     sun = sun_verdict(descriptor)
     if sun.is_needed:
@@ -122,11 +126,12 @@ def has_casters(descriptor: Descriptor) -> bool:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Return the facts of cast shadows.
+    """Return the facts of cast shadows. Empty while the sun is down.
 
-    - ``least_slope``, ``most_slope``: minimum and maximum difference between the slope of the sun's rays and the slope of the
-      ground's facets towards the sun; ``None`` if unknown.
-    - ``meshes``, ``forest``: whether their shadows can fall on a visible surface of a perspective view.
+    - ``least_slope``, ``most_slope``: minimum over the casting facets, and maximum over the visible facets, of the rise of the
+      sun's rays minus the rise of the facet along them, per metre of the ray; ``None`` if unknown. A facet faces the sun if it is
+      positive.
+    - ``meshes``, ``forest``: whether shadows of meshes or of trees can fall on a visible surface of a perspective view.
     """
     if not scene.sun_is_up:
         return {}
@@ -163,7 +168,10 @@ def _slopes_under_sun(
 
 @cached("scene", 256 * MIB)
 def find_visible_trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
-    """Return the trees around the eye, and whether any of them may be in view."""
+    """Return all trees that a perspective view draws in any direction, and whether any of them may be in view.
+
+    The trees are ``None`` in a level without trees.
+    """
     trees = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if trees is None:
         return None, False
@@ -185,9 +193,10 @@ def find_visible_trees(objects: SceneObjects, view: PerspectiveView, coarse_view
 
 
 def _sample_radius_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
-    """Return the radius of the unsampled surroundings of each point of a coarse view (n,), metres.
+    """Return the radius round each point of a coarse view within which it represents the visible surfaces, (n,), metres.
 
-    It is the spacing of the samples, plus the height of the tallest object if trees are in view.
+    A coarse view samples every few pixels and ignores trees. The radius is the spacing of the samples at the point's distance, plus
+    the height of the tallest object if trees are in view.
     """
     return coarse_view.distance_m * coarse_view.spacing + (
         scene.objects.tallest_m if find_visible_trees(scene.objects, view, coarse_view)[1] else 0.0
@@ -197,7 +206,8 @@ def _sample_radius_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseVie
 def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> Corridor:
     """Return the part of the frame between the visible points and the sun, for ``facing_range_of_mesh``.
 
-    Its two coordinates are those to the right of the light and towards the sun.
+    Its first coordinate runs to the right in light space, its second one horizontally towards the sun. The second has no upper
+    bound.
     """
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
@@ -213,7 +223,10 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
 
 
 def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_view: CoarseView) -> bool:
-    """Return whether trees or meshes occlude a visible surface from the sun. Trees that are in view count as occluders."""
+    """Return whether casters of a kind (``meshes`` or ``forest``) may occlude a visible surface from the sun.
+
+    Trees in view always count as occluders.
+    """
     assert scene.light is not None
     objects, frame = scene.objects, coarse_view.buffer.frame
     if kind == "meshes":
@@ -252,7 +265,7 @@ def _boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarr
 
 @compiled
 def _boxes(points, triangles):
-    """Return the minimum and maximum coordinates (m, 3) of triangles (m, 3) with vertices (n, 3)."""
+    """Return the minimum and the maximum coordinates, (m, 3) each, of triangles (m, 3) with the vertices ``points`` (n, 3)."""
     box_low, box_high = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     for m in range(len(triangles)):
         for k in range(3):
@@ -265,8 +278,9 @@ def _boxes(points, triangles):
 def _any_occludes(box_low, box_high, points, slack, cells):
     """Return whether any box occludes any point, in light space.
 
-    Boxes extend from ``box_low`` to ``box_high`` (n, 3). Points (m, 3) have a tolerance ``slack`` (m,). The test draws the points
-    into a grid with the maximum depth of each cell, and compares the nearest depth of each box with it.
+    Boxes extend from ``box_low`` to ``box_high`` (n, 3). Points (m, 3) have a tolerance ``slack`` (m,). The third coordinate is the
+    depth, away from the sun. A grid of ``cells`` x ``cells`` cells holds the maximum depth of the points in each cell. A box
+    occludes a point if its minimum depth is at most that of a cell that it overlaps.
     """
     if len(points) == 0 or len(box_low) == 0:
         return False

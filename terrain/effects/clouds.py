@@ -1,8 +1,9 @@
 """Cloud shadows: clouds drift with time and block a part of the direct sunlight.
 
-The clouds are a layer without thickness. The shadow of a point is the cloud density at the intersection of its ray to the sun with
-the layer. The density is fractal noise over metres east and north of the anchor, so every tile, view and frame has the same cloud
-above the same ground. Clouds are not casters: they change colours but no visibility layer.
+The clouds are a layer without thickness at a constant height. A point's ray to the sun meets the layer at one place. The density of
+the clouds there determines how much sunlight they block. The density is fractal noise over metres east and north of the level's
+anchor, so every tile, view and frame has the same cloud above the same ground. Clouds are not shadow casters: they change the
+colours of a picture, but not the visibility of the sun that shadow algorithms compute.
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ CLOUD_HEIGHT_M, CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
 
 DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
-"""East and north components: 10 m/s towards the east-north-east."""
+"""East and north components of the clouds' velocity: 10 m/s towards the east-north-east."""
 
 MIN_ALTITUDE_SINE = np.sin(np.radians(5.0))
-"""Lower bound of the sine of the sun's altitude in the projection. Without it the shadows would race at sunset."""
+"""Lower bound of the sine of the sun's altitude in the projection of points to the layer. Without it shadows would move ever faster
+towards sunset.
+"""
 
 COARSEST_WAVE_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
 """Wavelength of the coarsest octave, number of octaves, seed. The finest octave has a wavelength of 250 m."""
@@ -60,9 +63,10 @@ FADE_RANGE = 1 / 16, 1 / 2
 INVISIBLE_SHARE = 0.008
 """Largest share of a point's light whose loss is not visible.
 
-Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code. The code is at most 1.055 with
-its offset. It loses even less in the linear part near black, and in the shoulder of ``skugga.terrain.shading_loops``. The loss is a
-step of 1/255 for ``a`` = 0.0089. The difference to the value here allows for the 4096 steps of the encoding table.
+If light loses the share ``a``, its sRGB code loses the share ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``. The code, without the
+offset of the sRGB curve, is at most 1.055. The loss is smaller in the linear part of the curve near black, and where
+``skugga.terrain.shading_loops.shoulder`` compresses bright light. It reaches a step of 1/255 at ``a`` = 0.0089. The smaller value
+here allows for the 4096 steps of the encoding table.
 """
 
 MIN_SKY_SHARE = 0.25
@@ -106,9 +110,10 @@ class CloudLayer(NamedTuple):
 
 
 def cloud_layer_of(scene: Scene) -> CloudLayer:
-    """Return the clouds of a scene with a sun.
+    """Return the clouds of a scene, which must have a sun.
 
-    The transmittance of the densest cloud goes to 0 as the cover approaches 1, so that the transition to overcast is continuous.
+    The transmittance of the densest cloud falls to 0 as the cover approaches 1, so that the transition to an overcast sky is
+    continuous.
     """
     world, cover = scene.world, scene.loaded.level.weather.cloud_cover
     anchor_from_earth = world.earth_from_anchor.T
@@ -127,7 +132,7 @@ def _mean_height_m(elevation: Elevation) -> float:
 
 
 def threshold_of(cover: float) -> float:
-    """Return the value that the noise exceeds on a share ``cover`` of a plane. For 0 and 1 it lies beyond all values."""
+    """Return the value that the noise exceeds on the share ``cover`` of a plane. For 0 and 1 it lies beyond all values."""
     limit = NOISE_BOUND + CLOUD_EDGE_WIDTH / 2.0
     shares, values = _distribution()
     return float(np.interp(cover, [0.0, *shares, 1.0], [limit, *values, -limit]))
@@ -135,7 +140,10 @@ def threshold_of(cover: float) -> float:
 
 @cached("process", 16 * MIB)
 def _distribution() -> tuple[np.ndarray, np.ndarray]:
-    """Return shares of a plane (n,) and the noise values that are exceeded there, measured on 195 x 195 coarsest wavelengths."""
+    """Return shares of a plane (n,), and for each the noise value (n,) that is exceeded on that share of the plane.
+
+    They are measured on a square whose side is 195 of the coarsest wavelengths.
+    """
     # Steps of the golden ratio have no common period with the lattice.
     values = np.sort(_noise_on(np.arange(256) * 0.76393202250021))[::-1]
     return (np.arange(values.size)[32::64] + 0.5) / values.size, values[32::64]
@@ -152,9 +160,9 @@ def _noise_on(x):
 
 @compiled
 def _noise(x_m, y_m, low, high):
-    """Return the sum of the octaves at a place.
+    """Return the sum of the noise's octaves at the place (``x_m``, ``y_m``) in the layer.
 
-    The sum stops early if the remaining octaves cannot bring it back above ``low`` or below ``high``.
+    The sum stops early once the remaining octaves cannot change whether it is below ``low`` or above ``high``.
     """
     # The lattice is rotated, and each octave again by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
     x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_WAVE_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_WAVE_M
@@ -171,7 +179,10 @@ def _noise(x_m, y_m, low, high):
 
 @compiled
 def density_at(x_m, y_m, threshold):
-    """Return the relative cloud density at a place of the layer: 0 in gaps, 1 inside clouds."""
+    """Return the relative cloud density at the place (``x_m``, ``y_m``) in the layer: 0 in gaps, 1 inside clouds.
+
+    ``threshold`` is that of the ``CloudLayer``.
+    """
     return _density(_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold)
 
 
@@ -182,7 +193,11 @@ def _density(noise, threshold):
 
 @internal
 def _layer_position(x, y, z, height, layer_m, to_sun, centre, drift):
-    """Return the intersection of a point's ray to the sun with the layer: metres east and north of the anchor, minus the drift."""
+    """Return the intersection (x, y) of a point's ray to the sun with the layer, in metres of the noise.
+
+    These are metres east and north of the anchor, minus the clouds' drift. ``height`` is the point's height, ``layer_m`` that of
+    the layer. All coordinates are in the anchor's axes.
+    """
     ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
     distance_m = (layer_m - height) / max(sine, MIN_ALTITUDE_SINE)
@@ -195,7 +210,7 @@ def _fade(pixel_m):
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
-    """Multiply the sunlight by the transmittance of the clouds."""
+    """Multiply the sunlight (rows, cols) of a block's pixels by the transmittance of the clouds, in place."""
     buffer, scene = block.buffer, block.scene
     if scene.sun is None:
         return
@@ -230,8 +245,9 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed under a clear or overcast sky, without a sun, and if clouds block no
-    visible share of light.
+    """Return whether the effect is needed, with the reason.
+
+    It is not needed under a clear or overcast sky, without a sun, at night, and if clouds block no visible share of the light.
     """
     facts = descriptor.facts["clouds"]
     cover = facts["cover"]
@@ -257,8 +273,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """Return the facts of clouds.
 
     - ``cover``: share of the sky that clouds cover.
-    - ``taken``: upper bound of the share of its light that clouds take from any point. In a map all visible ground counts, lit or
-      not.
+    - ``taken``: upper bound of the share of a point's light that clouds block, over all visible points. In a map all visible ground
+      counts, lit or not.
     """
     cover = scene.loaded.level.weather.cloud_cover
     if not 0.0 < cover < 1.0 or not scene.sun_is_up:
@@ -280,10 +296,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def _direct_share(scene: Scene) -> float:
-    """Return the maximum share of direct sunlight in the light of any point, in any channel.
+    """Return the maximum share of direct sunlight in the light of any point, in any colour channel.
 
-    The sun fades in over the first degree of altitude (``skugga.terrain.shading_loops``). A surface may face the sun, unless the
-    scene is bare ground of constant height.
+    Sunlight fades in over the first degree of the sun's altitude (``skugga.terrain.shading_loops``). The light is assumed to fall
+    on a surface that faces the sun, unless the scene is level ground without objects.
     """
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
     night = night_sky_share(scene)
@@ -299,7 +315,7 @@ CloudBounds = tuple[float, float, float, float]
 
 
 def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBounds:
-    """Return the bounds of the cloud layer between the sun and the ground of some cells, with the objects on it."""
+    """Return the bounds, in the cloud layer, of the rays from the ground of some cells and the objects on it to the sun."""
     row, col = np.meshgrid(*(np.linspace(first, last, 17) for first, last in cells))
     x, y = scene.elevation.xy(row, col)
     point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
@@ -312,10 +328,10 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
 
 
 def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
-    """Return bounds of the cloud layer between the sun and the visible points of a perspective view.
+    """Return boxes in the cloud layer that contain all rays from the visible points of a perspective view to the sun.
 
-    Each box covers two neighbouring octaves of distance, so that the boxes also cover the surface between the samples. If the sky
-    is visible, the boxes extend a quarter beyond the farthest points.
+    Each box covers two neighbouring octaves of distance from the eye, so that the boxes also cover the surfaces between the samples
+    of the coarse view. If the sky is visible, the boxes extend to 1.25 times the distance of the farthest points.
     """
     rotation, origin_m = scene.world.anchor_from_frame(coarse_view.buffer.frame)
     points, distance_m, height_m = coarse_view.points_frame_m, coarse_view.distance_m, coarse_view.height_m
@@ -336,7 +352,10 @@ def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseVi
 
 
 def _unseen_rise_m(scene: Scene, coarse_view: CoarseView) -> float:
-    """Return the maximum height of visible objects above the points of a coarse view, metres: trees, and meshes in view."""
+    """Return the maximum height, metres, of visible objects above the points of a coarse view, which may miss them.
+
+    Trees count always, meshes if they are in view.
+    """
     view, trees = coarse_view.buffer.view, scene.objects.trees
     if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, coarse_view.buffer.frame) > 0.0:
         return scene.objects.tallest_m
@@ -349,7 +368,7 @@ def _box(positions: np.ndarray, margin_m: float) -> CloudBounds:
 
 
 def _layer_positions(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer) -> np.ndarray:
-    """Return the positions (n, 2) in the cloud layer between points (n, 3) and the sun, metres."""
+    """Return the places (n, 2), metres, where rays from points (n, 3) to the sun meet the cloud layer (``_layer_position``)."""
     return _positions_of_points(
         points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.centre_anchor_m, layer.drift_m
     )
@@ -378,8 +397,9 @@ def _max_density(west: float, east: float, south: float, north: float, threshold
 def _max_noise(west, east, south, north, low, high):
     """Return an upper bound of the noise in a box, clamped to ``low`` and ``high``, by branch and bound.
 
-    A cell is discarded if its centre value plus the maximum slope to its corners stays below the best value so far. Other cells are
-    split into four, down to a radius of one metre.
+    The box is divided into cells. A cell's upper bound is the noise at its centre plus the maximum rise up to its corners. The cell
+    is discarded if this bound is not above the maximum found so far. Other cells are split into four, down to a radius of one
+    metre.
     """
     rows, cols = int((north - south) / (COARSEST_WAVE_M / 8.0)) + 1, int((east - west) / (COARSEST_WAVE_M / 8.0)) + 1
     cells = np.empty((256, 4))

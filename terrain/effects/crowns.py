@@ -1,16 +1,16 @@
 """Light through crowns: foliage transmits a part of the sunlight to the foliage behind it.
 
-A tree is drawn as three crossed quads. Algorithms compute the shadows of these quads on each other correctly, but a real crown is
-no cross. These shadows would draw a sharp line down each crown, and streaks under a low sun. In a real crown light passes through
-and around the leaves from all directions. Much of it is left behind one layer of leaves: a leaf transmits about a tenth of green
-light and scatters as much, and the rest passes through the gaps.
+A tree is drawn as three crossed quads. Shadow algorithms compute the shadows of these quads on each other correctly, but a real
+crown is not a cross. The shadows would draw a sharp line down each crown, and streaks under a low sun. In a real crown light passes
+through and around the leaves from all directions. Most light passes one layer of leaves: a leaf transmits about a tenth of green
+light and scatters as much, and much light passes through the gaps.
 
-On foliage only, the share ``LEAF_TRANSMITTANCE`` of the sunlight therefore passes other foliage. Ground and meshes block all of it;
-a ray from the point to the sun finds them. The crown gets its shape from its normals (``skugga.terrain.gbuffer.resolve``) and its
+Therefore foliage passes the share ``LEAF_TRANSMITTANCE`` of the sunlight to foliage behind it. Ground and meshes block all
+sunlight; rays to the sun detect them. The visible shape of a crown comes from its normals (``skugga.terrain.gbuffer.resolve``), its
 grain from the textures.
 
-The effect changes shading only. Visibilities, masks and all measured values stay the same. Maps show the horizontal quad of each
-tree from above, where no cross is visible.
+The effect changes the colours of a picture only, and not the visibility of the sun, shadow masks or measured values. Maps show the
+horizontal quad of each tree from above, where no cross is visible.
 """
 
 from __future__ import annotations
@@ -36,10 +36,12 @@ LEAF_TRANSMITTANCE = 0.65
 """Share of the sunlight that reaches leaves behind other leaves."""
 
 CELL_M = 2.0
-"""Minimum side of the cells in which leaves share one ray to the sun. The ray tests for shadows of ground and meshes."""
+"""Minimum side, metres, of the cubic cells in which leaves share one ray to the sun. The ray tests for shadows of ground and
+meshes.
+"""
 
 CELL_TANGENT = 0.004
-"""Angle of a cell as seen from the eye, as a tangent. Distant cells are enlarged to about this angle."""
+"""Minimum angle of a cell as seen from the eye, as a tangent. Sides of distant cells are doubled until they reach it."""
 
 CELL_INDEX_BITS = 18
 """Number of bits of a cell's index along each axis. Indices wrap around beyond that."""
@@ -96,7 +98,10 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _cells(first, last, points, pixels, eye, key):
-    """Write the key of the cell of each point: the number of doublings of its side, then its index along each axis."""
+    """Write the key of the cell of each point, an int64.
+
+    Its bits are the number of times that the cell's side was doubled, then the cell's index along each axis.
+    """
     for n in range(first, last):
         p = points[pixels[n]]
         x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]

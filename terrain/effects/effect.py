@@ -1,4 +1,7 @@
-"""The interface of effects: the predicate, the facts that it needs, and the rendering function."""
+"""The interface of rendering effects.
+
+An effect has a predicate, which decides whether a scene needs it, the facts that the predicate needs, and a rendering function.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
 CHANNEL_STEP = 1.0 / 255.0
-"""Visibility threshold: one step of an 8-bit channel. An effect that changes no pixel by more is not needed."""
+"""Largest invisible change: one step of an 8-bit channel. An effect that changes no pixel by more than that is not needed."""
 
 Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]
-"""Array that an effect changes, in the order in which the stages run. Rows and columns are those of the geometry buffer:
+"""Name of the array that an effect changes. Stages run in this order. Rows and columns are those of the geometry buffer:
 
 - ``albedo``: linear albedo of the visible surfaces (rows, cols, 3);
 - ``sunlight``: share of the direct sunlight that reaches each pixel (rows, cols), shadows included;
@@ -37,7 +40,7 @@ BEFORE_SHADING: tuple[Stage, ...] = ("albedo", "sunlight", "skylight", "lampligh
 
 @dataclass(frozen=True)
 class Verdict:
-    """Decision about an effect.
+    """Decision whether a scene needs an effect.
 
     Attributes
     ----------
@@ -62,10 +65,10 @@ class ShadingBlock:
     view
         The view of the block.
     buffer
-        Geometry buffer of the visible surfaces. Its rows below those of the view are further samples of the view's pixels
-        (``skugga.terrain.gbuffer.antialias``).
+        Geometry buffer of the visible surfaces. It may have more rows than the view, which hold anti-aliasing samples of the view's
+        pixels (``skugga.terrain.gbuffer.antialias``).
     visibilities
-        Visibility of each light by name (rows, cols).
+        Visible share of each light, by name, in [0, 1], (rows, cols): 0 in shadow.
     """
 
     scene: Scene
@@ -108,21 +111,21 @@ class Effect:
     about
         Description in a few words.
     judge
-        Predicate that decides from the descriptor whether a scene needs the effect. The descriptor includes the effect's own facts.
+        Predicate that decides from the descriptor (all facts of a scene and a view) whether a scene needs the effect.
     facts
-        Function that returns the further facts that the predicate needs, by name. Its arguments are the scene, the view and, for a
-        perspective view, its coarse view. It is evaluated per (level, zoom, sun) or per view, never per tile. ``None`` if the
-        predicate needs no further facts.
+        Function that returns the facts that only this predicate needs, by name; they become a part of the descriptor. Its arguments
+        are the scene, the view and, for a perspective view, its coarse view (every few pixels of the view). It is evaluated once
+        for each level, zoom and sun, or for each view, never for each tile. ``None`` if the predicate needs no such facts.
     stage
-        The array that the effect changes; ``None`` for switches of the pipeline.
+        Name of the array that the effect changes. ``None`` if the effect has no ``apply``.
     apply
-        Function that changes this array in place, as a pass named after the effect. ``None`` for switches of the pipeline:
-        ``skugga.terrain.effects.SWITCHES`` names what they switch.
+        Function that changes this array in place. ``None`` if the effect switches a behaviour of other code instead
+        (``skugga.terrain.effects.SWITCHES``).
     needs
         Names of the effects that this effect depends on.
     verdict_without_facts
-        Verdict for a descriptor without the effect's facts, for example a handwritten one. ``None`` if the predicate accepts such
-        a descriptor.
+        Verdict for a descriptor without the effect's facts, for example one written by hand. ``None`` if the predicate works
+        without these facts.
     """
 
     about: str
@@ -134,7 +137,7 @@ class Effect:
     verdict_without_facts: Verdict | None = Verdict(False, "the descriptor has no facts of this effect")
 
     def verdict(self, name: str, descriptor: Descriptor) -> Verdict:
-        """Return whether a scene needs the effect.
+        """Return whether a scene needs the effect, with the reason.
 
         Parameters
         ----------

@@ -3,12 +3,13 @@
 Gradient noise of several wavelengths varies the ground's albedo between lighter and darker, and between drier and greener. The
 noise is a function of the position in metres from the level's anchor, so it stays fixed when the camera moves.
 
-**Antialiasing.** The amplitude of each wavelength depends on the size of the pixels: full if it spans four pixels, zero if it spans
-two (the Nyquist limit). The size is the width of a pixel at its distance, divided by the cosine between the view and the ground's
-normal. Distant ground therefore keeps its plain tint. Maps are mostly coarser than all wavelengths and have no detail at all.
+**Antialiasing.** The amplitude of a wave depends on the size of the pixels. It is full if the wavelength spans four pixels, and
+zero if it spans two (the Nyquist limit). The size of a pixel is its width at the ground's distance, divided by the cosine between
+the line of sight and the ground's normal. Distant ground therefore keeps its plain tint. Maps have no detail, since most are
+coarser than all wavelengths.
 
-**Visibility.** If a linear colour c is multiplied by 1 + s, its code k changes by s c / (dc/dk). With the slope of sRGB this is at
-most 2.4 s / 255 of a code, on white. Below ``INVISIBLE_CHANGE`` no code changes by more than a step.
+**Visibility.** If a linear colour c is multiplied by 1 + s, its sRGB code k changes by s c / (dc/dk). The change is largest on
+white. Below a relative change s of ``INVISIBLE_CHANGE`` no code changes by more than a step.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ GROUND_WAVES = (
 """Wavelengths in metres, each with its amplitude as a share of the albedo."""
 
 HUE_SHIFT = (0.55, 0.0, -0.85)
-"""Additional change of red, green and blue by the waves that change the hue, relative to their amplitude: lighter means drier."""
+"""Additional change of red, green and blue by the waves that change the hue, relative to their amplitude. Lighter ground looks
+drier.
+"""
 
 HUE_WAVES = 3
 """Number of waves that change the hue, longest first."""
@@ -58,14 +61,15 @@ INVISIBLE_CHANGE = CHANNEL_STEP / 0.45
 """Largest relative change of the albedo that changes no colour by more than one of 255."""
 
 WAVE_RUN = 256
-"""Number of pixels that are computed together."""
+"""Maximum number of pixels of a row that are computed together."""
 
 _WAVES = np.array(GROUND_WAVES)
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed in maps, on draped imagery, and if all ground is too far away for
-    visible detail.
+    """Return whether the effect is needed, with the reason.
+
+    It is not needed in maps, on draped imagery, and if all ground is too far away for visible detail.
     """
     facts = descriptor.facts["ground_detail"]
     if descriptor.view_kind == "map":
@@ -85,7 +89,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
     - ``draped``: whether imagery is draped over the ground.
     - ``nearest_m``: distance of the nearest visible ground, metres; ``None`` if no ground is visible.
-    - ``share``: upper bound of the relative change of its albedo; ``None`` if no ground is visible.
+    - ``share``: upper bound of the relative change of the ground's albedo by the effect; ``None`` if no ground is visible.
     """
     draped = scene.loaded.level.terrain.imagery is not None
     if coarse_view is None or isinstance(view, MapView):
@@ -104,13 +108,13 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def max_albedo_change(pixel_m: float) -> float:
-    """Return an upper bound of the relative change of the albedo for pixels of some size."""
+    """Return an upper bound of the relative change of the albedo where pixels are ``pixel_m`` metres wide."""
     visible_amplitudes = [amplitude * _visible_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
     return float(MAX_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT)) * sum(visible_amplitudes[:HUE_WAVES])))
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
-    """Multiply the albedo of bare ground by the detail."""
+    """Multiply the albedo (rows, cols, 3) of bare ground in a perspective view by the detail, in place."""
     buffer, scene, view = block.buffer, block.scene, block.view
     if isinstance(view, MapView) or scene.loaded.level.terrain.imagery is not None:
         return
@@ -126,7 +130,10 @@ def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> t
 
 @cached("scene", 128 * MIB, key=_cache_key, max_entries=1)
 def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
-    """Return how much lighter and drier the ground is, shape (rows, cols, 2), float64. It does not depend on the sun."""
+    """Return how much lighter and drier the ground is, as relative changes of its albedo, float64 (rows, cols, 2).
+
+    They do not depend on the sun.
+    """
     out = np.zeros((*buffer.valid.shape, 2))
     run_in_chunks(
         len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame),
@@ -148,13 +155,13 @@ def _vary(first, last, albedo, detail, share, hue):
 
 @compiled
 def _visible_share(wave_m, pixel_m):
-    """Return the visible share of a wave's amplitude for pixels of some width."""
+    """Return the share of a wave's amplitude that remains after antialiasing, for a wavelength and a width of pixels in metres."""
     return min(max(wave_m / (2.0 * max(pixel_m, 1e-9)) - 1.0, 0.0), 1.0)
 
 
 @compiled
 def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye, pixel, waves, out):
-    """Compute the detail of some rows, in runs of pixels, with ``noise_along``."""
+    """Write the detail of some rows to ``out`` (rows, cols, 2). Up to ``WAVE_RUN`` pixels are computed together."""
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     x, y, pixel_width_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
@@ -181,7 +188,7 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
 
 @internal
 def _add_waves(x, y, pixel_width_m, waves, column, out):
-    """Add the waves at positions (n,) to the columns of a row. The positions are modified."""
+    """Add the waves at positions (n,) to the elements ``column`` (n,) of a row ``out`` (cols, 2). The positions are overwritten."""
     wave_x, wave_y, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
     finest = pixel_width_m.min()
     for k in range(len(waves)):

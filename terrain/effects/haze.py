@@ -7,29 +7,30 @@ horizon's colour h:
 
     T c + (1 - T) h
 
-Distant surfaces therefore blend into the foot of the sky without a seam. The sky itself does not change: h is the colour of
-infinitely deep air in that direction, warm towards a low sun.
+Distant surfaces therefore blend into the sky above the horizon without a visible edge. The sky itself does not change: h is the
+colour of infinitely deep air in the direction of the surface, warm towards a low sun.
 
-**Density.** A visibility set by the level applies to air at all heights. Clear air has the mean density between the lowest ground
-and the eye, with a scale height H of 8 km. For an eye at the height z above that ground, this is (1 - exp(-z / H)) H / z of the
-density at the ground. Ground is therefore clearly visible from an orbit.
+**Density.** A visibility that the level sets applies to air at all heights. The density of clear air falls with height, with a
+scale height H of 8 km. Its mean between the lowest ground and the eye is used. For an eye at the height z above that ground, the
+mean is (1 - exp(-z / H)) H / z of the density at the ground. Ground is therefore clearly visible from an orbit.
 
 **Colour.** V refers to green light. The air itself scatters at most 13.6e-6 / m of green light, and this part of b is proportional
 to the inverse fourth power of the wavelength (J. W. Strutt, Lord Rayleigh 1871). Scattering by dust and droplets hardly depends on
-the wavelength. Distant ridges are therefore blue in clear air and grey in mist. A level without its own visibility has clear air,
-too, in which the view is good for some tens of kilometres only.
+the wavelength. Distant ridges are therefore blue in clear air and grey in mist. A level that sets no visibility has clear air
+(``CLEAR_AIR_M``).
 
-**Visibility threshold.** Linear colours x < y differ by at most one of 255 if the sRGB codes of all encoder bins that they can fall
-into do. The bins are 1/4096 wide, which is 0.8 of a step at black. The slope of the codes decreases with the colour, but the
-product of x and this slope increases. Therefore
+**Visibility threshold.** The encoder to sRGB rounds linear colours to bins that are 1/4096 wide, 0.8 of a step of 1/255 at black.
+Two linear colours x < y look alike if the sRGB codes of all bins that they can fall into differ by at most one of 255. The slope of
+the codes decreases with the colour, but the product of x and this slope increases. Therefore
 
-- haze that moves c towards h by the share s = 1 - T is first visible on black (0 against s h) or on white (1 - s (1 - h) against
-  1);
-- the difference between sunlight and shadow is most visible on a white surface without other light: (1 - T) h against
-  (1 - T) h + T g, where g is white in direct sun. Further light only reduces the difference. If only a part of a pixel shows the
-  surface and the rest is black, both colours are multiplied by that part.
+- haze, which moves c towards h by the share s = 1 - T, first becomes visible on black (0 against s h) or on white (1 - s (1 - h)
+  against 1);
+- the difference between sunlight and shadow is most visible on a white surface without other light. The colours to compare are
+  (1 - T) h and (1 - T) h + T g, where g is white in direct sun. Further light only reduces the difference. If the surface fills
+  only a part of a pixel and the rest is black, both colours are multiplied by that part.
 
-Each channel is tested separately, with the horizon's minimum or maximum in that channel, whichever is more visible.
+Each channel is tested separately, with the horizon's minimum or maximum in that channel, whichever makes the difference more
+visible.
 """
 
 from __future__ import annotations
@@ -69,10 +70,10 @@ ENCODER_BIN_WIDTH = 1.0 / 4096.0
 """Width of the bins of linear colour in ``skugga.terrain.shading.srgb_encoded``."""
 
 TESTED_SHARES = np.geomspace(1e-5, 1.0, 2048)
-"""Tested shares of light, in steps of 0.6 %."""
+"""Shares of light that the tests of visibility try, each 0.6 % larger than the one before."""
 
 SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
-"""Possible shares of a pixel that some of its samples cover (``skugga.terrain.gbuffer.antialias``)."""
+"""Possible shares of a pixel that a surface fills, by the pixel's samples (``skugga.terrain.gbuffer.antialias``)."""
 
 
 def judge(descriptor: Descriptor) -> Verdict:
@@ -94,7 +95,7 @@ def judge(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Return the facts of haze, all in metres.
+    """Return the facts of haze, all in metres. Maps have the first one only.
 
     - ``visibility_m``: meteorological visibility.
     - ``shows_from_m``: distance beyond which haze can be visible.
@@ -152,7 +153,10 @@ def max_visible_distance_m(scene: Scene, view: PerspectiveView, coarse_view: Coa
 
 
 def trees_in_view(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> tuple[TreeInstances | None, np.ndarray]:
-    """Return the trees around the eye (or ``None``), and the indices (n,) of those that intersect the view frustum."""
+    """Return the trees in all directions from the eye, and the indices (n,) of the trees that may intersect the view frustum.
+
+    The trees are ``None`` in a level without trees.
+    """
     trees = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
     if trees is None:
         return None, np.zeros(0, np.int64)
@@ -170,10 +174,11 @@ def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> f
 
 
 def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the view frustum in a frame: eye, rotation to the camera, tangents and planes.
+    """Return the view frustum in a frame.
 
-    The tangents (2, 2) are the minimum and maximum across and down. The planes have inward normals (5, 3). The frustum is one pixel
-    wider on each side, since rasterisers round corners.
+    The result holds the eye (3,), the rotation (3, 3) to the camera's axes, tangents (2, 2) and planes (5, 3). The tangents are the
+    minimum and maximum of x / z and of y / z in camera axes. The planes are given by their inward normals; all contain the eye. The
+    frustum is one pixel wider on each side than the view, since rasterisers round corners.
     """
     eye, camera_from_frame = view.in_frame(frame)
     first, count = np.array([view.col0, view.row0]), np.array([view.cols, view.rows])
@@ -186,7 +191,8 @@ def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
 def hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
     """Return the distance beyond which haze hides the difference between sunlight and shadow, metres.
 
-    Beyond it no pixel's colour differs by more than one of 255. The distance is 0 if the sun is down in the whole level.
+    Beyond it no channel of a pixel in shadow differs from the same pixel in sunlight by more than one of 255. The distance is 0 if
+    the sun is down in the whole level.
     """
     if not scene.sun_is_up:
         return 0.0
@@ -214,7 +220,10 @@ def _visible_haze_distance_m(scene: Scene, visibility_m: float) -> float:
 
 @cached("process", MIB)
 def _max_hiding_transmittance(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
-    """Return the maximum transmittance at which sunlight and shadow still look alike."""
+    """Return the maximum transmittance of the air through which sunlight and shadow still look alike.
+
+    ``horizon`` and ``white`` are the linear colours of the horizon and of a white surface in sunlight.
+    """
     air = (1.0 - TESTED_SHARES)[:, None] * np.array(horizon)
     lit = air + TESTED_SHARES[:, None] * np.array(white)
     is_indistinguishable = np.logical_and.reduce(
@@ -225,9 +234,9 @@ def _max_hiding_transmittance(horizon: tuple[float, ...], white: tuple[float, ..
 
 @cached("process", MIB)
 def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...]) -> float:
-    """Return the maximum share of the horizon's light that is invisible, on black and on white.
+    """Return the maximum share of the horizon's light that haze can add to any colour without a visible change.
 
-    The test on black uses the brightest colour of the horizon, the test on white the darkest.
+    Black and white are tested. The test on black uses the brightest colour of the horizon, the test on white the darkest.
     """
     black = np.zeros((1, len(darkest)))
     is_indistinguishable = _look_alike(black, TESTED_SHARES[:, None] * brightest)
@@ -236,7 +245,7 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
 
 
 def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
-    """Return whether pairs of colours (n, 3) differ by at most one code wherever the encoder's bins lie, bool (n,)."""
+    """Return whether pairs of linear colours (n, k) differ by at most one sRGB code, wherever the encoder's bins lie, bool (n,)."""
     lowest = np.maximum(dark - 0.5 * ENCODER_BIN_WIDTH, 0.5 * ENCODER_BIN_WIDTH)
     bins = np.ceil((bright - dark) / ENCODER_BIN_WIDTH)
     return (255.0 * (srgb_of_linear(lowest + bins * ENCODER_BIN_WIDTH) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
@@ -263,7 +272,10 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, to_sun_horizontal, sky):
-    """Apply haze to some rows. The inner loops compile to vector instructions."""
+    """Apply haze to the colours (rows, cols, 3) of the rows from ``first`` to ``last`` (exclusive), in place.
+
+    ``extinction`` holds the coefficients (3,) of the channels. The inner loops compile to vector instructions.
+    """
     cols = valid.shape[1]
     distance, azimuth_cosine, transmittance = np.empty(cols), np.empty(cols), np.empty(cols)
     at_horizon, horizon_color = np.zeros(cols), np.empty((3, cols))

@@ -1,4 +1,4 @@
-"""Lamps: spots and omni lights, needed if the light of one of them is visible in the view.
+"""The light of lamps (spots and omni lights). The effect is needed if the light of any lamp is visible in the view.
 
 ``_add_lamp_light`` computes their light at a point. ``visible_lamps`` and the glints on water (``skugga.terrain.effects.water``)
 use the same formula.
@@ -26,7 +26,7 @@ from skugga.terrain.shading_loops import MIN_SKY_FACTOR, dusk_of
 from skugga.terrain.srgb import srgb_of_linear
 
 MAX_NAMED_LAMPS = 8
-"""Maximum number of lamps that a reason names."""
+"""Maximum number of lamps that the text of a verdict names."""
 
 
 def judge(descriptor: Descriptor) -> Verdict:
@@ -48,19 +48,19 @@ def _join_names(names: list[str]) -> str:
 def visible_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> set[str]:
     """Return the names of the lamps whose light can be visible in a view.
 
-    The light is tested on white ground that faces the lamp, at all ground of a map or at all points of a perspective view. The
-    other lamps together change no 8-bit channel by more than three quarters of a step.
+    The light is computed for white surfaces that face the lamp, on all visible ground of a map or round the points of the coarse
+    view. All omitted lamps together change no 8-bit channel by more than three quarters of a step.
     """
     light = {name: _max_irradiance(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
     return set(light) - negligible_lamps(light, _min_visible_light(scene))
 
 
 def negligible_lamps(light: Mapping[str, np.ndarray | float], min_visible: float) -> set[str]:
-    """Return the lamps that may be left out: the dimmest ones, until some point would lose more than the visible light.
+    """Return the names of the dimmest lamps whose light is invisible even together.
 
-    ``light`` is the irradiance of each lamp at the same points (n,), or at one point. ``min_visible`` is the smallest visible
-    irradiance in the same unit. All values are 0 or more. Lamps are sorted by their maximum irradiance; equal ones keep their
-    order.
+    Lamps are added in the order of their maximum irradiance, as long as their sum is at most ``min_visible`` at every point.
+    Equally bright lamps keep their order. ``light`` is the irradiance of each lamp at the same points (n,), or at one point.
+    ``min_visible`` is the smallest visible irradiance, in the same unit. All values are 0 or more.
     """
     negligible, total = set(), np.zeros(1)
     for name in sorted(light, key=lambda name: float(np.max(light[name], initial=0.0))):
@@ -74,9 +74,9 @@ def negligible_lamps(light: Mapping[str, np.ndarray | float], min_visible: float
 def _max_irradiance(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> np.ndarray:
     """Return an upper bound of a lamp's irradiance on visible surfaces around some points (n,), in units of the sun's irradiance.
 
-    The points are the same for all lamps: the maximum heights of the overview, or the points of the coarse view. The distance to
-    the lamp is reduced by the spacing of the points and by the maximum height of objects. On flat ground without objects the bound
-    includes the cosine of incidence. The result is 0 where the lamp does not shine.
+    The points are the same for all lamps: in a map the highest ground of the overview's visible cells, else the points of the
+    coarse view. The distance to the lamp is reduced by the spacing of the points and by the maximum height of objects. On flat
+    ground without objects the bound includes the cosine of incidence. The result is 0 where the lamp does not shine.
     """
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     strength = max(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
@@ -124,7 +124,10 @@ def _min_visible_light(scene: Scene) -> float:
 
 @cached("scene", 16 * MIB)
 def _points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.ndarray]:
-    """Return the earth-fixed points (n, 3) of some cells of the overview, and the radius of each cell's ground (n,), metres."""
+    """Return the highest point (n, 3) of each of some cells of the overview, and the radius (n,) of each cell's ground, metres.
+
+    The points are earth-fixed, above the cells' centres. Cells without ground are left out.
+    """
     overview, elevation = scene.elevation.overview, scene.elevation
     factor = 2**overview.lod
     cell_mask = np.zeros(overview.high_m.shape, bool)
@@ -137,7 +140,10 @@ def _points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.nda
 
 
 def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
-    """Add the light of the lamps: inverse-square falloff, and a smooth edge of a spot's cone."""
+    """Add the light of the lamps to ``lamplight`` (rows, cols, 3), in place.
+
+    It falls off with the square of the distance. The edge of a spot's cone is smooth.
+    """
     buffer, scene = block.buffer, block.scene
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     for name, visibility in block.visibilities.items():

@@ -1,7 +1,7 @@
 """Casters outside the view: ground beyond a map's block, towards the sun, that can cast shadows into the block.
 
-All trees and meshes are always loaded, wherever they stand, and so is the ground of a perspective view. The effect therefore
-concerns only ground beyond the area of a map.
+All trees and meshes of a level are always loaded, wherever they stand. The ground of a perspective view is always complete, too.
+The effect therefore concerns only maps, and only ground.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from skugga.terrain.scene import Scene
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed if no ground outside can cast shadows into the view, or if all ground
-    is inside.
+    """Return whether the effect is needed, with the reason.
+
+    It is not needed in perspective, if the view shows all ground, or if no ground outside of the view can cast shadows into it.
     """
     if descriptor.view_kind == "perspective":
         return Verdict(False, "not needed: a perspective view already includes all ground, even behind the camera")
@@ -37,7 +38,10 @@ def judge(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Return the fact ``outside``: whether a map's picture omits some ground; for tiles, whether ground spans several blocks."""
+    """Return the fact ``outside``: whether a map does not show all of the level's ground in one block. Empty in perspective.
+
+    For tiles it is whether the ground spans several blocks.
+    """
     if isinstance(view, PerspectiveView):
         return {}
     (first_row, last_row), (first_col, last_col) = extent_on_grid(scene.world, scene.elevation, view.grid)

@@ -1,8 +1,9 @@
 """Refraction: the atmosphere raises the sun's apparent altitude, by half a degree at the horizon and 0.02 degrees at 45 degrees.
 
-The effect is needed if the lift moves the end of the longest shadow by more than a pixel, or changes the light on a slope by more
-than a step. The cosine n.l changes by at most the lift in radians. Exposure and the slope of sRGB turn this into a change of the
-picture. By day that slope is at most ``SRGB_SLOPE`` on surfaces that only sky light reaches.
+The lift is this increase of the altitude. The effect is needed if the lift moves the end of the longest shadow by more than a
+pixel, or changes the light on a slope by more than a step of 1/255. The cosine between a slope's normal and the light changes by at
+most the lift in radians. The change of the picture is this change times the exposure and the slope of the sRGB curve. By day the
+slope of the curve is at most ``SRGB_SLOPE``, on surfaces that only sky light reaches.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import exposure_of
 
 SRGB_SLOPE = 3.5
-"""Slope of sRGB at a linear value of 0.03: the dark side of white ground on a slope that sees half of the sky."""
+"""Slope of the sRGB curve at a linear value of 0.03, the colour of white ground in shadow that sees half of the sky."""
 
 
 def judge(descriptor: Descriptor) -> Verdict:
@@ -50,7 +51,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """Return the facts of refraction.
 
     - ``lift_deg``: increase of the sun's altitude by refraction, degrees.
-    - ``moves_m``: increase of the length of the level's longest shadow without refraction, metres.
+    - ``moves_m``: difference between the lengths of the level's longest shadow without and with refraction, metres.
     """
     if scene.sun is None:
         return {}

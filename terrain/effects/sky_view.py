@@ -4,10 +4,11 @@
 (``skugga.terrain.ground.sky_view_factor``). This is exact on the ground itself. Meshes and trees get the factor of the ground that
 they stand on, at any height above it. Distant ground uses means over the area of a pixel.
 
-**Predicate.** Sky light is ``albedo * sky * share``. If a part ``h`` of the sky is hidden, the linear colour falls by at most
-``albedo * sky * h``. sRGB is close to a root function: the root of ``L`` falls by ``h L^(1/2.4) / 2.4``. The change is therefore
-larger for brighter surfaces that only the sky lights. Further light reduces it, since the curve is flatter for brighter colours.
-The brightest ground in shadow thus changes most. The predicate encodes all shades up to that one, with and without ``h``.
+**Predicate.** The colour of a surface in sky light is ``albedo * sky * share``, where ``share`` is the visible share of the sky. If
+the share ``h`` of the sky is hidden, the linear colour falls by at most ``albedo * sky * h``. The sRGB code of a linear colour
+``L`` is about ``L^(1/2.4)``, and falls by ``h L^(1/2.4) / 2.4``. So among surfaces that only the sky lights, brighter ones change
+more. Further light reduces the change, since the curve is flatter for brighter colours. The brightest ground in shadow therefore
+changes most. The predicate compares the codes of all shades up to that of this ground, with and without the hidden sky.
 """
 
 from __future__ import annotations
@@ -31,15 +32,20 @@ from skugga.terrain.shading_loops import dusk_of
 from skugga.terrain.style import tint_table
 
 COMPARED_SHADES = 4096
-"""Number of compared shades from black to the brightest, equal to the size of the whole sRGB table."""
+"""Number of shades, from black to the brightest ground in shadow, that are compared. The table that encodes sRGB has as many
+entries.
+"""
 
 
 MARGIN_NODES = 4
-"""Margin of nodes beyond a map's edge that interpolation may read, including those of the next coarser pyramid level."""
+"""Number of nodes beyond a map's edge that interpolation may read, also at the next coarser level of the pyramid."""
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not if the hidden part of the sky changes no channel by more than a step."""
+    """Return whether the effect is needed, with the reason.
+
+    It is not needed if the hidden part of the sky changes no 8-bit channel by more than a step.
+    """
     facts = descriptor.facts["sky_view"]
     if not facts:
         return Verdict(False, "the light of the sky is only known on the Earth")
@@ -59,7 +65,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """Return the facts of the sky view. The result is empty for other celestial bodies than the Earth.
 
     - ``hidden``: maximum share of the sky that ground hides from any visible ground. A map uses means over its pixels.
-    - ``steps``: number of steps of 255 by which this darkens the brightest ground in shadow.
+    - ``steps``: number of steps of 1/255 by which this hidden share darkens the brightest ground in shadow.
     """
     if not scene.world.on_earth:
         return {}
@@ -75,7 +81,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def _max_hidden_in_map(scene: Scene, view: MapView, baked: SkyView) -> float:
-    """Return the maximum hidden share of the sky in a map, including the nodes that its pixels are interpolated from."""
+    """Return the maximum share of the sky that ground hides from a map's ground.
+
+    It is the maximum over all nodes that the map's pixels are interpolated from. ``baked`` holds the hidden shares at nodes.
+    """
     cells, (means, table) = visible_cells(scene.elevation, view), baked.means
     if cells is None:
         return 0.0
@@ -86,15 +95,18 @@ def _max_hidden_in_map(scene: Scene, view: MapView, baked: SkyView) -> float:
 
 
 def max_darkening_steps(light: float, hidden_share: float) -> int:
-    """Return the maximum number of steps of 255 by which the share ``hidden_share`` darkens any linear colour up to ``light``."""
+    """Return the maximum number of steps of 1/255 by which a colour darkens if the share ``hidden_share`` of its light is lost.
+
+    The colours are all linear values up to ``light``.
+    """
     shades = np.linspace(0.0, light, COMPARED_SHADES)
     return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden_share))).max())
 
 
 def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
-    """Return the maximum linear colour of a surface that only the whole sky lights.
+    """Return the maximum linear colour, over all channels, of a surface that only sky light reaches, from the whole sky.
 
-    The albedo is the brightest tint, or white if the level has objects, imagery or snow.
+    The surface has the brightest tint of the ground, or is white if the level has objects, imagery or snow.
     """
     level = scene.loaded.level
     plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
@@ -106,20 +118,23 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
 
 
 def _pyramid_position(scene: Scene, view: MapView, baked: SkyView) -> float:
-    """Return the pyramid level, as a fraction, at which the nodes are as far apart as a map's pixels."""
+    """Return the fractional level of the pyramid of hidden shares at which nodes are as far apart as a map's pixels; 0 or more."""
     return max(float(np.log2(map_pixel_m(scene.world, view) / baked.node_m)), 0.0)
 
 
 def _pyramid_values(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
-    """Return a level (rows, cols) of a pyramid. Numbers beyond the last level give the last level."""
+    """Return the level ``number`` (rows, cols) of a pyramid, or its last level if it has fewer.
+
+    ``values`` holds all levels, ``table`` the first index, rows and columns of each.
+    """
     begin, rows, cols = table[min(number, len(table) - 1)]
     return values[begin : begin + rows * cols].reshape(rows, cols)
 
 
 def _max_hidden_in_view(baked: SkyView, coarse_view: CoarseView) -> float:
-    """Return the maximum hidden share of the sky in a perspective view.
+    """Return the maximum share of the sky that ground hides from the visible ground of a perspective view.
 
-    The search radius around each point of the coarse view is the distance to its neighbours.
+    Round each point of the coarse view the maximum is searched within the distance to the neighbouring points.
     """
     buffer = coarse_view.buffer
     if not buffer.valid.any():
@@ -138,7 +153,11 @@ def _max_hidden_in_view(baked: SkyView, coarse_view: CoarseView) -> float:
 
 @compiled
 def _max_around_nodes(values, table, nodes, radius):
-    """Return the maximum of a pyramid of maxima within a radius of any node: over 3 x 3 cells that are as wide as the radius."""
+    """Return the maximum of the values within the radius ``radius`` (n,) round any of the positions ``nodes`` (n, 2).
+
+    ``values`` and ``table`` are a pyramid of maxima. A circle is covered by 3 x 3 cells of the level whose cells are at least as
+    wide as its radius. Both arguments are in nodes of the finest level.
+    """
     largest = 0.0
     for n in range(len(nodes)):
         number = min(max(int(np.ceil(np.log2(max(radius[n], 1.0)))), 0), len(table) - 1)
@@ -177,9 +196,9 @@ def _sky_view_factors(block: ShadingBlock) -> np.ndarray:
 
 @compiled
 def _write_factors(first, last, out, nodes, position, values, table, eye, tangent, width):
-    """Write the sky-view factors of some rows.
+    """Write the sky-view factors of the rows from ``first`` to ``last`` (exclusive) to ``out``.
 
-    Pixels are ``tangent`` nodes wide at distance 1 in perspective, or ``width`` nodes wide in a map.
+    In perspective a pixel is ``tangent`` nodes wide per metre of distance from the eye. In a map it is ``width`` nodes wide.
     """
     mip_level = finest_level = mip_pair(table, width)
     for i in range(first, last):

@@ -1,4 +1,4 @@
-"""Snow cover: white albedo on ground and roofs that are not too steep, and on the upper sides of crowns."""
+"""Snow cover: a white albedo on ground and roofs that are not too steep, and on the upper sides of tree crowns."""
 
 from __future__ import annotations
 
@@ -24,17 +24,25 @@ FULL_SNOW_DEG, NO_SNOW_DEG = 38.0, 52.0
 """Slopes below which all snow stays and above which none does. Most avalanches start between 30 and 45 degrees."""
 
 ROUGH_DEG, ROUGH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
-"""Noise added to the slope, so that the snow's edge is irregular: amplitude, coarsest wavelength, octaves, seed."""
+"""Noise added to the slope, so that the snow's edge is irregular: amplitude in degrees, coarsest wavelength in metres, octaves,
+seed.
+"""
 
 CROWN_SNOW_SHARE, CROWN_TOP = 0.6, (0.7, 1.1)
-"""Share of snow on top of a crown, and the cosines of its normal between which the share rises from 0 to this maximum."""
+"""Maximum share of snow on a crown, and the range over which the share rises from 0 to it.
+
+The range is of the cosine between the crown's normal and the vertical, after noise is added.
+"""
 
 CLUMPS, CLUMP_M = 0.3, 0.9
-"""Noise added to that cosine, so that twigs show between clumps of snow: amplitude, and coarsest wavelength in metres."""
+"""Noise added to the cosine between a crown's normal and the vertical: amplitude, and coarsest wavelength in metres.
+
+It leaves twigs visible between clumps of snow.
+"""
 
 
 def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
-    """Blend the albedo towards snow, and show rock where snow slid off."""
+    """Blend the albedo (rows, cols, 3) of surfaces with that of snow, in place. Ground that is too steep for snow becomes rock."""
     buffer, scene = block.buffer, block.scene
     if not scene.loaded.level.weather.snow:
         return
@@ -77,7 +85,10 @@ def _whiten(albedo, shading_inputs, surface_albedo, centre, anchor_from_frame, w
 
 @compiled
 def _slope_snow_share(slope_deg, x_m, y_m, pixel_m):
-    """Return the share of snow that stays on a slope."""
+    """Return the share, in [0, 1], of a slope that snow covers.
+
+    ``slope_deg`` is the angle of the slope. (``x_m``, ``y_m``) is its place and ``pixel_m`` the width of pixels, for the noise.
+    """
     if FULL_SNOW_DEG - 2.0 * ROUGH_DEG < slope_deg < NO_SNOW_DEG + 2.0 * ROUGH_DEG:
         slope_deg += ROUGH_DEG * _fading_noise(x_m, y_m, ROUGH_M, pixel_m)
     return 1.0 - smoothstep_value((slope_deg - FULL_SNOW_DEG) / (NO_SNOW_DEG - FULL_SNOW_DEG))
@@ -85,7 +96,7 @@ def _slope_snow_share(slope_deg, x_m, y_m, pixel_m):
 
 @internal
 def _crown_snow_share(up_cosine, x_m, y_m, height_m, pixel_m):
-    """Return the share of snow on a crown, at a point where the cosine between normal and vertical is ``up_cosine``."""
+    """Return the share, in [0, 1], of snow on a crown at a point where the cosine between normal and vertical is ``up_cosine``."""
     if up_cosine > CROWN_TOP[0] - 2.0 * CLUMPS:
         up_cosine += CLUMPS * (_fading_noise(x_m, height_m, CLUMP_M, pixel_m) + _fading_noise(height_m, y_m, CLUMP_M, pixel_m))
     return CROWN_SNOW_SHARE * smoothstep_value((up_cosine - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
@@ -113,7 +124,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
     - ``lies``: whether the level has snow.
     - ``on``: whether any visible surface can carry snow.
-    - ``why``: the reason if none can, or ``None``.
+    - ``why``: the reason if no surface can; else ``None``.
     """
     level = scene.loaded.level
     reason = None

@@ -1,4 +1,4 @@
-"""Soft edges: shadow maps filter their edges if a penumbra of the sun's disc (0.53 degrees) may be a pixel wide.
+"""Soft edges: shadow maps filter the edges of shadows if a penumbra of the sun's disc (0.53 degrees) may be a pixel wide.
 
 The width of a penumbra is proportional to the distance between occluder and receiver. The maximum distance follows from the longest
 shadow of the level's relief and of the objects on it.
@@ -14,7 +14,10 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 
 SUN_DIAMETER_RAD = float(2.0 * np.radians(SUN_RADIUS_DEG))
-"""Angular diameter of the sun, radians: width of the penumbra, perpendicular to the light, per distance of caster and receiver."""
+"""Angular diameter of the sun, radians.
+
+It is the width of a penumbra, perpendicular to the light, divided by the distance between caster and receiver.
+"""
 
 
 def judge(descriptor: Descriptor) -> Verdict:
@@ -34,7 +37,7 @@ def judge(descriptor: Descriptor) -> Verdict:
 def penumbra_m(descriptor: Descriptor) -> float:
     """Return the maximum width of a penumbra on level ground, metres.
 
-    It is the width at the end of the longest shadow, stretched by the sine of the sun's altitude.
+    It is the width at the end of the longest shadow, perpendicular to the light, divided by the sine of the sun's altitude.
     """
     assert descriptor.sun_altitude_deg is not None
     sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))

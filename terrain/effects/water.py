@@ -1,12 +1,12 @@
-"""Standing water: a plane with the waves of a light wind, which reflects the sky and the glint of the sun.
+"""Standing water: a plane with the waves of a light wind, which reflects the sky and the sun (glint).
 
-**Waves.** Wave slopes have an isotropic Gaussian distribution with a mean square of 0.003 + 0.00512 times the wind in m/s (C. Cox,
-W. Munk, Measurement of the roughness of the sea surface from photographs of the sun's glitter, 1954). Facets hide each other as in
-B. Smith (Geometrical shadowing of a random rough surface, 1967). For an eye at the zenith angle t, facets with a slope z towards it
-have the visible area (cos t + z sin t)+. Over all slopes this is ``A(t) = cos t N(a) + s sin t n(a)`` with a = cot t / s. N is the
-normal distribution, n its density, and s the standard deviation of slopes in one direction. The mean visible slope is
-``s**2 sin t N(a) / A(t)`` (C. Stein's lemma). Near the horizon the eye sees the fronts of waves, which reflect the sky well above
-the horizon.
+**Waves.** The water consists of small facets. Their slopes have an isotropic Gaussian distribution with a mean square of 0.003 +
+0.00512 times the wind in m/s (C. Cox, W. Munk, Measurement of the roughness of the sea surface from photographs of the sun's
+glitter, 1954). Facets hide each other as in B. Smith (Geometrical shadowing of a random rough surface, 1967). For an eye at the
+zenith angle t, facets with a slope z towards it have the visible area max(cos t + z sin t, 0). The mean over all slopes is ``A(t) =
+cos t N(a) + s sin t n(a)`` with a = cot t / s. N is the normal distribution, n its density, and s the standard deviation of slopes
+in one direction. The mean visible slope is ``s**2 sin t N(a) / A(t)`` (C. Stein's lemma). Near the horizon the eye sees the fronts
+of waves, which reflect the sky well above the horizon.
 
 - Sky: the colour of the sky in the direction that the mean visible facet reflects, times Schlick's Fresnel reflectance averaged
   over the waves (E. Bruneton, F. Neyret, N. Holzschuch, Real-time realistic ocean lighting, 2010).
@@ -59,7 +59,9 @@ NORMAL_FRESNEL = 0.02
 """Fresnel reflectance at normal incidence: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
 MAX_PIXELS = 2_000_000
-"""Maximum number of pixels drawn in the search for water between the points of a coarse view. Beyond it, water is assumed."""
+"""Maximum number of pixels that are drawn to search for water between the points of a coarse view. If more would be needed, water
+is assumed to be visible.
+"""
 
 MAX_CELLS_READ = 2**18
 """Maximum number of a map's cells that are read in the search for water."""
@@ -86,8 +88,9 @@ from a tested one.
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without water in view, and if the reflected sky is as dark as the water
-    itself.
+    """Return whether the effect is needed, with the reason.
+
+    It is not needed without water in view, and if the reflections change no colour of the water by more than a step of 1/255.
     """
     facts = descriptor.facts["water"]
     level_m, change = numeric_fact(facts["level_m"]), numeric_fact(facts["change_steps"])
@@ -107,7 +110,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """Return the facts of water.
 
     - ``level_m``: height of the water, metres; ``None`` without water.
-    - ``covers``: whether it covers any ground.
+    - ``covers``: whether the water covers any ground.
     - ``change_steps``: maximum number of 8-bit steps by which the reflected sky changes a colour; ``None`` if no water is visible.
     - ``glint``: whether glint of the sun can be visible.
 
@@ -134,9 +137,9 @@ def _has_water_at(scene: Scene, view: MapView) -> bool:
 
 @cached("scene", MIB)
 def _has_water_in(elevation: Elevation, overview_level: int, cells: CellRange) -> bool:
-    """Return whether any visible cell of a raster lies under water, read at an overview level.
+    """Return whether any of a raster's cells ``cells`` may lie under water, from heights of cells of ``2**overview_level`` a side.
 
-    Too many cells are not read. The result is then conservative: it may be true without water.
+    If these are more than ``MAX_CELLS_READ``, they are not read. Then the result may be true although there is no water.
     """
     side = 2**overview_level
     slices = block_slices(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
@@ -150,10 +153,10 @@ def _has_water_in(elevation: Elevation, overview_level: int, cells: CellRange) -
 
 
 def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
-    """Return the cosines (n,) of the zenith angles at which water is visible, reduced by the spacing of the coarse view.
+    """Return the cosines (n,) of the zenith angles of the eye, as seen from visible water. Empty if no water is visible.
 
-    If no point of the coarse view shows water, there may be water between the points. In that case the pixels around possibly
-    visible nodes under water are drawn. The result is empty if no water is visible.
+    The cosines are reduced by the spacing of the coarse view. If no point of the coarse view shows water, water between the points
+    is searched for (``_submerged_nodes_between``).
     """
     buffer, eye = coarse_view.buffer, coarse_view.eye_frame_m
     points = buffer.position_frame_m[water_in(buffer, scene)]
@@ -167,9 +170,10 @@ def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
 
 
 def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
-    """Return the ground's nodes under water (n, 3) that lie no farther than the coarse view's points beside them.
+    """Return possibly visible nodes of the ground under water, (n, 3) in the frame, in a view whose coarse view shows no water.
 
-    The pixels around these nodes are drawn. The result is empty if none of them shows water.
+    A node is possibly visible if it is not farther than the coarse view's points beside it. The pixels round these nodes are drawn
+    to check that. The result is empty if none of the pixels shows water.
     """
     from scipy.ndimage import maximum_filter
 
@@ -208,10 +212,11 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
 
 
 def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.ndarray) -> int:
-    """Return the maximum number of 8-bit steps by which the reflected sky changes water, for some cosines of zenith angles (n,).
+    """Return the maximum number of 8-bit steps by which the reflected sky changes the colour of water.
 
-    The tested colours range from the darkest possible water (in shadow, half of the sky hidden) to the brightest (in the light of
-    the sun and all lamps). The test uses the same loop as rendering.
+    ``cosines`` (n,) are those of the eye's zenith angles, as seen from the water. The tested colours range from the darkest
+    possible water (in shadow, half of the sky hidden) to the brightest (in the light of the sun and all lamps). The test uses the
+    same loop as rendering.
     """
     light, night = daylight_of(scene), night_sky_share(scene)
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
@@ -237,7 +242,10 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
 
 
 def _lamplight(scene: Scene) -> np.ndarray:
-    """Return an upper bound of the irradiance (3,) of all lamps on water: their sum directly below each lamp."""
+    """Return an upper bound of the irradiance (3,) of all lamps on water.
+
+    It is the sum over the lamps of the irradiance directly below each lamp.
+    """
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     total = np.zeros(3)
     for lamp in scene.lamps.values():
@@ -270,7 +278,7 @@ def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
 
 
 def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
-    """Blend the water's own colour with the reflected sky, and add the sun's glint if it can be visible."""
+    """Blend the colour (rows, cols, 3) of water with the reflected sky, and add the sun's glint if it can be visible, in place."""
     buffer, scene, view = block.buffer, block.scene, block.view
     eye = None if isinstance(view, MapView) else view.in_frame(buffer.frame)[0]
     to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
@@ -285,7 +293,10 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _visible_facets(cosine, mean_square_slope):
-    """Return the visible area of facets at a zenith angle, per area of the plane, and their mean slope towards the eye."""
+    """Return the visible area of the waves' facets, per area of the plane, and the facets' mean slope towards the eye.
+
+    They are ``A(t)`` and the mean visible slope of the module's docstring. ``cosine`` is that of the eye's zenith angle t.
+    """
     sine, deviation = np.sqrt(max(1.0 - cosine * cosine, 1e-12)), np.sqrt(0.5 * mean_square_slope)
     a = cosine / (deviation * sine)
     share = 0.5 * (1.0 + erf(a * np.sqrt(0.5)))
@@ -295,7 +306,10 @@ def _visible_facets(cosine, mean_square_slope):
 
 @internal
 def _reflection_at(cosine, mean_square_slope):
-    """Return the Fresnel reflectance at a zenith angle, the sine of the reflected sky's altitude, and the area of the facets."""
+    """Return mean Fresnel reflectance, sine of the altitude of the reflected sky, and visible area of facets for an eye.
+
+    ``cosine`` is that of the eye's zenith angle.
+    """
     area, slope = _visible_facets(cosine, mean_square_slope)
     deviation = np.sqrt(0.5 * mean_square_slope)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
@@ -305,10 +319,11 @@ def _reflection_at(cosine, mean_square_slope):
 
 @compiled
 def _glint(eye_up, sun_up, eye_sun, area, mean_square_slope):
-    """Return the glint per irradiance at normal incidence, from the cosines between eye, sun and up.
+    """Return the glint divided by the sun's irradiance at normal incidence.
 
-    ``area`` is the area of the facets that the eye sees. Glint fades in over the first degree of the sun's altitude, like direct
-    light.
+    ``eye_up``, ``sun_up`` and ``eye_sun`` are the cosines of the angles between the directions to the eye, to the sun and up.
+    ``area`` is the visible area of the facets (``_visible_facets``). Glint fades in over the first degree of the sun's altitude,
+    like direct light.
     """
     if sun_up <= 0.0:
         return 0.0

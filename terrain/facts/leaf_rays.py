@@ -1,8 +1,9 @@
 """Ray casting through foliage: the first hit with a leaf of the trees as a view draws them.
 
 The result is exact except for two simplifications that do not matter on average. The alpha of a texture is read at the nearest
-texel. All trees stand along the third axis of the frame, even far from its origin, where the earth's vertical differs. A uniform grid of cells holds the
-trees. Rays traverse its cells in order (J. Amanatides, A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
+texel. All trees stand along the third axis of the frame, even far from its origin, where the earth's vertical differs. A uniform
+grid of cells holds the trees. Rays traverse its cells in order (J. Amanatides, A. Woo 1987, "A fast voxel traversal algorithm for
+ray tracing").
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Probes: sampled visible points of a view, with rays from them and from places beside them to a light.
 
 A nearest-neighbour look-up in a shadow map gives a point the visibility of the centre of its texel, compared on the plane of the
-visible triangle. The look-up is wrong if only one of the rays from the point and from the texel's centre reaches the light. The share of
-such points is the error of a map with these texels.
+visible triangle. The look-up is wrong if only one of the rays from the point and from the texel's centre reaches the light. The
+share of such points is the error of a map with these texels.
 
 The position of the texel grid is random, so a random place stands for the texel's centre. It is drawn from a texel-sized square
 round the point, perpendicular to the light. The quasirandom sequence is the same in every process (R2: M. Roberts 2018, "The

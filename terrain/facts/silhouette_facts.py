@@ -171,9 +171,10 @@ def mean_volume_layers(
 
 @compiled
 def _count_crossings(ends, start, segment, light, weight):
-    """Count the crossings of rays with the strips from edges away from a light.
+    """Count the crossings of rays with the strips that extend from edges away from a light.
 
-    From the ends a and b of an edge a strip extends along a - l and b - l, or along -l if the light is a direction.
+    The strip of an edge from a to b runs along a - l from a, and along b - l from b, with the light at l. If the light is a
+    direction l, it runs along -l from both.
     """
     crossings = 0
     for e in range(len(ends)):

@@ -50,8 +50,8 @@ class MultisampledBuffer:
     Attributes
     ----------
     buffer
-        The buffer: the picture's own rows, then rows of samples. Samples follow one another in the order of ``pixels``, and the last
-        row is padded with copies of the last sample.
+        The buffer: the picture's own rows, then rows of samples. Samples follow one another in the order of ``pixels``, and the
+        last row is padded with copies of the last sample.
     rows
         The number of the picture's own rows.
     pixels

@@ -299,9 +299,10 @@ def _subtract_hidden_sky(row, col, values, mip_level, share):
 
 @internal
 def _points_of_row(exact_rows, first_row, stride, row, height, out):
-    """Write the frame points (3, cols) of a row of nodes, interpolated between the exact rows (6, m, cols) and raised by ``height``.
+    """Write the frame points (3, cols) of a row of nodes, interpolated between exact rows (6, m, cols).
 
-    An exact row holds the points at height 0 and the unit verticals of every ``stride``-th row.
+    An exact row holds the points at height 0 and the unit verticals of every ``stride``-th row. The points are raised by
+    ``height``.
     """
     exact_row = row // stride
     weights = (row - exact_row * stride) / stride

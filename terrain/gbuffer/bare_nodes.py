@@ -38,8 +38,8 @@ class BareNodes:
         The nodes' heights, with ``HALO`` more nodes on each side. They include the rim, ground for one node beyond the raster. The
         rim casts shadows, but is not visible (not ``valid``).
     position_frame_m
-        float64 (2, n, 3), points whose bounds contain the ground, metres: some of the nodes, at the lowest and at the highest height
-        of all nodes.
+        float64 (2, n, 3), points whose bounds contain the ground, metres: some of the nodes, at the lowest and at the highest
+        height of all nodes.
     valid
         bool (2, n), valid mask of ``position_frame_m``.
     """

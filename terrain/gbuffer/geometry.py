@@ -67,8 +67,8 @@ class GeometryBuffer:
     kind
         uint8, the kind of surface: NO_SURFACE, RELIEF, MESHES or FOREST of ``skugga.terrain.gbuffer.resolve``.
     triangle
-        int32 (rows, cols, 3), for a map's ground only: row and column of the triangle's quad in ``surface``, then 0 for the triangle
-        on the quad's north side or 1 for the other one. Where several triangles share the point, it is the first of them.
+        int32 (rows, cols, 3), for a map's ground only: row and column of the triangle's quad in ``surface``, then 0 for the
+        triangle on the quad's north side or 1 for the other one. Where several triangles share the point, it is the first of them.
     surface
         In maps of smooth ground: the nodes that the buffer was computed from. Its ``casting`` is the ground that casts shadows,
         which includes the rim (ground for one node beyond the raster). ``None`` in perspective and for columns.
@@ -87,9 +87,9 @@ class GeometryBuffer:
     sample_pixels
         Rows and columns (n, cols) of these samples in the finer view of the same camera. ``None`` without samples.
     lift_m
-        float32 (rows, cols), the distance from the point on the triangle to the smooth ground above it, metres. It is measured along
-        the line of sight, in a map upwards (``skugga.terrain.gbuffer.lift``). NaN on nodes of the raster and beside creases. ``None``
-        if it is NaN everywhere.
+        float32 (rows, cols), the distance from the point on the triangle to the smooth ground above it, metres. It is measured
+        along the line of sight, in a map upwards (``skugga.terrain.gbuffer.lift``). NaN on nodes of the raster and beside creases.
+        ``None`` if it is NaN everywhere.
     lifted
         bool (rows, cols), whether the point was moved to the smooth ground, for one light. ``None`` if no point was moved.
     tree_instances

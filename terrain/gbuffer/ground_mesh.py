@@ -2,8 +2,8 @@
 
 * The mesh's nodes are the centres of the raster's cells if these are square and the view can use the raster's CRS. Otherwise they
   are the nodes of the level's map grid.
-* A ground of up to ``MAX_UNDECIMATED_TRIANGLES`` triangles is drawn in full. A larger one is decimated. The decimation depends on the
-  distance from the eye, and not on the direction of view, so that turning the camera changes no triangle.
+* A ground of up to ``MAX_UNDECIMATED_TRIANGLES`` triangles is drawn in full. A larger one is decimated. The decimation depends on
+  the distance from the eye, and not on the direction of view, so that turning the camera changes no triangle.
 * The same triangles cast the shadows, in front of the eye and behind it.
 """
 
@@ -36,8 +36,8 @@ MAX_SIDE_NODES = 4096
 """Maximum number of nodes along a side before decimation. In larger levels each node is the mean of 2 x 2, 4 x 4, ... nodes."""
 
 TOLERANCE_PX = 0.25
-"""Maximum height error, in pixels, of a decimated ground at the nodes that it omits. It is exceeded if the mesh would otherwise have
-too many triangles.
+"""Maximum height error, in pixels, of a decimated ground at the nodes that it omits. It is exceeded if the mesh would otherwise
+have too many triangles.
 """
 
 

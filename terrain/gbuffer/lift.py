@@ -1,11 +1,10 @@
 """Lift points of ground triangles to the smooth surface that the triangles approximate.
 
 Triangles are chords of the smooth ground: where the ground is convex, it lies a little above them. Under grazing light this makes a
-visible error, the shadow terminator problem: a triangle that faces away from the light lies in the shadow of the triangle before it,
-though the smooth ground there is lit. The remedy is to lift the points of such triangles to the smooth ground (J. Hanika, Hacking the
-Shadow Terminator, Ray Tracing Gems II, 2021). Each
-corner of the triangle has a tangent plane, perpendicular to the smooth normal there. A point's lift is the mean of its distances to
-the three tangent planes, with barycentric weights.
+visible error, the shadow terminator problem: a triangle that faces away from the light lies in the shadow of the triangle before
+it, though the smooth ground there is lit. The remedy is to lift the points of such triangles to the smooth ground (J. Hanika,
+Hacking the Shadow Terminator, Ray Tracing Gems II, 2021). Each corner of the triangle has a tangent plane, perpendicular to the
+smooth normal there. A point's lift is the mean of its distances to the three tangent planes, with barycentric weights.
 
 Hanika moves points along the normals. Here they move along the line of sight, in a map upwards. So a point stays in its pixel, and
 every shadow algorithm can use it. Points of concave ground do not move.
@@ -34,9 +33,7 @@ The ground bends there by twice the angle between the two normals.
 
 @internal
 def is_smooth(face, smooth_normal):
-    """Return whether a corner's smooth normal exists and differs so little from the triangle's normal ``face`` that no crease lies
-    at the corner.
-    """
+    """Return whether a corner has a smooth normal, and no crease lies between it and the triangle's normal ``face``."""
     length = np.sqrt(
         smooth_normal[0] * smooth_normal[0] + smooth_normal[1] * smooth_normal[1] + smooth_normal[2] * smooth_normal[2]
     )

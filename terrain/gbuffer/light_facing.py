@@ -8,8 +8,8 @@ over one of them. So a light uses the normal of the facet that faces it most. Qu
 the facets. Neither choice prefers a side.
 
 **Between the raster's nodes** a facet is a chord of smooth ground. Shading uses the smooth normal there, and so do shadows: ground
-faces away from a light where its smooth normal does. ``skugga.terrain.gbuffer.smooth_ground`` moves the starts of shadow rays to the
-smooth ground.
+faces away from a light where its smooth normal does. ``skugga.terrain.gbuffer.smooth_ground`` moves the starts of shadow rays to
+the smooth ground.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class FacingNormals(NamedTuple):
         float32 (rows, cols), ``crease`` of a ``GeometryBuffer``, measured from ``normal_frame``.
     lift_frame
         float32 (rows, cols, 3), the vector that lifts a point off all of its facets by at least one metre. For a point on one facet
-        it is the facet's normal. For a shared point it points up, since the normal of one facet may lead below another facet. On the
-        rim of the ground, if light is parallel to a side of a facet, it also points inwards, so that a ray along the rim hits the
-        rim. ``None`` if it is the buffer's normal everywhere.
+        it is the facet's normal. For a shared point it points up, since the normal of one facet may lead below another facet. On
+        the rim of the ground, if light is parallel to a side of a facet, it also points inwards, so that a ray along the rim hits
+        the rim. ``None`` if it is the buffer's normal everywhere.
     blocked
         bool (rows, cols), whether one of a shared point's own facets blocks the light: the facet faces away from the light, and the
         ray from the point to the light starts below it.
@@ -261,7 +261,8 @@ def _is_on_rim(is_cut_nw_se, facets, count, row, col):
 def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, north):
     """Return whether a ray from a point runs, as seen from above, towards a corner of one of the point's facets.
 
-    From a point on a side of a facet such a ray is parallel to that side. ``east`` and ``north`` are the ray's horizontal components.
+    From a point on a side of a facet such a ray is parallel to that side. ``east`` and ``north`` are the ray's horizontal
+    components.
     """
     for k in range(count):
         r, c, half = facets[k]

@@ -19,7 +19,8 @@ from skugga.terrain.ground.surface import Surface
 def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, pixel_mask: np.ndarray | None = None) -> GeometryBuffer:
     """Return the geometry buffer of the columns in a map view, such as a block.
 
-    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError`` if the view spans too many cells.
+    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError`` if the view spans too many
+    cells.
     """
     row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
     columns, tops = find_columns(surface, row, col, frame)

@@ -20,8 +20,8 @@ def map_points(position, height, node_valid, is_cut_nw_se, faces, smooth_normals
     """Return the arrays of a ``GeometryBuffer`` for pixels at fractional rows and columns of a sheet of nodes.
 
     The results are valid mask, points, heights, normals, smooth normals, creases and triangles. A pixel that ``pixel_mask`` selects
-    shows a surface if it lies on a triangle and the nearest node is valid. Half-way between nodes one valid node of the nearest ones
-    suffices. ``faces`` (rows, cols, 2, 3) are the triangles' normals.
+    shows a surface if it lies on a triangle and the nearest node is valid. Half-way between nodes one valid node of the nearest
+    ones suffices. ``faces`` (rows, cols, 2, 3) are the triangles' normals.
     """
     rows, cols = row.size, col.size
     valid = np.empty((rows, cols), np.bool_)

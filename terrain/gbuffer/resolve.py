@@ -3,8 +3,8 @@
 * In perspective the point is the intersection of the pixel's ray with the triangle's plane (T. Moeller and B. Trumbore 1997).
 * In a map it is the triangle's point vertically below the pixel's centre.
 
-Barycentric coordinates are clamped to the triangle. Otherwise points could lie outside, since rasterisers snap corners to 1/256 of a
-pixel.
+Barycentric coordinates are clamped to the triangle. Otherwise points could lie outside, since rasterisers snap corners to 1/256 of
+a pixel.
 """
 
 from __future__ import annotations
@@ -184,8 +184,8 @@ def resolve_perspective(
 ) -> ResolvedPoints:
     """Return the points that a camera's pixels show.
 
-    ``number`` (rows, cols) is the number of the triangle in each pixel, from 1: of the ground, then of the meshes, then of the trees;
-    0 without one. ``sqrt_albedo`` (rows, cols, 4) holds the square roots of the albedo of visible leaves, times 255.
+    ``number`` (rows, cols) is the number of the triangle in each pixel, from 1: of the ground, then of the meshes, then of the
+    trees; 0 without one. ``sqrt_albedo`` (rows, cols, 4) holds the square roots of the albedo of visible leaves, times 255.
     """
     size = number.shape
     points = ResolvedPoints(
@@ -381,7 +381,9 @@ def _tree_triangle(p, base, shape, yaw_cos_sin, curvature, part):
 
 @internal
 def _barycentric_on_ray(p, eye, ray):
-    """Return the weights of a triangle's second and third corner at the intersection of a ray with its plane, clamped to the triangle.
+    """Return the barycentric weights of a triangle's second and third corner where a ray meets its plane.
+
+    They are clamped to the triangle.
     """
     e1x, e1y, e1z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     e2x, e2y, e2z = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]

@@ -48,8 +48,8 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
 def _move_lifted_points(first, last, points, triangles, lifted, lift, origin, in_map, position, corners):
     """Copy points and triangles' corners, and move the lifted points by ``lift`` metres.
 
-    In a map they move up, away from the point ``origin``. In perspective they move towards the eye ``origin``, at most half-way. All
-    three corners of a lifted point become the point itself.
+    In a map they move up, away from the point ``origin``. In perspective they move towards the eye ``origin``, at most half-way.
+    All three corners of a lifted point become the point itself.
     """
     direction = np.empty(3)
     for i in range(first, last):

@@ -6,8 +6,8 @@ Heights that are averaged over a pixel lose the ridges that cast shadows. So whe
 nodes than the maximum.
 
 The nodes are the centres of the sub-pixels. For a tile they are the centres of the pixels of tiles one, two or three zooms deeper.
-In maps that are not tiles, the sides of pixels cut through the squares round nodes. A square's weight in a pixel is the share of the
-square that lies in the pixel.
+In maps that are not tiles, the sides of pixels cut through the squares round nodes. A square's weight in a pixel is the share of
+the square that lies in the pixel.
 
 The positions of the nodes depend on the level's raster, its anchor and the pixels' size only, so that all tiles share them.
 """

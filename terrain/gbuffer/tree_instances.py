@@ -1,9 +1,9 @@
 """Select and scale the trees that a view draws. Small trees are decimated in a way that preserves the share of shaded ground.
 
 Where trees are smaller than a few pixels, only a share k of them is drawn. They are spread evenly over the stand, a group of trees
-(``skugga.terrain.trees.thinning``). The drawn trees are enlarged by 1 / sqrt(k) in all directions, so that they cover the same area.
-The thinned stand intercepts as much light from any direction as the full stand, so the shaded shares of crowns and ground are the
-same. Single shadows become coarser and longer. The picture, shadow maps and rays use the same trees.
+(``skugga.terrain.trees.thinning``). The drawn trees are enlarged by 1 / sqrt(k) in all directions, so that they cover the same
+area. The thinned stand intercepts as much light from any direction as the full stand, so the shaded shares of crowns and ground are
+the same. Single shadows become coarser and longer. The picture, shadow maps and rays use the same trees.
 
 In perspective k depends on a tree's distance from the eye, not on the direction of view. In a map k depends on the size of the
 pixels and of the tree's crown.
@@ -86,8 +86,8 @@ class TreeInstances:
     def in_frustum(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
         """Return the indices of the trees whose bounding spheres intersect a viewing pyramid.
 
-        The apex is ``eye``. ``rotation`` (3, 3) maps to the camera's axes x, y and z, of which z is the pyramid's axis. ``tangents``
-        (2, 2) are the minimum and maximum of x / z and of y / z.
+        The apex is ``eye``. ``rotation`` (3, 3) maps to the camera's axes x, y and z, of which z is the pyramid's axis.
+        ``tangents`` (2, 2) are the minimum and maximum of x / z and of y / z.
         """
         is_inside = np.empty(len(self), np.bool_)
         run_in_chunks(len(self), _mark_trees_in_frustum, self.base_frame_m, self.shape, eye, rotation, tangents, is_inside)
@@ -119,7 +119,7 @@ def _cache_key(objects: SceneObjects, *key_parts: object) -> tuple[object, ...]:
 
 @cached("scene", 512 * MIB, key=_cache_key)
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
-    """Return the drawn trees of a level in a map with pixels ``pixel_m`` metres wide, also outside the map; ``None`` without trees."""
+    """Return the trees that a map with pixels ``pixel_m`` metres wide draws, also those outside of it; ``None`` without trees."""
     trees = objects.trees
     return None if trees is None else _drawn_trees(objects, trees, frame, trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))
 

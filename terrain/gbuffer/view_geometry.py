@@ -72,7 +72,7 @@ def geometry_buffer(
     scene, view
         The scene and the view.
     frame
-        The local frame of the buffer; by default ``view_frame``. It must be that frame in perspective.
+        The local frame of the buffer; by default that of ``view_frame``.
     max_triangles
         The maximum number of the ground's triangles in perspective.
     pixel_mask
@@ -289,7 +289,7 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
 
 @cached("scene", 512 * MIB)
 def _imagery(elevation: Elevation, source: str, stamp: tuple[int, int]) -> Imagery:
-    """Return the imagery in a file. The cache key includes modification time and size (``stamp``), so a changed file is read again."""
+    """Return the imagery in a file. ``stamp``, the file's modification time and size, is a part of the cache key."""
     return Imagery(source)
 
 

@@ -227,7 +227,8 @@ def read_features(
         geometry[:] = shapely.transform(geometry, axes.xy, interleaved=False)
     _check_coordinates(features, file_crs, crs, *shapely.get_coordinates(geometry, return_index=True))
     _check_holes(features)
-    # Repaired before the projection, since only valid polygons are divided correctly, and after it, since it may fold them.
+    # Polygons are repaired twice: before the projection, since edges are divided correctly only in valid ones, and after it, since
+    # it may fold them.
     geometry[:] = _repaired(source, geometry)
     if not same_coordinates(file_crs, crs):
         geometry[:] = _repaired(source, _projected(features, file_crs, crs))

@@ -1,14 +1,16 @@
 """Ground as columns: every raster cell has a flat top, and vertical walls stand on the borders between cells.
 
-City surface models describe such ground: heights of cells, with walls that have no width in a map. The columns are those of the
-raster's own cells in its own CRS, whatever the CRS of the map. Zoomed out, they are those of cells averaged 2 x 2, 4 x 4, ...
+City surface models describe such ground: heights of cells, with walls that have no width in a map. A column stands on each cell of
+the raster in the raster's own CRS, whatever the CRS of the map. Zoomed out, a column stands on 2 x 2, 4 x 4, ... cells and has
+their average height.
 
-**One sample a column.** A pixel shows the centre of the top that contains it, at every zoom: a cell has one class, as in the tools
-of urban climatology. (With samples at the pixels' own positions, the shadows that the steps of a pitched roof cast on each other
-would show as hatching.)
+**One sample per column.** A pixel shows the light at the centre of the column's top that contains it, at every zoom. So a whole top
+has one value, as in the tools of urban climatology. (Samples at the pixels' own positions would show the shadows that the steps of
+a pitched roof cast on each other, as hatching.)
 
-**As a mesh**, each corner of the cells is one node for every cell that meets there. Walls lie between the tops. At a corner of four
-cells lies a vertical quad, too, which is a point seen from above. So the mesh is one piece, and its walls have no seams.
+**As a mesh**, each corner of a cell is a node of its own: four nodes where four cells meet. The quads between the nodes of
+neighbouring cells are walls. The quad between the four nodes where cells meet is vertical, and is a point seen from above. So the
+mesh is one piece, and its walls have no seams.
 """
 
 from __future__ import annotations
@@ -47,7 +49,10 @@ class ColumnMesh(Sheet):
 
     @cached_property
     def triangles(self) -> np.ndarray:
-        """Node indices (n, 3) int32 as in ``Sheet``, without triangles of zero area: walls between equal heights, and corners."""
+        """Node indices (n, 3) int32 as in ``Sheet``, without triangles whose area is zero.
+
+        These are in walls between cells of equal height, and where the corners of four cells meet.
+        """
         return sheet_triangles(self.is_cut_nw_se)[np.repeat(self.has_area.ravel(), 2)]
 
     @cached_property
@@ -67,9 +72,9 @@ class ColumnWindow:
     row0, col0
         First row and column.
     height_m
-        Heights, metres, float32 (rows, cols); NaN where no column stands.
+        Heights of the columns, metres, float32 (rows, cols); NaN where no column stands.
     valid
-        Valid mask (rows, cols): whether the image shows a column.
+        Valid mask (rows, cols): whether a column is visible, and not only casts shadows (filled holes).
     frame
         Local frame of ``sheet``.
     """
@@ -98,7 +103,7 @@ class ColumnWindow:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of a raster's cells at one level.
+    """The columns of a raster's cells at one level of detail.
 
     Attributes
     ----------
@@ -107,7 +112,7 @@ class Columns:
     elevation
         The raster.
     lod
-        Level of detail: a column is 2**level raster cells a side.
+        Level of detail: a column is ``2**lod`` raster cells a side.
     """
 
     world: World
@@ -116,17 +121,17 @@ class Columns:
 
     @cached_property
     def grid(self) -> Grid:
-        """The grid of the cells' centres."""
+        """The grid whose nodes are the centres of the columns."""
         side, middle = 2**self.lod, (2**self.lod - 1) / 2
         (x0, x1), (y0, y1) = self.elevation.xy(np.array([middle, middle + 1.0]), np.array([middle, middle + 1.0]))
         return Grid(self.elevation.crs, float(x0), float(y0), float(x1 - x0) * side, float((y0 - y1) / (x1 - x0)))
 
     def coarser(self, lod: int) -> Columns:
-        """Return the columns of cells that are 2**level times as large."""
+        """Return columns that are ``2**lod`` times as wide."""
         return replace(self, lod=self.lod + lod)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> ColumnWindow:
-        """Return the columns of a window, in a frame."""
+        """Return the columns of a window of ``rows`` x ``cols`` cells from (``row0``, ``col0``) on, with their mesh in a frame."""
         return ColumnWindow(self, row0, col0, *self.heights(row0, col0, rows, cols), frame)
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +165,7 @@ class ColumnIndices:
     window
         The window that contains all positions.
     row, col
-        int32 (rows, cols): row and column in the window of the cell under each position; -1 where it has no cell.
+        int32 (rows, cols): row and column in the window of the cell under each position; -1 where no column is visible.
     """
 
     window: ColumnWindow
@@ -175,7 +180,7 @@ class ColumnTops:
     Attributes
     ----------
     valid
-        Valid mask (rows, cols): whether a column shows at the position.
+        Valid mask (rows, cols): whether a column is visible at the position.
     position_frame_m
         Centres of the tops in a frame, metres, (rows, cols, 3).
     height_m
@@ -191,10 +196,10 @@ class ColumnTops:
 
 
 def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> tuple[ColumnIndices, ColumnTops]:
-    """Return the columns under positions at rows (n,) and columns (m,) of a surface's grid.
+    """Return the columns under positions at (fractional) rows (n,) and columns (m,) of a surface's grid, and their tops.
 
-    The cells are those of the level that the surface itself would show. Raises ``UnsupportedError`` where the map distorts the
-    raster so heavily that more than ``MAX_WINDOW_CELLS`` cells would be needed.
+    The columns have the surface's level of detail. Positions of tops are in ``frame``. Raises ``UnsupportedError`` if the map
+    distorts the raster so heavily that the positions span more than ``MAX_WINDOW_CELLS`` cells.
     """
     stride = surface.stride
     row0, col0 = int(np.floor(row[0])), int(np.floor(col[0]))
@@ -219,7 +224,7 @@ def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loca
 
 
 def _enclosing_window(columns: Columns, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> ColumnWindow:
-    """Return the window that contains all positions, with a rim of one cell, clipped to the raster."""
+    """Return the window of columns that contains all positions, with a margin of one cell, clipped to the raster."""
     is_located = np.isfinite(row) & np.isfinite(col)
     ends = []
     for values, cells in ((row, columns.elevation.rows), (col, columns.elevation.cols)):
@@ -238,7 +243,11 @@ def _enclosing_window(columns: Columns, row: np.ndarray, col: np.ndarray, frame:
 
 @compiled
 def _interpolate_at(exact, first_row, first_col, stride, row, col):
-    """Interpolate as ``skugga.terrain.ground.surface.interpolated`` does, at fractional rows and columns: float64 (n, m, k)."""
+    """Return values (n, m, k) float64 at fractional rows (n,) and columns (m,), interpolated from exact ones by cubics.
+
+    ``exact`` holds the values at every ``stride``-th row and column. The interpolation is that of
+    ``skugga.terrain.ground.surface.interpolated``.
+    """
     components = exact.shape[2]
     out = np.empty((row.size, col.size, components))
     row_values = np.empty((exact.shape[1], components))
@@ -271,9 +280,10 @@ def _interpolate_at(exact, first_row, first_col, stride, row, col):
 
 @compiled
 def _find_tops(height, top_valid, centres, row, col):
-    """Look up the columns at positions (n, m) of a window.
+    """Look up the columns under positions (n, m) of a window, given as fractional rows and columns.
 
-    Returns row and column of each cell (-1 where it has none), the valid mask, the centre of its top, its height and its up vector.
+    Returns six arrays: the row and the column of each position's cell (-1 where no column is visible), the valid mask, the centres
+    of the columns' tops, their heights, and the up vectors at the centres.
     """
     cell_row, cell_col = np.full(row.shape, -1, np.int32), np.full(row.shape, -1, np.int32)
     valid = np.zeros(row.shape, np.bool_)
@@ -296,7 +306,10 @@ def _find_tops(height, top_valid, centres, row, col):
 
 @compiled
 def _corners(ground, height):
-    """Return the nodes (2 rows, 2 cols, 3) of columns over the ground (rows + 1, cols + 1, 6) at their corners."""
+    """Return the mesh nodes (2 rows, 2 cols, 3) of columns with heights (rows, cols).
+
+    ``ground`` (rows + 1, cols + 1, 6) has the points of height 0 and the up vectors at the corners of their cells.
+    """
     rows, cols = height.shape
     out = np.empty((2 * rows, 2 * cols, 3))
     for i in range(2 * rows):

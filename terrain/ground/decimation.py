@@ -4,12 +4,14 @@ Two right triangles cover a square of 2**k cells a side. Each is halved at the m
 cells (W. Evans, D. Kirkpatrick, G. Townsend 2001, "Right-triangulated irregular networks"). So every node bisects one hypotenuse,
 and with it at most two triangles, one on each side.
 
-``step`` runs over 1, 2, 4, ... A node at odd multiples of the step in row and column (a centre) bisects the diagonal of a square.
-A node at an odd and an even multiple (a side's middle) bisects a side of it. A node needs the two apexes opposite to it, its
-parents. If all active nodes have active parents, no T-junctions arise, hence no cracks (P. Lindstrom, V. Pascucci 2002, "Terrain
+The distance ``step`` is 1, 2, 4, ... nodes. A node whose row and column are both odd multiples of it is the centre of a square, and
+bisects a diagonal of this square. A node with one odd and one even multiple is the middle of a square's side, and bisects this
+side. Active nodes are those that the mesh uses. The parents of a node are the apexes of the two triangles that it bisects. If all
+parents of active nodes are active, the mesh has no T-junctions, hence no cracks (P. Lindstrom, V. Pascucci 2002, "Terrain
 simplification simplified", IEEE TVCG 8(3)).
 
-The square is virtual: it has no nodes beyond the grid. Triangles that reach beyond the grid are always halved.
+The square of 2**k cells a side may be larger than the grid and has no nodes beyond it. Triangles that reach beyond the grid are
+always halved.
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.world import EARTH_RADIUS_M
 
 _PRESENT, _ABSENT, _BOTH = 1, 2, 3
-"""Bits for the smallest triangles within a triangle: all present, all absent, or both, where it crosses the outline of the data."""
+"""Bits for the smallest triangles within a triangle: all have data, all lack data, or both occur (at the outline of the data)."""
 
 MAX_LENGTH_UNDER_EYE = 64.0
 """Maximum length of a triangle under the eye, as a multiple of the eye's height above the ground.
 
 Positions are float32. Points of a triangle whose corners are E metres away are resolved to 4.8e-7 E. For a sun 8 degrees high,
-this displaces the end of a ray by 3.4e-6 E. Seen from E / 75, that is a quarter of a pixel of a thousandth.
+this displaces the end of a ray by 3.4e-6 E. From a distance of E / 75, that is a quarter of a pixel of 0.001 radians.
 """
 
 
@@ -47,9 +49,9 @@ class NodeErrors:
         float32 (rows, cols): vertical distance of a node from the middle of the hypotenuse that it bisects, metres. Infinite where
         the outline of the data needs the node, 0 where nothing is drawn.
     bisected
-        uint8 (rows, cols): number of triangles without an absent part that a node bisects, 0 to 2.
+        uint8 (rows, cols): number of the triangles that a node bisects, counting only triangles with data everywhere, 0 to 2.
     triangles
-        Number of triangles with all nodes: halves of cells with three present corners.
+        Number of triangles of the mesh that uses all nodes: halves of cells whose three corners have data.
     """
 
     height_m: np.ndarray
@@ -79,7 +81,7 @@ class DecimatedMesh:
 
 
 def node_errors(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErrors:
-    """Return the errors of all nodes of a grid of heights (rows, cols), metres, NaN where no surface is.
+    """Return the errors of all nodes of a grid of heights (rows, cols), metres, NaN where the surface is absent.
 
     ``sagitta`` adds the bulge of the earth above a hypotenuse, length**2 / (8 R), with the earth's mean radius R. Raises
     ``InputError`` if the heights are not a two-dimensional array or the spacing is not positive.
@@ -97,10 +99,10 @@ def node_errors(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeE
 def decimate(
     errors: NodeErrors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, near_m: float = 1.0
 ) -> DecimatedMesh:
-    """Return the nodes whose omission an eye at (row, col, height in metres) could see, and their triangles.
+    """Return the mesh of the nodes whose omission an eye at (row, col, height in metres) could see.
 
-    A node is active if its error exceeds ``tolerance`` (radians) times its distance to the eye, which counts as at least
-    ``near_m``. A node is also active if its error bends the ground nearest to the eye by as much there.
+    A node is used if its error exceeds ``tolerance`` (radians) times its distance to the eye, which counts as at least ``near_m``.
+    A node is also used if omitting it moves the ground nearest to the eye by more than ``tolerance``, seen from the eye.
 
     If more than ``max_triangles`` triangles result, the tolerance rises to the smallest one that stays within the limit. The
     outline of the data is kept even if it alone exceeds the limit. Raises ``InputError`` for arguments that are not finite or not
@@ -135,7 +137,7 @@ def decimate(
 def _node_errors(height, bulge_m):
     """Return each node's error (rows, cols) and the number of wholly present triangles that it bisects.
 
-    ``bulge_m`` is the earth's bulge above a hypotenuse of length 1.
+    ``bulge_m`` is the earth's bulge above a hypotenuse as long as the distance between neighbouring nodes.
     """
     rows, cols = height.shape
     error = np.zeros((rows, cols), np.float32)
@@ -158,10 +160,11 @@ def _node_errors(height, bulge_m):
 
 @internal
 def _fill_errors(height, bulge_m, error, parts, first_row, first_col, stride, down, right):
-    """Fill in the nodes whose hypotenuses end at offset (down, right) and at the opposite offset.
+    """Write ``error`` and ``parts`` of nodes ``stride`` apart, from (first_row, first_col) on.
 
-    The nodes within their triangles are already filled in. ``parts`` holds two bits for the triangle whose apex comes before the
-    node in reading order, and above them two bits for the triangle whose apex comes after it.
+    The hypotenuse that such a node bisects ends at the offset (down, right) from it and at the opposite offset. The nodes within
+    the bisected triangles must be done. ``parts`` holds two bits for the triangle whose apex comes before the node in reading
+    order, and above them two bits for the triangle whose apex comes after it.
     """
     rows, cols = height.shape
     bulge_m *= 4.0 * (down * down + right * right)
@@ -195,7 +198,10 @@ def _fill_errors(height, bulge_m, error, parts, first_row, first_col, stride, do
 
 @internal
 def _parts_of_halves(height, parts, row, col, down, right, apex_row, apex_col):
-    """Return the parts of both halves of a triangle; each half spans the bisecting node, the apex and an end of the hypotenuse."""
+    """Return whether the halves of a triangle have data, as the union of their bits (``_PRESENT``, ``_ABSENT``).
+
+    The corners of a half are the bisecting node, the triangle's apex and an end of its hypotenuse.
+    """
     part = 0
     for end in (-1, 1):
         half_down, half_right = apex_row - row + end * down, apex_col - col + end * right
@@ -212,7 +218,10 @@ def _parts_of_halves(height, parts, row, col, down, right, apex_row, apex_col):
 
 @compiled
 def _smallest_triangles(height):
-    """Return the number of half cells with three present corners; the diagonals meet in the nodes of even row and column."""
+    """Return the number of half cells whose three corners have data.
+
+    The diagonals that halve cells join nodes whose row and column are both even or both odd.
+    """
     count = 0
     for row in range(height.shape[0] - 1):
         for col in range(height.shape[1] - 1):
@@ -226,9 +235,9 @@ def _smallest_triangles(height):
 
 @compiled
 def _limits_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
-    """Return each node's limit (rows, cols) float32, and the distance in metres of the nearest node.
+    """Return each node's limit (rows, cols) float32, in radians, and the eye's distance to the nearest node, metres.
 
-    A node is needed for its own error at tolerances below its limit.
+    A node's limit is its error over its distance to the eye. At smaller tolerances the node is needed for its own error.
     """
     rows, cols = height.shape
     limit = np.empty((rows, cols), np.float32)
@@ -246,10 +255,10 @@ def _limits_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, ne
 
 @compiled
 def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
-    """Raise the limits of nodes that bend the ground nearest to the eye, which may be far nearer than the nodes.
+    """Raise the limits of nodes whose errors change the ground nearest to the eye, which may be far nearer than the nodes.
 
-    A node's error bends the triangles that it bisects like a tent, down to zero at their other edges. Outside the tent no point
-    sees the error larger than the node itself does. Within the tent, the ground at the eye does.
+    Omitting a node changes the triangles that it bisects like a tent: most at the node, and not at all at their other edges. If the
+    eye is over the tent, the change just below the eye may subtend a larger angle than the change at the node.
     """
     rows, cols = limit.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
@@ -269,9 +278,10 @@ def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
 
 @compiled
 def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
-    """Make the nodes mandatory that halve triangles under or next to the eye longer than ``MAX_LENGTH_UNDER_EYE`` allows.
+    """Require the nodes that halve overlong triangles under or next to the eye, by setting their limits to infinity.
 
-    "Next to" means within 1/32 of a triangle's leg. This catches the triangles that meet in a node right under the eye.
+    ``MAX_LENGTH_UNDER_EYE`` bounds the length of these triangles. "Next to" means within 1/32 of a triangle's leg. This includes
+    all triangles that meet in a node right under the eye.
     """
     rows, cols = limit.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
@@ -289,7 +299,7 @@ def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
 
 @internal
 def _require_over(limit, at_row, at_col, step):
-    """Make the nodes of a step mandatory that halve a triangle over a position."""
+    """Require the nodes of one ``step`` that halve a triangle which contains a position."""
     middle_row = int(np.floor(at_row)) // (2 * step) * 2 * step + step
     middle_col = int(np.floor(at_col)) // (2 * step) * 2 * step + step
     for down, right in ((0, 0), (-step, 0), (step, 0), (0, -step), (0, step)):
@@ -302,7 +312,7 @@ def _require_over(limit, at_row, at_col, step):
 
 @compiled
 def _propagate(limit):
-    """Raise each node's limit to the limits of the nodes that depend on it, from the smallest triangles upwards."""
+    """Raise the limit of each node to that of the nodes whose parent it is, from the smallest triangles to the largest."""
     rows, cols = limit.shape
     step = 1
     while step < max(rows, cols) - 1:
@@ -328,7 +338,7 @@ def _limit_at(limit, row, col):
 
 @compiled
 def _count_saved(limit, bisected, tolerance):
-    """Return the number of triangles that a tolerance saves: each wholly present triangle that is not bisected saves one."""
+    """Return the number of triangles that a tolerance saves: one for each triangle with data everywhere that is not bisected."""
     saved = 0
     for row in range(limit.shape[0]):
         for col in range(limit.shape[1]):
@@ -338,9 +348,10 @@ def _count_saved(limit, bisected, tolerance):
 
 @compiled
 def _tolerance_that_saves(limit, bisected, triangles):
-    """Return the smallest tolerance that saves at least this many triangles, or else the one that saves most.
+    """Return the smallest tolerance that saves at least ``triangles`` triangles, or else the one that saves most.
 
-    A radix selection finds it, by the upper and then by the lower 16 bits of the limits: positive floats order as their bits do.
+    A radix selection finds it, by the upper and then by the lower 16 bits of the limits. Positive floats have the same order as
+    their bits.
     """
     half, mask = np.uint32(16), np.uint32(0xFFFF)
     bits, bisected = limit.ravel().view(np.uint32), bisected.ravel()
@@ -360,9 +371,10 @@ def _tolerance_that_saves(limit, bisected, triangles):
 
 @compiled
 def _bisect(limit, height, tolerance, count):
-    """Return the nodes (n, 2) and triangles (count, 3) of the active nodes.
+    """Return the nodes (n, 2) and triangles (count, 3) of the mesh for a tolerance.
 
-    Traverses depth first from the two triangles of the whole square, and halves a triangle where its bisecting node is active.
+    Traverses the triangles depth first, from the two of the whole square. Halves a triangle if the limit of the node that bisects
+    it exceeds the tolerance.
     """
     rows, cols = height.shape
     side = 1

@@ -3,9 +3,9 @@
 By default the surface is bilinear between the centres of the raster's cells. If the level file sets blocks, each cell has a flat
 top instead (``skugga.terrain.ground.columns``). Cells are addressed as (row, col), with whole numbers at the centres.
 
-Level of detail ``lod`` has cells that are averages of ``2**lod`` x ``2**lod`` raster cells. They are counted from the raster's
-north-west corner, so that the cells do not depend on the window read. Raster cells that fill no whole such cell at the south and
-east borders are ignored.
+A level of detail ``lod`` has cells that are averages of ``2**lod`` x ``2**lod`` raster cells. They are counted from the raster's
+first cell, so that they do not depend on the window that is read. Raster cells at the south and east borders that fill no whole
+cell of the level of detail are ignored.
 
 Holes (cells without data) are not visible, but they are filled for casting shadows. The fill continues the heights at the hole's
 edge smoothly, so it makes no walls and no pits. Cells farther than ``FILL_CELLS`` from any data stay empty and cast no shadows.

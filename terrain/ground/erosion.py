@@ -3,7 +3,7 @@
 The equation is dz/dt = U - K A^0.5 S (A drained area, S slope), solved implicitly along the drainage tree: J. Braun and S. D.
 Willett (2013), "A very efficient O(n), implicit and parallel method to solve the stream power equation", Geomorphology
 180-181:170-179. A priority flood from the rim builds the tree, so no path ends in a pit: R. Barnes et al. (2014), "Priority-flood",
-Computers & Geosciences 62:117-127. A constant is added to A, below which slopes are those of hillsides.
+Computers & Geosciences 62:117-127. A constant, ``HILLSIDE_AREA``, is added to A. Where A is smaller, slopes are those of hillsides.
 
 Main valleys form on a coarse grid, their tributaries on finer ones. Each refinement displaces the ground sideways by noise, so
 rivers meander instead of following eight directions.
@@ -41,8 +41,9 @@ SHIFT_CELLS, SHIFT_WAVE_CELLS = 1.8, 3.1
 def erode(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np.ndarray:
     """Return ground (rows, cols) float64 that rivers have eroded, in units of its longest side.
 
-    Starts from ``start`` and lifts it by ``uplift``, both on the coarsest grid with at least two nodes a side. Refines the grid
-    ``halvings`` times: n nodes a side become 2 n - 1. The rim keeps its height: rivers leave the ground there.
+    Starts from the heights ``start`` and lifts them at the rate ``uplift``, in heights per unit of time. Both are (m, n) on the
+    coarsest grid, with at least two nodes a side. Refines the grid ``halvings`` times: n nodes a side become 2 n - 1. The rim keeps
+    its height: rivers leave the ground there.
     """
     height, side = start.copy(), max(start.shape) - 1.0
     for refinement in range(halvings + 1):
@@ -60,9 +61,9 @@ def erode(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np
 
 @compiled
 def drainage(height):
-    """Return the cells in order from the outlets upstream (n,), and the receiver of each cell (n,), as flat indices.
+    """Return all cells (n,) in an order that puts each cell after its receiver, and the receiver (n,) of each cell.
 
-    A receiver is the cell that a cell drains into. Cells of the rim drain into themselves.
+    Both are flat indices. The receiver is the neighbour that a cell drains into. Cells of the rim drain into themselves.
     """
     rows, cols = height.shape
     order = np.empty(rows * cols, np.int64)
@@ -98,7 +99,10 @@ def drainage(height):
 
 @compiled
 def _incise(height, uplift, order, receiver, cell):
-    """Apply one step of uplift and incision in place; ``cell`` is a cell's side."""
+    """Apply one time step of uplift and incision to ``height`` in place.
+
+    ``order`` and ``receiver`` are those of ``drainage``. ``cell`` is a cell's side as a share of the ground's longest side.
+    """
     flat, lift, cols = height.ravel(), uplift.ravel(), height.shape[1]
     area = np.full(flat.shape[0], cell * cell)
     for k in range(order.shape[0] - 1, -1, -1):

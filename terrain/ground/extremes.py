@@ -7,9 +7,9 @@ from skugga.terrain.compiled import internal
 
 @internal
 def widen(values, low, high):
-    """Extend the ranges from ``low`` to ``high`` so that they include ``values``, element by element. NaN changes nothing.
+    """Extend the range of each element, from ``low`` to ``high``, so that it includes the element of ``values``.
 
-    All arrays have the same length. The loop compiles to vector instructions: comparisons with NaN are false.
+    NaN changes no range. All arrays have the same length. The loop compiles to vector instructions: comparisons with NaN are false.
     """
     for j in range(values.size):
         value = values[j]

@@ -38,16 +38,16 @@ Rivers reach down to cells of 1/768 of the side of the generated ground. Finer s
 """
 
 SURROUNDINGS_FACTOR = 1.5
-"""Side of the generated ground as a multiple of the part shown: valleys lead out of the image."""
+"""Side of the eroded ground as a multiple of the part that becomes the raster, so that valleys lead out of the raster."""
 
 WINDING_CELLS, WINDING_WAVE_CELLS = 1.1, 7.3
-"""Sideways displacement of the eroded ground and the wavelength of its noise, in cells of the eroded grid.
+"""Sideways displacement of the eroded ground by noise, and the wavelength of the noise, in cells of the eroded grid.
 
-The eroded rivers run in only eight directions.
+It makes rivers wind: on the eroded grid they run in only eight directions.
 """
 
 GULLY_CELLS, GULLY_SHARE = 3.0, 0.05
-"""Wavelength of the first octave of roughness, in cells of the eroded grid; its height as a share of wavelength times slope."""
+"""Gullies: wavelength of their longest octave in cells of the eroded grid, and their height over wavelength times slope."""
 
 SEDIMENT, SEDIMENT_BLEND, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
 """Valley fill of ``landscape``: its mean height and variation, its blend width to the hills, and the lake's share of the ground.
@@ -93,12 +93,15 @@ def _raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
 
 
 def _ridges(rows: int, cols: int, seed: int) -> np.ndarray:
-    """Return mountains in massifs (rows + 1, cols + 1) float32, up to a linear scale."""
+    """Return the heights of mountains in massifs, (rows + 1, cols + 1) float32, in arbitrary units from an arbitrary zero."""
     return _uplift_and_erode(rows, cols, seed, lambda x, y: np.maximum(0.55 + 0.9 * fractal(2.2 * x, 2.2 * y, 2, seed), 0.05))
 
 
 def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
-    """Return hills, a few peaks, and valleys filled to flat floors (rows + 1, cols + 1) float32, up to a linear scale."""
+    """Return the heights of hills, a few peaks, and valleys filled to flat floors, (rows + 1, cols + 1) float32.
+
+    They are in arbitrary units from an arbitrary zero.
+    """
 
     def uplift(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         peaks = np.maximum(fractal(1.7 * x, 1.7 * y, 2, seed + 1), 0.0)
@@ -115,9 +118,10 @@ def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
 
 
 def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return ground (rows + 1, cols + 1) float32 that was uplifted and eroded by rivers.
+    """Return heights (rows + 1, cols + 1) float32 of ground that was uplifted and eroded by rivers.
 
-    ``uplift`` is a function of columns x (n,) and rows y (m,), in units of the longest side of the part shown.
+    ``uplift`` returns the rate of uplift (m, n) for columns x (n,) and rows y (m,). These are in units of the raster's longest
+    side.
     """
     longest = max(rows, cols)
     halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS_FACTOR / COARSEST_CELLS)), 0, MAX_HALVINGS))
@@ -133,7 +137,10 @@ def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndar
 
 
 def _fill_strips(function: Callable[..., None], rows: int, cols: int, *parameters: Any) -> np.ndarray:
-    """Return an array (rows + 1, cols + 1) float32 whose strips ``function(out, row0, *parameters)`` fills in threads."""
+    """Return an array (rows + 1, cols + 1) float32 that a function fills strip by strip, in several threads.
+
+    ``function(out, row0, *parameters)`` fills the strip ``out``, whose first row is ``row0``.
+    """
     out = np.empty((rows + 1, cols + 1), np.float32)
     map_on_cores(lambda row: function(out[row : row + STRIP_ROWS], row, *parameters), range(0, rows + 1, STRIP_ROWS))
     return out
@@ -141,14 +148,18 @@ def _fill_strips(function: Callable[..., None], rows: int, cols: int, *parameter
 
 @internal
 def _cubic(a, b, c, d, t):
-    """Return the Catmull-Rom cubic between b (t = 0) and c (t = 1), and its slope."""
+    """Return the value and the slope at ``t`` of the Catmull-Rom cubic between b (``t`` = 0) and c (``t`` = 1)."""
     p, q, r = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)
     return b + t * (p + t * (q + t * r)), p + t * (2.0 * q + 3.0 * t * r)
 
 
 @compiled
 def _add_roughness(out, row0, eroded, first_row, first_col, scale, octaves, seed):
-    """Fill ``out`` with eroded ground between its nodes, with gullies and knolls of ridged noise on steep slopes."""
+    """Fill ``out`` with the eroded ground, interpolated between its nodes, with gullies and knolls on steep slopes.
+
+    ``row0`` is the row of ``out`` in the raster. Raster node (0, 0) is at (``first_row``, ``first_col``) in the grid ``eroded``,
+    and ``scale`` is the distance between raster nodes in that grid. Gullies are ``octaves`` octaves of ridged noise.
+    """
     rows, cols = eroded.shape
     row_heights, row_slopes = np.empty(4), np.empty(4)
     for i in range(out.shape[0]):

@@ -1,4 +1,4 @@
-"""Read a raster's georeference: its CRS, and whether its coordinates can be ones of that CRS."""
+"""Read a raster's CRS, and check that the raster's coordinates fit it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.axes import axes_of
 
 MAX_LATITUDE_DEG = 91.0
-"""Files overshoot the poles by up to a cell."""
+"""Maximum latitude in degrees that counts as plausible: files overshoot the poles by up to a cell."""
 
 MAX_LONGITUDE_DEG = 540.0
 
 MAX_DEGREE_CELL = 0.02
-"""Cell size, in units of a projected CRS, below which coordinates in the range of degrees are probably degrees."""
+"""Cell size in CRS units below which coordinates in the range of degrees are probably degrees, not those of a projected CRS."""
 
 MAX_CELL_M = 50_000.0
-"""Maximum side of a cell in a projected CRS, metres: a block of a thousand such cells reaches round the earth."""
+"""Maximum side of a cell in a projected CRS, metres: a thousand such cells reach round the earth."""
 
 STATE_CRS_HINT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
 
 
 def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
-    """Raise ``SourceError`` for a raster that only control points, RPCs or coordinate arrays locate: it needs warping first."""
+    """Raise ``SourceError`` for a raster that control points, RPCs or coordinate arrays locate, instead of a geotransform.
+
+    Such a raster needs warping first.
+    """
     if not dataset.transform.is_identity:
         return
     points = len(dataset.gcps[0])
@@ -42,7 +45,7 @@ def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
 
 
 def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
-    """Raise ``SourceError`` for cells of infinite coordinates or of zero size."""
+    """Raise ``SourceError`` if the raster's geotransform gives its cells no finite coordinates or no size."""
     if not np.isfinite(tuple(dataset.transform)).all() or dataset.transform.determinant == 0:
         problem = f"its geotransform {tuple(dataset.transform)[:6]} gives cells no size or no position"
         raise SourceError(source, problem, "Give a raster with cells of a size above 0")
@@ -51,9 +54,9 @@ def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
 def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
     """Return the horizontal CRS of an open raster, after checking that the raster's coordinates fit it.
 
-    The vertical axis is dropped: positions in this CRS have heights of their own. Raises ``SourceError`` if the raster has no CRS
-    or no position in it, or if its coordinates are of another kind: metres in a CRS in degrees, or degrees in one in metres or
-    feet.
+    The vertical axis of the CRS is omitted. Raises ``SourceError`` if the raster has no CRS or no geotransform, or if its cells are
+    too large. Also raises it if the coordinates are of another kind than the CRS: metres in a CRS in degrees, or degrees in a CRS
+    in metres or feet.
     """
     check_geotransform(source, dataset)
     gt, (rows, cols) = dataset.transform, dataset.shape

@@ -1,4 +1,7 @@
-"""Paths over a level's ground: the position of a moving object at a time of the clock."""
+"""Paths over a level's ground: the position of a moving object at a time of the level's clock.
+
+The level's clock runs in seconds and drives all motion. A path goes through keys: positions at given times.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,19 @@ from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.level.motion import HeightReference
 
 MIN_SAMPLES = 16
-"""Minimum number of samples that check a path between two keys."""
+"""Minimum number of points at which a path is checked between two neighbouring keys."""
 
 MAX_SAMPLES = 20_000
-"""Approximate maximum number of samples that check a path."""
+"""Approximate maximum number of points at which a whole path is checked."""
 
 UNDER_GROUND_M = 0.01
 """Tolerance below the ground, metres: heights are float32."""
 
 TimedPosition = tuple[float, tuple[float, float, float]]
-"""A time of the clock in seconds, and the position at that time."""
+"""A key of a path: a time of the level's clock in seconds, and the position at that time.
+
+A position is horizontal coordinates as in ``Geolocator``, and a height in metres.
+"""
 
 
 class GroundPosition(NamedTuple):
@@ -46,10 +52,10 @@ class GroundPosition(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GroundPath:
-    """A smooth curve through timed positions (``skugga.terrain.geo.keyed_curve``).
+    """A smooth curve through keys, which are timed positions (``skugga.terrain.geo.keyed_curve``).
 
-    Height has a curve of its own, which never leaves the heights of the neighbouring keys: an object that drives from key to key on
-    the ground stays on it.
+    The height has a curve of its own, which stays between the heights of the two neighbouring keys. So an object that drives from
+    key to key on the ground stays on it.
 
     Attributes
     ----------
@@ -102,9 +108,9 @@ class GroundPath:
             raise LevelError(name, Problem(fault), "Keep all of the path above the ground")
 
     def sample_times_s(self) -> np.ndarray:
-        """Return times (n,) in seconds at which the path is sampled, about every half cell, from key to key.
+        """Return the times (n,) in seconds at which the path is checked: about every half cell of the raster.
 
-        Samples are farther apart where more than ``MAX_SAMPLES`` would result.
+        The keys' times are among them. Times are farther apart if more than about ``MAX_SAMPLES`` would result.
         """
         elevation, times_s = self.geolocator.elevation, self.horizontal_curve.times_s
         step_m = 0.5 * elevation.cell_size_m(self.geolocator.world.metres_per_unit)
@@ -126,7 +132,11 @@ class GroundPath:
 def path_over_ground(
     keys: Sequence[TimedPosition], loop: bool, height_reference: HeightReference, geolocator: Geolocator, name: str, key: str
 ) -> GroundPath:
-    """Return the path through keys. Raises ``LevelError`` with the name ``NAME.NUMBER.KEY`` for a key off the terrain."""
+    """Return the path through keys.
+
+    Raises ``LevelError`` for a key off the terrain. The message names it by ``name``, the key's number and the parameter ``key``,
+    as in NAME.NUMBER.KEY.
+    """
     world, elevation = geolocator.world, geolocator.elevation
     points = []
     for number, (_, position) in enumerate(keys):

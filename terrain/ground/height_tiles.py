@@ -1,4 +1,4 @@
-"""Cache the heights of a grid's nodes in tiles, so that windows that overlap or recur read each raster cell once."""
+"""Cache the heights of a grid's nodes in tiles: neighbouring windows, and the same window under another sun, share one read."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Gradient noise on a plane, reproducible: a seed gives the same numbers on any machine, at each position independently.
+"""Compute reproducible gradient noise on a plane. A position and a seed give the same number on any machine.
 
-Gradient noise after Perlin (1985, "An image synthesizer", SIGGRAPH 19(3):287-296) with his later quintic fade (2002, "Improving
+The method is that of Perlin (1985, "An image synthesizer", SIGGRAPH 19(3):287-296) with his later quintic fade (2002, "Improving
 noise", ACM TOG 21(3):681-682), on a lattice of hashed gradients. It calls no transcendental function.
 """
 
@@ -59,7 +59,7 @@ def noise_at(x, y, seed):
 
 @compiled
 def noise_along(x, y, seed, out):
-    """Fill ``out`` (n,) with ``noise_at`` of many positions.
+    """Fill ``out`` (n,) with ``noise_at`` of the positions ``x``, ``y`` (n,).
 
     The code repeats ``noise_at``: a loop that calls it does not compile to vector instructions.
     """

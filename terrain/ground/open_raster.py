@@ -1,9 +1,10 @@
-"""Open rasters with all their masks applied, with a level's nodata value, and without overviews that average sentinels.
+"""Open rasters with all their masks applied, and with the nodata value that a level file adds.
 
-A file may declare empty cells in several ways: nodata values, a mask beside the cells (in the file or in a ``.msk``), an alpha
-band. GDAL applies only one of them: a mask before nodata before alpha, and alpha bands only of some types and positions. If a file
-declares more than GDAL applies, a virtual raster (VRT) replaces it. In the VRT every cell that any of them declares empty is
-nodata.
+A file may declare empty cells in several ways: nodata values, a mask beside the cells (in the file or in a ``.msk``), or an alpha
+band. GDAL applies only one of these: a mask if there is one, else nodata, else an alpha band of some types and positions. If a file
+declares more than GDAL applies, a virtual raster (VRT) replaces it. In the VRT a cell is nodata if any of these declares it empty.
+
+Small rasters are opened without their overviews. These may average sentinels (values that stand for missing data) into heights.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.level.rasters import open_raster
 
 MAX_EXACT_MAXIMA_CELLS = 32_000_000
-"""Maximum size of a raster whose maxima are read cell by cell, in strips, when it is opened.
+"""Maximum number of cells of a raster whose maximum heights are read cell by cell, in strips, when it is opened.
 
-Such a raster is decimated from its cells, not from existing overviews of unknown origin.
+Coarse cells of such a raster are computed from its own cells, not from existing overviews of unknown origin.
 """
 
 _VRT_TYPES = {
@@ -63,7 +64,7 @@ def open_height_raster(source: str, in_memory: MemoryFile | None, nodata: float 
 
 
 def open_masked_raster(source: str, bands: Sequence[int] = (1,)) -> rasterio.DatasetReader:
-    """Open a raster whose ``bands``, the first ones, are masked by everything that declares cells empty.
+    """Open a raster and mask each cell of its ``bands`` that nodata, a mask or an alpha band declares empty.
 
     Raises ``SourceError``, ``RasterioError`` and ``OSError``.
     """
@@ -73,7 +74,7 @@ def open_masked_raster(source: str, bands: Sequence[int] = (1,)) -> rasterio.Dat
 
 
 def impossible_nodata(dataset: rasterio.DatasetReader) -> str | None:
-    """Return the nodata value of an open raster's first band as text if no cell of its type can have it, else ``None``.
+    """Return the nodata value of an open raster's first band, as text, if its cell type cannot hold it, else ``None``.
 
     An example is NaN in a band of integers.
     """
@@ -94,7 +95,10 @@ def _open(source: str) -> rasterio.DatasetReader:
 
 
 def _apply_all_masks(dataset: rasterio.DatasetReader, bands: Sequence[int], nodata: float | None) -> rasterio.DatasetReader:
-    """Return a dataset whose ``read`` masks all empty cells: the given one, or a VRT. ``nodata`` is a further empty value."""
+    """Return a dataset whose ``read`` masks all empty cells: the given one, or a VRT.
+
+    ``nodata`` is a value of empty cells in addition to the one that the file declares.
+    """
     if dataset.count < max(bands) or any(dataset.dtypes[band - 1] not in _VRT_TYPES for band in bands):
         return dataset
     if dataset.gcps[0] or dataset.rpcs is not None:  # callers that need a geotransform raise an error
@@ -150,11 +154,11 @@ def _vrt_of_values(
     masked: bool = False,
     ignores_overviews: bool = True,
 ) -> str:
-    """Return a VRT of bands of the raster ``name`` in which empty cells have the nodata value.
+    """Return the text of a VRT of some bands of the raster ``name``, in which empty cells have the nodata value.
 
-    ``name`` has the cells of ``dataset``. The nodata value is ``nodata``, or else each band's own, or else NaN, for which integers
-    become floats. If ``masked``, the source's mask defines the empty cells, otherwise the bands' values do. (GDAL averages without
-    empty cells if a VRT band has nodata, but not if it has a mask.)
+    The raster ``name`` has the same cells as ``dataset``. The nodata value is ``nodata``, or else each band's own, or else NaN, for
+    which integers become floats. If ``masked``, the raster's mask defines the empty cells, otherwise the bands' values do. (GDAL's
+    averages leave out empty cells if a VRT band has nodata, but not if it has a mask.)
     """
     root = _vrt_root(dataset)
     for number in bands:
@@ -184,7 +188,10 @@ def _vrt_of_values(
 
 
 def _union_mask(dataset: rasterio.DatasetReader, name: str, bands: Sequence[int]) -> _VrtSource:
-    """Return a mask of a raster with a dataset's cells: 0 where the masks of all its bands are 0."""
+    """Return a VRT source for the mask of the raster ``name``: 0 where the masks of all ``bands`` are 0.
+
+    The raster has the same cells as ``dataset``.
+    """
     if len(bands) == 1:
         return _VrtSource(name, f"mask,{bands[0]}")
     root = _vrt_root(dataset)
@@ -193,7 +200,7 @@ def _union_mask(dataset: rasterio.DatasetReader, name: str, bands: Sequence[int]
 
 
 def _vrt_with_mask(dataset: rasterio.DatasetReader, bands: Sequence[int], masks: Sequence[_VrtSource]) -> str:
-    """Return a VRT of a raster's bands, unchanged, whose mask is 0 where any of the given masks is 0."""
+    """Return the text of a VRT of a raster's unchanged bands, whose mask is 0 where any of ``masks`` is 0."""
     root = _vrt_root(dataset)
     for number in bands:
         band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_VRT_TYPES[dataset.dtypes[number - 1]], band=str(number))
@@ -213,7 +220,7 @@ def _vrt_root(dataset: rasterio.DatasetReader) -> ElementTree.Element:
 
 
 def _add_derived(root: ElementTree.Element, dataset: rasterio.DatasetReader, function: str, parts: Sequence[_VrtSource]) -> None:
-    """Add a band of bytes: a copy of one part, or a GDAL pixel function of several."""
+    """Add a band of bytes to a VRT: a copy of the only part, or a GDAL pixel function (``max``, ``min``) of several parts."""
     band = ElementTree.SubElement(root, "VRTRasterBand", dataType="Byte")
     if len(parts) > 1:
         band.set("subClass", "VRTDerivedRasterBand")
@@ -225,7 +232,7 @@ def _add_derived(root: ElementTree.Element, dataset: rasterio.DatasetReader, fun
 def _add_source(
     band: ElementTree.Element, dataset: rasterio.DatasetReader, part: _VrtSource, is_complex: bool = False
 ) -> ElementTree.Element:
-    """Add a source to a VRT band that covers all of it."""
+    """Add a source that covers all of a VRT band, and return its element."""
     rows, cols = dataset.shape
     source = ElementTree.SubElement(band, "ComplexSource" if is_complex or part.lut else "SimpleSource")
     ElementTree.SubElement(source, "SourceFilename", relativeToVRT="0", shared="0").text = part.name

@@ -1,7 +1,8 @@
-"""Read a coarse overview of a whole raster, for its reach and relief, and check which overviews a file needs for that.
+"""Read a coarse overview of a whole raster: mean and maximum heights. Check which overviews a file needs for that.
 
-The maximum of a cell casts far shadows: a mean over kilometres misses peaks. Rasters of up to ``MAX_EXACT_MAXIMA_CELLS`` cells are
-read cell by cell. Of larger ones as many means are read, so a peak is smoothed over a few raster cells, not over hundreds.
+The overview shows how far shadows may reach, and the relief. Each of its cells has a maximum, since a mean over kilometres misses
+the peaks that cast far shadows. Maxima of rasters of up to ``MAX_EXACT_MAXIMA_CELLS`` cells come from all cells. Those of larger
+rasters come from about that many means, so a peak is smoothed over a few raster cells, not over hundreds.
 """
 
 from __future__ import annotations
@@ -16,21 +17,21 @@ from skugga.terrain.errors import SourceError, printable
 from skugga.terrain.ground.open_raster import MAX_EXACT_MAXIMA_CELLS
 
 OVERVIEW_CELLS = 512
-"""Longest side, in cells, of the overview that provides reach and relief."""
+"""Maximum length of the overview's longer side, in cells."""
 
 MAX_CELLS_READ = 1_000_000_000
-"""Maximum cells read for that overview if the file has no overview near its level.
+"""Maximum number of cells that are read for the overview, if the file itself has no overview of a similar resolution.
 
-Reading them takes some ten seconds, and as long for a zoomed-out tile.
+Reading them takes some ten seconds, as does reading a zoomed-out tile of such a file.
 """
 
 MAX_OVERVIEW_RATIO = 4
-"""Maximum ratio between successive overviews of a file: a coarse window then reads 16 cells for one."""
+"""Maximum ratio between the factors of successive overviews of a file. A coarse window then reads at most 16 cells for each."""
 
 FINE_LOD, MAX_FINE_CELLS = 5, 16_000_000
-"""Level of detail whose maxima are cached too if the overview is coarser, and the maximum number of its cells.
+"""Level of detail whose maxima are stored too, if the overview is coarser, and the maximum number of its cells.
 
-It is a coarser one if ``FINE_LOD`` itself has more cells.
+If ``FINE_LOD`` has more cells than that, a coarser level of detail is used.
 """
 
 MEAN_ROWS_PER_READ = 64
@@ -39,10 +40,10 @@ MEAN_ROWS_PER_READ = 64
 
 @dataclass(frozen=True, eq=False)
 class Overview:
-    """A whole raster at a coarse level: (m, n) cells of 2**level raster cells a side, NaN in holes.
+    """A whole raster at a coarse level of detail: (m, n) cells of ``2**lod`` raster cells a side, NaN in holes.
 
-    For rasters over ``MAX_EXACT_MAXIMA_CELLS`` cells, extremes are estimated from about as many finer means: the maximum of a
-    mean's neighbourhood plus half the neighbourhood's range.
+    For rasters over ``MAX_EXACT_MAXIMA_CELLS`` cells, extremes are estimated from means over fewer raster cells. The estimate of a
+    maximum is the highest mean in a neighbourhood plus half the range of the means there.
 
     Attributes
     ----------
@@ -51,14 +52,14 @@ class Overview:
     high_m
         Maximum height of the ground in each cell, metres, (m, n).
     lod
-        Level of the cells.
+        Level of detail of the cells.
     lowest_m
         Minimum height of all ground, metres, also under water.
     fine_high_m
-        Maximum heights of the cells of ``fine_lod``, metres, of those within the overview's cells; ``None`` if the overview is no
-        coarser than ``FINE_LOD``.
+        Maximum heights, metres, of the cells of level of detail ``fine_lod`` that lie within the overview's cells. ``None`` if all
+        maxima are exact, or if the overview is no coarser than ``fine_lod``.
     fine_lod
-        Level of ``fine_high_m``.
+        Level of detail of ``fine_high_m``.
     """
 
     heights_m: np.ndarray
@@ -70,28 +71,37 @@ class Overview:
 
 
 class LodReader(Protocol):
-    """Reads the ground of a raster by levels, whose cells are 2**level raster cells a side."""
+    """Reads the ground of a raster at a level of detail ``lod``, whose cells are ``2**lod`` raster cells a side."""
 
     def lod_shape(self, lod: int) -> tuple[int, int]:
-        """Return the number of whole cells of a level: rows, columns."""
+        """Return the number of whole cells of a level of detail: rows, columns."""
         ...
 
     def read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        """Return heights, metres, of a window of cells, NaN in holes: single cells before ``settle``, averages after it."""
+        """Return the heights, metres, of the cells in rows [row0, row1) and columns [col0, col1), NaN in holes.
+
+        Before ``settle`` these are the heights of single raster cells, after it averages.
+        """
         ...
 
     def settle(self) -> None:
-        """Switch to means, unless sentinels among the cells read so far would spoil them."""
+        """Read averages from now on, unless the cells read so far have sentinels that would spoil them.
+
+        A sentinel is a value that stands for missing data.
+        """
         ...
 
 
 def overview_lod(rows: int, cols: int) -> int:
-    """Return the level of a raster's overview."""
+    """Return the level of detail of a raster's overview."""
     return max(int(np.ceil(np.log2(max(rows, cols) / OVERVIEW_CELLS))), 0)
 
 
 def lacks_overviews(rows: int, cols: int, factors: Sequence[int]) -> bool:
-    """Return whether coarse windows of a raster would read far more cells than they show, given the factors of its overviews."""
+    """Return whether coarse windows of a raster would read far more cells than they show.
+
+    ``factors`` are those by which the file's overviews are coarser than its cells.
+    """
     if rows * cols <= MAX_EXACT_MAXIMA_CELLS:
         return False
     steps = [1, *sorted(factors), 2 ** overview_lod(rows, cols)]
@@ -141,7 +151,10 @@ def read_overview(ground: LodReader, rows: int, cols: int) -> Overview:
 
 
 def _exact_maxima(ground: LodReader, lod: int, rows: int, cols: int) -> tuple[np.ndarray, float]:
-    """Return the maxima (m, n) of a level's cells and the minimum of all, from the raster's own cells."""
+    """Return the maximum heights (m, n) in the cells of a level of detail, and the minimum of all ground, metres.
+
+    They are exact: every cell of the raster is read.
+    """
     (m, n), factor = ground.lod_shape(lod), 2**lod
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan
     block_rows, block_cols = min(factor, rows), min(factor, cols)
@@ -154,15 +167,15 @@ def _exact_maxima(ground: LodReader, lod: int, rows: int, cols: int) -> tuple[np
 
 
 def _finest_lod(rows: int, cols: int, lod: int, max_cells: int) -> int:
-    """Return the finest level of at most ``max_cells`` cells, or ``lod`` if all finer ones have more."""
+    """Return the finest level of detail with at most ``max_cells`` cells, or ``lod`` if all finer ones have more."""
     return next((finer for finer in range(lod) if (rows >> finer) * (cols >> finer) <= max_cells), lod)
 
 
 def _estimated_maxima(ground: LodReader, fine_lod: int, finer: int, lod: int) -> tuple[np.ndarray, float]:
-    """Estimate the maxima of cells of the level ``fine_lod``, and the minimum of all ground.
+    """Estimate the maximum heights in cells of the level of detail ``fine_lod``, and the minimum of all ground, metres.
 
-    The cells are those within whole cells of the coarser ``lod``. Extremes come from the means of a ``finer`` level: the ground
-    varies within a cell about as much as from cell to cell.
+    The cells are those within whole cells of the coarser level of detail ``lod``. Extremes come from the means of the level of
+    detail ``finer``. The estimate assumes that the ground varies within a cell about as much as from cell to cell.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 

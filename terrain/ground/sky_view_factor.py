@@ -1,15 +1,16 @@
-"""Compute the sky-view factor of a heightfield: here the share of a node's sky light that the surrounding ground hides.
+"""Compute the sky-view factor of a heightfield, as sky occlusion: the share of a node's sky light that the ground around it hides.
 
-Sky light is taken as uniform over the sky. A plane without surroundings receives ``0.5 + 0.5 n.up`` of it. This module computes the
-share of that light which is hidden by ground that rises above the plane: 0 on a plane, 1 at the bottom of a well.
+Sky light is uniform over the sky. A plane with the unit normal n and no other ground around receives the share ``0.5 + 0.5 n.up``
+of it. Sky occlusion is the share of the plane's light that ground above the plane hides: 0 on a plane, 1 at the bottom of a well.
 
 Source: Dozier and Frew 1990, *Rapid calculation of terrain parameters for radiation modeling from digital elevation data*, the
 sky-view factor of a slope from its horizon angles.
 
-The horizon angles are taken in 16 azimuths, towards a lattice's 8 nearest and 8 next neighbours: lines in these azimuths pass
-through nodes, or half-way between two. Along each line a stack holds the upper convex hull of the ground passed (Timonen and
-Westerholm 2010, *Scalable Height Field Self-Shadowing*), so the work is linear in the nodes, however far away an occluder is. The
-earth's curvature lowers distant ground by half the squared distance over the radius.
+Horizon angles are computed in 16 azimuths: towards a node's 8 nearest and 8 next neighbours. The grid is divided into parallel
+lines in each of these azimuths, which pass through nodes, or half-way between two. A sweep along a line has a stack with the upper
+convex hull of the ground that it has passed (Timonen and Westerholm 2010, *Scalable Height Field Self-Shadowing*). So the work is
+linear in the number of nodes, however far away an occluder is. The earth's curvature lowers distant ground by half the squared
+distance over the radius.
 """
 
 from __future__ import annotations
@@ -40,17 +41,26 @@ Bilinear interpolation between them has an error below a hundredth of a node of 
 """
 
 MAX_LOCAL_SPAN_DEG = 20.0
-"""Maximum span of a raster in degrees, and its minimum distance to the poles, for the faster stereographic plane."""
+"""Maximum span of a raster in longitude and latitude, and its minimum distance to the poles, for the plane ``STEREOGRAPHIC``.
+
+That plane is faster than ``DEGREES``, which larger rasters in longitude and latitude use.
+"""
 
 FLAT_PLANE, DEGREES, STEREOGRAPHIC = 0, 1, 2
-"""Planes for finding cells: a flat world's own, longitude and latitude, or the stereographic one round the anchor."""
+"""Planes on which a ``CellFinder`` maps positions to cells.
+
+They are the plane of a flat world, longitude and latitude, and the stereographic projection round the anchor (the centre of the
+level's bounds).
+"""
 
 EQUATOR_M, ECCENTRICITY_SQUARED = WGS84.a, WGS84.es
 
 
 @dataclass(frozen=True, eq=False)
 class CellFinder:
-    """Maps earth-fixed points to cells of a raster without PROJ, by a bilinear lattice over a plane close to the raster's map.
+    """Maps earth-fixed points to cells of a raster without PROJ.
+
+    A point is projected to a plane. A lattice of nodes on that plane holds the cells, and between nodes they are bilinear.
 
     Attributes
     ----------
@@ -75,16 +85,16 @@ class CellFinder:
 
 @dataclass(frozen=True, eq=False)
 class SkyView:
-    """The share of sky light that ground hides, at the nodes of a coarse grid over a raster.
+    """Sky occlusion (the share of sky light that ground hides) at the nodes of a coarse grid over a raster.
 
-    A full grid takes 4 MB, and 15 MB with its two pyramids. Its computation takes about 100 MB.
+    A grid of ``MAX_SIDE_NODES`` nodes a side takes 4 MB, and 15 MB with its two pyramids. Computing it takes about 100 MB.
 
     Attributes
     ----------
     occlusion
         float32 (rows, cols) in [0, 1].
     lod
-        Level of the nodes: a node is the centre of ``2**lod`` raster cells a side.
+        Level of detail of the nodes: a node is the centre of a square of ``2**lod`` raster cells a side.
     node_m
         Spacing of the nodes, metres.
     finder
@@ -98,20 +108,21 @@ class SkyView:
 
     @cached_property
     def means(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pyramid of means over 2 x 2 nodes, for ground seen from far away."""
+        """Mip pyramid of means over 2 x 2 nodes, as ``pyramid`` returns it, for ground seen from far away."""
         return pyramid(self.occlusion, np.mean)
 
     @cached_property
     def highest(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pyramid of maxima over 2 x 2 nodes."""
+        """Mip pyramid of maxima over 2 x 2 nodes, as ``pyramid`` returns it."""
         return pyramid(self.occlusion, np.max)
 
 
 @cached("scene", 256 * MIB)
 def sky_view(elevation: Elevation, world: World) -> SkyView:
-    """Return the sky light that ground hides, for a raster and its world. Results are cached. Raises ``SourceError``.
+    """Return the sky occlusion of a raster's ground. Results are cached.
 
-    Heights are those that cast: holes are filled from their rims. Where heights are missing, nothing hides the sky.
+    Holes near data are filled, as for casting shadows. Where heights are missing, nothing hides the sky. Raises ``SourceError`` if
+    the raster cannot be read.
     """
     detail = np.log2(max(elevation.resolution_m or 0.0, 1e-9) / elevation.cell_size_m(world.metres_per_unit))
     longest = np.log2(max(elevation.shape))
@@ -135,7 +146,10 @@ RowsAndCols = tuple[float | np.ndarray, float | np.ndarray]
 
 
 def _distances_m(elevation: Elevation, world: World, start_cell: RowsAndCols, end_cell: RowsAndCols) -> np.ndarray:
-    """Return distances (rows,) on the earth between pairs of cells, metres, or their median where the CRS has no position."""
+    """Return the distances (rows,) on the earth between pairs of cells, metres.
+
+    Where the CRS gives a cell no position, the result is the median of the other distances.
+    """
     points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (start_cell, end_cell)]
     distance_m = np.linalg.norm(points[1] - points[0], axis=-1)
     return np.where(np.isfinite(distance_m), distance_m, np.nanmedian(distance_m))
@@ -181,10 +195,10 @@ def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m
 
 
 def _sector_width(half_rows_per_col: int, spacing_ratio: np.ndarray) -> np.ndarray:
-    """Return the widths (rows,), in radians, of the sector of azimuths that a line represents: half-way to the neighbouring lines.
+    """Return the width (rows,), in radians, of the sector of azimuths that one of the 16 azimuths represents.
 
-    The line goes ``half_rows_per_col`` half-nodes sideways for each node ahead. ``spacing_ratio`` (rows,) is the sideways spacing
-    of nodes over the spacing ahead.
+    A sector reaches half-way to the neighbouring azimuths. A line in this azimuth goes ``half_rows_per_col`` half nodes sideways
+    for each node ahead. ``spacing_ratio`` (rows,) is the sideways spacing of nodes over the spacing ahead.
     """
     angles = {0: np.arctan(spacing_ratio / 2), 1: np.arctan(spacing_ratio) / 2}
     if abs(half_rows_per_col) < 2:
@@ -194,7 +208,7 @@ def _sector_width(half_rows_per_col: int, spacing_ratio: np.ndarray) -> np.ndarr
 
 @compiled
 def _slopes(height, col_spacing_m, row_spacing_m):
-    """Return the rise per metre (rows, cols, 2) along rows and from row to row.
+    """Return the slopes (rows, cols, 2) of a heightfield, in metres per metre: towards higher columns, and towards higher rows.
 
     Differences are central, and one-sided beside holes and at borders.
     """
@@ -218,10 +232,10 @@ def _slopes(height, col_spacing_m, row_spacing_m):
 
 @internal
 def _sector_light(tangent, rise):
-    """Return the light of a sky sector above the horizon ``tangent`` on a plane that rises by ``rise`` towards it.
+    """Return the light of one azimuth of the sky, above a horizon, on a plane that rises by ``rise`` per metre towards it.
 
-    This is Dozier and Frew's integrand over the cosine of the plane's slope, ``sin^2 H - rise (H - sin H cos H)``, with the horizon
-    H counted from the zenith.
+    ``tangent`` is the tangent of the horizon's altitude. The result is Dozier and Frew's integrand over the cosine of the plane's
+    slope, ``sin^2 H - rise (H - sin H cos H)``, with the horizon's angle H counted from the zenith.
     """
     flat = 1.0 / (1.0 + tangent * tangent)
     return flat - rise * (0.5 * np.pi - np.arctan(tangent) - tangent * flat)
@@ -231,10 +245,11 @@ def _sector_light(tangent, rise):
 def _sweep_lines(
     height, slope, forward_spacing_m, sideways_spacing_m, by_row, sector, half_rows_per_col, direction, curvature, out
 ):
-    """Add the sky light that earlier ground occludes, along all lines that go ``half_rows_per_col`` half-rows for each column.
+    """Add the sky occlusion from one azimuth to ``out`` (rows, cols), by sweeps along all lines in this azimuth.
 
-    ``direction`` is 1 for increasing columns, else -1. ``by_row`` is whether the distances, which are per raster row, belong to
-    this array's rows or to its columns.
+    A line goes ``half_rows_per_col`` half rows for each column. ``direction`` is 1 if the sweep visits columns in increasing order,
+    else -1. At each node, ground that the sweep has passed hides light. Spacings and ``sector`` widths are per row of the raster.
+    ``by_row`` is whether these are the rows of ``height`` or, for a transposed array, its columns.
     """
     rows, cols = height.shape
     low, high = min(0, -half_rows_per_col * (cols - 1)), 2 * (rows - 1) + max(0, -half_rows_per_col * (cols - 1))
@@ -282,9 +297,10 @@ def _sweep_lines(
 
 
 def pyramid(values: np.ndarray, reduce_four: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return all levels (k,) float32 of a grid's pyramid in one array, and a table (levels, 3) int64: offset, rows, columns.
+    """Return all mip levels of a grid in one array (k,) float32, and a table (mip levels, 3) int64 of offset, rows and columns.
 
-    Each level joins 2 x 2 nodes of the previous one, down to one node. An odd last row or column is joined with itself.
+    ``reduce_four`` (a mean or a maximum) combines 2 x 2 nodes of a mip level to a node of the next one, down to one node. An odd
+    last row or column is repeated first.
     """
     mips = [values]
     while mips[-1].size > 1:
@@ -340,7 +356,7 @@ def _cells_at(
 
 
 def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Return rows and columns (..., 2) float64, in the grid ``occlusion``, of the ground below frame points (..., 3).
+    """Return (fractional) rows and columns (..., 2) float64 in ``SkyView.occlusion`` of the ground below frame points (..., 3).
 
     ``height_m`` (...) are the points' heights, metres.
     """
@@ -355,10 +371,10 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
 
 @compiled
 def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, side, out):
-    """Fill in rows and columns of the points ``begin`` to ``end``, in cells of ``side`` raster cells a side.
+    """Write rows and columns of the points [begin, end) into ``out`` (n, 2), in cells of ``side`` raster cells a side.
 
-    The latitude follows EPSG Guidance Note 7-2, section 4.1.1, with the equator's radius instead of the prime vertical's in the
-    term of the height.
+    The latitude follows EPSG Guidance Note 7-2, section 4.1.1. In the term with the height, the equator's radius replaces the
+    radius of curvature in the prime vertical.
     """
     m = frame_from_earth
     for n in range(begin, end):
@@ -373,9 +389,9 @@ def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, 
 
 @internal
 def project_to_plane(x, y, z, height, plane, axes, first, step):
-    """Return the position in a finder's plane of the ground below an earth-fixed point with a height.
+    """Return the position (x, y), in the plane of a ``CellFinder``, of the ground below an earth-fixed point with a height.
 
-    The finder's parts may be arrays or tuples.
+    ``plane``, ``axes``, ``first`` and ``step`` are the attributes of the finder, as arrays or tuples.
     """
     if plane == FLAT_PLANE:
         return x, y
@@ -392,16 +408,17 @@ def project_to_plane(x, y, z, height, plane, axes, first, step):
 
 @internal
 def cell_in_plane(x, y, first, step, lattice):
-    """Return row and column in the raster of a position in a finder's plane; NaN where it has none."""
+    """Return the row and column in the raster of a position in the plane of a ``CellFinder``; NaN where it has none."""
     lattice_x, lattice_y, j, i = lattice_square(x, y, first, step, lattice.shape[0], lattice.shape[1])
     return cell_in_square(square_corners(lattice, i, j), lattice_x - j, lattice_y - i)
 
 
 @internal
 def lattice_square(x, y, first, step, rows, cols):
-    """Return a position's distances across and down a lattice, in squares, and the column and row of its square.
+    """Return a position's (fractional) column and row in the lattice of a ``CellFinder``, and those of its square.
 
-    The distances are NaN for a position that is not finite. The square is the nearest one for a position off the lattice.
+    A square lies between four nodes of the lattice. The fractional column and row are NaN for a position that is not finite. A
+    position off the lattice has the nearest square.
     """
     lattice_x, lattice_y = (x - first[0]) / step[0], (y - first[1]) / step[1]
     is_finite = np.isfinite(lattice_x) & np.isfinite(lattice_y)
@@ -412,7 +429,10 @@ def lattice_square(x, y, first, step, rows, cols):
 
 @internal
 def square_corners(lattice, i, j):
-    """Return the rows, then the columns, in the raster at the corners of a lattice's square: west to east, upper side first."""
+    """Return the raster rows, then the raster columns, at the four corners of square (``i``, ``j``) of a ``CellFinder``'s lattice.
+
+    The corners are in the order (i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1).
+    """
     return (
         lattice[i, j, 0], lattice[i, j + 1, 0], lattice[i + 1, j, 0], lattice[i + 1, j + 1, 0],
         lattice[i, j, 1], lattice[i, j + 1, 1], lattice[i + 1, j, 1], lattice[i + 1, j + 1, 1],
@@ -421,7 +441,10 @@ def square_corners(lattice, i, j):
 
 @internal
 def cell_in_square(corners, u, v):
-    """Return row and column in the raster at fractions across and down a square."""
+    """Return the row and column in the raster at the fractions ``u`` across and ``v`` down a square, bilinear.
+
+    ``corners`` are those of ``square_corners``.
+    """
     r0, r1, r2, r3, c0, c1, c2, c3 = corners
     upper, lower = r0 + u * (r1 - r0), r2 + u * (r3 - r2)
     row = upper + v * (lower - upper)
@@ -435,13 +458,13 @@ class MipPair(NamedTuple):
     Attributes
     ----------
     begin, rows, cols
-        Offset, rows and columns of the finer level.
+        Offset, rows and columns of the finer mip level in ``pyramid``'s array.
     scale
-        Factor from the finest level's nodes to this level's.
+        Nodes of the finer mip level per node of the finest one of all, at most 1.
     next_begin, next_rows, next_cols, next_scale
-        The same of the coarser level.
+        Offset, rows, columns and scale of the coarser mip level.
     coarser_weight
-        Weight of the coarser level, in [0, 1].
+        Weight of the coarser mip level, in [0, 1].
     """
 
     begin: int
@@ -457,7 +480,10 @@ class MipPair(NamedTuple):
 
 @compiled
 def mip_pair(table, width_nodes):
-    """Return the levels of a pyramid for a footprint that is ``width_nodes`` nodes of the finest level wide."""
+    """Return the mip levels of a pyramid for a footprint that is ``width_nodes`` nodes of the finest mip level wide.
+
+    ``table`` is that of ``pyramid``.
+    """
     number, coarser_weight = 0, 0.0
     if width_nodes > 1.0 and len(table) > 1:
         lod = min(np.log2(width_nodes), len(table) - 1.0)
@@ -472,7 +498,10 @@ def mip_pair(table, width_nodes):
 
 @internal
 def sky_occlusion_at(values, mips, row, col):
-    """Return the share of the sky that ground hides at a row and column of ``occlusion``, averaged over the level's footprint."""
+    """Return the sky occlusion at a (fractional) row and column of ``SkyView.occlusion``, averaged over a footprint.
+
+    ``values`` is the array of ``pyramid``, ``mips`` the ``MipPair`` for the footprint.
+    """
     occlusion = _bilinear(values, mips.begin, mips.rows, mips.cols, row, col, mips.scale)
     if mips.coarser_weight > 0.0:
         coarser_occlusion = _bilinear(values, mips.next_begin, mips.next_rows, mips.next_cols, row, col, mips.next_scale)
@@ -493,7 +522,7 @@ def sky_occlusion_row(values, mips, row, col, out):
 
 @internal
 def _bilinear(values, begin, rows, cols, row, col, scale):
-    """Return a level's value at a position in nodes of the finest level, clamped beyond the outermost centres."""
+    """Return a mip level's bilinear value at a position in nodes of the finest mip level, clamped to its outermost nodes."""
     r0, c0, row_fraction, col_fraction = _corner(rows, cols, row, col, scale)
     right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
     at = begin + r0 * cols + c0
@@ -504,7 +533,7 @@ def _bilinear(values, begin, rows, cols, row, col, scale):
 def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
     """Fill ``out`` with ``_bilinear`` at many positions (n,).
 
-    The lookups stand between loops that compile to vector instructions.
+    Only the loop of lookups does not compile to vector instructions, so it is separate from the others.
     """
     r0, c0 = np.empty(out.size, np.int32), np.empty(out.size, np.int32)
     row_fraction, col_fraction = np.empty(out.size), np.empty(out.size)
@@ -527,7 +556,10 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
 
 @internal
 def _corner(rows, cols, row, col, scale):
-    """Return row and column of a level's node before a position, and the fractions beyond it; all 0 for a position that is NaN."""
+    """Return the row and column of a mip level's node before a position, and the position's fractions of the way to the next.
+
+    All are 0 for a position that is NaN.
+    """
     r, c = min(max((row + 0.5) * scale - 0.5, 0.0), rows - 1.0), min(max((col + 0.5) * scale - 0.5, 0.0), cols - 1.0)
     r0, c0 = np.int32(r if r > 0.0 else 0.0), np.int32(c if c > 0.0 else 0.0)
     return r0, c0, r - r0, c - c0

@@ -1,8 +1,11 @@
 """Build the drawn surface: heights at the nodes of a map grid, and the nodes' points in a local frame.
 
-The position of a node (in the raster, and on earth at height 0) is computed exactly on every ``stride``-th node of the grid. Cubic
-Lagrange interpolation gives the others; the mapping is so smooth that the error is below a millimetre. The exact nodes are
-every ``stride``-th from the grid's origin, whatever the window: a node has the same bits in every window that shares its frame.
+The position of a node, in the raster and on earth at height 0, is computed exactly on every ``stride``-th node of the grid only:
+the exact nodes. Cubic Lagrange interpolation gives the positions of the others. The mapping is so smooth that the error is below a
+millimetre. Exact nodes are counted from the grid's origin, not from the window. So a node has bit-identical coordinates in all
+windows that share a frame.
+
+Rim nodes lie just beyond the raster. They cast shadows and are not visible (``Elevation.heights_with_rim``).
 """
 
 from __future__ import annotations
@@ -37,10 +40,10 @@ class HeightWindow:
     row0, col0
         First row and column.
     height_m
-        float32 (rows, cols), metres; holes are filled, NaN where no surface can be (off the data). With the rim, ground continues
-        for one node beyond the raster.
+        float32 (rows, cols), metres. Holes are filled; NaN off the data. If rim nodes are included, ground continues for one node
+        beyond the raster.
     valid
-        Valid mask (rows, cols): whether the image shows a surface. Filled holes and the rim are not valid.
+        Valid mask (rows, cols): whether the surface is visible. Filled holes and rim nodes are not valid.
     """
 
     row0: int
@@ -57,7 +60,7 @@ class HeightWindow:
 
 @dataclass(frozen=True, eq=False)
 class RefinedWindow:
-    """Nodes of a grid that refines another one: a ``HeightWindow`` computed lazily from the coarser grid's.
+    """Nodes of a refined grid (``Grid.refined``), whose heights are interpolated on first use from a coarser grid's window.
 
     Attributes
     ----------
@@ -66,7 +69,7 @@ class RefinedWindow:
     shape
         Rows and columns.
     coarser
-        The coarser grid's window.
+        Window of the grid with half as many nodes per side, whose nodes surround those of this window.
     """
 
     row0: int
@@ -90,18 +93,18 @@ NodeHeights = HeightWindow | RefinedWindow
 
 @dataclass(frozen=True, eq=False)
 class SurfaceWindow(HeightWindow):
-    """A ``HeightWindow`` with the nodes' points.
+    """A ``HeightWindow`` with the nodes' points in a local frame.
 
     Attributes
     ----------
     position_frame_m
         float64 (rows, cols, 3), metres; NaN where the height is missing.
     centre_frame_m
-        (3,): the point that up vectors point away from: the earth's centre, or in a flat world one infinitely far below.
+        (3,): the point that up vectors point away from: the earth's centre, or in a flat world a point infinitely far below.
     rim
-        The nodes beyond the raster that cast and are not visible; ``None`` without any.
+        The rim nodes, which lie beyond the raster, cast shadows and are not visible; ``None`` without any.
     is_cut_nw_se
-        The diagonal cuts of the quads (``Sheet``); ``None``: those that the heights give.
+        The diagonals along which quads are cut (``Sheet``); ``None``: those that follow from the heights.
     """
 
     position_frame_m: np.ndarray
@@ -118,8 +121,9 @@ class SurfaceWindow(HeightWindow):
 
     @cached_property
     def casting(self) -> SurfaceWindow:
-        """The ground that casts: this window with its rim. Visible quads keep their cuts, so that no triangle shades its own
-        points.
+        """The ground that casts shadows: this window with its rim nodes.
+
+        Visible quads are cut along the same diagonals as in ``sheet``, so that no triangle shades its own points.
         """
         if self.rim is None:
             return self
@@ -133,12 +137,12 @@ class SurfaceWindow(HeightWindow):
 
 
 class RimNodes(NamedTuple):
-    """Nodes (n,) of a window beyond the raster, which cast.
+    """The n rim nodes of a window: nodes just beyond the raster that cast shadows and are not visible.
 
     Attributes
     ----------
     row, col
-        (n,): their place in the window.
+        (n,): rows and columns in the window.
     height_m
         float32 (n,), metres.
     position_frame_m
@@ -166,9 +170,9 @@ class Surface:
     step_m
         Distance between neighbouring nodes at the anchor, metres.
     lod
-        Level of the raster's cells that heights are read from.
+        Level of detail that heights are read from: its cells are ``2**lod`` raster cells a side.
     cells_per_step
-        Raster cells per distance between nodes.
+        Number of raster cells between neighbouring nodes.
     stride
         Distance between exactly computed nodes, in nodes.
     """
@@ -187,7 +191,7 @@ class Surface:
             object.__setattr__(self, name, value)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
-        """Return the nodes of a window, in a frame."""
+        """Return the heights and frame points of the ``rows`` x ``cols`` nodes from (``row0``, ``col0``) on."""
         height, valid, is_rim = self._heights_and_rim(row0, col0, rows, cols)
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         position = _positions(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
@@ -203,16 +207,16 @@ class Surface:
     def exact_verticals(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> tuple[np.ndarray, int, int]:
         """Return points of height 0 and unit up vectors (m, n, 6), in a frame, of the exact nodes that a window needs.
 
-        Also returns the first row and column of these nodes, in strides.
+        Also returns the row and column of the first exact node, divided by ``stride``.
         """
         first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
         point, up = self.world.ground(self.grid.crs, x, y)
         return np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1), first_row, first_col
 
     def height_window(self, row0: int, col0: int, rows: int, cols: int, rim: bool = False) -> NodeHeights:
-        """Return the nodes of a window without their points, from cached tiles.
+        """Return the heights of a window's nodes from cached tiles, without frame points.
 
-        ``rim`` includes the nodes beyond the raster that cast; else the window holds visible ground.
+        ``rim`` is whether to include the heights of rim nodes, which lie beyond the raster and cast shadows.
         """
         if self.grid.refinement_count:
             coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
@@ -225,7 +229,10 @@ class Surface:
         return HeightWindow(row0, col0, height, valid)
 
     def positions(self, row: np.ndarray, col: np.ndarray, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
-        """Return frame points (n, 3) float64 of single nodes with their heights, bit for bit those of a window."""
+        """Return frame points (n, 3) float64 of single nodes with given heights, bit-identical to those of a window.
+
+        ``row``, ``col`` and ``height_m`` (n,) are the nodes' rows, columns and heights in metres.
+        """
         if not len(row):
             return np.zeros((0, 3))
         row0, col0 = int(row.min()), int(col.min())
@@ -240,16 +247,17 @@ class Surface:
         return out
 
     def points(self, row0: int, col0: int, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
-        """Return frame points (rows, cols, 3) float64 of a window's nodes with their heights."""
+        """Return frame points (rows, cols, 3) float64 of a window's nodes with the heights ``height_m`` (rows, cols)."""
         rows, cols = height_m.shape
         return _positions(*self.exact_verticals(row0, col0, rows, cols, frame), self.stride, row0, col0, height_m)
 
     def write_axis_coordinates(
         self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, windows: list[NodeHeights], out: list[np.ndarray]
     ) -> None:
-        """Write the coordinates of windows' nodes along an earth-fixed unit axis, metres, into float32 arrays.
+        """Write the coordinates along one axis of the nodes of windows, at their heights, into float32 arrays, metres.
 
-        ``out`` are views (rows, cols) of any memory order. The nodes include their heights.
+        ``axis_earth`` (3,) is an earth-fixed unit vector, and ``origin_earth_m`` (3,) the earth-fixed point with coordinate 0.
+        ``out`` has an array (rows, cols) of any memory order for each of the ``windows``.
         """
         row0, col0 = min(window.row0 for window in windows), min(window.col0 for window in windows)
         rows = max(window.row0 + window.shape[0] for window in windows) - row0
@@ -273,7 +281,10 @@ class Surface:
         return height, valid
 
     def _heights_and_rim(self, row0: int, col0: int, rows: int, cols: int) -> HeightsAndRim:
-        """Return the same with the rim of nodes that only cast, and the mask of these; ``None`` without any."""
+        """Return the heights of a window's nodes, including rim nodes, the valid mask, and the mask of rim nodes.
+
+        That mask is ``None`` if the window has no rim nodes, which lie beyond the raster and only cast shadows.
+        """
         if self.grid.refinement_count:
             coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
             height, valid, is_rim = coarser._heights_and_rim(*window)
@@ -288,7 +299,7 @@ class Surface:
         stride, padded_window = self.stride, (row0 - 1, col0 - 1, rows + 2, cols + 2)
         exact_rows, exact_cols, x, y = self.exact_nodes(*padded_window, stride)
         cell = self.cells_of(x, y)
-        if cell is None:  # the raster's longitudes break inside: no smooth mapping to interpolate
+        if cell is None:  # longitudes jump within the window, so the mapping is not smooth enough to interpolate
             stride = 1
             exact_rows, exact_cols, x, y = self.exact_nodes(*padded_window, stride)
             cell = self.cells_of(x, y, everywhere=True)
@@ -302,7 +313,10 @@ class Surface:
         return height, valid, is_rim if is_rim.any() else None
 
     def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
-        """Return the first exact row and column (in strides), and x and y of the exact nodes that a window needs."""
+        """Return the row and column of the first exact node, divided by ``stride``, and x and y of the exact nodes.
+
+        These are the exact nodes that cubic interpolation of a window needs. x and y (m, n) are in CRS units.
+        """
         first_row, first_col = row0 // stride - 1, col0 // stride - 1
         last_row, last_col = (row0 + rows - 1) // stride + 2, (col0 + cols - 1) // stride + 2
         row = np.arange(first_row, last_row + 1) * stride
@@ -311,9 +325,10 @@ class Surface:
         return first_row, first_col, x, y
 
     def cells_of(self, x: np.ndarray, y: np.ndarray, everywhere: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return row and column in the raster of coordinates in the grid's CRS.
+        """Return the (fractional) rows and columns in the raster of coordinates in the grid's CRS.
 
-        Returns ``None`` if the raster's longitudes are not continuous there, unless ``everywhere``.
+        Returns ``None`` if longitudes jump between neighbouring coordinates, so that interpolation would fail. With ``everywhere``
+        it returns rows and columns even then.
         """
         source = self.elevation.crs
         if self.grid.crs != source:
@@ -338,7 +353,10 @@ class Surface:
 
 
 def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, int, int, int]:
-    """Return the window of the coarser grid, first row and column and size, whose nodes surround those of a window."""
+    """Return the window of the grid with half as many nodes per side whose nodes surround those of a window.
+
+    A window is its first row, first column, number of rows and number of columns.
+    """
     top, left = row0 // 2, col0 // 2
     return top, left, (row0 + rows) // 2 - top + 1, (col0 + cols) // 2 - left + 1
 
@@ -347,7 +365,7 @@ def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, in
 def _resolve_steps(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
     """Return ``step_m``, ``lod``, ``cells_per_step`` and ``stride`` of a surface.
 
-    The result is cached, as every patch of ground makes a new ``Surface``.
+    The result is cached, since a new ``Surface`` is made for every part of the ground.
     """
     step_m, cell_m = step_at_anchor_m(world, grid), elevation.cell_size_m(world.metres_per_unit)
     detail_m = max(step_m, elevation.resolution_m or 0.0)
@@ -362,9 +380,11 @@ def map_pixel_m(world: World, view: MapView) -> float:
 
 @compiled
 def _refined(height, row0, col0, rows, cols):
-    """Return heights (rows, cols) at nodes, at the centres of their quads and at the midpoints of their sides.
+    """Return heights (rows, cols) float32 on the refined grid, which has twice as many nodes per side.
 
-    The first node is at (row0, col0), each 0 or 1. Quads are cut along their higher diagonals (``skugga.terrain.ground.sheet``).
+    Its nodes are those of the coarser grid, the centres of their quads, and the midpoints of the quads' sides. ``row0`` and
+    ``col0``, each 0 or 1, are the first refined row and column. Quads are cut along their higher diagonals
+    (``skugga.terrain.ground.sheet``).
     """
     out = np.empty((rows, cols), np.float32)
     for i in range(rows):
@@ -374,9 +394,9 @@ def _refined(height, row0, col0, rows, cols):
 
 @internal
 def refined_row(height, row, col0, out):
-    """Fill ``out`` with a row of ``_refined``. The loops compile to vector instructions.
+    """Fill ``out`` with the heights of row ``row`` of the refined grid, from its column ``col0`` (0 or 1) on.
 
-    The first node is in column ``col0``, 0 or 1.
+    ``height`` has the heights of the coarser grid. The loops compile to vector instructions.
     """
     above, below = height[row // 2], height[(row + 1) // 2]
     if col0 == 1:
@@ -412,7 +432,10 @@ def _quad_middle(west, east, south_west, south_east):
 
 @compiled
 def _refined_valid(valid, row0, col0, rows, cols):
-    """Return the valid mask (rows, cols) at the same positions: valid where both ends of a diagonal are."""
+    """Return the valid mask (rows, cols) of the nodes of ``_refined``.
+
+    A midpoint of a side is valid if both ends of the side are, a centre if both ends of one of its quad's diagonals are.
+    """
     out = np.empty((rows, cols), np.bool_)
     for i in range(rows):
         _refined_row_valid(valid[(row0 + i) // 2], valid[(row0 + i + 1) // 2], col0, out[i])
@@ -436,7 +459,7 @@ def _refined_row_valid(above, below, col0, out):
 
 @internal
 def cubic_weights(t):
-    """Lagrange weights of the nodes -1, 0, 1, 2 at ``t`` in [0, 1)."""
+    """Return the weights of the nodes at -1, 0, 1 and 2 in cubic Lagrange interpolation at ``t`` in [0, 1)."""
     return (
         -t * (t - 1.0) * (t - 2.0) / 6.0,
         (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
@@ -447,7 +470,11 @@ def cubic_weights(t):
 
 @compiled
 def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
-    """Interpolate a window (k, rows, cols) from exact values (m, n, k) at every ``stride``-th node, with sums in a fixed order."""
+    """Return values (k, rows, cols) at a window's nodes, interpolated by cubics from those of exact nodes (m, n, k).
+
+    Exact nodes are ``stride`` nodes apart. The first one has row ``first_row * stride`` and column ``first_col * stride``. Sums are
+    in a fixed order, so that results are bit-identical in all windows.
+    """
     components = exact.shape[2]
     out = np.empty((components, rows, cols))
     row_values = np.empty(exact.shape[1])
@@ -469,13 +496,13 @@ def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
 
 
 AXIS_STRIP_ROWS = 64
-"""Rows that ``_write_axis_coordinates`` processes at a time, so it writes a column-major array as fast."""
+"""Rows that ``_write_axis_coordinates`` processes at a time, so that a column-major array is written as fast as others."""
 
 
 def _memory_layout(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
-    """Return the flat memory behind an array (rows, cols), the array's offset in it, and its row and column strides, in values.
+    """Return the flat memory behind an array (rows, cols), the array's offset in it, and the array's row and column strides.
 
-    One of the strides is 1 or -1.
+    Offset and strides are in values, not in bytes. One of the strides is 1 or -1.
     """
     owner = array if array.base is None else array.base
     assert isinstance(owner, np.ndarray)
@@ -491,10 +518,10 @@ COLUMN_BLOCK = 8
 def _write_axis_coordinates(
     foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, down, right
 ):
-    """Write coordinates (rows, cols) at the tops of heights into an array described by ``_memory_layout``.
+    """Write the coordinates (rows, cols) of nodes at their heights into an array described by ``_memory_layout``.
 
-    ``foot`` (m, n) are exact coordinates at height 0 and ``per_metre`` (m, n) their change per metre of height. Sums follow the
-    order of ``interpolated``. ``height`` belongs to the nodes or, if ``refined``, to those of the grid that theirs refines.
+    ``foot`` (m, n) are the coordinates of exact nodes at height 0, and ``per_metre`` (m, n) their change per metre of height. Sums
+    follow the order of ``interpolated``. ``height`` has the heights of the nodes or, if ``refined``, those of the coarser grid.
     """
     refined_heights = np.empty(cols, np.float32)
     feet, slopes = np.empty(foot.shape[1]), np.empty(foot.shape[1])
@@ -528,7 +555,10 @@ def _write_axis_coordinates(
 
 @internal
 def _interpolate_row(exact, m, share, out):
-    """Interpolate a row's values (n,) in the exact columns between exact rows (m, n)."""
+    """Interpolate a row's values (n,) at the exact columns, between the values of exact rows (m, n).
+
+    The row lies at the fraction ``share`` of the way from exact row ``m`` to the next one.
+    """
     w = cubic_weights(share)
     for n in range(out.size):
         if w[1] == 1.0:  # an exact row
@@ -542,7 +572,10 @@ def _interpolate_row(exact, m, share, out):
 
 @internal
 def _interpolate_between(values, n, weights, first, out):
-    """Interpolate nodes between the exact columns ``n`` + 1 and ``n`` + 2, from the node number ``first`` on."""
+    """Interpolate the nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2.
+
+    The first node is the ``first``-th after exact column ``n`` + 1.
+    """
     a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
     w0, w1 = weights[0][first : first + out.size], weights[1][first : first + out.size]
     w2, w3 = weights[2][first : first + out.size], weights[3][first : first + out.size]
@@ -552,9 +585,9 @@ def _interpolate_between(values, n, weights, first, out):
 
 @internal
 def _write_tops(feet, slopes, n, weights, first, height, at, out, count):
-    """Write the tops of ``count`` nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2.
+    """Write the coordinates of ``count`` nodes of a row, at their heights, between the exact columns ``n`` + 1 and ``n`` + 2.
 
-    The nodes begin at number ``first`` between these, in column ``at`` of the window.
+    The first node is the ``first``-th after exact column ``n`` + 1, in column ``at`` of the window.
     """
     a, b, c, d = feet[n], feet[n + 1], feet[n + 2], feet[n + 3]
     e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
@@ -568,7 +601,7 @@ def _write_tops(feet, slopes, n, weights, first, height, at, out, count):
 
 @compiled
 def between_columns(exact, first_col, stride, col0, cols):
-    """Interpolate values (m, cols) of columns between exact ones (m, n)."""
+    """Return values (m, cols) of ``cols`` columns from ``col0`` on, interpolated by cubics from those of exact columns (m, n)."""
     out = np.empty((exact.shape[0], cols))
     for j in range(cols):
         exact_col = (col0 + j) // stride
@@ -584,7 +617,7 @@ def between_columns(exact, first_col, stride, col0, cols):
 
 @internal
 def between_rows(exact, m, share, out):
-    """Interpolate a row (cols,) after the exact row ``m`` (rows, cols), at the fraction ``share`` of the way to the next."""
+    """Interpolate a row (cols,) by cubics, at the fraction ``share`` of the way from exact row ``m`` to the next exact row."""
     current = exact[m]
     if share == 0.0:  # an exact row
         for j in range(out.size):
@@ -598,14 +631,14 @@ def between_rows(exact, m, share, out):
 
 @internal
 def at_height(foot, slope, height, out):
-    """Compute coordinates (cols,) at the tops of heights from those of their feet and the change per metre of height."""
+    """Compute coordinates (cols,) of nodes at their heights from those at height 0 and their change per metre of height."""
     for j in range(height.size):
         out[j] = foot[j] + np.float64(height[j]) * slope[j]
 
 
 @internal
 def _write_contiguous(values, flat, start, step):
-    """Write values into an array, contiguously forwards from ``start`` or backwards."""
+    """Write values into consecutive elements of an array, from ``start`` forwards (``step`` 1) or backwards (-1)."""
     count = values.size
     if step == 1:
         target = flat[start : start + count]
@@ -645,7 +678,10 @@ def _positions(exact, first_row, first_col, stride, row0, col0, height):
 
 @compiled
 def _positions_of_nodes(first, last, exact, first_row, first_col, stride, row, col, height, out):
-    """Compute what ``_positions`` does for single nodes, with sums in the same order, so the bits are the same."""
+    """Write the frame points of the nodes [first, last) of a list into ``out`` (n, 3).
+
+    Sums have the same order as in ``_positions``, so the results are bit-identical.
+    """
     for n in range(first, last):
         m, w = row[n] // stride, cubic_weights((row[n] - row[n] // stride * stride) / stride)
         p, v = col[n] // stride, cubic_weights((col[n] - col[n] // stride * stride) / stride)

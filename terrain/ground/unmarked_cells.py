@@ -1,7 +1,8 @@
-"""Detect cells that cannot be heights although nothing declares them empty: undeclared sentinels, and heights in another unit.
+"""Detect cells that cannot be heights, although the file does not declare them as nodata.
 
-Values beyond all heights on earth are left out. A sentinel within that range, such as -9999, would be drawn as a pit or a tower. It
-is recognised by three signs: it is the lowest or the highest value, many cells have it, and hardly any other value is near it.
+Such cells hold undeclared sentinels (values that stand for missing data), or heights in another unit. Cells with values beyond all
+heights on earth are left out as holes. A sentinel within the range of heights, such as -9999, would be drawn as a pit or a tower.
+Three signs show it: it is the lowest or the highest value, many cells have it, and hardly any other value is near it.
 """
 
 from __future__ import annotations
@@ -21,18 +22,21 @@ SENTINELS = (
 """Values that programs write for missing data."""
 
 MIN_SENTINEL = 1e9
-"""Larger numbers, such as 1e38, are sentinels: no unit gives such heights."""
+"""Absolute value from which a number, such as 1e38, is a sentinel: no unit gives such heights."""
 
 NEAR_SHARE = 0.25
 """Other values count as near a sentinel within this share of its distance to their mean."""
 
 MIN_NEAR_DISTANCE_M = 50.0
-"""Lower bound of that distance, metres: a sentinel this close to the mean is harmless, as it looks like ground."""
+"""Distance from a sentinel, metres, within which other values always count as near.
+
+A sentinel this close to the mean is harmless, as it looks like ground.
+"""
 
 
 @dataclass
 class UndeclaredNodata:
-    """Counts of cells that look like nodata but are not declared as such, each cell read once.
+    """Counts of cells that look like nodata but are not declared as such. Each cell must be added once.
 
     Attributes
     ----------
@@ -43,7 +47,7 @@ class UndeclaredNodata:
     implausible_count
         Number of undeclared finite cells that are neither plausible heights nor known sentinels.
     low_m, high_m
-        Minimum and maximum of these, metres.
+        Lowest and highest height of the cells that ``implausible_count`` counts, metres.
     """
 
     cells: int = 0
@@ -113,7 +117,7 @@ class UndeclaredNodata:
         return tuple(messages)
 
     def implausible_range(self, axis: VerticalAxis) -> str:
-        """Return the range of the implausible heights and how they were read, as a phrase."""
+        """Return the range of the implausible heights, with the unit and direction of the raster's numbers, as a phrase."""
         ends = dict.fromkeys((f"{self.low_m:,.0f} m", f"{self.high_m:,.0f} m"))
         return f"{' to '.join(ends)}, read as {axis.statement}"
 

@@ -1,7 +1,7 @@
 """Read the vertical axis of a raster: the unit of its numbers, and whether they grow upwards or downwards.
 
-A band names its unit. A vertical CRS (the third axis of a compound or three-dimensional CRS) has a unit and a direction; a depth
-grows downwards. The level's settings take precedence over the band's, and the band's over the CRS's.
+A band may state a unit and a direction. So does a vertical CRS (the third axis of a compound or three-dimensional CRS). Heights
+grow upwards, depths downwards. The settings of the level file take precedence over the band, and the band over the CRS.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _DEPTH_NAMES = ("depth", "sea_floor_depth")
 
 @dataclass(frozen=True)
 class VerticalAxis:
-    """The axis of a raster's numbers.
+    """The vertical axis of a raster: unit and direction of its stored numbers.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class VerticalAxis:
 
     @property
     def scale(self) -> float:
-        """Height of a step of 1, metres upwards."""
+        """Change of height, in metres upwards, per 1 in the stored numbers; negative for depths."""
         return self.unit_m if self.positive == "up" else -self.unit_m
 
     @property
@@ -92,7 +92,7 @@ class VerticalAxis:
 def vertical_axis(
     source: str, dataset: rasterio.DatasetReader, units: Units | None = None, positive: Positive | None = None
 ) -> VerticalAxis:
-    """Return the axis of the first band of an open raster; ``units`` and ``positive`` are a level's settings.
+    """Return the vertical axis of an open raster's first band; ``units`` and ``positive`` are a level file's settings.
 
     Raises ``SourceError`` for an unknown unit of the band.
     """
@@ -111,9 +111,9 @@ def axis_of_band(
     units: Units | None = None,
     positive: Positive | None = None,
 ) -> VerticalAxis:
-    """Return the axis of numbers from their unit in words (``""`` for none), their CF tags and their CRS.
+    """Return the vertical axis of a band from its unit in words (``""`` for none), its CF tags and its CRS.
 
-    ``units`` and ``positive`` are a level's settings. Raises ``SourceError`` for an unknown unit.
+    ``units`` and ``positive`` are a level file's settings. Raises ``SourceError`` for an unknown unit.
     """
     of_crs = _axis_of_crs(crs)
     from_setting = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
@@ -172,9 +172,9 @@ def unit_of_band(source: str, dataset: rasterio.DatasetReader) -> Units | None:
 
 
 def _unit_of_band(source: str, word: str, crs_word: str | None) -> Units | None:
-    """Return the unit of a word; ``None`` for a word that states none, or for the CRS's own unit name.
+    """Return the unit that a word means; ``None`` for a word that states no unit, or that repeats the CRS's unit.
 
-    GDAL repeats the CRS's unit name, which may be unknown here.
+    GDAL gives a band the unit name of its CRS, which may be unknown here. Raises ``SourceError`` for any other unknown word.
     """
     unit = unit_of_word(word)
     if unit is None and not _states_no_unit(word) and word != crs_word:
@@ -196,7 +196,7 @@ def _states_no_unit(word: str) -> bool:
 
 
 def _normalized_words(word: str) -> tuple[str, str]:
-    """Return the lower-case letters and digits of a unit's word, with and without the reference level of the heights."""
+    """Return the lower-case letters and digits of a unit's word, with and without a suffix that names the heights' datum."""
     with_datum, without_datum = (re.sub(r"[\W_]+", "", text).casefold() for text in (word, _DATUM_SUFFIX.sub("", word)))
     return with_datum, without_datum
 

@@ -1,7 +1,7 @@
 """Find the raster cells that a map view shows.
 
-The answer is individual for views of their own (a picture, a window of a map). Tiles, and maps whose pixels coincide with those of
-tiles, count as showing the whole raster, so the same pixels are drawn alike.
+A picture or a window of a map shows some of a raster's cells. Tiles, and maps whose pixels coincide with those of tiles, count as
+showing the whole raster. So a pixel that a tile and such a map share is drawn alike in both.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from skugga.terrain.geo.world import transformer
 from skugga.terrain.ground.elevation import Elevation
 
 EXTENT_SAMPLES = 17
-"""Samples along each side of a view that locate it in the raster."""
+"""Number of points along each side of a view that are transformed to the raster, to find the cells that the view shows."""
 
 CellRange = tuple[tuple[float, float], tuple[float, float]]
-"""First and last row, and first and last column, of a raster, in cells from the centre of the first one."""
+"""First and last row, and first and last column, of a part of a raster: fractional, with whole numbers at cell centres."""
 
 
 def is_block(view: MapView) -> bool:
@@ -64,9 +64,9 @@ def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, 
 
 
 def block_slices(cells: CellRange, side: int, shape: tuple[int, int], margin: int = 0) -> tuple[slice, slice]:
-    """Return slices of rows and columns of a coarser grid that cover a range of cells, with ``margin`` blocks round them.
+    """Return the rows and columns, as slices, of the blocks that cover a range of cells, with a margin of ``margin`` blocks.
 
-    ``shape`` is the grid's number of blocks, each of ``side`` x ``side`` cells.
+    ``shape`` is the number of rows and columns of blocks. A block is ``side`` x ``side`` cells.
     """
     rows, cols = (
         slice(min(max(int((first + 0.5) // side) - margin, 0), count - 1), min(int((last + 0.5) // side) + 1 + margin, count))

@@ -11,11 +11,14 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 ALGORITHM_NAMES = ["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
-"""All names. ``skugga.shadows.registry.register_algorithm`` adds to this list, so do not copy it."""
+"""Names of all algorithms. ``skugga.shadows.registry.register_algorithm`` adds to this list in place, so do not copy it."""
 
 
 REFERENCE_NAMES = ["truth"]
-"""Names of reference algorithms, to which others are compared. No service draws with them. ``register_algorithm`` adds to them."""
+"""Names of reference algorithms, which serve to measure the errors of the others. HTTP requests cannot use them.
+
+``skugga.shadows.registry.register_algorithm`` adds to this list in place.
+"""
 
 
 def served_algorithms() -> tuple[str, ...]:
@@ -24,7 +27,7 @@ def served_algorithms() -> tuple[str, ...]:
 
 
 class _RegisteredName:
-    """Validator of a string: one of the names that are registered when it runs."""
+    """Validator that accepts a string only if it is in ``ALGORITHM_NAMES`` at the time of validation."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(_check_registered, handler(source))

@@ -1,4 +1,4 @@
-"""Bundled data sets: real heights from files of installed packages, so that no download is needed."""
+"""Bundled data sets: rasters of measured heights, read from files of installed Python packages. They need no download."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | Non
 def _sample_data(name: str) -> Path:
     """Return the path of a file of matplotlib's sample data.
 
-    Looks in the package's folder without importing it, because the import takes a fifth of a second. Asks matplotlib otherwise.
+    The file is first looked up in the package's folder, without importing matplotlib, which takes a fifth of a second. If it is not
+    there, matplotlib is imported to find it.
     """
     package = find_spec("matplotlib")
     for folder in () if package is None else package.submodule_search_locations or ():

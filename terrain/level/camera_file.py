@@ -35,7 +35,10 @@ _READABLE_REMEDY = "Use a readable YAML file of camera keys"
 
 
 def _validate_time(value: Any) -> Any:
-    """Return the text of a key's time. YAML parses an unquoted date to a ``datetime``, which becomes text again."""
+    """Return the time of a key as text. YAML parses an unquoted date to a ``datetime``, which is converted back to text.
+
+    Raises ``PydanticCustomError`` if the text is not one of ``ALLOWED_KEY_TIMES``.
+    """
     text = value.isoformat() if isinstance(value, datetime) else value
     if not isinstance(text, str) or (_elapsed_s(text) is None and _parse_date(text) is None):
         raise PydanticCustomError("at", ALLOWED_KEY_TIMES)
@@ -58,7 +61,10 @@ def _parse_date(text: str) -> datetime | None:
 
 
 class CameraKey(Model):
-    """The camera at one time: ``eye``, ``target`` and ``fov`` are those of a level's perspective views."""
+    """A key of a camera path: the camera's position at the time ``at``.
+
+    ``eye``, ``target`` and ``fov`` have the meaning that they have in a level's perspective views.
+    """
 
     at: Annotated[str, BeforeValidator(_validate_time)]
     eye: Position
@@ -85,7 +91,8 @@ class CameraKey(Model):
 class CameraPathSpec(Model):
     """A camera path: keys in the order of their times.
 
-    Either all times count from the first frame, or all are dates. ``size`` is that of the pictures, (width, height) in pixels.
+    Either all times count from the first frame, or all are dates. ``size`` is the size of the film's pictures, (width, height) in
+    pixels.
     """
 
     keys: Annotated[tuple[CameraKey, ...], Field(min_length=2, max_length=MAX_KEYS)]
@@ -110,7 +117,7 @@ class CameraPathSpec(Model):
     def times_s(self, start: datetime | None) -> tuple[float, ...]:
         """Return the times of the keys in seconds since the first frame.
 
-        ``start`` is the date of the first frame. It is needed only if the keys have dates; raises ``ValueError`` without it.
+        ``start`` is the date of the first frame. Raises ``ValueError`` if it is ``None`` and the keys have dates.
         """
         out = []
         for key in self.keys:
@@ -124,7 +131,7 @@ class CameraPathSpec(Model):
 
 
 def load_camera_path(path: Path) -> CameraPathSpec:
-    """Read and validate a camera file. Raises ``LevelError``, with one line for each wrong key."""
+    """Read and validate a camera file. Raises ``LevelError``, whose message has one line for each wrong key."""
     if (kind := special_file_kind(path)) is not None:
         raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE_REMEDY)
     try:

@@ -1,6 +1,7 @@
-"""Checks of data files before they are opened.
+"""Check data files before they are opened.
 
-Allowed are regular files that refer to regular files only, and the remote addresses and virtual file systems of GDAL.
+Regular files are allowed if they refer to regular files only. The remote addresses and virtual file systems of GDAL are allowed,
+too.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ _REMEDY = "Use a regular file"
 def special_file_kind(path: Path | str) -> str | None:
     """Return the kind of a path that is not a regular file, in words, such as "a pipe".
 
-    Returns ``None`` for a regular file and for a path that does not exist. Reading from a device or a pipe may never end.
+    Returns ``None`` for a regular file and for a path that does not exist. Callers reject the other kinds, since reading from a
+    device or a pipe may never end.
     """
     try:
         mode = os.stat(path).st_mode

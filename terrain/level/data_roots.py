@@ -1,4 +1,4 @@
-"""Confine a level and all files that it refers to, directly or indirectly, to given folders.
+"""Check that a level, and all files that it refers to directly or indirectly, lie in allowed folders.
 
 Symbolic links are resolved first. The files that GDAL opens along with a raster, such as overviews, are checked too.
 """
@@ -22,7 +22,7 @@ _REMOTE_VSI = re.compile(r"/vsi(?:curl|s3|gs|az|adls|oss|swift|webhdfs|hdfs|mem)
 
 
 class LevelFiles(Protocol):
-    """The files of a level that was read. ``LoadedLevel`` implements it."""
+    """The files of a level. ``skugga.terrain.level.level.LoadedLevel`` implements this protocol."""
 
     @property
     def path(self) -> Path:
@@ -38,13 +38,16 @@ class LevelFiles(Protocol):
 
 
 class DataRoots:
-    """Allowed folders, which need not exist. The checks raise ``LevelError`` for a file outside all of them."""
+    """Allowed folders of levels and data, which need not exist. The checks raise ``LevelError`` for a file outside all of them."""
 
     def __init__(self, roots: Sequence[Path]) -> None:
         self._roots = tuple(dict.fromkeys(os.path.realpath(root) for root in roots))
 
     def check_path(self, level: Path, file: str) -> None:
-        """Check a file or folder, which need not exist, or an address. All links in a folder are checked."""
+        """Check that a file, folder or address lies in an allowed folder. It need not exist; remote addresses pass.
+
+        All symbolic links within a folder are checked, too. ``level`` is the level file, for the message.
+        """
         local = _local_path(file) if is_remote(file) else file
         if local is None or local.startswith("<"):  # a VRT as text is never opened
             return
@@ -71,9 +74,9 @@ class DataRoots:
                     self.check_path(loaded.path, sidecar)
 
     def check_opened_files(self, loaded: LevelFiles) -> None:
-        """Check the files that GDAL reports to open for the level's rasters.
+        """Check all files that GDAL opens for the level's rasters, according to GDAL itself.
 
-        This finds references that ``linked_files`` does not know, since formats write them in many ways.
+        This finds references between files in formats that ``linked_files`` does not parse.
         """
         checked = dict.fromkeys(source for source in loaded.linked_sources if not is_remote(source))
         queue = list(checked)
@@ -97,9 +100,9 @@ class DataRoots:
 
 
 def _local_path(address: str) -> str | None:
-    """Return the local file that an address stands for.
+    """Return the path of the local file that GDAL opens for an address, such as a file in ``/vsizip/``.
 
-    Returns the address itself if that is not known, and ``None`` for a remote address.
+    Returns the address itself if the path cannot be derived from it, and ``None`` for a remote address.
     """
     path = _ARCHIVE_VSI.sub("", address, count=1) if address.startswith("/vsi") else address
     if "file:" in address.lower():

@@ -12,7 +12,7 @@ _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 
 
 def parse_duration(text: str) -> timedelta:
-    """Return a duration of 0 or more from its text, to a microsecond. Raises ``ValueError``."""
+    """Parse a duration of 0 or more, with a resolution of a microsecond. Raises ``ValueError`` for any other text."""
     match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)([smhd])", text.strip())
     if match is None:
         raise ValueError(ALLOWED_DURATIONS)

@@ -1,7 +1,7 @@
 """Security and cache settings of GDAL, as environment variables of this process and of its child processes.
 
-A process has two copies of GDAL, one from rasterio and one from pyogrio. Both read the environment. They read ``GDAL_SKIP``, the
-drivers to skip, when they are first used.
+A process has two copies of GDAL, one from rasterio and one from pyogrio. Both read the environment variables. They read
+``GDAL_SKIP``, the names of the drivers that GDAL must not load, when they are first used.
 """
 
 from __future__ import annotations

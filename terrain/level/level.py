@@ -47,7 +47,10 @@ EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
     "ground_detail", "snow", "crowns", "clouds", "sky_view", "lamps", "water", "haze",
 ]  # fmt: skip
-"""Names of effects, each a module of ``skugga.terrain.effects``. The effects of one stage run in this order."""
+"""Names of the rendering effects, each a module of ``skugga.terrain.effects``.
+
+Effects that change the same array (``skugga.terrain.effects.effect.Stage``) run in this order.
+"""
 
 CasterKind = Literal["relief", "meshes", "forest"]
 """Kinds of shadow casters: the heightfield, the meshes (buildings and models), and the alpha-tested trees."""
@@ -58,15 +61,18 @@ SUN = "sun"
 LightName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
 AlgorithmOverride = dict[str, dict[CasterKind, AlgorithmName]]
-"""Override of the algorithm: light -> caster kind -> name. The selector chooses for all others."""
+"""Algorithms that a level or a request sets: light -> kind of casters -> name of the algorithm.
+
+For all other lights and kinds the selector chooses the algorithm.
+"""
 
 
 class ShadowSettings(Model):
-    """Shadow settings that a level or a request can pin. With ``auto`` the selector chooses.
+    """Shadow settings that a level or a request can set. With ``auto`` the selector chooses the value.
 
-    Each setting is declared here only. Its type, limits and description define the options of ``skugga render`` and
-    ``skugga select``, the HTTP parameters and the messages to render processes. ``RequestOptions`` names the front ends that accept
-    it, if not all do.
+    Each setting is declared only here. The field's type, limits and description define the options of ``skugga render`` and
+    ``skugga select``, the HTTP parameters and the messages to render processes. If only some of these accept a setting,
+    ``RequestOptions`` names them.
     """
 
     algorithm: Annotated[
@@ -124,21 +130,24 @@ class Shadows(ShadowSettings):
     )
 
     def pin_number(self, view: str, sun_altitude_deg: float | None) -> int | None:
-        """Return the number of the pin that applies to a view and a sun altitude (``None``: no sun). A request has no pins."""
+        """Return ``None``, since the settings of a request have no pins (settings for some views and sun altitudes of a level)."""
         return None
 
     @property
     def all_settings(self) -> dict[str, ShadowSettings]:
-        """All settings that may apply, by their key in a level file."""
+        """All groups of settings that may apply, by their key in a level file."""
         return {"shadows": self}
 
 
 class Pin(PinScope, ShadowSettings):
-    """Settings for some views and sun altitudes of a level. They take precedence over the level's own settings."""
+    """A pin: shadow settings for some views and sun altitudes of a level.
+
+    They take precedence over the level's settings for all views.
+    """
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The settings that the pin sets."""
+        """Names and values of the shadow settings that the pin sets."""
         return self.model_dump(include=self.model_fields_set & ShadowSettings.model_fields.keys())
 
     @model_validator(mode="after")
@@ -151,18 +160,21 @@ class Pin(PinScope, ShadowSettings):
 class LevelShadows(Shadows):
     """Shadow settings of a level, for all of its views and suns.
 
-    ``pins`` override them for some views and sun altitudes. The first pin that applies counts.
+    ``pins`` replace them for some views and sun altitudes. If several pins apply, the first one counts.
     """
 
     pins: tuple[Pin, ...] = ()
 
     def pin_number(self, view: str, sun_altitude_deg: float | None) -> int | None:
-        """Return the number of the first pin that applies to a view and a sun altitude; ``None`` if none does."""
+        """Return the index in ``pins`` of the first pin that applies to a view and a sun altitude; ``None`` if no pin does.
+
+        ``sun_altitude_deg`` is ``None`` without a sun.
+        """
         return next((number for number, pin in enumerate(self.pins) if pin.holds(view, sun_altitude_deg)), None)
 
     @property
     def all_settings(self) -> dict[str, ShadowSettings]:
-        """All settings that may apply, by their key in the file."""
+        """All groups of settings that may apply, the level's own and those of its pins, by their key in the file."""
         return {**super().all_settings, **{f"shadows.pins.{number}": pin for number, pin in enumerate(self.pins)}}
 
 
@@ -214,7 +226,10 @@ class Level(Model):
 
     @model_validator(mode="after")
     def _check_pins(self) -> Level:
-        """Check that each pin names an existing view and existing lights, and that earlier pins do not cover it completely."""
+        """Check that each pin names an existing view and existing lights, and that it can apply.
+
+        A pin cannot apply if earlier pins cover all of its views and sun altitudes.
+        """
         pins, views, error_details = self.shadows.pins, {"map": None, **self.views}, []
         for number, pin in enumerate(pins):
             if pin.view is not None and pin.view not in views:
@@ -259,7 +274,10 @@ class Level(Model):
 
 
 class LoadedLevel(BaseModel):
-    """A level with its name and file. ``digest`` changes with all content of the file that pictures depend on."""
+    """A level with its name and the path of its file.
+
+    ``digest`` is a hash of the content of the level file that pictures depend on.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -278,12 +296,12 @@ class LoadedLevel(BaseModel):
 
     @property
     def without_sun(self) -> LoadedLevel:
-        """The same level without a sun. A sun with a time needs a library whose import takes most of a second."""
+        """The same level without a sun. It saves the import of a library, which takes most of a second if the sun has a time."""
         return self.model_copy(update={"level": self.level.model_copy(update={"sun": "none"})})
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Absolute paths of all files that the level names."""
+        """Absolute paths, or addresses, of all files that the level names, without tile archives and bundled data sets."""
         from skugga.terrain.level.bundled import BUNDLED
 
         level = self.level
@@ -294,7 +312,7 @@ class LoadedLevel(BaseModel):
 
     @property
     def archives(self) -> tuple[Path, ...]:
-        """Absolute paths of the tile archives that the level names. They are not ``sources``, since no picture depends on them."""
+        """Absolute paths of the tile archives that the level names. ``sources`` omits them, since no picture depends on them."""
         names = self.level.archive
         return tuple(Path(self.resolve(name)) for name in ((names,) if isinstance(names, str) else names))
 
@@ -313,9 +331,10 @@ class LoadedLevel(BaseModel):
 def expand_override(
     value: str | dict[str, Any], lights: tuple[str, ...] = (SUN,), names: Sequence[str] = ALGORITHM_NAMES
 ) -> AlgorithmOverride:
-    """Spell out an override: a name, ``{kind: name}`` or ``{light: name}`` or ``{light: {kind: name}}``.
+    """Convert any allowed form of the setting ``algorithm`` to the form light -> kind of casters -> name of the algorithm.
 
-    A name alone applies to every light of ``lights``. Caster kinds without a light are the sun's. ``auto`` gives no entry.
+    The forms are a name, ``{kind: name}``, ``{light: name}`` and ``{light: {kind: name}}``. A name alone applies to all ``lights``.
+    Kinds without a light apply to the sun. The name ``auto`` gives no entry. ``names`` are the allowed algorithms.
     Raises ``PydanticCustomError`` with the allowed values.
     """
     kinds, words = get_args(CasterKind), (*names, "auto")
@@ -348,16 +367,19 @@ def expand_override(
 
 
 def override_lights(value: Any) -> tuple[str, ...]:
-    """Return the sun and the keys of an override that are not caster kinds, so must be lights."""
+    """Return the names of the sun and of the other lights in a value of the setting ``algorithm``.
+
+    Every key of the value that is no kind of casters counts as the name of a light.
+    """
     keys = value if isinstance(value, dict) else ()
     return (SUN, *(key for key in keys if isinstance(key, str) and key not in (SUN, *get_args(CasterKind))))
 
 
 def parse_algorithm(text: str, parameter: str = "algorithm", names: Sequence[str] = ALGORITHM_NAMES) -> str | dict[str, Any]:
-    """Parse an override such as ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``.
+    """Parse the setting ``algorithm`` from text such as ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``.
 
-    ``names`` are the allowed algorithms. Raises ``InputError``. Does not check whether a level has the lights; ``expand_override``
-    does.
+    ``names`` are the allowed algorithms. Raises ``InputError``, which names ``parameter``. Does not check whether a level has the
+    named lights; ``expand_override`` does.
     """
     text = text.strip()
     value: str | dict[str, Any] = text
@@ -374,7 +396,7 @@ def parse_algorithm(text: str, parameter: str = "algorithm", names: Sequence[str
 
 
 def override_text(algorithm: str | dict[str, Any]) -> str:
-    """Return an override as text that ``parse_algorithm`` reads."""
+    """Return a value of the setting ``algorithm`` as text that ``parse_algorithm`` reads."""
     if isinstance(algorithm, str):
         return algorithm
     flat: dict[str, Any] = {}
@@ -384,7 +406,10 @@ def override_text(algorithm: str | dict[str, Any]) -> str:
 
 
 def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
-    """Return shadow settings with the changes of a request; ``None`` changes nothing. Raises ``InputError``."""
+    """Return shadow settings with the values that a request changes.
+
+    ``changes`` are the values by name of the setting; a value ``None`` changes nothing. Raises ``InputError``.
+    """
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
         return Shadows.model_validate({**shadows.model_dump(include=set(Shadows.model_fields)), **changes})
@@ -404,9 +429,9 @@ ALLOWED_ANGLES = {"azimuth": "-360 to 720 degrees", "altitude": "-90 to 90 degre
 
 
 def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
-    """Return the sun of query or command-line parameters; ``None`` if all are ``None``. Raises ``InputError``.
+    """Return the sun that query or command-line parameters give, by a time or by angles in degrees; ``None`` if all are ``None``.
 
-    Accepts a space instead of the ``+`` of a time's offset, because URLs decode ``+`` to a space.
+    Accepts a space instead of the ``+`` of a time's offset, because URLs decode ``+`` to a space. Raises ``InputError``.
     """
     angles = {name: angle for name, angle in (("azimuth", azimuth), ("altitude", altitude)) if angle is not None}
     if time is None and not angles:
@@ -435,7 +460,7 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
 
 
 TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
-"""Suffixes of files whose YAML errors are reported in detail. In other files such errors mean nothing."""
+"""Suffixes of files whose YAML errors are reported in detail. Files with other suffixes are probably not meant to be YAML."""
 
 _NOT_A_LEVEL = "neither a level file nor a raster that GDAL reads"
 _LEVEL_REMEDY = "Use a raster of heights, or a YAML file that starts with 'version: 1'"
@@ -443,10 +468,10 @@ _READABLE_REMEDY = "Use a readable YAML file, or a raster that GDAL reads"
 
 
 def load_level(source: Path | str | LevelSource) -> LoadedLevel:
-    """Read and validate a level file, or make a level from a raster and the options of ``LevelSource``.
+    """Read and validate a level file, or make a level from a raster and the options of a ``LevelSource``.
 
-    Raises ``LevelError``, also for a file outside the source's ``roots``. Raises ``InputError`` for options that a level file does
-    not accept.
+    Raises ``LevelError``, also if a file lies outside the source's ``roots``. Raises ``InputError`` for options of rasters that are
+    given with a level file.
     """
     source = LevelSource.of(source)
     loaded = _load(source)

@@ -1,4 +1,4 @@
-"""Convert pydantic's errors to errors of a level file: each wrong key with its value and the allowed values."""
+"""Convert pydantic's errors to the error of a level file, which names each wrong key with its value and the allowed values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UNKNOWN_KEY = "unknown_key"
 """Type of pydantic error for an unknown key."""
 
 _LEVEL_ERROR_KEYS = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
-"""Types of errors that ``Level`` raises about one of its parts, and the keys of that part."""
+"""Types of errors that validators of the whole ``Level`` raise, each with the keys of the wrong value in the file."""
 
 _PHRASES = (
     (r"(?:List|Tuple) should have (at (?:least|most) \d+ items?) after validation, not .*", r"a list of \1"),
@@ -25,7 +25,7 @@ _PHRASES = (
     (r"String should match pattern (.*)", r"a string that matches \1"),
     (r"Input should be a valid (?:list|tuple)", "a list"),
 )
-"""Messages of pydantic, and the phrases of allowed values that replace them."""
+"""Patterns of pydantic's messages, each with the phrase of allowed values that replaces the message."""
 
 _Keys = tuple[str, ...]
 
@@ -33,8 +33,8 @@ _Keys = tuple[str, ...]
 def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
     """Return one error that lists every wrong key of a file.
 
-    Pydantic reports several errors for a key, such as one for each branch of a union. An error of a key takes precedence over
-    errors of the parts that contain the key.
+    ``path`` is the file, ``data`` its parsed content, ``errors`` are pydantic's errors. Pydantic may report several errors for one
+    key, such as one for each type of a union. Errors of a mapping or list are dropped if a key within it has errors of its own.
     """
     if [error["loc"] for error in errors] == [()] and (error_keys := _LEVEL_ERROR_KEYS.get(errors[0]["type"])):
         part, key = error_keys
@@ -48,10 +48,10 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
 
 
 def _drop_unlikely_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetails]:
-    """Return the errors of the branches that the author of the file probably meant.
+    """Drop errors of union branches (one of several allowed types of a value) that the author of the file probably did not mean.
 
-    Of each union it keeps the branches whose errors lie deepest. A list of points with one wrong coordinate, for example, is not
-    reported as a point whose coordinates are lists.
+    Of each union, the errors of the branches with the most deeply nested errors remain. For example, a list of points with one
+    wrong coordinate is not reported as a point whose coordinates are lists.
     """
     depths: dict[_Keys, dict[str, int]] = {}
     for error in errors:
@@ -66,7 +66,7 @@ def _drop_unlikely_branches(data: Any, errors: list[ErrorDetails]) -> list[Error
 
 
 def _branches(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str]]:
-    """Return the union branches around an error: the keys of each union, and pydantic's name of the branch."""
+    """Return the union branches that an error lies in: the keys of each union in the file, and pydantic's name of the branch."""
     return [(keys, step) for keys, step in _location_steps(data, error) if step is not None]
 
 
@@ -100,13 +100,13 @@ def _phrase(message: str) -> str:
 
 
 def _keys(data: Any, error: ErrorDetails) -> _Keys:
-    """Return the keys of a file that lead to an error: pydantic's location without its names of union branches."""
+    """Return the keys that lead to an error in a file: pydantic's location without the names of union branches."""
     *_, (keys, _) = [((), None), *_location_steps(data, error)]
     return (*keys, error["ctx"]["key"]) if error["type"] == UNKNOWN_KEY else keys
 
 
 def _location_steps(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str | None]]:
-    """Return the steps of an error's location: the keys up to the step, and the branch's name if the step enters a union."""
+    """Return the steps of an error's location: for each step the keys up to it, and the branch's name if it enters a union."""
     steps: list[tuple[_Keys, str | None]] = []
     keys: _Keys = ()
     location = error["loc"]

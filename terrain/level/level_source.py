@@ -18,16 +18,16 @@ LEVEL_KEYS_BY_OPTION = {
     "units": "terrain: {units: UNIT}",
     "positive": "terrain: {positive: down}",
 }
-"""Options of a raster, and the keys with the same meaning in a level file."""
+"""Options of a raster, each with the text that has the same meaning in a level file."""
 
 
 def remedy(option: str, value: str) -> str:
-    """Return a phrase that says how to set an option that a raster lacks or states wrongly."""
+    """Return a phrase for messages that says how to set an option, in a level file or on the command line."""
     return f"write terrain: {{{option}: {value}}} (without a level file: --{option} {value})"
 
 
 def parse_units(parameter: str, name: str | None) -> Units | None:
-    """Return the unit of heights with a name. Raises ``InputError``, which names the parameter."""
+    """Return a unit of heights by its name; ``None`` for ``None``. Raises ``InputError``, which names ``parameter``."""
     units = next((unit for unit in METRES_PER_UNIT if unit == name), None)
     if name is not None and units is None:
         raise InputError(parameter, name, ", ".join(METRES_PER_UNIT))
@@ -35,7 +35,10 @@ def parse_units(parameter: str, name: str | None) -> Units | None:
 
 
 def parse_positive(parameter: str, name: str | None) -> Positive | None:
-    """Return the direction in which a raster's values increase. Raises ``InputError``, which names the parameter."""
+    """Return the direction in which a raster's values increase: ``up``, ``down``, or ``None`` for ``None``.
+
+    Raises ``InputError``, which names ``parameter``.
+    """
     if name in (None, "up", "down"):
         return name  # type: ignore[return-value]
     raise InputError(parameter, name, "up (heights) or down (depths)")
@@ -79,7 +82,7 @@ class LevelSource(BaseModel):
 
     @classmethod
     def of(cls, source: Path | str | LevelSource) -> LevelSource:
-        """Return a path as the source of a level."""
+        """Return a path as the source of a level; a ``LevelSource`` is returned as it is."""
         return source if isinstance(source, LevelSource) else cls(path=Path(source))
 
     @property
@@ -102,5 +105,5 @@ class LevelSource(BaseModel):
 
     @property
     def digest(self) -> str:
-        """Digest of the options. It does not cover file contents; modification times detect their changes."""
+        """Hash of the options. It does not depend on the contents of the files, whose changes show in their modification times."""
         return hashlib.sha256(repr(self.level_keys).encode()).hexdigest()[:16]

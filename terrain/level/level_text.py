@@ -28,10 +28,10 @@ _CONTROL_CHARACTERS = re.compile("[\x01-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\ud
 
 
 def parse_level_text(text: str) -> Any:
-    """Return the values of a level file. Expands aliases and merge keys.
+    """Parse YAML text to Python values. Aliases and merge keys are expanded.
 
     Raises ``YAMLError`` for malformed YAML, more than ``MAX_VALUES`` values, a depth over ``MAX_DEPTH``, and control characters.
-    Raises ``ValueError`` for a value that its type does not allow, such as an impossible date.
+    Raises ``ValueError`` for text that looks like a typed value but is not one, such as an impossible date.
     """
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer, yaml.Constructor = _BoundedComposer, _BoundedConstructor
@@ -39,7 +39,10 @@ def parse_level_text(text: str) -> Any:
 
 
 class _BoundedComposer(Composer):
-    """A composer that stops once the text is too deep or too long, because scanning takes time quadratic in the depth."""
+    """A composer that raises an error as soon as the text is nested too deeply or has too many values.
+
+    Otherwise scanning would take time quadratic in the depth.
+    """
 
     _depth = _count = 0
 
@@ -66,9 +69,10 @@ class _BoundedConstructor(SafeConstructor):
 
 
 def _expanded_size(node: Node, sizes: dict[int, tuple[int, int] | None]) -> tuple[int, int]:
-    """Return the number of nodes and the depth of a node after alias expansion.
+    """Return the number of nodes in a YAML node, and its depth, after alias expansion.
 
-    ``sizes`` caches the results by node; ``None`` marks the ancestors of the node. Raises ``MarkedYAMLError``.
+    ``sizes`` caches the results by ``id`` of the node; ``None`` marks the ancestors of the node. Raises ``MarkedYAMLError`` if a
+    limit is exceeded, or if the node contains itself.
     """
     if isinstance(node, ScalarNode):
         return 1, 0

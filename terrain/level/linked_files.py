@@ -1,11 +1,11 @@
-"""Files and addresses that a data file refers to.
+"""Find the files and addresses that a data file refers to.
 
 - A virtual raster (VRT) refers to its parts.
 - A model refers to its materials and textures.
 - The description of a web service refers to the service.
 - GeoJSON may refer to a linked CRS.
 
-Only the text of the files is read. The files that it names need not exist.
+The references are found in the text of the files, without GDAL. The named files need not exist.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _TEXTURE_LINK = re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+
 
 
 def is_remote(source: str) -> bool:
-    """Return whether a source is not a path of the file system but an address, or a path of GDAL's virtual file systems."""
+    """Return whether a source is an address (``://``) or a path of GDAL's virtual file systems (``/vsi``), not an ordinary path."""
     return "://" in source or source.startswith("/vsi")
 
 
@@ -73,7 +73,7 @@ def sidecar_files(path: Path) -> list[Path]:
 def linked_files(source: str) -> tuple[str, ...]:
     """Return all files that a file refers to, directly or indirectly, as paths or addresses, in breadth-first order.
 
-    An unreadable file gives none; the code that opens it raises the error.
+    The result is empty for an unreadable file. Code that opens the file later raises the error.
     """
     links: dict[str, None] = {}
     queue = [source]
@@ -124,7 +124,7 @@ def _direct_links(source: str) -> Iterator[str]:
 
 
 def _file_names_in(path: Path) -> Iterator[tuple[str, bool]]:
-    """Yield the file names in a file, each with whether it is relative to the file's folder."""
+    """Yield the file names in a file, each with a bool: whether the name is relative to the file's folder."""
     suffix = path.suffix.lower()
     if suffix in (".obj", ".ply"):
         yield from ((name, True) for name in _link_matches(_MODEL_LINK, path))
@@ -146,7 +146,7 @@ def _file_names_in(path: Path) -> Iterator[tuple[str, bool]]:
 
 
 def _service_addresses(path: Path) -> Iterator[str]:
-    """Yield the addresses in the description of a web service: in XML that is none of the vector formats."""
+    """Yield the addresses in a file if it may describe a web service: XML that is none of ``VECTOR_XML_ROOTS``."""
     with path.open("rb") as file:
         root = xml_head(head := file.read(4096))
         if root is None or root in VECTOR_XML_ROOTS:
@@ -156,7 +156,10 @@ def _service_addresses(path: Path) -> Iterator[str]:
 
 
 def _linked_crs(path: Path) -> Iterator[str]:
-    """Yield the addresses of linked CRSs in GeoJSON (GeoJSON 2008, section 3.2), in any object."""
+    """Yield the addresses of linked CRSs in any object of a GeoJSON file (GeoJSON 2008, section 3.2).
+
+    If the file is a pipeline that GDAL would run, all addresses in it are yielded, too.
+    """
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
         if text.find(_GDAL_PIPELINE_KEY) >= 0:
             yield from _ADDRESS.findall(text[:].decode("utf-8", "replace"))
@@ -192,7 +195,10 @@ def _gltf_addresses(path: Path) -> Iterator[str]:
 
 
 def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
-    """Return the ``buffers``, ``accessors`` or ``images`` of a glTF file as JSON objects. Raises ``OSError`` and ``ValueError``."""
+    """Return one array of a glTF file, such as ``buffers``, ``accessors`` or ``images``, as JSON objects.
+
+    Raises ``OSError`` if the file cannot be read, and ``ValueError`` if it is not JSON.
+    """
     with path.open("rb") as file:
         head = file.read(20)
         if head[:4] == b"glTF":

@@ -1,4 +1,7 @@
-"""Motion in a level file: models that spin or follow a path, and lamps that follow a path, by the level's clock."""
+"""Motion in a level file: models that spin or follow a path, and lamps that follow a path.
+
+Positions are functions of the level's clock, a time in seconds (``seconds`` of a level or a request).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ ClockSeconds = Annotated[float, Field(ge=-1e9, le=1e9)]
 """A time of the level's clock, seconds."""
 
 HeightReference = Literal["ground", "sea"]
-"""Reference of a path's heights: the ground below, which the path follows, or height 0 of the drawn heights."""
+"""Reference of a path's heights: the ground below each point of the path, or sea level (height 0)."""
 
 PathHeight = Annotated[float, Field(ge=-12000, le=1e6)]
 PathPosition = tuple[Coordinate, Coordinate, PathHeight]
@@ -31,7 +34,7 @@ KeyPath = tuple[str | int, ...]
 
 
 def parts_error(title: str, problems: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
-    """Return one error of several parts, each with its key path, its value and the allowed values."""
+    """Return one error for several wrong values: for each one its key path, the value and the allowed values in words."""
     return ValidationError.from_exception_data(
         title,
         [
@@ -48,7 +51,11 @@ class _Key(Model):
 
 
 class PathKey(_Key):
-    """Position of a model at a time of the level's clock: as ``at``, and optionally a height in metres (default: on the ground)."""
+    """A key of a model's path: its position at a time of the level's clock.
+
+    The coordinates are those of ``at`` in ``MeshSpec``. A third number is the height in metres; without it the model stands on the
+    ground.
+    """
 
     position: MapPosition | PathPosition
 
@@ -66,7 +73,7 @@ class PathKey(_Key):
 
 
 class LampKey(_Key):
-    """Position of a lamp at a time of the level's clock, target of a spot, or both."""
+    """A key of a lamp's path: at a time of the level's clock the lamp's position, the target of a spot, or both."""
 
     position: PathPosition | None = None
     target: PathPosition | None = None
@@ -79,10 +86,10 @@ class LampKey(_Key):
 
 
 class _Path(Model):
-    """A path: keys with increasing ``seconds``.
+    """A path: keys (positions with times) with increasing ``seconds``.
 
-    A ``loop`` ends where it begins, and repeats. Otherwise the moving part rests before the first and after the last key. Heights
-    are metres ``above`` the ground, which the path follows, or above the sea.
+    With ``loop`` the path repeats, and the last key has the position of the first. Otherwise the model or lamp rests before the
+    first and after the last key. ``above`` says whether heights are metres above the ground or above the sea.
     """
 
     loop: bool = False
@@ -112,10 +119,10 @@ def _with_height(position: tuple[float, ...] | None) -> tuple[float, ...] | None
 
 
 class MeshMotion(_Path):
-    """How a model moves by the level's clock.
+    """The motion of a model as a function of the level's clock.
 
-    ``spin`` is in degrees per second, counter-clockwise about the up axis. ``face: along`` turns the model's south side, which is
-    the front of a glTF model, along its path; ``fixed`` does not turn it.
+    ``spin`` is in degrees per second, counter-clockwise about the up axis. ``face: along`` turns the model so that its south side,
+    the front of a glTF model, points along the path. ``fixed`` does not turn it.
     """
 
     spin: float = Field(default=0.0, ge=-1e6, le=1e6)
@@ -149,7 +156,10 @@ class MeshMotion(_Path):
 
 
 class LampMotion(_Path):
-    """How a lamp moves by the level's clock: all keys have a position, all have a spot's target, or all have both."""
+    """The motion of a lamp as a function of the level's clock.
+
+    Either all keys have a position, or all have a spot's target, or all have both.
+    """
 
     path: Annotated[tuple[LampKey, ...], Field(max_length=MAX_PATH_KEYS)]
 

@@ -39,9 +39,9 @@ _TIME = re.compile(r"[-0-9:.,+TtWZz ]+")
 
 
 def parse_time(text: str) -> datetime:
-    """Return the time of an ISO 8601 text, with an offset or without.
+    """Parse an ISO 8601 time, with an offset from UTC or without.
 
-    Raises ``ValueError``, also for characters that no time has, since ``fromisoformat`` ignores some.
+    Raises ``ValueError``. Characters that never occur in times are rejected first, since ``fromisoformat`` ignores some of them.
     """
     if not _TIME.fullmatch(text):
         raise ValueError(ALLOWED_TIMES)
@@ -58,14 +58,20 @@ FileName = Annotated[str, Field(min_length=1), AfterValidator(_check_no_nul)]
 
 
 class FlatGround(Model):
-    """Flat ground at height 0, centred on the origin: ``size`` in metres and ``cells`` in quads, each (east, north)."""
+    """Flat ground at height 0, centred on the origin.
+
+    ``size`` is its extent in metres, ``cells`` the number of its quads, each as (east, north).
+    """
 
     size: tuple[Metres, Metres]
     cells: tuple[Annotated[int, Field(ge=1, le=8192)], Annotated[int, Field(ge=1, le=8192)]]
 
 
 class GeneratedGround(Model):
-    """Ground generated from a seed: ``size`` (east, north), spacing of heights ``cell`` and ``relief``, all in metres."""
+    """Ground generated from a seed.
+
+    ``size`` is its extent (east, north), ``cell`` the spacing of its heights and ``relief`` the range of its heights, in metres.
+    """
 
     kind: GroundGenerator
     size: tuple[Metres, Metres]
@@ -84,11 +90,13 @@ class Terrain(Model):
     """The ground: a raster of heights, or flat or generated ground.
 
     ``bounds`` (west, south, east, north, degrees) is the area of interest. It sets the anchor and the default view; ground beyond
-    it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``units`` and ``positive`` are the unit and
-    the direction of the raster's values (``None``: as the raster declares, else metres, up). ``nodata`` is a cell value that means
-    no height, in addition to the one that the file declares. ``imagery`` is an RGB raster draped over the ground. ``surface`` is
-    the interpolation between heights: ``smooth`` (bilinear between cell centres) or, in maps only, ``blocks``: every cell is a
-    column with a flat top and upright walls, as in surface models of cities.
+    it still casts shadows. ``resolution`` is the finest spacing of heights that is used, in metres. ``exaggeration`` multiplies
+    heights. ``units`` and ``positive`` are the unit and the direction of the raster's values; ``None`` stands for what the raster
+    declares, else for metres, up. ``nodata`` is a cell value that means no height, in addition to the one that the file declares.
+    ``imagery`` is an RGB raster draped over the ground.
+
+    ``surface`` is the interpolation between heights. ``smooth`` is bilinear between cell centres. With ``blocks``, in maps only,
+    every cell is a column with a flat top and upright walls, as in surface models of cities.
     """
 
     source: FileName | None = None
@@ -160,10 +168,10 @@ ALLOWED_RAMPS = "pairs of a height in metres and a colour such as '#b3c2a2', wit
 
 
 class StyleSpec(Model):
-    """Style of relief shading. A level file may write the name of a style alone; ``auto`` chooses by the ground.
+    """Style of relief shading. In a level file, the name of a style alone is allowed, too.
 
-    ``ramp`` replaces the style's colours: heights in metres and sRGB colours. ``slope_exaggeration`` multiplies slopes in shading;
-    it does not change cast shadows.
+    The name ``auto`` chooses a style by the kind of ground. ``ramp`` replaces the style's colours by pairs of a height in metres
+    and an sRGB colour. ``slope_exaggeration`` multiplies slopes in shading; it does not change cast shadows.
     """
 
     name: Literal["auto"] | StyleName = "auto"
@@ -184,12 +192,12 @@ class StyleSpec(Model):
 
 
 class ForestSpec(Model):
-    """A stand of trees: polygons with a density, points (one a tree), or a canopy-height raster.
+    """A group of trees, from one of three kinds of files: polygons with a density, points (one for each tree), or canopy heights.
 
-    ``density`` is in trees per hectare (polygons only). ``height`` is in metres: a range, or the name of an attribute. ``crown`` is
-    the crown's diameter, likewise (default: from the height). A canopy raster needs neither; its cells below ``least_height``
-    metres have no trees (default: 2, or 0.5 if most of the canopy is lower). ``layer`` names the layer of the trees in a file of
-    several layers.
+    ``density`` is in trees per hectare, for polygons only. ``height`` is the trees' height in metres, as a range or as the name of
+    an attribute. ``crown`` is the diameter of the crowns in the same forms; by default it follows from the height. A raster of
+    canopy heights needs neither. Its cells below ``least_height`` metres have no trees; the default is 2, or 0.5 if most of the
+    canopy is lower. ``layer`` names the layer of the trees in a file of several layers.
     """
 
     source: FileName
@@ -215,12 +223,13 @@ EXCLUDED_BY_PATH = "no value together with a path in motion, which sets it"
 class MeshSpec(Model):
     """Buildings from footprints, a model from a file (OBJ, PLY, glTF), or a generated model.
 
-    ``height`` of buildings is an attribute's name or metres for all; ``surface`` and ``ground`` rasters can replace it. ``layer``
-    names the layer of the footprints in a file of several layers. ``roof`` is the form of roofs over nearly rectangular footprints;
-    all other roofs are flat.
+    ``height`` of buildings is the name of an attribute, or one height in metres for all. Alternatively, a building's height is the
+    difference of the rasters ``surface`` and ``ground``. ``layer`` names the layer of the footprints in a file of several layers.
+    ``roof`` is the form of roofs over nearly rectangular footprints; all other roofs are flat.
 
-    ``at`` is the position of a model, one or several (degrees; metres on flat or generated ground), with its lowest point on the
-    ground. A path in ``motion`` replaces it. ``turn`` is in degrees counter-clockwise, ``color`` an sRGB albedo in [0, 1].
+    ``at`` is the position of a model, or a list of positions, in degrees (on flat or generated ground in metres). The model's
+    lowest point stands on the ground. A path in ``motion`` replaces ``at``. ``turn`` is in degrees counter-clockwise. ``color`` is
+    an sRGB albedo in [0, 1]. ``caster`` is a file with the model's simplified mesh, which casts the shadows instead.
     """
 
     source: FileName | None = None
@@ -303,12 +312,12 @@ class SunSpec(Model):
 class LightSpec(Model):
     """A light besides the sun.
 
-    Positions are as in views: degrees and height above ground, or metres on flat or generated ground. ``cutoff`` is the half angle
-    of a spot's cone, degrees. ``intensity`` is the irradiance at normal incidence, in units of the sun's, at the spot's target
-    (omni light: on the ground below it). It falls off with the square of the distance. ``radius`` is that of the spherical light
-    source, metres, which casts penumbrae; 0: a point.
+    ``position`` and ``target`` are longitude, latitude and metres above the ground, or metres on flat or generated ground, as in
+    views. ``cutoff`` is the half angle of a spot's cone, degrees. ``intensity`` is the irradiance at normal incidence, in units of
+    the sun's irradiance. It applies at a spot's target, or on the ground below an omni light, and falls off with the square of the
+    distance. ``radius`` is the radius of the spherical light source, metres, which causes penumbrae; 0 is a point light.
 
-    A path in ``motion`` replaces the position, the target or both. ``intensity`` then applies at the first key.
+    A path in ``motion`` replaces the position, the target or both. ``intensity`` then applies at the path's first key.
     """
 
     kind: Literal["spot", "omni"]
@@ -348,7 +357,11 @@ class LightSpec(Model):
 
 
 class MapSpec(Model):
-    """A map view: orthographic, straight down. ``bounds`` are in ``crs``. Defaults derive from the level."""
+    """A map: an orthographic view straight down.
+
+    ``bounds`` (west, south, east, north) are in the CRS ``crs``, ``size`` is (width, height) in pixels. Defaults follow from the
+    level.
+    """
 
     kind: Literal["map"]
     bounds: tuple[float, float, float, float] | None = None

@@ -1,4 +1,7 @@
-"""Scope of a pin: one view or all views, and a range of sun altitudes; and the coverage of several pins."""
+"""Scopes of pins, and the search for pins that can never apply.
+
+A pin holds shadow settings of a level file for a scope: one view or all views, and a range of sun altitudes.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +20,11 @@ ALL_ALTITUDES: Range = (-90.0, 90.0)
 
 
 class PinScope(Model):
-    """Scope of a pin.
+    """Scope of a pin: the views and sun altitudes to which its settings apply.
 
-    ``view`` is a view's name; ``map`` includes its tiles. ``sun_altitude_deg`` is the minimum and maximum altitude of the sun at
-    the level's anchor. A missing key does not restrict the scope. Without a sun only a pin without a range applies.
+    ``view`` is the name of a view; ``map`` includes the map's tiles. ``sun_altitude_deg`` is the minimum and maximum altitude of
+    the sun at the level's anchor, degrees. A missing key does not restrict the scope. Without a sun only pins without a range
+    apply.
     """
 
     view: str | None = None
@@ -52,7 +56,10 @@ class PinScope(Model):
 
 
 def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
-    """Return the ranges of sun altitudes in which a pin applies to a view and no earlier pin does."""
+    """Return the ranges of sun altitudes, degrees, in which a pin applies to a view and no earlier pin does.
+
+    ``number`` is the pin's index in ``scopes``, which holds the scopes of all pins in the order of the file.
+    """
     scope = scopes[number]
     if scope.view not in (None, view):
         return []
@@ -65,9 +72,9 @@ def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> l
 
 
 def covered_pins(scopes: Sequence[PinScope], views: Collection[str], sunless: bool) -> Iterator[tuple[int, list[int]]]:
-    """Yield the number of each pin that earlier pins cover completely, with the numbers of those earlier pins.
+    """Yield the index of each pin that can never apply, with the indices of the earlier pins that apply instead.
 
-    ``sunless`` says whether the level may have no sun.
+    ``views`` are the names of the level's views, ``sunless`` says whether the level has no sun.
     """
     for number, scope in enumerate(scopes):
         scope_views = [view for view in views if scope.view in (None, view)]

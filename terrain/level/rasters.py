@@ -1,4 +1,4 @@
-"""Open rasters of any content, and detect which files are rasters."""
+"""Open rasters of any content with rasterio, and detect which files are rasters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEVEL_SUFFIXES = ".yaml", ".yml"
 def open_raster(source: str, **options: Any) -> rasterio.DatasetReader:
     """Open a raster with options of its driver.
 
-    Raises ``SourceError`` if it must not be opened (``check_geodata``), ``RasterioError`` or ``OSError`` if it cannot be opened.
+    Raises ``SourceError`` if ``check_geodata`` forbids the file, and ``RasterioError`` or ``OSError`` if it cannot be opened.
     """
     import rasterio  # imported here because level files alone do not need it
 
@@ -38,5 +38,5 @@ def is_raster(source: Path | str) -> bool:
 
 
 def is_level_raster(path: Path) -> bool:
-    """Return whether a file is a raster, not a level file, so that it becomes a level of its own."""
+    """Return whether a file is a raster from which a level with default settings can be made, and not a level file."""
     return path.suffix.lower() not in LEVEL_SUFFIXES and is_raster(path)

@@ -1,4 +1,4 @@
-"""Settings of requests, derived from the fields of a pydantic model, so that each setting is declared once."""
+"""Derive the settings that requests accept from the fields of a pydantic model, so that each setting is declared only once."""
 
 from __future__ import annotations
 
@@ -16,15 +16,18 @@ FrontEnd = Literal["render", "select", "pictures", "plans"]
 """Front ends that accept settings: two commands and two kinds of HTTP requests."""
 
 AUTO = "auto"
-"""Value that leaves a setting to the selector. Requests omit the setting instead."""
+"""Value with which a level file leaves a setting to the selector. Requests omit the setting instead, unless
+``RequestOptions.auto``.
+"""
 
 _TYPE_CONSTRUCTORS: dict[str, Any] = {"Literal": Literal, "Annotated": Annotated}
-"""Type constructors that are subscripted at run time, which type checkers reject in direct use."""
+"""Type constructors that are subscripted with values known only at run time. Type checkers reject that if it is written directly.
+"""
 
 
 @dataclass(frozen=True)
 class RequestOptions:
-    """Metadata of a field, in its ``Annotated``, if requests accept it differently from other fields.
+    """Metadata in the ``Annotated`` type of a field that not all requests accept, or not in the same form as a level file.
 
     Attributes
     ----------
@@ -81,7 +84,7 @@ class Setting:
 
     @property
     def allowed(self) -> str:
-        """The allowed values in words, such as ``16, 24 or 32`` or ``64 to 8192``; empty if all are."""
+        """The allowed values in words, such as ``16, 24 or 32`` or ``64 to 8192``; empty if all values are allowed."""
         *earlier_texts, last = (*map(str, self.words), *filter(None, map(_limits_text, _union_parts(self.type)))) or ("",)
         return f"{', '.join(earlier_texts)} or {last}" if earlier_texts else last
 
@@ -97,7 +100,10 @@ def settings_of(model: type[BaseModel], front_end: FrontEnd) -> list[Setting]:
 
 
 def _request_type(field: FieldInfo, options: RequestOptions) -> Any:
-    """Return a field's type without ``auto`` and ``None``, with its limits."""
+    """Return the type of a field's values in requests, with their limits.
+
+    It is the field's type without ``None``, and without ``auto`` unless ``options`` allow it.
+    """
     if options.request_type is not None:
         return options.request_type
     request_type = field.annotation if options.auto else reduce(or_, _without_auto(field.annotation))
@@ -130,7 +136,7 @@ def _unannotated(annotation: Any) -> Any:
 
 
 def _limits_text(annotation: Any) -> str:
-    """Return the limits of a number in words; empty if it has none."""
+    """Return the limits of a numeric type in words, such as ``64 to 8192``; empty if it has none."""
     limits: dict[str, Any] = {}
     for limit in _limits(get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()):
         limits |= {name: getattr(limit, name) for name in ("ge", "le", "gt") if hasattr(limit, name)}

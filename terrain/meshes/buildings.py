@@ -64,7 +64,7 @@ MIN_VALID_SHARE = 0.5
 """Minimum share of a footprint that must have valid ground, or a valid surface if its height is measured."""
 
 MAX_WRONG_FLOOR_SHARE = 0.5
-"""Maximum share of a file's floors above their roofs that counts as single errors of the data.
+"""Maximum share of a file's floors not below their roofs that counts as single errors of the data.
 
 If more floors are wrong, all heights of floors are ignored.
 """

@@ -14,10 +14,9 @@ import numpy as np
 from skugga.terrain.compiled import compiled
 
 SUPERSAMPLING = 3  # samples per texel and axis
-COORDINATE_STEP = (
-    2.0**-20
-)  # tree heights: rounding of strokes, so that last-bit differences of sines between machines change no picture
-OUTLIER_SHARES = (0.01, 0.001)  # share of stroke ends at the rim and at the top that may lie outside the picture
+COORDINATE_STEP = 2.0**-20
+"""Step to which strokes are rounded, in tree heights. Sines differ in the last bit between machines, but pictures must not."""
+OUTLIER_SHARES = (0.01, 0.001)  # shares of stroke ends, at the rim and at the top, that may lie outside the picture
 
 Colour = tuple[float, float, float]
 

@@ -46,7 +46,7 @@ def requested_instant(text: str | None, lon_deg: float) -> str | None:
 
 
 def requested_date(text: str | None, default: date) -> date:
-    """Return the date of a TIME for a layer of whole dates; ``default`` if TIME is missing or ``default``. Raises ``InputError``."""
+    """Return the date of a TIME for a layer of whole dates; ``default`` without a TIME. Raises ``InputError``."""
     if text is None or text.strip().lower() in ("", DEFAULT_TIME):
         return default
     try:

@@ -115,7 +115,7 @@ async def _answer(request: Request, service: Service, level: str | None) -> Resp
         operation = parameters.require("REQUEST", f"Use one of {OPERATIONS}")
         if (parameters.get("SERVICE") or "WMS").upper() != "WMS":
             raise InputError("SERVICE", parameters.get("SERVICE"), "WMS")
-        if operation.lower() == "getcapabilities":  # any VERSION is accepted: the client has to take this one (6.2.4)
+        if operation.lower() == "getcapabilities":  # any VERSION is accepted, and answered in 1.3.0 (6.2.4)
             return await _capabilities(request, service, level)
         if operation.lower() != "getlegendgraphic" and (parameters.get("VERSION") or WMS_VERSION) != WMS_VERSION:
             raise InputError("VERSION", parameters.get("VERSION"), WMS_VERSION)

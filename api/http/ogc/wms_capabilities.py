@@ -62,7 +62,7 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
     for tag, text in (("Name", "WMS"), ("Title", "Skugga"), ("Abstract", "Terrain with the sun's true cast shadows.")):
         add(service, tag, text)
     _add_online_resource(service, base_url)
-    side = math.isqrt(max_pixels)  # a longer side is drawn, too, if the other one is shorter
+    side = math.isqrt(max_pixels)  # a request may have a longer side if its other side is short enough
     for tag, value in (("Fees", "none"), ("AccessConstraints", "none"), ("LayerLimit", 1), ("MaxWidth", side), ("MaxHeight", side)):
         add(service, tag, value)
     capability = add(root, "Capability")

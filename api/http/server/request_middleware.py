@@ -143,7 +143,7 @@ def _request_id_of(scope: Scope) -> str:
 
 
 def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, duration_ms: float) -> None:
-    """Add the headers that all answers have, with the total ``duration_ms`` so far, and those that depend on the request's state."""
+    """Add the headers that all answers have. ``duration_ms`` is the time since the request arrived."""
     headers[REQUEST_ID] = id_
     headers["X-Content-Type-Options"] = "nosniff"
     timings = headers.get("Server-Timing")

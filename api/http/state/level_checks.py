@@ -75,7 +75,8 @@ class LevelCheck(Generic[Value]):
     def fresh_value(self) -> Value | None:
         """Return the value if it can be used without waiting, else ``None``.
 
-        It can if the last check succeeded and is recent (``fresh_s``), or if the present check hangs (longer than ``wait_s``).
+        The last finished check must have succeeded. Also, it must be recent (``fresh_s``), or the present check must hang, which
+        means that it runs for longer than ``wait_s``.
         """
         return self.value if self.error is None and (self._is_fresh() or self._hangs()) else None
 

@@ -28,7 +28,7 @@ def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *request_part
     """Return a tile of an archive with its response headers and ``extra_headers``.
 
     Its entity tag depends only on the tile's bytes and on ``request_parts``. So the tag stays the same if the archive is replaced
-    by another one with the same tile, and it is the same in all services that have the tile.
+    by another one with the same tile. All services with the tile have the same tag.
     """
     tag = entity_tag("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *request_parts)
     return EncodedTile(

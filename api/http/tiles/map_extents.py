@@ -31,9 +31,10 @@ _WMS_CODES = {"CRS:84": "OGC:CRS84", "CRS:83": "OGC:CRS83", "CRS:27": "OGC:CRS27
 
 
 def crs_code(text: str) -> str:
-    """Return the code of a CRS as PROJ spells it, such as EPSG:3857, from a code, an EPSG number, a URN or a name of WMS.
+    """Return the code of a CRS as PROJ spells it, such as EPSG:3857.
 
-    Raises ``InputError`` for other texts. PROJ would accept some of them as names of files.
+    ``text`` may be a code, an EPSG number, a URN (``urn:ogc:def:crs``), or a name that WMS defines, such as CRS:84. Raises
+    ``InputError`` for other texts. PROJ would accept some of them as names of files.
     """
     urn = _URN.fullmatch(text)
     code = _WMS_CODES.get(

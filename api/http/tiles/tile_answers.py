@@ -95,7 +95,7 @@ async def tile_answer(
 
     tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, product.name, product_request.query())
     if archive is not None and is_empty:
-        tag_parts += (archive.version,)  # a rendered tile may differ
+        tag_parts += (archive.version,)  # without this archive the tile would be rendered, and may have data
     sun_time_headers = time_headers(request)
     headers = cache_headers(entity_tag(*render_versions, *tag_parts), service.fresh_s(request, max_fresh_s)) | sun_time_headers
     if is_fresh(request, headers["ETag"]):

@@ -37,7 +37,7 @@ _FROM_FIELD = Field(
     description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
     "what has a motion moves, and the sun rests. Default: as the path has it.",
 )  # fmt: skip
-_FROM: dict[str, Any] = {"from": (Text | None, _FROM_FIELD)}  # a keyword, which a class cannot have as a field
+_FROM: dict[str, Any] = {"from": (Text | None, _FROM_FIELD)}  # a keyword of Python, so no class body can declare it
 _FromModel: Any = create_model("_Named", __base__=Model, **_FROM)
 
 
@@ -152,7 +152,10 @@ def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> Non
 
 
 def _fixed_sun(body: Any, span: FilmSpan) -> SunSpec | None:
-    """Return the fixed sun of a film; ``None`` for a film with dates, whose sun moves, and for the level's. Raises ``InputError``."""
+    """Return the sun of a film without dates, which does not move; ``None`` means the level's own sun.
+
+    The result is ``None`` also for a film with dates, whose sun moves. Raises ``InputError``.
+    """
     sun = parse_sun(body.time, body.azimuth, body.altitude)
     if span.start is None:
         if sun is not None and sun.time is not None:

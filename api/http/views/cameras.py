@@ -56,7 +56,7 @@ async def camera_query(eye: EyeQuery = None, target: TargetQuery = None, fov: Fo
     positions = {name: parse_position(name, text) for name, text in texts.items()}
     try:
         return PerspectiveSpec(kind="perspective", **positions, **({} if fov is None else {"fov": fov}))
-    except ValidationError:  # each one is valid by itself
+    except ValidationError:  # each position is valid by itself, so they are equal
         raise InputError("target", target, "a target other than the eye") from None
 
 

@@ -142,7 +142,7 @@ def cell_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def loft(loops_m: np.ndarray, color: Colour) -> Body:
-    """Return a skin over closed loops (k, sides, 3), with flat ends: 2 k ``sides`` triangles.
+    """Return a skin over closed loops (k, sides, 3), closed at both ends: 2 k ``sides`` triangles.
 
     Each loop is counter-clockwise seen from the next one.
     """
