@@ -59,7 +59,7 @@ def encode(array: np.ndarray, product: Product, format: str, view: object = None
         Image.fromarray(np.ascontiguousarray(array)).save(out, "WEBP", quality=LOSSY_QUALITY, method=2)
         return out.getvalue()
     if format == "jpg" and array.ndim == 3 and array.shape[2] == 4:
-        array = over(array, (255, 255, 255))[..., :3]
+        array = composite_over(array, (255, 255, 255))[..., :3]
     return encode_exactly(array, product, format, view)
 
 
@@ -89,7 +89,7 @@ def encode_picture(array: np.ndarray, format: str) -> bytes:
     return out.getvalue()
 
 
-def over(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
+def composite_over(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
     """Composite an RGBA picture over an opaque sRGB colour, and return RGBA."""
     alpha = picture[..., 3:].astype(np.float32) / 255.0
     blended = np.rint(picture[..., :3] * alpha + np.array(color, np.float32) * (1.0 - alpha)).astype(np.uint8)

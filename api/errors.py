@@ -122,7 +122,7 @@ class ErrorReport:
         Exit status of the command line.
     code
         Stable code of HTTP problem documents.
-    public
+    public_message
         Message for HTTP clients; ``None`` sends the error's own message. Some messages contain paths of the operator's files or
         texts of drivers. They only go to the log, and clients get this message.
     retry_after_s
@@ -134,7 +134,7 @@ class ErrorReport:
     status: int
     exit_status: int
     code: str
-    public: str | None = None
+    public_message: str | None = None
     retry_after_s: int | None = None
     in_http: bool = True
 

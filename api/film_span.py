@@ -60,11 +60,11 @@ def film_span(
     if path is not None and path.keys[0].moment is not None and start is None and end is None:
         start, end = path.keys[0].at, path.keys[-1].at
     first = _parse_end("from", "0s" if start is None and path is not None else start)
-    path_s = None if path is None else path.keys[-1].elapsed_s
+    path_duration_s = None if path is None else path.keys[-1].elapsed_s
     if end is not None:
         last = _parse_end("to", end)
-    elif path_s is not None:
-        last = first + timedelta(seconds=path_s)
+    elif path_duration_s is not None:
+        last = first + timedelta(seconds=path_duration_s)
     else:
         raise InputError.missing("to", "Give the last time together with from")
     if isinstance(first, datetime) and isinstance(last, datetime):

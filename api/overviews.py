@@ -163,8 +163,8 @@ def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: 
 def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, positive: Positive | None) -> tuple[float, float]:
     """Return the range of cell values that count as plausible heights."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
-    unit = vertical_axis(dataset.name, dataset, units, positive).scale
-    low, high = sorted((limit / unit - offset) / scale for limit in plausible_m(checked_crs(dataset.name, dataset)))
+    unit_m = vertical_axis(dataset.name, dataset, units, positive).scale
+    low, high = sorted((limit / unit_m - offset) / scale for limit in plausible_m(checked_crs(dataset.name, dataset)))
     return low, high
 
 

@@ -52,7 +52,7 @@ class RasterMetadata:
 
     Attributes
     ----------
-    about
+    description
         Description of the raster, one sentence.
     descriptions
         Descriptions of the bands.
@@ -62,7 +62,7 @@ class RasterMetadata:
         Further tags.
     """
 
-    about: str
+    description: str
     descriptions: tuple[str, ...]
     unit: str = ""
     tags: dict[str, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class RasterMetadata:
     def write(self, dataset: DatasetWriter) -> None:
         """Write the metadata into a raster."""
         dataset.update_tags(
-            TIFFTAG_SOFTWARE=f"Skugga {version('skugga')}", TIFFTAG_IMAGEDESCRIPTION=self.about,
+            TIFFTAG_SOFTWARE=f"Skugga {version('skugga')}", TIFFTAG_IMAGEDESCRIPTION=self.description,
             **{name.upper(): text for name, text in self.tags.items() if text},
         )  # fmt: skip
         dataset.descriptions = self.descriptions

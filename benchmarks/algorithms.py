@@ -251,7 +251,7 @@ class BenchmarkView:
 
     def _of_band(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
         (light,) = self.scene.light_names
-        return fill_steps(plan.steps_under(light), picture.buffer, self.scene, casters, plan.runs, log)
+        return fill_steps(plan.steps_under(light), picture.buffer, self.scene, casters, plan.effect_names, log)
 
 
 def benchmark_view(level: str, name: str, size: tuple[int, int]) -> BenchmarkView:
@@ -370,13 +370,13 @@ def targets(rows: Sequence[Row]) -> list[Row]:
     """
     row_by_key = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
     result = []
-    for scene, view, variant, other, word, limit in TARGETS:
+    for scene, view, variant, other, comparison, limit in TARGETS:
         for under in (scene, f"{scene}_sun"):
             a, b = row_by_key.get((under, view, variant)), row_by_key.get((under, view, other))
             if a is not None and b is not None:
                 measured, kept_ratio = (a[mode] / b[mode] for mode in ("redrawn", "kept"))
-                met = measured < limit if word == "under" else measured <= limit
-                result.append(_target(under, view, f"{variant} / {other}: {word} {limit}", measured, kept_ratio, met))
+                met = measured < limit if comparison == "under" else measured <= limit
+                result.append(_target(under, view, f"{variant} / {other}: {comparison} {limit}", measured, kept_ratio, met))
     for (scene, view, key), row in row_by_key.items():
         if key == "hybrid" and view in (IN_SHADOW, "close"):
             share = row["marked"]

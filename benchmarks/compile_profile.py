@@ -49,7 +49,7 @@ class Compilation:
         The project's loop that caused the compilation; the loop itself if it is one of the project.
     own_s, total_s : float
         CPU seconds without and with the functions that it calls.
-    front_s : float
+    frontend_s : float
         The part of ``own_s`` before machine code is generated, such as type inference, in seconds.
     """
 
@@ -58,7 +58,7 @@ class Compilation:
     cause: str
     own_s: float = 0.0
     total_s: float = 0.0
-    front_s: float = 0.0
+    frontend_s: float = 0.0
 
     @property
     def is_ours(self) -> bool:
@@ -101,7 +101,7 @@ class Profile(event.Listener):
         compilation.total_s += elapsed_s
         compilation.own_s += elapsed_s - nested_s
         if "native_lowering" not in event.data["name"]:
-            compilation.front_s += elapsed_s - nested_s
+            compilation.frontend_s += elapsed_s - nested_s
         if stack:
             stack[-1][2] += elapsed_s
 
@@ -215,13 +215,13 @@ def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
         [compilation for compilation in compilations if compilation.is_ours],
         [compilation for compilation in compilations if not compilation.is_ours],
     )
-    own_s, front_s = (sum(getattr(compilation, field) for compilation in compilations) for field in ("own_s", "front_s"))
+    own_s, frontend_s = (sum(getattr(compilation, field) for compilation in compilations) for field in ("own_s", "frontend_s"))
     lines = [
         f"{product}: {own_s:.1f} s of CPU for {len(compilations)} compilations ({profile['cpu_s']:.1f} s with all else); "
         f"yardstick {profile['yardstick_s'] * 1e3:.0f} ms, so {own_s / profile['yardstick_s']:.0f} of it",
         f"  {len(own_loops)} of {len({compilation.loop for compilation in own_loops})} loops: "
         f"{sum(e.own_s for e in own_loops):.1f} s; {len(helpers)} of numba's helpers: {sum(e.own_s for e in helpers):.1f} s; "
-        f"{own_s - front_s:.1f} s for machine code, {front_s:.1f} s before",
+        f"{own_s - frontend_s:.1f} s for machine code, {frontend_s:.1f} s before",
         "",
         "  own s   with callees  helpers  loop (a line for each signature)",
     ]

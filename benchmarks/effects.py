@@ -318,7 +318,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
         make_plan(describe(variant, view), variant.loaded.level)
         for variant in (scene, with_forced_effects(scene, {"outside_casters": "off"}))
     ]
-    if "cast_shadows" not in plans[0].runs:
+    if "cast_shadows" not in plans[0].effect_names:
         return
     block_by_variant, ms = {}, {}
     for name, plan in ({"first": plans[0], "drawn": plans[0], "alone": plans[1]}).items():  # the first draw reads the ground
@@ -338,8 +338,8 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
     if (drawn_block.color != full_block.color).any() or (drawn_block.opacity != full_block.opacity).any():
         raise AssertionError(f"{view}: what was left out shows")
     ran = executed_effects(drawn_block.passes)
-    counts["outside"] += "outside_casters" in plans[0].runs
-    counts["no outside"] += "outside_casters" in plans[0].runs - ran
+    counts["outside"] += "outside_casters" in plans[0].effect_names
+    counts["no outside"] += "outside_casters" in plans[0].effect_names - ran
     counts["outside in vain"] += "outside_casters" in ran and bool((block_by_variant["alone"].opacity == full_block.opacity).all())
     counts["sweep"] += 1
     counts["no sweep"] += "cast_shadows" not in ran
@@ -362,7 +362,7 @@ def measure_each_effect(args: argparse.Namespace) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         for effect in args.effects or get_args(EffectName):
             for scene, name in _views_with_effect(effect, Path(folder)):
-                if effect in make_plan(describe(scene, scene.view(name), name), scene.loaded.level).runs:
+                if effect in make_plan(describe(scene, scene.view(name), name), scene.loaded.level).effect_names:
                     rows.append(_with_and_without(effect, scene, name, args.repeats))
                     print(effect, name, f"{rows[-1]['on / off']:.2f}", flush=True)
     return rows

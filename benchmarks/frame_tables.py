@@ -90,7 +90,7 @@ def median_passes(rows: Sequence[Row]) -> dict[str, float]:
     return {name: statistics.median(row["passes_ms"].get(name, 0.0) for row in rows) for name in names}
 
 
-def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list[Target]:
+def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -> list[Target]:
     """Return the targets that have measurements."""
     result: list[Target] = []
 
@@ -115,7 +115,7 @@ def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list
         for move in ("new", "resting"):
             label = f"wooded {picture} as planned, {MOVES[move]} moved / before"
             add(label, 0.4, rows(picture, move), rows(picture, move, BASE), move == "new")
-    for picture, sides in firsts.items():
+    for picture, sides in first_frames.items():
         rows_now = sides[NOW]
         for value, label in (("ms", "frame"), ("answer_ms", "frame with its plan")):
             ratio = statistics.median(row["first"][value] / row["warm"][value] for row in rows_now)
@@ -132,16 +132,16 @@ def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list
 
 
 def as_markdown(
-    result: dict[str, Any], frames: dict[FrameKey, Rows], firsts: dict[str, Rows], differences: dict[FrameKey, Row]
+    result: dict[str, Any], frames: dict[FrameKey, Rows], first_frames: dict[str, Rows], differences: dict[FrameKey, Row]
 ) -> str:
     """Format all tables. ``differences`` hold comparisons of pictures with those of the other commit."""
     parts = [
         f"{result['renderer']}, {result['cpus']} CPU cores, load {result['load']:.1f}, {result['repeats']} turns; before: "
         f"{result['base'] or 'not measured'}.",
-        _target_table(frame_targets(frames, firsts)),
+        _target_table(frame_targets(frames, first_frames)),
         _frame_table(frames, differences),
         _plan_lines(result["plans"]),
-        _first_table(firsts) if firsts else "",
+        _first_table(first_frames) if first_frames else "",
         *(_pass_table(key, sides) for key, sides in frames.items() if key.move == "new"),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -219,10 +219,10 @@ def _format_equality(differs: Row | None) -> list[str]:
     return [f"{differs['color']} of {count}{color}", f"{differs['visibility']} of {count}{classes}"]
 
 
-def _first_table(firsts: dict[str, Rows]) -> str:
+def _first_table(first_frames: dict[str, Rows]) -> str:
     head = ["picture", "side", "imports, s", "scene, s", "plan, s", "first frame, s", "a new view's plan, s", "its frame, s"]
     rows = []
-    for picture, sides in firsts.items():
+    for picture, sides in first_frames.items():
         for side, side_rows in sides.items():
             values = [
                 [row["import_ms"] for row in side_rows], [row["scene_ms"] for row in side_rows],

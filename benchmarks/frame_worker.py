@@ -54,7 +54,7 @@ GOLDEN_RATIO = 0.5 * (np.sqrt(5.0) - 1.0)
 """Place number n lies at the fraction of n * ``GOLDEN_RATIO`` of the ranges below. Places never repeat, and successive ones are
 never near."""
 
-SUN_WAY_DEG, SUN_WAY_MIN = 4.0, 16.0
+SUN_RANGE_DEG, SUN_RANGE_MIN = 4.0, 16.0
 """The sun's range in degrees of azimuth, or in minutes if the level has a time. It begins at the level's own sun. Successive places
 differ by at least two fifths of it, as in a film of a day in steps of six minutes or more."""
 
@@ -120,9 +120,9 @@ class ViewVariants:
             sun, share = self.scene.sun, number * GOLDEN_RATIO % 1.0
             assert sun is not None
             if sun.time is not None:
-                spec = SunSpec(time=sun.time + timedelta(minutes=SUN_WAY_MIN * share))
+                spec = SunSpec(time=sun.time + timedelta(minutes=SUN_RANGE_MIN * share))
             else:
-                spec = SunSpec(azimuth=sun.azimuth_deg + SUN_WAY_DEG * share, altitude=sun.altitude_deg)
+                spec = SunSpec(azimuth=sun.azimuth_deg + SUN_RANGE_DEG * share, altitude=sun.altitude_deg)
             self._moved = {0: self.scene, number: self.scene.with_sun(spec)}  # frames under one sun share a scene, as in a film
         return self._moved[number]
 

@@ -175,7 +175,7 @@ class FrameMeasurements:
         Rows of costs, by kind of frame and side.
     plans
         Costs of plans, by picture and side.
-    firsts
+    first_frames
         Rows of costs of first frames, by picture and side.
     differences
         Differences from the other commit's pictures, by kind of frame.
@@ -187,7 +187,7 @@ class FrameMeasurements:
 
     frames: dict[FrameKey, Rows] = field(default_factory=dict)
     plans: dict[str, dict[str, Any]] = field(default_factory=dict)
-    firsts: dict[str, Rows] = field(default_factory=dict)
+    first_frames: dict[str, Rows] = field(default_factory=dict)
     differences: dict[FrameKey, Row] = field(default_factory=dict)
     renderer: str = ""
     load: float = 0.0
@@ -273,7 +273,7 @@ def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Pat
                     answers.append({**row, **answer_times, "plan_ms": plan["ms"]})
                 clocks = ("ms", "cpu_ms", "plan_ms", "answer_ms", "cpu_answer_ms")
                 warm = {clock: statistics.median(answer[clock] for answer in answers[1:]) for clock in clocks}
-                measurements.firsts.setdefault(name, {}).setdefault(side_name, []).append(
+                measurements.first_frames.setdefault(name, {}).setdefault(side_name, []).append(
                     {**process.ready, "first": answers[0], "warm": warm}
                 )
 
@@ -322,21 +322,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     result = {
         "renderer": measurements.renderer, "cpus": os.cpu_count(), "load": measurements.load, "repeats": args.repeats,
         "now": _commit(ROOT), "base": _commit(args.base) if args.base else None, "plans": measurements.plans,
-        "firsts": measurements.firsts,
+        "firsts": measurements.first_frames,
         "frames": [
             {**key._asdict(), "rows": sides, "differs": measurements.differences.get(key)}
             for key, sides in measurements.frames.items()
         ],
-        "targets": [{**target._asdict(), "met": target.met} for target in frame_targets(measurements.frames, measurements.firsts)],
+        "targets": [
+            {**target._asdict(), "met": target.met}
+            for target in frame_targets(measurements.frames, measurements.first_frames)
+        ],
     }  # fmt: skip
-    table = as_markdown(result, measurements.frames, measurements.firsts, measurements.differences)
+    table = as_markdown(result, measurements.frames, measurements.first_frames, measurements.differences)
     if args.json:
         args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     if args.markdown:
         page = args.markdown.read_text(encoding="utf-8") if args.markdown.exists() else ""
         args.markdown.write_text(replace_between_marks(page, table) if BEGIN in page else table, encoding="utf-8")
     print(table)
-    for target in frame_targets(measurements.frames, measurements.firsts):
+    for target in frame_targets(measurements.frames, measurements.first_frames):
         print(target.line)
 
 

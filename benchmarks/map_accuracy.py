@@ -63,7 +63,7 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
         step = next((step for step in plan.steps if step.algorithm == algorithm), None)
         if step is None:
             continue
-        visibility = fill_steps([step], buffer, lit, casters, plan.runs, PassLog())
+        visibility = fill_steps([step], buffer, lit, casters, plan.effect_names, PassLog())
         visibility[attached(buffer, lit)] = 0.0
         metrics = error_metrics(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
         shadow_share = float((~truth.lit & truth.valid).sum() / max(truth.valid.sum(), 1))

@@ -38,7 +38,7 @@ class StyledPlace:
         Raster in the folder of sample rasters, or name of a bundled level.
     view
         Name of the view.
-    middle
+    middle_share
         Of a map, the side of the drawn square as a share of the map's shorter side.
     keys
         Further keys of the level file.
@@ -46,17 +46,17 @@ class StyledPlace:
 
     source: str
     view: str = "map"
-    middle: float = 1.0
+    middle_share: float = 1.0
     keys: dict[str, Any] = field(default_factory=dict)
 
 
 PLACES = {
-    "mountains": StyledPlace("mountain/grenoble_copernicus_4326.tif", middle=0.6),
+    "mountains": StyledPlace("mountain/grenoble_copernicus_4326.tif", middle_share=0.6),
     "high mountains": StyledPlace("mountain/vinschgau_250m_utm32.tif"),
     "city": StyledPlace("urban/goteborg_1m/DSM.tif"),
     "plain": StyledPlace("odd/texas_flat_3arcsec_4326.tif", keys={"style": {"slope_exaggeration": 3}}),
     "forest": StyledPlace(
-        "forest/quebec_DTM.tif", middle=0.5, keys={"forest": [{"source": "forest/quebec_CHM.tif", "species": "conifer"}]}
+        "forest/quebec_DTM.tif", middle_share=0.5, keys={"forest": [{"source": "forest/quebec_CHM.tif", "species": "conifer"}]}
     ),
     "valley, in perspective": StyledPlace("jacksboro_wooded", view="valley"),
     "village, in perspective": StyledPlace("jacksboro_wooded", view="village"),
@@ -82,7 +82,7 @@ def picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, side: 
     view = scene.view(place.view)
     if place.view == "map":
         west, south, east, north = view.bounds
-        x, y, reach = (west + east) / 2, (south + north) / 2, place.middle * min(east - west, north - south) / 2
+        x, y, reach = (west + east) / 2, (south + north) / 2, place.middle_share * min(east - west, north - south) / 2
         view = scene.view("map", (x - reach, y - reach, x + reach, y + reach), scene.map_crs.to_string(), (side, side))
     else:
         view = scene.view(place.view, size=(side, round(side * view.rows / view.cols)))

@@ -103,7 +103,7 @@ class CellRays:
         surface = scene.surface(view.grid).window(*window, nodes.frame)  # includes the rim that casts
         start = surface.position_frame_m[row + HALO, col + HALO]
         upwards = start - scene.world.up_origin(nodes.frame)
-        return CellRays(surface.casting.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
+        return CellRays(surface.with_rim.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
 
     def see(self, direction: np.ndarray, least_sine: float = 0.0) -> np.ndarray:
         """Return which cells see the sun, bool (n,). ``direction`` (3,) is the unit vector to the sun.

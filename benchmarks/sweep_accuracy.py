@@ -69,15 +69,15 @@ class GridTruth:
     ----------
     lit
         Whether the sun is visible, with quads cut along their higher diagonals as in the sweep.
-    drawn
+    certain
         Where ``lit`` is certain.
-    decidable
+    certain_for_any_cut
         Where ``lit`` is certain and the same along either diagonal, for tools that cut quads differently.
     """
 
     lit: np.ndarray
-    drawn: np.ndarray
-    decidable: np.ndarray
+    certain: np.ndarray
+    certain_for_any_cut: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
     figures = []
     for sun in suns:
         truth = rays.truth(*sun)
-        figures.append(figures_of(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.drawn, *sun))
+        figures.append(figures_of(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.certain, *sun))
     return figures
 
 

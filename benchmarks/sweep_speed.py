@@ -179,7 +179,7 @@ def wrong_cells(tools: list[SweepTool], side: int) -> dict[SweepTool, np.ndarray
     for k, sun in enumerate(SUNS):
         truth = rays.truth(*sun)
         for tool in tools:
-            certain = truth.drawn if tool.lines else truth.decidable
+            certain = truth.certain if tool.lines else truth.certain_for_any_cut
             figures = figures_of(terrain, tool.lit(terrain.height_m, *sun), truth, certain, *sun)
             result[tool][k] = figures.wrong, figures.false_shadow, figures.missed_shadow, figures.interior
     return result

@@ -48,22 +48,22 @@ SITE_CRS = 'ENGCRS["site",EDATUM["site"],CS[Cartesian,2],AXIS["x",east],AXIS["y"
 Side = tuple[bool, bool, bool]
 
 
-def moved(values: np.ndarray, side: Side) -> np.ndarray:
+def transformed(values: np.ndarray, side: Side) -> np.ndarray:
     """Mirror and transpose values (n, m) of a grid by a symmetry."""
     east_west, north_south, turned = side
     values = values.T if turned else values
     return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
 
 
-def moved_back(values: np.ndarray, side: Side) -> np.ndarray:
-    """Invert ``moved`` for values of a grid."""
+def inverse_transformed(values: np.ndarray, side: Side) -> np.ndarray:
+    """Invert ``transformed`` for values of a grid."""
     east_west, north_south, turned = side
     values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
     return values.T if turned else values
 
 
 def azimuth_of(azimuth_deg: float, side: Side) -> float:
-    """Transform a sun's azimuth, degrees, in the same way as ``moved`` transforms the ground.
+    """Transform a sun's azimuth, degrees, in the same way as ``transformed`` transforms the ground.
 
     It is reflected in the diagonal from north-west to south-east, and then mirrored.
     """
@@ -112,7 +112,7 @@ def site(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: P
     return build_scene(load_level(folder / "site.yaml"))
 
 
-def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
+def shadow_mask(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
     """Return the mask of pixels in shadow (rows, cols) in a map of the whole scene."""
     view = scene.view(bounds=scene.elevation.bounds, size=size)
     assert isinstance(view, MapView)
@@ -133,11 +133,11 @@ def asymmetry(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algo
     """Return the largest share of pixels in which one of the eight pictures, transformed back, differs from the first."""
     pictures = []
     for side in SIDES:
-        ground = np.ascontiguousarray(moved(heights, side))
+        ground = np.ascontiguousarray(transformed(heights, side))
         rows, cols = (length * 3 // 2 if between_nodes else length for length in ground.shape)
         with tempfile.TemporaryDirectory() as folder:
             scene = site(ground, cell_m, (azimuth_of(sun[0], side), sun[1]), Path(folder))
-            pictures.append(moved_back(dark(scene, algorithm, (cols, rows)), side))
+            pictures.append(inverse_transformed(shadow_mask(scene, algorithm, (cols, rows)), side))
             scene.close()
     return max(float((other != pictures[0]).mean()) for other in pictures[1:])
 

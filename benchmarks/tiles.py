@@ -216,14 +216,14 @@ Rounds = dict[str, list[Round]]
 Start = Callable[[], AbstractContextManager[RunningService]]
 
 
-def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, rest: dict[str, list[float]]) -> None:
-    """Run all rounds of requests once with a service, and add their results to ``rounds`` and ``rest``.
+def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, scalar_figures: dict[str, list[float]]) -> None:
+    """Run all rounds of requests once with a service, and add their results to ``rounds`` and ``scalar_figures``.
 
     A service without a cache gets the repeated requests only once.
     """
     shuffled, viewport_tiles = random.Random(23).sample(tiles, len(tiles)), viewport(tiles)
     with start() as running:
-        rest.setdefault("ready s", []).append(running.ready_s)
+        scalar_figures.setdefault("ready s", []).append(running.ready_s)
 
         def run_round(name: str, tile_requests: list[tuple[Tile, Sun]], at_once: int = CONCURRENCY) -> Round:
             result = request_all(running.port, [running.path(*tile_request) for tile_request in tile_requests], at_once)
@@ -231,7 +231,7 @@ def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, re
             return result
 
         first = run_round("first tile", [(viewport_tiles[0], (200.0, 35.0))], 1)
-        rest.setdefault("first tile s", []).append(first.median_ms / 1e3)
+        scalar_figures.setdefault("first tile s", []).append(first.median_ms / 1e3)
         run_round("cold, row order", [(tile, SUNS[6]) for tile in tiles])
         run_round("24 suns", [(tile, sun) for sun in SUNS for tile in viewport_tiles])
         run_round("again", [(tile, SUNS[6]) for tile in tiles] * (4 if has_cache else 1))

@@ -173,7 +173,7 @@ class Yardstick:
                     np.float32
                 )
             )
-            self._leaves = gl.layers(foliage().mip_levels)
+            self._leaves = gl.srgb_texture_array(foliage().mip_levels)
             bounds[1] = bounds[1] + [0.0, 0.0, float(tree_instances.shape[:, 2].max())]
         self._bounds = np.array(bounds)
         self._colour = self._drawn(FRAGMENT.replace("TAPS", str(taps if map_size else 0)))

@@ -89,7 +89,8 @@ def _widest_served_plans(descriptor: Descriptor, level: Level, light: str, overr
 def _served_plans(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
     """Return the plan for the overrides in a list.
 
-    The list is empty if the requested algorithm cannot draw the view, or if the plan does not use it under the light.
+    The list is empty if the requested algorithm cannot draw the view. It is also empty if the plan has shadows, but does not use
+    the algorithm under the light.
     """
     with suppress(UnsupportedError):
         plan = make_plan(descriptor, level, overrides, choices={})  # other kinds use shadow maps

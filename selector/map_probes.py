@@ -17,7 +17,7 @@ from skugga.selector.observation import Observation
 PROBE_SETTINGS = {"max_error", "max_ms", "algorithm"}
 """Shadow settings that a request may set and still use stored observations. Other settings change the picture."""
 
-MIN_SUN, MAX_SUN = -5, 2
+MIN_SUN_CLASS, MAX_SUN_CLASS = -5, 2
 """Lowest and highest ``MapClass.sun``, for suns of about 2 and 70 degrees. Lower and higher suns belong to these classes."""
 
 BLOCK_ERROR_SD, BLOCK_TIME_SD = 0.6, 0.3
@@ -55,7 +55,7 @@ def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None
     if sun_altitude_deg is None or sun_altitude_deg <= 0.0:
         return None
     steepness = log2(tan(radians(min(sun_altitude_deg, 89.0))))
-    return MapClass(round(log2(pixel_m)), min(max(round(steepness), MIN_SUN), MAX_SUN))
+    return MapClass(round(log2(pixel_m)), min(max(round(steepness), MIN_SUN_CLASS), MAX_SUN_CLASS))
 
 
 class ProbedClass(BaseModel):

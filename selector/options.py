@@ -65,7 +65,7 @@ class PredictedChoice:
         return frozenset(step.algorithm for step in self.steps)
 
     @property
-    def family(self) -> tuple[tuple[object, ...], ...]:
+    def algorithm_family(self) -> tuple[tuple[object, ...], ...]:
         """The algorithms, each with its kinds of casters. Choices with the same family differ only in their settings."""
         return tuple((step.algorithm, step.kinds) for step in self.steps)
 
@@ -99,9 +99,13 @@ class LightOptions:
 
     @classmethod
     def expected(cls, options: Sequence[PredictedChoice], model: ErrorModel | None = None) -> LightOptions:
-        """Return the options with their prior distributions, before any observation."""
+        """Return the options with the distributions that the models predict, before any observation."""
         model = model or packaged_model()
-        families, errors, shared = [option.family for option in options], [option.errors for option in options], model.shared
+        families, errors, shared = (
+            [option.algorithm_family for option in options],
+            [option.errors for option in options],
+            model.shared,
+        )
         return cls(
             tuple(options),
             GaussianEstimate.prior(
@@ -121,7 +125,7 @@ class LightOptions:
             ),
         )
 
-    def after(self, observations: Iterable[Observation]) -> LightOptions:
+    def with_observations(self, observations: Iterable[Observation]) -> LightOptions:
         """Return the options with estimates that observations correct.
 
         ``self.observations`` then holds the last observation of each option. Observations of choices that are not options are
@@ -178,7 +182,7 @@ class LightOptions:
         return [which for which in range(len(self.options)) if which not in self.refused]
 
     def number(self, name: str) -> int:
-        """Return the number of the option with a name."""
+        """Return the number of the option whose choice has the given name."""
         return next(which for which, option in enumerate(self.options) if option.choice.name == name)
 
 

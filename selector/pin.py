@@ -100,7 +100,7 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
 def pinned_keys(path: Path) -> tuple[str, ...]:
     """Return the keys of ``shadows`` that an earlier call of ``pin`` wrote into a level file.
 
-    They are read from the comment above ``shadows``. Raises ``LevelError`` if the file cannot be read.
+    They are read from the comment that this call wrote. Raises ``LevelError`` if the file cannot be read.
     """
     match = _PIN_BLOCK.search(_read(path))
     return _keys_of(match.group()) if match else ()

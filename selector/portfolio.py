@@ -1,4 +1,7 @@
-"""The choices that policies select from: every capable algorithm, alone and in useful combinations, with several settings."""
+"""The portfolio: the choices of algorithms and settings from which policies select.
+
+It has every algorithm that can draw the view, alone and in useful combinations, with several settings.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +18,17 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
 MAX_CHOICES = 40
-"""Choices for a light, at most. The last ``combinations`` are dropped first."""
+"""Maximum number of choices for a light. Those at the end of ``combinations`` are dropped first."""
 
 SHORT_FORMATS = {"map_size": "{}", "cascades": "x{}"}
-"""Formats of settings in a choice's name. Other settings are written with their key."""
+"""Formats of values of settings in the name of a choice. All other settings are written with their key."""
 
 
 def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
     """Return combinations of algorithms by kind of casters, each with a name.
 
-    First comes each algorithm alone, for the kinds that it serves, then the mixes. Shadow maps draw the kinds without an entry.
+    Each algorithm alone comes first, for the kinds of casters whose shadows it can draw. Then follow the combinations of ``MIXES``.
+    Shadow maps draw the kinds without an entry.
     """
     by_themselves = [
         (_solo_name(algorithm), {kind: algorithm.name for kind in get_args(CasterKind) if kind not in algorithm.refusals})
@@ -34,16 +38,17 @@ def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
 
 
 def tuned_settings() -> tuple[str, ...]:
-    """Return the fields of ``Shadows`` that choices set."""
+    """Return the fields of ``Shadows`` for which choices try different values."""
     return tuple(dict.fromkeys(key for algorithm in selectable_algorithms() for key in algorithm.search.search_space))
 
 
 def portfolio(
     descriptor: Descriptor, light: str, kinds: Collection[CasterKind], requested_shadows: Shadows | None = None
 ) -> list[Choice]:
-    """Return the choices for a light and the kinds of casters that cast under it.
+    """Return the choices for a light and the kinds of casters that cast shadows under it.
 
-    There are at most ``MAX_CHOICES``, no two of them equivalent. All of them support the ``requested_shadows`` shadow settings.
+    There are at most ``MAX_CHOICES``. No two of them have the same algorithms and settings. All of them are possible together with
+    the requested shadow settings.
     """
     return list(
         islice(
@@ -54,7 +59,7 @@ def portfolio(
 
 
 def _solo_name(algorithm: Algorithm) -> str:
-    """Return the name of an algorithm alone. It includes the fallback's name if the algorithm refuses meshes."""
+    """Return the name of a choice of one algorithm. It includes the fallback's name if the algorithm cannot draw meshes."""
     return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refusals else algorithm.name
 
 
@@ -77,7 +82,7 @@ def _distinct_choices(
 
 
 def _settings(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -> Iterator[dict[str, Any]]:
-    """Yield the settings to try for algorithms that work together."""
+    """Yield the settings, by field of ``Shadows``, to try for algorithms that a choice uses together."""
     search_space: dict[str, tuple[Any, ...]] = {}
     for name in algorithms:
         for key, values in name.search.search_space.items():

@@ -1,6 +1,7 @@
-"""The policy ``predict``: choose the option whose expected time and error meet a target.
+"""The policy ``predict``: choose the algorithms and settings whose expected time and error meet a target.
 
-Expectations come from models. Observations, from probes on the scene itself, correct them.
+The target is a limit of the error and a limit of the time. Expectations come from models. Observations of choices that were drawn
+on the scene correct them, if there are any.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ NOT_PREDICTED = "no prediction is possible, so fixed rules choose"
 
 @dataclass(frozen=True, eq=False)
 class PlanOptions:
-    """The options of a plan.
+    """The options (choices of algorithms and settings) for all lights of a view.
 
     Attributes
     ----------
@@ -39,9 +40,9 @@ class PlanOptions:
     lights
         Options by light, for each light that casts shadows.
     unmeasured
-        Reasons why algorithms are not among the options.
+        Reasons why algorithms without predictions are not among the options.
     observed_basis
-        Word for the origin of observed figures, such as "measured".
+        Word in reasons for the origin of observed times and errors, such as "measured".
     """
 
     planner: Planner
@@ -50,7 +51,7 @@ class PlanOptions:
     observed_basis: str = "measured"
 
     def basis(self, light: str, which: int) -> str:
-        """Return the word for the origin of an option's figures: observed or ``expected``."""
+        """Return the word for the origin of an option's time and errors: ``observed_basis`` or "expected"."""
         return self.observed_basis if which in self.lights[light].observations else "expected"
 
     @property
@@ -58,7 +59,10 @@ class PlanOptions:
         return self.planner.requested_shadows.max_error
 
     def time_limits_ms(self) -> dict[str, float | None]:
-        """Return the part of the time limit for each light, in proportion to its time without a limit."""
+        """Return the part of the time limit for each light, in milliseconds; ``None`` without a limit.
+
+        The limit is divided in proportion to the times of the options that would be chosen without it.
+        """
         max_ms = self.planner.requested_shadows.max_ms
         if max_ms is None:
             return dict.fromkeys(self.lights)
@@ -80,8 +84,9 @@ def predicted_plan(
 ) -> Plan:
     """Return the plan of the choices with the least expected loss (``skugga.selector.expected_loss``).
 
-    These are the fastest choices that are likely to meet ``max_error``, or the most accurate ones within ``max_ms``. Otherwise they
-    are the nearest ones, and the plan is marked as missing the target.
+    For each light this is the fastest choice that is likely to meet the limits ``max_error`` and ``max_ms``. If no choice is, it is
+    the most accurate one within ``max_ms``. If there is none either, it is the one that exceeds the limits least. In the last two
+    cases the plan states that it misses the target.
 
     Parameters
     ----------
@@ -94,9 +99,9 @@ def predicted_plan(
     device
         Calibration of the device.
     errors
-        Error model instead of the packaged one.
+        Error model to use instead of the packaged one.
     observations
-        Observations of choices by light.
+        Observed times and errors of choices, by light.
 
     Raises
     ------
@@ -108,13 +113,15 @@ def predicted_plan(
     expected = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
     if not observations:
         return plan_from_options(expected, "predict")
-    corrected = {light: light_options.after(observations.get(light, ())) for light, light_options in expected.lights.items()}
+    corrected = {
+        light: light_options.with_observations(observations.get(light, ())) for light, light_options in expected.lights.items()
+    }
     options = replace(expected, lights=corrected, observed_basis="probed")
     return plan_from_options(options, "predict", _observation_reasons(expected, options))
 
 
 def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[NamedReason]:
-    """Return the observations of choices, and the change that they made."""
+    """Return reasons that list the observations of choices, and tell how these changed the choice."""
     reasons: list[NamedReason] = []
     if not all(light_options.numbers for light_options in after.lights.values()):
         return reasons
@@ -147,7 +154,7 @@ def _winner_number(options: PlanOptions, light: str) -> int:
 
 
 def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | None = None) -> PlanOptions:
-    """Return the options of a plan with their prior distributions."""
+    """Return the options for all lights of a view, with predicted times and errors, before any observation."""
     unmeasured: dict[AlgorithmName, str] = {}
     lights = {}
     for light in planner.lights:
@@ -158,7 +165,10 @@ def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | N
 
 
 def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequence[NamedReason] = ()) -> Plan:
-    """Return the plan of the best options, with the reasons for them. ``reasons`` are further reasons of the plan."""
+    """Return the plan of the options with the least expected loss, with reasons. ``reasons`` are appended to them.
+
+    If a light has no option, the plan is that of the policy ``rules``.
+    """
     planner, max_error = options.planner, options.max_error
     if not all(light_options.numbers for light_options in options.lights.values()):
         return _rules_plan(options)
@@ -187,7 +197,7 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
 
 
 def _rules_plan(options: PlanOptions) -> Plan:
-    """Return the plan of the rules, for a view with a light whose options are all unmeasured."""
+    """Return the plan of the policy ``rules``, for a view with a light without any option that can be predicted."""
     planner = options.planner
     plan = planner.plan(choices_by_rules(planner.descriptor, planner.requested_shadows, planner.lights), options.unmeasured)
     reason = "; ".join(f"{name}: {reason}" for name, reason in options.unmeasured.items())
@@ -197,7 +207,7 @@ def _rules_plan(options: PlanOptions) -> Plan:
 
 
 def _with_reasons(options: PlanOptions, light: str, which: int, verdict: RankingResult) -> Choice:
-    """Return the choice with the reasons for it."""
+    """Return the choice of option ``which``, with the reasons for it."""
     light_options, max_error = options.lights[light], options.max_error
     winner, figures = light_options.options[which], light_options.figures(which)
     expectation = (
@@ -243,7 +253,10 @@ def _limit_text(max_error: float) -> str:
 
 
 def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict[AlgorithmName, str]:
-    """Return why algorithms that could serve are not used: the best expected or observed result of each."""
+    """Return why algorithms that could draw the view are not used: the best expected or observed result of each.
+
+    ``winners`` holds the number of the chosen option for each light.
+    """
     reasons: dict[AlgorithmName, str] = {}
     max_error = options.max_error
     for name in ALGORITHMS:

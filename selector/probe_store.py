@@ -1,4 +1,7 @@
-"""Store probes of levels' maps in the user's cache folder: one file for each device, driver and version of a level."""
+"""Store probes (observed times and errors of drawn choices) of levels' maps in the user's cache folder.
+
+There is one file for each device, driver and version of a level.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,16 @@ from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.user_cache import user_cache
 
 MAX_FILES = 200
-"""Files kept for a device. The oldest ones are deleted: levels change, and their earlier versions are not needed again."""
+"""Maximum number of files for a device. The oldest ones are deleted, because earlier versions of a level are not needed again."""
 
 
 def probes_folder(renderer: str, version: str) -> Path:
-    """Return the folder with a device's probes."""
+    """Return the folder with the probes of a device and its driver version."""
     return user_cache("probes") / profile_path(renderer, version).stem
 
 
 def save_probes(renderer: str, version: str, level_version: str, probes: MapProbes) -> Path:
-    """Add probes of a version of a level to its file by an atomic write.
+    """Add probes of a version of a level to its file by an atomic write, and return the path of the file.
 
     Raises ``OSError`` if the folder cannot be written.
     """
@@ -38,7 +41,7 @@ def save_probes(renderer: str, version: str, level_version: str, probes: MapProb
 def load_probes(path: Path) -> MapProbes:
     """Return the probes in a file.
 
-    A missing or broken file, or one of another version of Skugga, gives none, so the level is probed again.
+    The result is empty for a missing or broken file, and for one of another version of Skugga. The level is then probed again.
     """
     try:
         return MapProbes.model_validate_json(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Select the best of candidates with a time and an error, measured or predicted, for a target. Pure arithmetic."""
+"""Select the best of several candidates by their times and errors, for limits of error and time. Pure arithmetic."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from skugga.shadows.registry import NO_SHADOWS
 from skugga.shadows.truth.metrics import MAX_INTERIOR
 
 TIME_TIE_RATIO = 1.05
-"""Times within this ratio count as equal. The more accurate candidate then wins."""
+"""Maximum ratio of two times that count as equal. Of such candidates the more accurate one wins."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class CandidateFigures:
     ms
         Shadow time of the view, milliseconds.
     error
-        The error that the target limits (``wrong_cast`` or ``coverage``), in [0, 1].
+        The error that is compared with the requested limit (``wrong_cast`` or ``coverage``), in [0, 1].
     interior
-        Share of interior errors, in [0, 1].
+        Share of interior errors (pixels that are wrong far from shadow edges), in [0, 1].
     """
 
     name: str
@@ -37,16 +37,16 @@ class CandidateFigures:
 
 @dataclass(frozen=True)
 class RankingResult:
-    """The best candidate for a target.
+    """The best candidate for a target (limits of error and time).
 
     Attributes
     ----------
     winner
-        The candidate.
+        The best candidate.
     met
         Whether it meets the target.
     missed_by
-        The overshoot in words, if it misses the target.
+        By how much it exceeds the limits, in words; ``None`` if it meets them.
     """
 
     winner: CandidateFigures
@@ -57,16 +57,16 @@ class RankingResult:
 def best_candidate(
     candidates: Sequence[CandidateFigures], max_error: float, max_ms: float | None = None, tie_ratio: float = TIME_TIE_RATIO
 ) -> RankingResult:
-    """Return the best candidate for a target.
+    """Return the best candidate for a maximum error and, if it is not ``None``, a maximum time.
 
-    1. The cheapest candidate that meets the limits of error, interior error and time. Of times within ``tie_ratio`` of the least,
-       the most accurate candidate wins.
-    2. Otherwise, the most accurate candidate within the time limit. Candidates without an interior failure come before those with
-       one.
-    3. Otherwise, the candidate with the smallest overshoot: the largest of its overshoots relative to their limits.
+    1. The fastest candidate that meets the limits of error, interior error and time. Of the candidates whose times are at most
+       ``tie_ratio`` times the least time, the most accurate one wins.
+    2. Otherwise, the most accurate candidate within the time limit. Candidates with an interior error of at most ``MAX_INTERIOR``
+       come first.
+    3. Otherwise, the candidate with the smallest ``relative_overshoot``.
 
-    Remaining ties are resolved by error, interior error, time and name. ``none`` wins only if it is the only candidate: a small
-    error alone does not count for it. Raises ``ValueError`` without candidates.
+    Remaining ties are resolved by error, interior error, time and name. The algorithm ``none``, which draws no shadows, wins only
+    if it is the only candidate. Raises ``ValueError`` without candidates.
     """
     capable = [figures for figures in candidates if figures.name != NO_SHADOWS] or list(candidates)
     if not capable:
@@ -86,9 +86,10 @@ def best_candidate(
 
 
 def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: float | None = None) -> float:
-    """Return the largest relative overshoot of error, interior error and time over their limits. 0 means that the target is met.
+    """Return the largest excess of error, interior error and time over their limits, relative to the limit; at least 0.
 
-    The overshoot of the error is divided by ``MAX_INTERIOR`` at least, so that it is finite for a target of 0.
+    A result of 0 means that all limits are met. The excess of the error is divided by at least ``MAX_INTERIOR``, so that it is
+    finite for a limit of 0.
     """
     return max(
         0.0,
@@ -99,7 +100,7 @@ def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: floa
 
 
 def _interior_rank(figures: CandidateFigures, max_error: float) -> float:
-    """Return 0 without an interior failure, else the relative overshoot."""
+    """Return a sort key: 0 if the interior error is at most ``MAX_INTERIOR``, else the relative overshoot."""
     return 0.0 if figures.interior <= MAX_INTERIOR else relative_overshoot(figures, max_error)
 
 

@@ -1,19 +1,20 @@
-"""Plan the frames of a moving camera: keep choices while they serve, and switch without a visible jump.
+"""Plan the frames of a moving camera: keep algorithms as long as they are good enough, and switch without a visible jump.
 
-Settings that follow from the view (ranges of cascades, texel sizes, depth steps, effects) always belong to the present view.
-Algorithms, map sizes and numbers of cascades are kept while they serve. A new choice is made
+A choice is the algorithms, map sizes and numbers of cascades for a light. It is kept from frame to frame. All other settings
+(ranges of cascades, texel sizes, depth steps, effects) follow from the view of each frame. A new choice is made in two cases.
 
-- at once, if the previous one cannot serve: a kind of casters without an algorithm casts shadows, the request or the kind of view
-  changes, another pin of the level applies, or an algorithm refuses the view. The same holds if the target is missed by more than
-  ``IMMEDIATE_SWITCH_OVERSHOOT``;
-- after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the
-  target. The way back takes the same margin, so that a camera at a border does not flip between two choices. Because expectations
-  are uncertain, each further switch takes twice the patience, until other kinds of casters cast shadows.
+- At once, if the previous choice cannot be used. This is so if a kind of casters without an algorithm casts shadows, if the request
+  or the kind of view changes, if another pin of the level (settings for some views and suns) applies, or if an algorithm cannot
+  draw the view. It is also made at once if it reduces a miss of the target by more than ``IMMEDIATE_SWITCH_OVERSHOOT``.
+- After ``PATIENCE`` successive frames in which the policy finds a plan that is better by a margin. The margin is
+  ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the target. A switch back needs the same margin, so that a camera at
+  a limit does not alternate between two choices. Because predictions are uncertain, each further switch needs twice as many frames.
+  The number is reset if further kinds of casters cast shadows.
 
-Two plans with an error of a few per cent of the cast shadow differ in up to some per cent of the pixels. Most of these lie on
-edges, where errors do not count. So the previous plan is drawn in parallel, for as many frames as are needed to keep each frame's
-change below ``MAX_CHANGED``, and ``mix_pictures`` mixes the two pictures. The expected number of frames underestimates the real
-one; ``Replanner.share`` derives the real one from the two pictures.
+Two plans with an error of a few per cent of the cast shadow may differ in some per cent of the pixels. Most of these lie on edges,
+where errors do not count. So a switch is a transition over several frames. Each of them is drawn with both plans, and
+``mix_pictures`` mixes the two pictures. In each frame at most ``MAX_CHANGED`` of the pixels change. The expected number of frames
+is too small, so ``Replanner.share`` determines the progress from the two pictures.
 """
 
 from __future__ import annotations
@@ -42,37 +43,37 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 SWITCH_TIME_GAIN = 0.2
-"""Share of the time that a new plan must save to count as better."""
+"""Minimum share of the time that a new plan saves, if it counts as better."""
 
 SWITCH_ERROR_GAIN = 0.1
-"""Share of the target by which a new plan's miss must be smaller than the kept plan's, to count as better."""
+"""Minimum difference of the overshoots (excess over a limit, relative to the limit) of two plans of which one is better."""
 
 PATIENCE = 5
-"""Number of consecutive better plans before a switch."""
+"""Number of successive frames with a better plan before the first switch to it."""
 
 IMMEDIATE_SWITCH_OVERSHOOT = 0.5
-"""Overshoot, as a share of the target, that leads to an immediate switch."""
+"""Reduction of the overshoot (excess over a limit, relative to the limit) that leads to an immediate switch."""
 
 MAX_CHANGED = 0.002
-"""Share of the pixels, at most, that a switch changes from one frame to the next."""
+"""Maximum share of the pixels that a switch changes from one frame to the next."""
 
 MIN_TRANSITION_FRAMES, MAX_TRANSITION_FRAMES = 2, 30
-"""Limits of the expected number of frames of a switch. The first frame has both pictures, which give the real number."""
+"""Limits of the expected number of frames of a switch. From the first frame on, both pictures give the real number."""
 
 PlanFunction = Callable[[Descriptor, PlanRequest, dict[str, Any] | None], Plan]
-"""A policy: ``skugga.selector.select.select``, or a function with its parameters."""
+"""A function that returns the plan for a descriptor, a request and overrides, such as ``skugga.selector.select.select``."""
 
 
 @dataclass(frozen=True)
 class PlanTransition:
-    """A switch under way.
+    """The state of a transition from one plan to another in one frame.
 
     Attributes
     ----------
     plan
-        The previous choices' plan for the present view.
+        The plan for this frame's view with the previous choices.
     share
-        Share of the pixels that show the new plan.
+        Share of the pixels, in [0, 1], that show the new plan.
     """
 
     plan: Plan
@@ -86,25 +87,25 @@ class PlanState:
     Attributes
     ----------
     plan
-        The plan.
+        The plan of the frame.
     choices
-        Its choices by light.
+        The algorithms and kept settings of the plan, by light.
     request
-        The request. A changed request discards the current choices.
+        All parts of the request that affect choices. If it changes, new choices are made at once.
     patience
-        Better plans in a row that the next switch takes.
+        Number of successive frames with a better plan before the next switch.
     better_count
-        Better plans in a row so far.
+        Number of successive frames with a better plan so far.
     previous_choices
-        The previous choices by light, during a switch.
+        The choices before the switch, by light, during a transition; else ``None``.
     previous_share
         Share of the pixels that showed the new choices in the frame before.
     step
-        Growth of this share with the next frame.
+        Increase of the share of these pixels with the next frame.
     transition
-        The switch under way, or ``None``.
+        The transition of which the frame is part, or ``None``.
     reason
-        Why this plan has other choices than the one before, or ``None``.
+        Why this plan has other choices than that of the frame before, or ``None``.
     """
 
     plan: Plan
@@ -120,10 +121,11 @@ class PlanState:
 
 
 class Replanner:
-    """Plans successive frames of a moving view.
+    """Makes the plans of successive frames of a moving camera, and keeps algorithms as long as they are good enough.
 
-    ``policy`` and ``device`` are parameters of ``skugga.selector.select.select``. ``plans`` replaces that function. ``state``
-    continues another replanner: a state is an immutable value, and other processes can use it.
+    ``policy`` and ``device`` are parameters of ``skugga.selector.select.select``. ``plans`` is a function to use instead of
+    ``select``. ``state`` is the state of another replanner to continue from. States are immutable and can be passed to other
+    processes.
 
     >>> replanner = Replanner(device=load_profile(renderer, version))           # doctest: +SKIP
     >>> for view in path:                                                       # doctest: +SKIP
@@ -147,7 +149,7 @@ class Replanner:
 
     @property
     def state(self) -> PlanState | None:
-        """The state after the last plan."""
+        """The state after the last plan; ``None`` before the first one."""
         return self._state
 
     def plan(self, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
@@ -156,11 +158,11 @@ class Replanner:
         return self._state.plan
 
     def share(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> float:
-        """Return the share of the pixels that show the new plan in this frame of a switch.
+        """Return the share of the pixels, in [0, 1], that show the new plan in this frame of a transition.
 
-        ``before`` and ``after`` are the visibilities (``Frame.visibilities``) of the pictures by the previous and the new plan.
-        With this share no frame changes more than ``MAX_CHANGED`` of the surface's pixels. The switch ends after a share of 1.
-        Call this once a frame. Returns 1 without a switch.
+        ``before`` and ``after`` are the visibilities (``Frame.visibilities``) of the frame drawn with the previous and with the new
+        plan. With this share, at most ``MAX_CHANGED`` of the surface's pixels change in a frame. The transition ends after a frame
+        with a share of 1. Call this once per frame. The result is 1 outside of transitions.
         """
         state = self._state
         if state is None or state.transition is None:
@@ -171,12 +173,12 @@ class Replanner:
 
     @property
     def transition(self) -> PlanTransition | None:
-        """The switch of the last plan, or ``None``."""
+        """The transition of which the last planned frame is part, or ``None``."""
         return None if self._state is None else self._state.transition
 
     @property
     def reason(self) -> str | None:
-        """Why the last plan has other choices than the one before, or ``None``."""
+        """Why the last plan has other choices than that of the frame before, or ``None``."""
         return None if self._state is None else self._state.reason
 
 
@@ -187,7 +189,10 @@ def next_state(
     overrides: dict[str, Any] | None,
     plans: PlanFunction,
 ) -> PlanState:
-    """Return the state after the next plan."""
+    """Plan the next frame, and return the state of the replanner after it.
+
+    ``state`` is the state after the frame before; ``None`` for the first frame. ``plans`` makes the plan that the policy prefers.
+    """
     new_plan = plans(descriptor, plan_request, overrides)
     pin = plan_request.shadows.pin_number(descriptor.view, descriptor.sun_altitude_deg)
     request = (descriptor.view_kind, plan_request.shadows, pin, plan_request.effects, overrides or {})
@@ -217,12 +222,12 @@ def next_state(
     if (
         not without_choice
         and state.better_count + 1 < state.patience
-        and _overshoot(kept_plan) - _overshoot(new_plan) <= IMMEDIATE_SWITCH_OVERSHOOT
+        and _relative_overshoot(kept_plan) - _relative_overshoot(new_plan) <= IMMEDIATE_SWITCH_OVERSHOOT
     ):
         return replace(state, better_count=state.better_count + 1)
     new_state = replace(new_state, reason=_switch_reason(new_plan, kept_plan, without_choice, state.better_count + 1))
     new_state = new_state if without_choice else replace(new_state, patience=2 * state.patience)
-    if without_choice == cast:  # none of it was drawn before, so no transition is needed
+    if without_choice == cast:  # no shadows were drawn before, so no transition is needed
         return new_state
     step = 1.0 / max(expected_transition_frames(kept_plan, new_plan), MIN_TRANSITION_FRAMES)
     return replace(new_state, previous_choices=state.choices, step=step, transition=PlanTransition(kept_plan, step))
@@ -236,7 +241,7 @@ def _continue_transition(
     plan_request: PlanRequest,
     overrides: dict[str, Any] | None,
 ) -> PlanState:
-    """Return the state in the next frame of a switch, or at its end."""
+    """Return the state in the next frame of a transition, or after its end."""
     ended = replace(state, previous_choices=None, transition=None)
     share = transition.share + state.step
     if share > 1.0 - 1e-9:
@@ -249,21 +254,25 @@ def _continue_transition(
 
 
 def is_better(new_plan: Plan, kept_plan: Plan) -> bool:
-    """Return whether a plan is better than the kept one by a margin.
+    """Return whether the plan that the policy prefers is better than the kept one by a margin.
 
-    Without predictions, the policy's own plan counts as better.
+    Without predictions of both, it counts as better.
     """
     if new_plan.predicted is None or kept_plan.predicted is None:
         return True
-    if _overshoot(kept_plan) > _overshoot(new_plan):
-        return _overshoot(kept_plan) - _overshoot(new_plan) > SWITCH_ERROR_GAIN
+    if _relative_overshoot(kept_plan) > _relative_overshoot(new_plan):
+        return _relative_overshoot(kept_plan) - _relative_overshoot(new_plan) > SWITCH_ERROR_GAIN
     return (
-        _overshoot(kept_plan) == _overshoot(new_plan) and new_plan.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept_plan.predicted.ms
+        _relative_overshoot(kept_plan) == _relative_overshoot(new_plan)
+        and new_plan.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept_plan.predicted.ms
     )
 
 
 def _switch_reason(new_plan: Plan, kept_plan: Plan, without_choice: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
-    """Return the reason for a plan that replaces the kept one."""
+    """Return the reason why a new plan replaces the kept one, in words.
+
+    ``without_choice`` holds the lights and kinds of casters that the kept choices do not cover.
+    """
     if without_choice:
         return f"no algorithm was chosen yet for shadows of {format_list(sorted({kind for _, kind in without_choice}))}"
     if new_plan.predicted is None or kept_plan.predicted is None:
@@ -277,21 +286,21 @@ def _switch_reason(new_plan: Plan, kept_plan: Plan, without_choice: set[tuple[st
 
 
 def expected_transition_frames(kept_plan: Plan, new_plan: Plan) -> int:
-    """Return the expected number of frames of a switch.
+    """Return the expected number of frames of a transition between two plans.
 
-    Pixels that differ between two plans are wrong in one of them. Pixels on edges differ, too, without counting as wrong; their
-    number is unknown.
+    It follows from the number of pixels that differ. They are wrong in one of the plans, so the sum of both errors is used. Pixels
+    on edges differ, too, without counting as wrong. Their number is unknown and is ignored.
     """
     predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept_plan, new_plan)]
     return int(np.clip(np.ceil(sum(predicted) / MAX_CHANGED), 1, MAX_TRANSITION_FRAMES))
 
 
 def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], last_share: float) -> float:
-    """Return the share of the pixels that show ``after``, given ``last_share`` in the frame before.
+    """Return the share of the pixels, in [0, 1], that show ``after`` in this frame of a transition.
 
-    ``before`` and ``after`` are the visibilities (rows, cols) of each light in two pictures of a view, NaN off the surface. The
-    result is the largest share with which at most ``MAX_CHANGED`` of the surface's pixels, but at least one, change between shadow
-    and light.
+    ``last_share`` is the share in the frame before. ``before`` and ``after`` are the visibilities (rows, cols) by light in two
+    pictures of a view, NaN in pixels without a surface. The result is the largest share for which the number of pixels that change
+    between shadow and light stays within a limit. The limit is ``MAX_CHANGED`` of the surface's pixels, but at least one pixel.
     """
     differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
     valid = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
@@ -304,29 +313,29 @@ def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]
 def mix_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
     """Mix two pictures (rows, cols, ...) of one view: an evenly spread ``share`` of the pixels shows ``after``.
 
-    A growing share adds pixels and removes none. Pixels are ordered by the R2 sequence (M. Roberts, The Unreasonable Effectiveness
-    of Quasirandom Sequences, 2018).
+    With a larger share, further pixels show ``after``, and all earlier ones still do. The pixels are ordered by the R2 sequence (M.
+    Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018).
     """
     order = _pixel_order(*before.shape[:2])
     return np.where((order < share).reshape(*order.shape, *(1,) * (before.ndim - 2)), after, before)
 
 
 def _pixel_order(rows: int, cols: int) -> np.ndarray:
-    """Return the share from which on each pixel shows the new picture, (rows, cols) in [0, 1)."""
+    """Return, for each pixel, the share above which it shows the new picture: (rows, cols) in [0, 1)."""
     row, col = np.ogrid[:rows, :cols]
     return (row / 1.32471795724474602596 + col / 1.32471795724474602596**2) % 1.0
 
 
 def casting(plan: Plan) -> dict[str, frozenset[CasterKind]]:
-    """Return the kinds of casters that cast shadows, by light."""
+    """Return the kinds of casters for which a plan has a shadow algorithm, by light."""
     return {light: frozenset(kind for kind, name in kinds.items() if name != NO_SHADOWS) for light, kinds in plan.algorithm.items()}
 
 
 def choices_from_plan(plan: Plan) -> dict[str, Choice]:
-    """Return a plan's choices by light: algorithms, map size and number of cascades, where one number holds for all kinds.
+    """Return the choices of a plan by light: its algorithms, and the settings that policies vary, such as the map size.
 
-    Other settings may differ when they are resolved again from these choices: for example the ends of cascades, if their number was
-    not set.
+    A setting is included if it has one value for all kinds of casters. All other settings are computed anew when a plan is made
+    from the choices, and may differ: for example the ranges of cascades.
     """
     choices = {}
     for light, per_kind in plan.algorithm.items():
@@ -343,7 +352,7 @@ def choices_from_plan(plan: Plan) -> dict[str, Choice]:
 def _with_prediction(
     kept_plan: Plan, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
 ) -> Plan:
-    """Return the kept plan with the policy's predictions of it."""
+    """Return the kept plan with the time and errors that the policy predicts for it."""
     judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_from_plan(kept_plan))})
     reasons = [*kept_plan.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
@@ -351,7 +360,10 @@ def _with_prediction(
 
 
 def _merge_choices(choices: Mapping[str, Choice], new_choices: Mapping[str, Choice]) -> dict[str, Choice]:
-    """Return choices that agree on the present casters, joined. A kind that casts no longer keeps its choice."""
+    """Merge two choices for each light that agree on the kinds of casters that cast shadows now.
+
+    Kinds that cast no shadows any more keep their algorithm from ``choices``.
+    """
     before = {light: choices.get(light, choice) for light, choice in new_choices.items()}
     return {
         light: replace(
@@ -364,7 +376,10 @@ def _merge_choices(choices: Mapping[str, Choice], new_choices: Mapping[str, Choi
 
 
 def _as_overrides(choices: Mapping[str, Choice]) -> dict[str, Any]:
-    """Return the overrides that lead to choices. The policy decides on a setting that differs between lights."""
+    """Return fields of ``Shadows`` that make a plan use the choices.
+
+    A setting with different values for different lights is left out, so the policy decides on it.
+    """
     overrides: dict[str, Any] = {
         "algorithm": {light: dict(choice.algorithm) for light, choice in choices.items() if choice.algorithm}
     }
@@ -379,10 +394,10 @@ def _comparable_choices(choices: Mapping[str, Choice]) -> dict[str, tuple[dict[C
     return {light: (dict(choice.algorithm), dict(choice.settings)) for light, choice in choices.items()}
 
 
-def _overshoot(plan: Plan) -> float:
-    """Return the relative overshoot of a plan's expected error and time.
+def _relative_overshoot(plan: Plan) -> float:
+    """Return the larger excess of a plan's expected error and time over its limit, relative to the limit; at least 0.
 
-    A miss by interior errors, which are not predicted, counts a little.
+    If the plan misses its target for another reason, the result is twice ``SWITCH_ERROR_GAIN``. Without predictions it is 0.
     """
     if plan.predicted is None:
         return 0.0

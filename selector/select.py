@@ -1,4 +1,4 @@
-"""Choose a plan by any policy: from a descriptor and a request, or from a scene and a view."""
+"""Choose a plan (algorithms and settings) by any policy: from a descriptor and a request, or from a scene and a view."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def select(
 ) -> Plan:
     """Return the plan of a view by the policy ``rules`` or ``predict``.
 
-    Without a calibration of the device, ``predict`` falls back to ``rules``, and the plan says so. ``observations`` has earlier
-    observations of choices by light.
+    Without a calibration of the device, ``predict`` falls back to ``rules``, and a reason in the plan says so. ``observations``
+    holds times and errors of choices that were drawn earlier, by light. They correct the predictions.
 
     Raises ``InputError`` for wrong input, including the policies ``probe`` and ``measure``, and ``UnsupportedError`` for
     combinations that no algorithm can serve.
@@ -63,8 +63,8 @@ def plan_of_view(
 ) -> Plan:
     """Return the plan of a scene's view by any policy.
 
-    ``budget_s`` is the time limit of the policy ``probe``, seconds. ``observations`` has earlier observations of choices by light,
-    for ``predict``. Raises the errors of ``select``.
+    ``budget_s`` is the time limit of the policy ``probe``, seconds. ``observations`` holds times and errors of choices that were
+    drawn earlier, by light, for the policy ``predict``. Raises the errors of ``select``.
     """
     if policy in ("probe", "measure"):
         from skugga.selector.measure.probe import DEFAULT_BUDGET_S, probed_plan

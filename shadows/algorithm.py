@@ -388,7 +388,7 @@ class Algorithm:
     ----------
     name
         The name in levels and plans.
-    about
+    description
         One sentence about the algorithm.
     fill
         Function that fills the visibility; ``None``: all points are lit.
@@ -427,7 +427,7 @@ class Algorithm:
     """
 
     name: str
-    about: str
+    description: str
     fill: Fill | None = None
     node_fill: Callable[[Any], FillNodes | None] = lambda settings: None
     ignores_idle_casters: Callable[[Any], bool] = lambda settings: False
@@ -474,7 +474,9 @@ class Algorithm:
             return self.cost.work(task, settings)
         return {self.name: {"blocks": 1.0, "pixels": task.pixels, "triangles": task.all_triangles}} if self.passes else {}
 
-    def calibration_settings(self, descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
+    def calibration_settings(
+        self, descriptor: Descriptor, light: str, calibration_extent: str
+    ) -> Iterator[AlgorithmSettings | None]:
         """Yield the settings that a calibration measures.
 
         Parameters
@@ -483,11 +485,11 @@ class Algorithm:
             The facts of a view of a synthetic scene.
         light
             The name of the light.
-        grid
+        calibration_extent
             The extent of the calibration: ``full``, ``some`` or ``few`` (``Cost``).
         """
         if self.cost.calibration_settings is not None:
-            yield from self.cost.calibration_settings(descriptor, light, grid)
+            yield from self.cost.calibration_settings(descriptor, light, calibration_extent)
         else:
             yield self.resolve(SettingsRequest(descriptor, light, Shadows()))[0]
 

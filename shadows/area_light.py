@@ -98,7 +98,7 @@ def mean_over_light(
     surface that faces away from a point of the light gets 0 from that point. Intermediate pictures are kept for the first point
     alone.
     """
-    passes = log.named(light, kinds, ("",))[0]
+    passes = log.pass_names(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.valid.shape, np.float32), settings.model_copy(update=changes)
     for point_scene in point_light_scenes(scene, light, settings.light_points):
         point_visibility = fill(buffer, point_scene, light, kinds, casters, of_point, log)

@@ -22,7 +22,7 @@ NOTHING_CASTS = "no ground throws a shadow in the block"
 
 def caster_pass(plan: Plan) -> str:
     """Return the name of the plan's pass in which casters beside a part of a map are searched."""
-    return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
+    return CASTERS_PASS if CASTERS_PASS in plan.effect_names else GEOMETRY_PASS
 
 
 def find_outside_casters(
@@ -33,7 +33,7 @@ def find_outside_casters(
     If no step needs casters without a shadow, patches of ground that provably shade no receiver are marked as culled.
     """
     name = caster_pass(plan)
-    with log.run(name) as record:
+    with log.record_pass(name) as record:
         casters = find_casters()
         if all(_ignores_idle_casters(step) for step in plan.steps_under(SUN) if "relief" in step.kinds):
             casters = Casters(casters.patches, casters.reach, culled_patches(scene, receivers, casters.patches))
@@ -58,7 +58,7 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
     ):
         return list(steps)
     for step in idle:
-        log.leave_out(log.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NOTHING_CASTS)
+        log.leave_out(log.pass_names(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NOTHING_CASTS)
     return [step for step in steps if step not in idle]
 
 

@@ -77,7 +77,7 @@ def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, n
     """
     if not isinstance(view, MapView):
         return False
-    scene = with_apparent_sun(scene, plan.runs)
+    scene = with_apparent_sun(scene, plan.effect_names)
     return (needs <= SHADED and is_shaded_by_heights(scene, plan)) or (needs <= LIT and is_lit_by_heights(scene, view, plan))
 
 

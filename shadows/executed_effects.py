@@ -34,12 +34,12 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
             continue
         if record.name in EFFECTS:
             ran.add(record.name)
-        light, is_algorithm, work = record.name.partition("/")
-        if not is_algorithm:
+        light, separator, kinds_and_pass = record.name.partition("/")
+        if not separator:
             continue
         ran.add("cast_shadows")
         words = {word for label in (*record.programs, *record.loops) for word in label.split()}
-        if words & FOLIAGE_PARTS or "forest" in work.partition(":")[0].split("+"):
+        if words & FOLIAGE_PARTS or "forest" in kinds_and_pass.partition(":")[0].split("+"):
             ran.add("alpha_test")
         taps = {word for word in words if word.startswith("taps=")}
         if light == SUN and (taps - {"taps=1"} or DISC_PART in words or record.light_points > 1):

@@ -48,7 +48,11 @@ def is_shaded_by_heights(scene: Scene, plan: Plan) -> bool:
     """Return whether heights, sun and sky alone determine what a map shows."""
     level = scene.loaded.level
     plain = is_terrain_only(scene) and level.water is None and ground_imagery(scene) is None and scene.sun is not None
-    return plain and plan.runs <= SUPPORTED_EFFECTS and (needs_heights_only(scene, plan) or not plan.casts or not scene.sun_is_up)
+    return (
+        plain
+        and plan.effect_names <= SUPPORTED_EFFECTS
+        and (needs_heights_only(scene, plan) or not plan.casts_shadows or not scene.sun_is_up)
+    )
 
 
 def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
@@ -56,8 +60,8 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
 
     Raises the errors of ``render_frame``.
     """
-    with log.run(GEOMETRY_PASS):
-        sky = sky_view(scene.elevation, scene.world) if SKY_PASS in plan.runs else None
+    with log.record_pass(GEOMETRY_PASS):
+        sky = sky_view(scene.elevation, scene.world) if SKY_PASS in plan.effect_names else None
         ground = bare_ground(scene, view, sky) if view.on_nodes else _ground_between_nodes(scene, view, sky)
         if ground is None:
             return None
@@ -68,10 +72,10 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     lit = _lit_shares(scene, ground, plan, log)
     if lit is None:
         return None
-    if SKY_PASS in plan.runs:
-        with log.run(SKY_PASS):
+    if SKY_PASS in plan.effect_names:
+        with log.record_pass(SKY_PASS):
             pass  # the ground already includes its sky view
-    with log.run(SHADING_PASS):
+    with log.record_pass(SHADING_PASS):
         color = shaded_ground(ground, scene, lit) if "color" in needs else None
         opacity = np.rint(255.0 * (1.0 - np.where(ground.valid, lit, np.float32(1.0)))).astype(np.uint8)
     return Picture(ground.valid, (), color, opacity if "opacity" in needs else None, reach=reach)
@@ -124,10 +128,10 @@ def _faces_sun(ground: BareGround, scene: Scene) -> bool:
 def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> np.ndarray | None:
     """Return the share of each pixel that the sun lights, float32 (rows, cols); ``None`` where heights do not suffice."""
     if not scene.sun_is_up:
-        with log.run(ATTACHED_PASS):
+        with log.record_pass(ATTACHED_PASS):
             return np.zeros(ground.valid.shape, np.float32)
-    if not plan.casts:
-        with log.run(ATTACHED_PASS):
+    if not plan.casts_shadows:
+        with log.record_pass(ATTACHED_PASS):
             return np.ones(ground.valid.shape, np.float32) if _faces_sun(ground, scene) else None
     pixels = supersampling(scene, ground.view, plan) or edge_supersampling(scene, ground.view, plan)
     if pixels is None or not pixels.heights_only:

@@ -51,7 +51,7 @@ class LayerCollector:
         return {**self._pixel_layers, **self._sized_layers}
 
     @property
-    def whole(self) -> dict[PassLayer, dict[str, np.ndarray]]:
+    def assembled(self) -> dict[PassLayer, dict[str, np.ndarray]]:
         """The assembled picture of each layer and light."""
         out: dict[PassLayer, dict[str, np.ndarray]] = {}
         for (layer, light), pictures in (*self._pixel_layers.items(), *self._sized_layers.items()):

@@ -59,7 +59,7 @@ def anti_aliased(
     """
     view = block_buffer.view
     assert isinstance(view, MapView)
-    kept_layers, requested_layers, log.requested_layers = log.take(), log.requested_layers, frozenset()
+    kept_layers, requested_layers, log.requested_layers = log.take_layers(), log.requested_layers, frozenset()
     pixels = edge_supersampling(scene, view, plan)
     if pixels is None:
         result = _edge_sampled(scene, plan, block_buffer, view, visibilities, log)
@@ -114,7 +114,7 @@ def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visib
 
     That holds where the block has bare ground, nothing casts, and all ground faces the sun.
     """
-    if plan.casts or not is_terrain_only(scene) or not scene.sun_is_up:
+    if plan.casts_shadows or not is_terrain_only(scene) or not scene.sun_is_up:
         return False
     return bool((visibilities[SUN][block_buffer.valid] == 1.0).all()) and block_ground_faces_sun(scene, block_buffer)
 
@@ -150,7 +150,7 @@ def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
 
 def _sample_buffer(scene: Scene, block_buffer: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
     """Return the geometry buffer of the samples of a part's pixels in the mask ``edges``."""
-    with log.run(GEOMETRY_PASS):
+    with log.record_pass(GEOMETRY_PASS):
         pixel_mask = np.repeat(np.repeat(edges, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
         return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
 

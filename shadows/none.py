@@ -4,4 +4,4 @@ from __future__ import annotations
 
 from skugga.shadows.algorithm import Algorithm, Mark
 
-ALGORITHM = Algorithm(name="none", about="no cast shadows", plural="none", needs_opengl=False, mark=Mark("cross", "gray"))
+ALGORITHM = Algorithm(name="none", description="no cast shadows", plural="none", needs_opengl=False, mark=Mark("cross", "gray"))

@@ -118,7 +118,7 @@ class PassLog:
     layers: dict[tuple[PassLayer, str], list[np.ndarray]] = field(default_factory=dict)
 
     @contextmanager
-    def run(self, name: str) -> Iterator[PassRecord]:
+    def record_pass(self, name: str) -> Iterator[PassRecord]:
         """Time a pass within the block, and record its time and all draw calls."""
         record = self.records.setdefault(name, PassRecord(name))
         record.parts += 1
@@ -139,7 +139,7 @@ class PassLog:
             record = self.records.setdefault(name, PassRecord(name))
             record.parts, record.left_out, record.note = record.parts + 1, record.left_out + 1, reason
 
-    def keep(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
+    def keep_layer(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
         """Keep the picture ``make(*args)`` of a layer and a light. ``make`` is called only if the layer is requested.
 
         A layer of ``PIXEL_LAYERS`` has the rows and columns of the geometry buffer, without the rows of samples below them. In any
@@ -148,7 +148,7 @@ class PassLog:
         if layer in self.requested_layers:
             self.layers.setdefault((layer, light), []).append(make(*args))
 
-    def take(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
+    def take_layers(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
         """Return the layers kept since the last call, and clear them."""
         layers, self.layers = self.layers, {}
         return layers
@@ -159,7 +159,7 @@ class PassLog:
         return list(self.records)
 
     @staticmethod
-    def named(light: str, kinds: tuple[str, ...], passes: tuple[str, ...]) -> list[str]:
+    def pass_names(light: str, kinds: tuple[str, ...], passes: tuple[str, ...]) -> list[str]:
         """Return the names of an algorithm's passes for a light and the kinds of casters that it serves together.
 
         An example is ``sun/relief+meshes: depth map``.

@@ -95,7 +95,7 @@ class Plan(_Value):
         }
 
     @property
-    def runs(self) -> frozenset[str]:
+    def effect_names(self) -> frozenset[str]:
         """The names of the effects that run."""
         return frozenset(effect.name for effect in self.effects)
 
@@ -110,7 +110,7 @@ class Plan(_Value):
         return plan_steps(self.algorithm, self.settings)
 
     @property
-    def casts(self) -> bool:
+    def casts_shadows(self) -> bool:
         """Whether any step computes cast shadows, by another algorithm than ``none``.
 
         If not, nothing casts, and no ground beside the picture is searched for casters.

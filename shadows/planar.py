@@ -101,7 +101,7 @@ def fill(
 
     It is 1 on everything but the ground. Raises ``GraphicsError``.
     """
-    passes = log.named(light, kinds, PASSES)
+    passes = log.pass_names(light, kinds, PASSES)
     projection = _make_projection(buffer, scene, light, kinds)
     view, ground = buffer.view, buffer.valid & (buffer.kind == RELIEF)
     stencil = np.zeros(ground.shape, np.uint8)
@@ -116,7 +116,7 @@ def fill(
         stencil[view.rows :][sample_mask] = _stencil(scene.world, buffer.frame, sample_view, receivers, projection, passes, log)[
             pixels
         ]
-    log.keep("stencil", light, stencil.copy)
+    log.keep_layer("stencil", light, stencil.copy)
     return np.where(stencil == SHADED_VALUE, np.float32(0.0), np.float32(1.0))
 
 
@@ -170,21 +170,21 @@ def _stencil(
     """Return the stencil (rows, cols) uint8 of a view after casters are projected onto its ground pixels ``receivers`` (mask)."""
     if not (receivers.any() and projection.reaches_ground):
         for name in passes:
-            with log.run(name):
+            with log.record_pass(name):
                 pass
         return np.where(receivers, np.uint8(LIT_VALUE), np.uint8(NO_GROUND_VALUE))
     gl = device()
     target = gl.stencil.target(view.cols, view.rows)
-    with log.run(passes[0]) as record:
+    with log.record_pass(passes[0]) as record:
         program = gl.program(shader("shadows/pixels.vert"), shader("shadows/planar_receivers.frag"))
         texture = gl.texture(receivers)
         texture.use(0)
         program["receivers"] = 0
-        with gl.stencil.once_pass(target, NO_GROUND_VALUE):
+        with gl.stencil.increment_once_pass(target, NO_GROUND_VALUE):
             gl.draw_pixels(program, target)
         texture.release()
         record.bytes = max(record.bytes, 9 * receivers.size)
-    with log.run(passes[1]) as record:
+    with log.record_pass(passes[1]) as record:
         clip_from_caster = clip_from_plane(world, frame, view, projection.origin_frame_m) @ plane_projection(projection.light_m)
         _draw_casters(gl, target, clip_from_caster, projection, record)
         return gl.stencil.read(target)
@@ -194,7 +194,7 @@ def _draw_casters(
     gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projection: Projection, record: PassRecord
 ) -> None:
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
-    with gl.stencil.once_pass(target, LIT_VALUE, clip_distances=1):
+    with gl.stencil.increment_once_pass(target, LIT_VALUE, clip_distances=1):
         if projection.meshes:
             program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/maps/depth.frag"))
             set_uniforms(program, uniforms)
@@ -205,7 +205,7 @@ def _draw_casters(
             program = gl.program(vertex, shader("shadows/planar_tree.frag"))
             set_uniforms(program, {**uniforms, "foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": 0.0})
             instances = projection.trees
-            gl.layers(foliage().mip_levels).use(0)
+            gl.srgb_texture_array(foliage().mip_levels).use(0)
             base, variant = (
                 instances.base_frame_m - projection.origin_frame_m,
                 np.concatenate([instances.yaw_cos_sin, instances.variant[:, None]], axis=1),
@@ -234,7 +234,7 @@ def _wrong_share(casting: Casting) -> float:
 
 ALGORITHM = Algorithm(
     name="planar",
-    about="casters projected onto level ground through the stencil; no shadows of casters on casters",
+    description="casters projected onto level ground through the stencil; no shadows of casters on casters",
     plural="planar",
     fill=fill,
     passes=PASSES,

@@ -55,12 +55,12 @@ def selectable_algorithms() -> list[Algorithm]:
     return [algorithm for algorithm in ALGORITHMS.values() if algorithm.passes and algorithm.is_served]
 
 
-def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
+def algorithms_serving(requirements: Iterable[Requirement]) -> list[AlgorithmName]:
     """Return the names of the selectable algorithms that serve some requirements together.
 
     Parameters
     ----------
-    parts
+    requirements
         The requirements.
 
     Returns
@@ -68,8 +68,8 @@ def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
     list of str
         The names, in the order of registration.
     """
-    parts = tuple(parts)
-    return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal(parts) is None]
+    requirements = tuple(requirements)
+    return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal(requirements) is None]
 
 
 def can_serve(

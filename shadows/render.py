@@ -146,13 +146,13 @@ def check_pixels(view: MapView | PerspectiveView) -> None:
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
     """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms."""
 
-    def parts(stage: Stage) -> list[str]:
+    def effect_names(stage: Stage) -> list[str]:
         return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
 
     refraction_passes, caster_passes = (
         [name for name in (pass_name,) if name in effects] for pass_name in (REFRACTION_PASS, CASTERS_PASS)
     )
-    effect_passes = [name for stage in BEFORE_SHADING for name in parts(stage)]
+    effect_passes = [name for stage in BEFORE_SHADING for name in effect_names(stage)]
     return [
         *refraction_passes,
         GEOMETRY_PASS,
@@ -161,7 +161,7 @@ def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
         ATTACHED_PASS,
         *effect_passes,
         SHADING_PASS,
-        *parts("color"),
+        *effect_names("color"),
     ]
 
 
@@ -223,13 +223,13 @@ def render_frame(
                 frame.shown_visibilities[light][frame_window] = block.shown_visibilities[light][block_window]
             if frame.position_frame_m is not None and block.position_frame_m is not None:
                 frame.position_frame_m[frame_window] = block.position_frame_m[block_window]
-        collector.add(log.take(), frame_window, block_window)
+        collector.add(log.take_layers(), frame_window, block_window)
         if on_block is not None:
             on_block(completed, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
     assert frame is not None
-    return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.whole)
+    return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.assembled)
 
 
 def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
@@ -237,7 +237,7 @@ def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
 
     They are fewer in a perspective view in which nothing casts, since only the report of the casters' reach needs them there.
     """
-    if plan.casts or isinstance(own_pixels.view, MapView):
+    if plan.casts_shadows or isinstance(own_pixels.view, MapView):
         return own_pixels
     return subsampled_points(own_pixels, REACH_STRIDE_PX)
 
@@ -269,10 +269,10 @@ def apply_refraction(scene: Scene, plan: Plan, log: PassLog) -> Scene:
 
     Refraction is recorded as a pass of its own.
     """
-    if REFRACTION_PASS not in plan.runs:
-        return with_apparent_sun(scene, plan.runs)
-    with log.run(REFRACTION_PASS):
-        return with_apparent_sun(scene, plan.runs)
+    if REFRACTION_PASS not in plan.effect_names:
+        return with_apparent_sun(scene, plan.effect_names)
+    with log.record_pass(REFRACTION_PASS):
+        return with_apparent_sun(scene, plan.effect_names)
 
 
 def render_block(
@@ -282,10 +282,10 @@ def render_block(
 
     Raises the errors of ``render_frame``.
     """
-    with log.run(GEOMETRY_PASS):
+    with log.record_pass(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.pixel_buffer
-        reach = find_reach(scene, _reach_points(own_pixels, plan)) if CASTERS_PASS not in plan.runs else None
+        reach = find_reach(scene, _reach_points(own_pixels, plan)) if CASTERS_PASS not in plan.effect_names else None
     if reach is None:
         casters = find_outside_casters(scene, plan, own_pixels, lambda: find_casters(scene, own_pixels), log)
     else:
@@ -300,11 +300,11 @@ def render_block(
         picture, shading_visibilities = anti_aliased(scene, plan, own_pixels, visibilities, log)
     block = ShadingBlock(scene, view, picture.buffer, shading_visibilities)
     linear = _shade_block(block, plan, log)
-    with log.run(SHADING_PASS):
+    with log.record_pass(SHADING_PASS):
         if not isinstance(view, MapView):
             _draw_sky(scene, view, picture, linear)
-    _run_parts("color", {"color": linear}, block, plan, log)
-    with log.run(SHADING_PASS):
+    _run_effects("color", {"color": linear}, block, plan, log)
+    with log.record_pass(SHADING_PASS):
         color = srgb_encoded(picture.averaged(linear))
         valid, nodata = own_pixels.valid, np.float32(np.nan)
         visibilities = {light: np.where(valid, values[: view.rows], nodata) for light, values in visibilities.items()}
@@ -320,8 +320,8 @@ def _shade_block(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
     """Return the linear display colour (rows, cols, 3) of a block's surface."""
     light: dict[Stage, np.ndarray] = {}
     for stage in BEFORE_SHADING:
-        _run_parts(stage, light, block, plan, log)
-    with log.run(SHADING_PASS):
+        _run_effects(stage, light, block, plan, log)
+    with log.record_pass(SHADING_PASS):
         sunlight = light["sunlight"] if "sunlight" in light else _initial_values(block, "sunlight")
         return shade(block.buffer, block.scene, sunlight, light.get("albedo"), light.get("skylight"), light.get("lamplight"))
 
@@ -338,11 +338,11 @@ def _initial_values(block: ShadingBlock, stage: Stage) -> np.ndarray:
     return np.zeros((*shape, 3), np.float32)
 
 
-def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBlock, plan: Plan, log: PassLog) -> None:
+def _run_effects(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBlock, plan: Plan, log: PassLog) -> None:
     """Run the plan's effects of one stage on the array ``values[stage]``, each as a pass of its own."""
     for name, effect in EFFECTS.items():
-        if effect.stage == stage and effect.apply is not None and name in plan.runs:
-            with log.run(name):
+        if effect.stage == stage and effect.apply is not None and name in plan.effect_names:
+            with log.record_pass(name):
                 if stage not in values:
                     values[stage] = _initial_values(block, stage)
                 effect.apply(values[stage], block)
@@ -355,6 +355,6 @@ def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, 
     linear[row, col] = sky(scene, view, pixel_row, pixel_col)
 
 
-def worse_reach(a: Reach, b: Reach) -> Reach:
+def worse_reach(first: Reach, second: Reach) -> Reach:
     """Return the reach to report for two blocks: a clipped one before an unclipped one, then the farther one."""
-    return max(a, b, key=lambda reach: (reach.clipped, reach.needed_m, -reach.used_m))
+    return max(first, second, key=lambda reach: (reach.clipped, reach.needed_m, -reach.used_m))

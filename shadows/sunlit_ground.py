@@ -36,7 +36,7 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
 
     Raises the errors of ``render_frame``.
     """
-    with log.run(GEOMETRY_PASS):
+    with log.record_pass(GEOMETRY_PASS):
         ground = bare_ground(scene, view, None)
         if ground is None:
             return None
@@ -46,10 +46,10 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         reach = find_reach_of_nodes(scene, bare_nodes(scene, view, 1)) if "reach" in needs else None
     if scene.sun_is_up:
         _, visibilities = lit_nodes(
-            Supersampling(scene, plan, view.grid, 1, heights_only=True), view, CASTERS_PASS in plan.runs, log
+            Supersampling(scene, plan, view.grid, 1, heights_only=True), view, CASTERS_PASS in plan.effect_names, log
         )
         lit = visibilities[SUN] & ground.valid
-        with log.run(ATTACHED_PASS):
+        with log.record_pass(ATTACHED_PASS):
             rim = rim_points(scene, view)
             if rim is not None:
                 lit &= ~(rim.valid & attached(rim, scene, SUN))

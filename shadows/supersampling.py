@@ -27,7 +27,7 @@ from skugga.terrain.gbuffer.supersampling import (
     MAX_PARALLEL_RAYS_M,
     covered_nodes,
     is_terrain_only,
-    largest_in_pixels,
+    max_in_pixels,
     means_in_pixels,
     subdivision_level,
     subpixel_grid,
@@ -137,7 +137,7 @@ def mean_visibilities(pixels: Supersampling, block_buffer: GeometryBuffer | Bare
             else _lit_points(pixels, nodes, search_outside, log)
         )
         valid, filled = node_visibilities
-        with log.run(ATTACHED_PASS):
+        with log.record_pass(ATTACHED_PASS):
             for light, values in filled.items():
                 if values.dtype == np.bool_ and values.all():
                     continue  # the pixels are initialised with 1
@@ -145,7 +145,7 @@ def mean_visibilities(pixels: Supersampling, block_buffer: GeometryBuffer | Bare
                 visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
         block_layers = {
             key: [_in_pixels(part, nodes, picture, valid) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
-            for key, pictures in log.take().items()
+            for key, pictures in log.take_layers().items()
         }
         layers.add(block_layers, window, (slice(None), slice(None)))
     log.layers = layers.pictures
@@ -189,13 +189,13 @@ def needs_outside_casters(plan: Plan, block_buffer: GeometryBuffer | BareGround,
     The effect ``outside_casters`` always searches them. Without it they are searched only where the block shows more than the part,
     since parts of one block cast on each other.
     """
-    return CASTERS_PASS in plan.runs or bool(block_buffer.valid[window].sum() < block_buffer.valid.sum())
+    return CASTERS_PASS in plan.effect_names or bool(block_buffer.valid[window].sum() < block_buffer.valid.sum())
 
 
 def lit_nodes(pixels: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and the sun's visibility at them, bool (rows, cols), from heights alone."""
     scene, plan = pixels.scene, pixels.plan
-    with log.run(GEOMETRY_PASS):
+    with log.record_pass(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, pixels.per_pixel)
 
     def find_casters() -> Casters:
@@ -213,11 +213,11 @@ def lit_nodes(pixels: Supersampling, view: MapView, search_outside: bool, log: P
 def _lit_points(pixels: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and each light's visibility at them, from a geometry buffer."""
     scene, plan = pixels.scene, pixels.plan
-    with log.run(GEOMETRY_PASS):
+    with log.record_pass(GEOMETRY_PASS):
         buffer = geometry_buffer(scene, view)
     casters = find_outside_casters(scene, plan, buffer, lambda: find_casters(scene, buffer) if search_outside else NO_CASTERS, log)
     return buffer.valid, visibilities_at(scene, plan, buffer, casters, log)
 
 
 def _in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    return means_in_pixels(view, nodes, picture, valid) if picture.dtype.kind == "f" else largest_in_pixels(view, nodes, picture)
+    return means_in_pixels(view, nodes, picture, valid) if picture.dtype.kind == "f" else max_in_pixels(view, nodes, picture)

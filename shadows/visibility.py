@@ -27,9 +27,9 @@ def fill_steps(
 ) -> np.ndarray:
     """Return a light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of its steps.
 
-    ``steps`` belong to one light (``Plan.steps_under``). ``effects`` are those that run (``Plan.runs``). The visibility is 1 at
-    hidden points (``without_hidden_points``). It has no meaning off the surface and where the surface faces away. Raises the errors
-    of the algorithms.
+    ``steps`` belong to one light (``Plan.steps_under``). ``effects`` are those that run (``Plan.effect_names``). The visibility is
+    1 at hidden points (``without_hidden_points``). It has no meaning off the surface and where the surface faces away. Raises the
+    errors of the algorithms.
     """
     steps = list(steps)
     visibility = np.ones(buffer.valid.shape, np.float32)
@@ -58,8 +58,8 @@ def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: C
     visibilities = {}
     for light in plan.lights:
         steps = needed_steps(scene, plan.steps_under(light), buffer, casters, log)
-        visibilities[light] = fill_steps(steps, buffer, scene, casters, plan.runs, log)
-    with log.run(ATTACHED_PASS):
+        visibilities[light] = fill_steps(steps, buffer, scene, casters, plan.effect_names, log)
+    with log.record_pass(ATTACHED_PASS):
         for light, visibility in visibilities.items():
             visibility[attached(buffer, scene, light)] = 0.0
     return visibilities

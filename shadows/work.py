@@ -91,7 +91,7 @@ class Workload:
         return self.pixels * self.descriptor.seen_share
 
     @property
-    def facing(self) -> float:
+    def facing_pixels(self) -> float:
         """Number of pixels and samples that show a surface that faces the light."""
         return self.visible_pixels * self.facts.facing_share
 

@@ -2,8 +2,8 @@
 
 - Its azimuth and altitude are those of a real afternoon at the equinox. Beyond 60 degrees of latitude, where that sun stays low or
   below the horizon, they are those of midsummer.
-- Its altitude is the slope angle that the share ``STEEP_SHARE`` of the ground exceeds, facing away from the sun. These steepest
-  slopes lie in shadow, and cast shadows.
+- Its altitude is the slope angle that the share ``SHADED_GROUND_SHARE`` of the ground exceeds, facing away from the sun. These
+  steepest slopes lie in shadow, and cast shadows.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
 
-STEEP_SHARE = 0.05
-"""Share of the ground whose slopes away from the sun are steeper than the sun's rays."""
+SHADED_GROUND_SHARE = 0.05
+"""Share of the ground whose slopes away from the sun are steeper than the sun's rays, and so lie in shadow."""
 
-MIN_DEG, MAX_DEG = 4.0, 35.0
+MIN_ALTITUDE_DEG, MAX_ALTITUDE_DEG = 4.0, 35.0
 """Bounds of the sun's altitude. A lower sun at the level's far side covers the map in shadow; a higher one casts little."""
 
 METRES_PER_DEGREE = 111_195.0
@@ -42,13 +42,15 @@ def default_sun(world: World, elevation: Elevation) -> SunSpec:
     """Return the default sun of a level, with azimuth and altitude in whole degrees."""
     azimuth = FLAT_WORLD_AZIMUTH_DEG
     altitude = OVER_LEVEL_GROUND_DEG
-    min_deg = MIN_DEG
+    min_deg = MIN_ALTITUDE_DEG
     for _ in range(2):  # the slopes depend on the azimuth, and the azimuth on the altitude
         steepness_deg = _steepness_deg(world, elevation, azimuth)
-        altitude = OVER_LEVEL_GROUND_DEG if steepness_deg < LEVEL_GROUND_DEG else float(np.clip(steepness_deg, min_deg, MAX_DEG))
+        altitude = (
+            OVER_LEVEL_GROUND_DEG if steepness_deg < LEVEL_GROUND_DEG else float(np.clip(steepness_deg, min_deg, MAX_ALTITUDE_DEG))
+        )
         if not world.flat:
             azimuth, altitude = _afternoon_position(world.anchor_lat_deg, altitude)
-            min_deg = min(MIN_DEG + _half_extent_deg(world, elevation, azimuth), MAX_DEG)
+            min_deg = min(MIN_ALTITUDE_DEG + _half_extent_deg(world, elevation, azimuth), MAX_ALTITUDE_DEG)
     return SunSpec(azimuth=round(azimuth) % 360, altitude=round(altitude))
 
 
@@ -73,7 +75,7 @@ def _half_extent_deg(world: World, elevation: Elevation, azimuth_deg: float) -> 
 
 
 def _steepness_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:
-    """Return the slope angle in degrees that ``STEEP_SHARE`` of the ground exceeds, facing away from an azimuth.
+    """Return the slope angle in degrees that ``SHADED_GROUND_SHARE`` of the ground exceeds, facing away from an azimuth.
 
     Computed from the overview.
     """
@@ -85,4 +87,4 @@ def _steepness_deg(world: World, elevation: Elevation, azimuth_deg: float) -> fl
     azimuth = np.radians(azimuth_deg)
     rise = east * np.sin(azimuth) - south * np.cos(azimuth)  # towards the sun
     valid_rise = rise[np.isfinite(rise)]
-    return float(np.degrees(np.arctan(np.quantile(valid_rise, 1.0 - STEEP_SHARE)))) if valid_rise.size else 0.0
+    return float(np.degrees(np.arctan(np.quantile(valid_rise, 1.0 - SHADED_GROUND_SHARE)))) if valid_rise.size else 0.0

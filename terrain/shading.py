@@ -1,7 +1,7 @@
 """Colour of the visible surface: a style's tint, Lambert's law and sky light, in linear light, encoded as sRGB.
 
-This module prepares a scene's light and its shading parameters (``Look``). ``skugga.terrain.shading_loops`` has the loops over
-pixels.
+This module prepares a scene's light and its shading parameters (``ShadingParameters``). ``skugga.terrain.shading_loops`` has the
+loops over pixels.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading_loops import (
     DaylightInFrame,
-    Look,
+    ShadingParameters,
     Tints,
     albedo_rows,
     encode_rows,
@@ -57,7 +57,7 @@ LAMP_AMBIENT_SHARE = 0.4
 MAP_FOLIAGE_FACTOR = 2.0
 """Factor of foliage's albedo in maps. Woods seen from above, with their own shadows, would be nearly black."""
 
-LEAF_GLOW = 0.3
+LEAF_TRANSLUCENCY = 0.3
 """Share of foliage's light that does not depend on its normal. Leaves are translucent and lie in all directions."""
 
 CLOUD_LIGHT = (0.94, 0.97, 1.00)
@@ -103,7 +103,7 @@ def daylight_of(scene: Scene) -> Daylight:
     return Daylight(np.zeros(3) if scene.loaded.level.weather.is_overcast else sun, (1.0 - cover) * clear_sky_light + cover * grey)
 
 
-def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> Look:
+def shading_parameters(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> ShadingParameters:
     """Return the shading parameters of a scene in a view, for the compiled loops.
 
     ``frame`` is the local frame of the direction of north, which is needed only where tints depend on latitude. Clouds reduce the
@@ -116,7 +116,7 @@ def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | N
     exaggeration = (
         style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
     )
-    return Look(
+    return ShadingParameters(
         tints_of(scene), NO_DIRECTION if frame is None else frame.directions_from_earth(NORTH_EARTH),
         style.sky_greying * clear_sky_share, style.sky_towards_sun * clear_sky_share, style.terminator, exaggeration,
         style.slope_limit, veil_table(style.aerial_share if in_map and scene.sun is not None else 0.0, style.aerial_scale_height_m),
@@ -143,13 +143,13 @@ def _tints(ramp: ColorRamp | None, has_climate: bool) -> Tints:
     return Tints(np.ascontiguousarray(table), first_difference.astype(np.int32))
 
 
-def sky_lit_albedo(albedo: np.ndarray, look: Look) -> np.ndarray:
+def sky_lit_albedo(albedo: np.ndarray, parameters: ShadingParameters) -> np.ndarray:
     """Return linear albedos (..., 3) as they appear in sky light: nearer to grey of the same luminance."""
     grey = np.asarray(luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2]))[..., None]
-    return albedo + look.sky_greying * (grey - albedo)
+    return albedo + parameters.sky_greying * (grey - albedo)
 
 
-def max_sky_factor(scene: Scene) -> float:
+def max_slope_sky_factor(scene: Scene) -> float:
     """Return the largest factor of sky light on a slope, relative to an even sky. Slopes towards the sky's bright side have it."""
     return 1.0 + scene.style.sky_towards_sun * (np.sqrt(2.0) - 1.0)
 
@@ -184,9 +184,9 @@ def shade(
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
     out = np.zeros((*buffer.valid.shape, 3), np.float32)
     run_in_chunks(
-        len(out), shade_rows, buffer.shading_inputs, look_of(scene, buffer.view, buffer.frame),
+        len(out), shade_rows, buffer.shading_inputs, shading_parameters(scene, buffer.view, buffer.frame),
         daylight_in_frame(scene, buffer.frame),
-        scene.world.up_origin(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight, out,
+        scene.world.up_origin(buffer.frame), LEAF_TRANSLUCENCY, albedo, sunlight, skylight, lamplight, out,
     )  # fmt: skip
     return out
 
@@ -208,7 +208,7 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
         light = daylight_in_frame(scene, ground.frame)
         shade_bare_ground(
             ground.valid[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
-            sunlight[ground.window], look_of(scene, ground.view, ground.frame), light, _srgb_table(),
+            sunlight[ground.window], shading_parameters(scene, ground.view, ground.frame), light, _srgb_table(),
             out[ground.window],
         )  # fmt: skip
     return out
@@ -232,7 +232,7 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     albedo = np.zeros((*buffer.valid.shape, 3), np.float32)
     run_in_chunks(
         len(albedo), albedo_rows, buffer.shading_inputs, scene.world.up_origin(buffer.frame), buffer.albedo,
-        look_of(scene, buffer.view, buffer.frame), albedo,
+        shading_parameters(scene, buffer.view, buffer.frame), albedo,
     )  # fmt: skip
     if scene.loaded.level.water is not None:
         water = water_in(buffer, scene)

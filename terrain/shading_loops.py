@@ -81,7 +81,7 @@ class Tints(NamedTuple):
     first_difference: np.ndarray
 
 
-class Look(NamedTuple):
+class ShadingParameters(NamedTuple):
     """Shading parameters of a style, for the compiled loops.
 
     Attributes
@@ -211,15 +211,17 @@ def encode_rows(first, last, linear, table, out):
 
 
 @compiled
-def shade_rows(first, last, shading_inputs, look, daylight_in_frame, centre, glow, albedo, sunlight, skylight, lamplight, out):
+def shade_rows(
+    first, last, shading_inputs, parameters, daylight_in_frame, centre, translucency, albedo, sunlight, skylight, lamplight, out
+):
     """Compute the linear display colour of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
-    ``centre`` is the point from which "up" points away (``World.up_origin``). ``glow`` is the share of foliage's light that does
-    not depend on its normal (``LEAF_GLOW``).
+    ``centre`` is the point from which "up" points away (``World.up_origin``). ``translucency`` is the share of foliage's light that
+    does not depend on its normal (``LEAF_TRANSLUCENCY``).
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     valid, kind, position, height, normal = shading_inputs
-    tints, north, greying, directional_share, terminator, exaggeration, limit, veils, foliage = look
+    tints, north, greying, directional_share, terminator, exaggeration, limit, veils, foliage = parameters
     has_sun, to_sun, sun, sky, night = daylight_in_frame
     has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     for i in range(first, last):
@@ -227,7 +229,7 @@ def shade_rows(first, last, shading_inputs, look, daylight_in_frame, centre, glo
             if not valid[i, j]:
                 continue
             n, p = normal[i, j], position[i, j]
-            leaf = glow if kind[i, j] == FOREST else 0.0
+            translucent_share = translucency if kind[i, j] == FOREST else 0.0
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             sky_view = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
@@ -243,7 +245,7 @@ def shade_rows(first, last, shading_inputs, look, daylight_in_frame, centre, glo
                 if kind[i, j] == RELIEF:
                     cos_sun = _slope_direct_light(cos_sun, sine, terminator)
             sky_light_share = night + (1.0 - night) * dusk_of(sine)
-            direct = (leaf + (1.0 - leaf) * max(cos_sun, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
+            direct = (translucent_share + (1.0 - translucent_share) * max(cos_sun, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
             tint_index, fraction = _tint_position(height[i, j])
             veil = veils[tint_index] + (veils[tint_index + 1] - veils[tint_index]) * fraction
             red, green, blue = _tinted(tints.table, north[0] * ux + north[1] * uy + north[2] * uz, tint_index, fraction)
@@ -318,12 +320,12 @@ def _tint_between(table, row, row_fraction, k, tint_index, fraction):
 
 
 @compiled
-def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, daylight_in_frame, table, out):
+def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters, daylight_in_frame, table, out):
     """Compute the sRGB colour of bare ground row by row: ``srgb_encoded`` of the result of ``shade_rows``.
 
     Inner loops compile to vector instructions; table look-ups run between them.
     """
-    tints, north, greying, directional_share, terminator, exaggeration, limit, veils, _ = look
+    tints, north, greying, directional_share, terminator, exaggeration, limit, veils, _ = parameters
     _, to_sun, sun, sky, night = daylight_in_frame
     cols = valid.shape[1]
     direct, sky_light_share, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
@@ -333,7 +335,7 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, dayl
     tint, grey, srgb_index = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
     latitude, row_fraction, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
     for i in range(valid.shape[0]):
-        _cosines_to_sun(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
+        _cosines_to_direction(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
         is_high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
         for j in range(cols):
             is_high_everywhere = is_high_everywhere and not sines[j] <= HIGH_SUN_SINE
@@ -343,7 +345,7 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, dayl
             for j in range(cols):
                 direct[j] *= _direct_fade(sines[j])
                 sky_light_share[j] = night + (1.0 - night) * dusk_of(sines[j])
-        _cosines_to_sun(normal[i], (to_sun[0], to_sun[1], to_sun[2]), cos_sun)
+        _cosines_to_direction(normal[i], (to_sun[0], to_sun[1], to_sun[2]), cos_sun)
         _cosines_to_zenith(normal[i], up[i], cos_zenith)
         if not has_true_slopes:
             _exaggerate_row(cos_sun, cos_zenith, sines, exaggeration, limit)
@@ -353,9 +355,9 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, dayl
         _look_up_tint(veils, tint_index, fraction, veil)
         has_one_row, row = tints.table.shape[0] == 1, 0
         if not has_one_row:
-            _cosines_to_sun(up[i], (north[0], north[1], north[2]), latitude)
+            _cosines_to_direction(up[i], (north[0], north[1], north[2]), latitude)
             _latitude_positions(latitude, tints.table.shape[0], row_fraction, rows)
-            has_one_row, row = _is_one_climate(tints.first_difference, valid[i], rows, tint_index)
+            has_one_row, row = _shared_tint_row(tints.first_difference, valid[i], rows, tint_index)
         _look_up_colors(tints.table, has_one_row, row, 3, rows, row_fraction, tint_index, fraction, grey)
         for k in range(3):
             _look_up_colors(tints.table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, tint)
@@ -377,10 +379,10 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, dayl
 
 
 @internal
-def _cosines_to_sun(normal, to_sun, out):
+def _cosines_to_direction(normal, direction, out):
     """Compute the cosines between normals (n, 3) and one direction (3,), such as that to the sun."""
     for j in range(out.size):
-        out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
+        out[j] = normal[j, 0] * direction[0] + normal[j, 1] * direction[1] + normal[j, 2] * direction[2]
 
 
 @internal
@@ -427,8 +429,11 @@ def _latitude_positions(sines, count, row_fraction, rows):
 
 
 @internal
-def _is_one_climate(first_difference, valid, rows, tint_index):
-    """Return whether all valid pixels of a row have the same tints in the table's rows at their latitudes, and such a table row."""
+def _shared_tint_row(first_difference, valid, rows, tint_index):
+    """Return whether all valid pixels of a row share their tints, and then a row of the table that has these tints.
+
+    They share them if the table's rows at their latitudes are equal.
+    """
     first, last, highest = np.int32(first_difference.size), np.int32(-1), np.int32(0)
     for j in range(tint_index.size):
         if valid[j]:
@@ -479,13 +484,13 @@ def _look_up_srgb(valid, srgb_index, table, out):
 
 
 @compiled
-def albedo_rows(first, last, shading_inputs, centre, albedo, look, out):
+def albedo_rows(first, last, shading_inputs, centre, albedo, parameters, out):
     """Compute the linear albedo of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
     It is ``albedo`` where that has a value, else the ground's tint.
     """
     valid, _, position, height, _ = shading_inputs
-    tints, north = look.tints, look.north_frame
+    tints, north = parameters.tints, parameters.north_frame
     for i in range(first, last):
         for j in range(valid.shape[1]):
             if not valid[i, j]:

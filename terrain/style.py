@@ -58,7 +58,7 @@ class Style:
     ----------
     name
         The style's name.
-    about
+    description
         A description in one phrase.
     ramp
         Heights in metres above the level's zero, ascending, and the ground's sRGB colour at each.
@@ -84,7 +84,7 @@ class Style:
     """
 
     name: str
-    about: str
+    description: str
     ramp: ColorRamp
     has_climate: bool = False
     water: tuple[float, float, float] = (0.102, 0.246, 0.392)

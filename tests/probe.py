@@ -111,7 +111,7 @@ def parameter_by_path(document: dict[str, Any], name: str) -> dict[str, Any]:
     }
 
 
-def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
+def probe_setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     """Return answers about a setting ``gloss`` of ``dull`` or ``bright``."""
     from skugga.api.report.plan_text import format_plan
     from skugga.selector.pin import pinned_text, pins
@@ -188,7 +188,7 @@ def write_inclined_plane(raster: Path) -> None:
         dataset.write(np.broadcast_to(columns, dataset.shape), 1)
 
 
-def product(level: Path, client: httpx.Client) -> dict[str, Any]:
+def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
     """Return answers about a product ``steepness`` with a ``gain`` of 2, of ground that rises 0.75 to the east for each
     metre of the map.
     """
@@ -272,7 +272,7 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def parameter(level: Path, client: httpx.Client) -> dict[str, Any]:
+def probe_parameter(level: Path, client: httpx.Client) -> dict[str, Any]:
     """Return answers about a parameter ``raised``: degrees added to the sun's altitude."""
     params = {"azimuth": 200, "altitude": 30, "raised": 12}
     suns = ({"azimuth": 200, "altitude": 30}, params)
@@ -291,4 +291,8 @@ if __name__ == "__main__":
         write_inclined_plane(level_file.with_suffix(".tif"))
     worker = run_worker if feature == "product" else echo_worker
     with running(create_app(Settings(workers=1), [level_file], worker)) as served:
-        print(json.dumps({"setting": setting, "product": product, "parameter": parameter}[feature](level_file, served)))
+        print(
+            json.dumps(
+                {"setting": probe_setting, "product": probe_product, "parameter": probe_parameter}[feature](level_file, served)
+            )
+        )

@@ -73,8 +73,8 @@ class CoarseRaysSettings(AlgorithmSettings):
 
 def fill(buffer, scene, light, kinds, casters, settings, log):
     """Return visibility by rays from one pixel of each square, which stands for all of the square."""
-    (rays_pass,) = log.named(light, kinds, PASSES)
-    with log.run(rays_pass):
+    (rays_pass,) = log.pass_names(light, kinds, PASSES)
+    with log.record_pass(rays_pass):
         visibility = visibility_caches["kept"].get(scene, buffer.view, light, kinds, settings)
         if isinstance(visibility, Missing):
             lit = lit_mask(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
@@ -104,7 +104,7 @@ ACCURATE_CONSTANTS = ErrorConstants(floor=0.004, interior=0.0, spread=0.05, inte
 
 ALGORITHM = Algorithm(
     name="coarse_rays",
-    about="a ray for each square of pixels",
+    description="a ray for each square of pixels",
     plural="coarse rays",
     fill=fill,
     passes=PASSES,
@@ -114,7 +114,10 @@ ALGORITHM = Algorithm(
     cache_names=("tests.coarse_rays",),
     search=Search(compared_overrides=({"map_size": 4096}, {"map_size": 512})),
     cost=Cost(
-        work, calibration_settings=lambda descriptor, light, grid: [CoarseRaysSettings(square_px=side) for side in (1, 4, 16)]
+        work,
+        calibration_settings=lambda descriptor, light, calibration_extent: [
+            CoarseRaysSettings(square_px=side) for side in (1, 4, 16)
+        ],
     ),
     accuracy=Accuracy(constants={"coarse_rays": ACCURATE_CONSTANTS}),
     mark=Mark("cross", "vermilion"),
@@ -243,7 +246,9 @@ def test_a_new_algorithm_is_calibrated(gl, coarse_rays, monkeypatch):
     monkeypatch.setattr(
         calibration,
         "calibration_views",
-        lambda folder: (replace(view, grid="few") for view in calibration_views(folder) if view.name == "few_balls_small"),
+        lambda folder: (
+            replace(view, calibration_extent="few") for view in calibration_views(folder) if view.name == "few_balls_small"
+        ),
     )
     profile = calibrate()
     assert profile.residuals["coarse_rays"].rows == 3
@@ -389,6 +394,6 @@ def test_caches_of_algorithm_packages_are_listed_in_records(gl):
     assert listed_names <= cache_names
     package_prefixes = tuple(f"shadows.{package}." for package in ("maps", "volumes", "hybrid", "sweep", "truth.truth", "planar"))
     assert {name for name in cache_names if name.startswith(package_prefixes)} - {
-        "skugga.shadows.maps.resolve._of_runs",
+        "skugga.shadows.maps.resolve._measure_band_ranges",
         "skugga.shadows.maps.resolve._splits",
     } <= listed_names

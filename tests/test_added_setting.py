@@ -48,7 +48,7 @@ def _compute(part: Part) -> np.ndarray:
 
 
 PRODUCT = Product(
-    name="steepness", about="made-up steepness of the ground", formats=("png", "tif", "npy"), compute=_compute,
+    name="steepness", description="made-up steepness of the ground", formats=("png", "tif", "npy"), compute=_compute,
     view_kinds=("map",), when="none", reach_px=1, options=SteepnessOptions, unit="1",
     color_scale=lambda options, world: ColorScale("Steepness", "viridis", 0.0, 2.0, ((0.0, "0"), (1.0, "1"), (2.0, "2"))),
 )

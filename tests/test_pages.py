@@ -102,5 +102,5 @@ def test_examples_import_existing_names(path: Path) -> None:
     assert not missing
 
 
-def test_some_example_imports_something() -> None:
+def test_at_least_one_example_has_an_import() -> None:
     assert imported_names((DOCS / "effects.md").read_text("utf-8"))

@@ -12,7 +12,7 @@ from skugga.api.animations.animations import Draw
 from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import ExhaustedError, LevelChangedError, WorkerStartError, error_report_of
 from skugga.api.film_files import write_film
-from skugga.api.workers.jobs import FilmPicture, FrameJob, LevelKey, PlanHandover
+from skugga.api.workers.jobs import FilmPicture, FilmPlanState, FrameJob, LevelKey
 from skugga.api.workers.pool import Pool
 
 FRAME_TRIES = 5
@@ -20,13 +20,14 @@ FRAME_TRIES = 5
 take some 20 seconds."""
 
 
-def frame_job(order: FilmOrder, number: int, previous_plans: PlanHandover | None = None) -> FrameJob:
+def frame_job(order: FilmOrder, number: int, previous_plan_state: FilmPlanState | None = None) -> FrameJob:
     """Return the job that draws one frame of a film.
 
-    ``number`` counts frames from 0. ``previous_plans`` is the planning state of the previous frame, which this frame continues.
+    ``number`` counts frames from 0. ``previous_plan_state`` is the planning state after the previous
+    frame, which this frame continues.
     """
     film = {name: getattr(order, name) for name in FrameJob.model_fields if name in FilmOrder.model_fields}
-    return FrameJob(**film, number=number, previous_plans=previous_plans)
+    return FrameJob(**film, number=number, previous_plan_state=previous_plan_state)
 
 
 def frame_renderer(pool: Pool, current_level: Callable[[str], Awaitable[LevelKey]]) -> Draw:
@@ -38,12 +39,12 @@ def frame_renderer(pool: Pool, current_level: Callable[[str], Awaitable[LevelKey
     """
 
     async def draw(order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:
-        previous_plans: PlanHandover | None = None
+        previous_plan_state: FilmPlanState | None = None
         for number in range(order.span.frames):
             if await current_level(order.level_name) != order.level:
                 raise LevelChangedError(f"Level {order.level_name} has changed while it was drawn: ask for the animation again.")
-            picture = await _frame(pool, frame_job(order, number, previous_plans))
-            previous_plans = picture.next_plans
+            picture = await _frame(pool, frame_job(order, number, previous_plan_state))
+            previous_plan_state = picture.next_plan_state
             yield picture.color
 
     return draw

@@ -34,7 +34,7 @@ def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[st
 
 
 def _option(setting: Setting) -> Any:
-    help_text = setting.about.replace("`", "")
+    help_text = setting.description.replace("`", "")
     if setting.allowed:
         help_text = f"{help_text.removesuffix('.')} ({setting.allowed})."
     value_type: Any = setting.plain_type

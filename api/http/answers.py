@@ -21,17 +21,17 @@ VERSION = version("skugga")
 
 JSON_MEDIA = "application/json"
 
-DEFAULT_SUN_FRESH_S = 3600
+DEFAULT_SUN_MAX_AGE_S = 3600
 """Freshness lifetime (``max-age``) in seconds of a picture under the level's own sun.
 
 It is short since the operator may change that sun."""
 
-REQUESTED_SUN_FRESH_S = 86400
+REQUESTED_SUN_MAX_AGE_S = 86400
 """Freshness lifetime in seconds of a picture whose request names the sun.
 
 The answer is not marked ``immutable``: the level's data may still change, and revalidation costs no rendering."""
 
-METADATA_FRESH_S = 60
+METADATA_MAX_AGE_S = 60
 """Freshness lifetime in seconds of documents about levels, such as JSON, pages and capabilities."""
 
 MIN_GZIP_BYTES, GZIP_LEVEL = 16 * 1024, 4
@@ -83,17 +83,17 @@ def is_fresh(request: Request, tag: str) -> bool:
     return client_tags.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in client_tags.split(","))
 
 
-def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
-    """Return the headers ``ETag`` and ``Cache-Control`` of an answer that stays fresh for ``fresh_s`` seconds.
+def cache_headers(tag: str, max_age_s: int) -> dict[str, str]:
+    """Return the headers ``ETag`` and ``Cache-Control`` of an answer that stays fresh for ``max_age_s`` seconds.
 
-    Caches may send a stale answer for another ``fresh_s`` seconds while they revalidate it, and for ``STALE_IF_ERROR_S`` seconds
+    Caches may send a stale answer for another ``max_age_s`` seconds while they revalidate it, and for ``STALE_IF_ERROR_S`` seconds
     while the service fails (RFC 5861). Answers that are fresh for less than an hour are never sent stale. Such answers depend on
     the clock, on the present levels, or on measurements of the device or the level that are still to come.
     """
     stale_directives = (
-        f", stale-while-revalidate={fresh_s}, stale-if-error={STALE_IF_ERROR_S}" if fresh_s >= DEFAULT_SUN_FRESH_S else ""
+        f", stale-while-revalidate={max_age_s}, stale-if-error={STALE_IF_ERROR_S}" if max_age_s >= DEFAULT_SUN_MAX_AGE_S else ""
     )
-    return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}{stale_directives}"}
+    return {"ETag": tag, "Cache-Control": f"public, max-age={max_age_s}{stale_directives}"}
 
 
 def wants_html(request: Request) -> bool:
@@ -115,7 +115,7 @@ def document_answer(request: Request, body: bytes, media_type: str, **extra_head
     is_compressed = len(body) >= MIN_GZIP_BYTES and _accepts_gzip(request)
     vary = ", ".join(filter(None, (extra_headers.pop("Vary", ""), "Accept-Encoding"))) if len(body) >= MIN_GZIP_BYTES else None
     extra_headers |= {} if vary is None else {"Vary": vary}
-    headers = cache_headers(entity_tag(body, "gzip") if is_compressed else entity_tag(body), METADATA_FRESH_S) | extra_headers
+    headers = cache_headers(entity_tag(body, "gzip") if is_compressed else entity_tag(body), METADATA_MAX_AGE_S) | extra_headers
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if is_compressed:

@@ -52,7 +52,7 @@ def problem_docs(*statuses: int) -> ResponseDocs:
 
 def _problem_content(status: int) -> dict[str, Any]:
     kinds = [kind for kind in problem_kinds() if kind.status == status]
-    return {"schema": PROBLEM, "examples": {kind.code: {"summary": kind.about, "value": kind.example} for kind in kinds}}
+    return {"schema": PROBLEM, "examples": {kind.code: {"summary": kind.description, "value": kind.example} for kind in kinds}}
 
 
 def exception_docs(*statuses: int) -> ResponseDocs:

@@ -83,7 +83,7 @@ StyleQuery = Annotated[
     str | None,
     Query(
         description="How relief is shaded: "
-        + "; ".join(f"`{style.name}`: {style.about}" for style in STYLES.values())
+        + "; ".join(f"`{style.name}`: {style.description}" for style in STYLES.values())
         + f". `{DEFAULT_STYLE}`, or nothing: the level's own.",
         json_schema_extra={"enum": [DEFAULT_STYLE, *STYLES]},
         examples=["swiss"],
@@ -108,15 +108,15 @@ def style_named(name: str | None, parameter: str = "style") -> StyleName | None:
     return cast(StyleName, name)
 
 
-_NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_INTEGER,), float: (PLAIN_DECIMAL,)}
+_NUMBER_VALIDATORS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_INTEGER,), float: (PLAIN_DECIMAL,)}
 
 
 def _shadow_parameter(setting: Setting) -> Any:
     """Return the type annotation of the query parameter for a shadow setting."""
     is_number = any(isinstance(word, int) for word in setting.words)
-    numbers = (INTEGER_OR_WORD,) if is_number else _NUMBERS.get(setting.plain_type, ())
+    numbers = (INTEGER_OR_WORD,) if is_number else _NUMBER_VALIDATORS.get(setting.plain_type, ())
     value_type: Any = setting.type
-    return Annotated[(value_type | None, *numbers, Query(description=setting.about, examples=[setting.example]))]
+    return Annotated[(value_type | None, *numbers, Query(description=setting.description, examples=[setting.example]))]
 
 
 @with_shadow_settings("pictures", _shadow_parameter)
@@ -201,7 +201,7 @@ def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
 
 
 def _product_descriptions(names: Iterable[str]) -> str:
-    return "; ".join(f"`{name}` is {PRODUCTS[name].about}" for name in names)
+    return "; ".join(f"`{name}` is {PRODUCTS[name].description}" for name in names)
 
 
 LayerQuery = Annotated[
@@ -227,7 +227,7 @@ def _product_parameter(name: str) -> Any:
     field = served_options(PRODUCTS[products[0]])[name]
     value_type: Any = field.annotation
     kinds = {*get_args(value_type), value_type}
-    readers = [reader for kind, reader in OPTION_READERS.items() if kind in kinds]
+    readers = [reader for kind, reader in OPTION_VALIDATORS.items() if kind in kinds]
     description = f"For {', '.join(f'`{product}`' for product in products)}. {field.description or ''}".rstrip()
     limits: dict[str, Any] = {"allow_inf_nan": False} if float in kinds else {}
     if str in kinds and not any(isinstance(constraint, MaxLen) for constraint in field.metadata):
@@ -236,7 +236,7 @@ def _product_parameter(name: str) -> Any:
     return Annotated[(value_type | None, *readers[:1], *field.metadata, query)]
 
 
-OPTION_READERS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_INTEGER, float: PLAIN_DECIMAL}
+OPTION_VALIDATORS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_INTEGER, float: PLAIN_DECIMAL}
 
 MAX_TEXT = 100
 """Maximum number of characters of a text option."""

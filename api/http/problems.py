@@ -60,7 +60,7 @@ class ProblemKind:
         HTTP status.
     code : str
         Stable identifier.
-    about : str
+    description : str
         Description, which is also the example's ``detail``.
     retry_after_s : int or None
         Seconds of ``Retry-After``; ``None`` without that header.
@@ -68,13 +68,13 @@ class ProblemKind:
 
     status: int
     code: str
-    about: str
+    description: str
     retry_after_s: int | None = None
 
     @property
     def example(self) -> dict[str, Any]:
         """An example of a problem document of this kind."""
-        return problem_of(self.status, self.about, self.code).model_dump(exclude_none=True)
+        return problem_of(self.status, self.description, self.code).model_dump(exclude_none=True)
 
 
 def problem_kinds() -> list[ProblemKind]:
@@ -86,7 +86,7 @@ def problem_kinds() -> list[ProblemKind]:
     for error, report in ERROR_REPORTS.items():
         if not report.in_http:
             continue
-        description = report.public or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
+        description = report.public_message or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
         kinds.setdefault((report.status, report.code), ProblemKind(report.status, report.code, description, report.retry_after_s))
     for status, (code, description) in HTTP_PROBLEMS.items():
         kinds.setdefault((status, code), ProblemKind(status, code, description))
@@ -114,17 +114,17 @@ def public_error(request: Request, error: SkuggaError) -> tuple[ErrorReport, str
     If clients must not see the error's own message, it is written to the log.
     """
     report = error_report_of(error)
-    if report.public is not None:
+    if report.public_message is not None:
         log.error("%s %s: %s: %s", request.method, request.url.path, report.code, error)
-    return report, report.public or str(error)
+    return report, report.public_message or str(error)
 
 
 def public_problem(error: SkuggaError) -> Problem:
     """Return the problem document that clients get for a ``SkuggaError``."""
     report = error_report_of(error)
     # Errors that the client did not cause name no parameter, since their ``name`` may be a path of the operator's files.
-    parameter = getattr(error, "name", None) if report.public is None else None
-    problem = problem_of(report.status, report.public or str(error), report.code, parameter)
+    parameter = getattr(error, "name", None) if report.public_message is None else None
+    problem = problem_of(report.status, report.public_message or str(error), report.code, parameter)
     return problem.model_copy(update={"preparing": getattr(error, "preparing", None)})
 
 

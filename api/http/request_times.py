@@ -1,6 +1,6 @@
 """Parse the times of requests.
 
-Times are rounded, so that clients whose clocks differ slightly request the same picture. The word ``current`` means now.
+Times are rounded, so that clients whose clocks differ slightly request the same picture. The word ``is_current`` means now.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fastapi import Request
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from skugga.api.http.answers import REQUESTED_SUN_FRESH_S
+from skugga.api.http.answers import REQUESTED_SUN_MAX_AGE_S
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
@@ -30,7 +30,7 @@ TIME_HEADER = "X-Skugga-Time"
 """Response header with the rounded time, present if the request has a time."""
 
 CURRENT_S = 60
-"""Upper bound in seconds of the freshness lifetime of an answer for ``current``."""
+"""Upper bound in seconds of the freshness lifetime of an answer for ``is_current``."""
 
 _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 
@@ -38,7 +38,7 @@ _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 _DATE = re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}")
 
 
-def _date(value: Any) -> Any:
+def _parse_date(value: Any) -> Any:
     if value is None or isinstance(value, date):
         return value
     try:
@@ -54,7 +54,7 @@ def _date(value: Any) -> Any:
     return day
 
 
-def _time(value: Any) -> Any:
+def _parse_time(value: Any) -> Any:
     try:
         return (
             parse_time(value)
@@ -67,7 +67,7 @@ def _time(value: Any) -> Any:
         raise PydanticCustomError("datetime_parsing", "Input should be {words}", {"words": ALLOWED_TIMES}) from None
 
 
-PLAIN_DATE, PLAIN_TIME = BeforeValidator(_date), BeforeValidator(_time)
+PLAIN_DATE, PLAIN_TIME = BeforeValidator(_parse_date), BeforeValidator(_parse_time)
 """Pydantic validators of dates and times, for ``Annotated``.
 
 They reject numbers, which pydantic would read as seconds since 1970. ``PLAIN_DATE`` also rejects dates for which the sun's position
@@ -83,15 +83,15 @@ class RequestTime:
     ----------
     time : datetime
         The rounded time, with its UTC offset.
-    fresh_s : int
+    max_age_s : int
         Freshness lifetime of the answer in seconds.
-    current : bool
+    is_current : bool
         Whether the request asked for now.
     """
 
     time: datetime
-    fresh_s: int
-    current: bool = False
+    max_age_s: int
+    is_current: bool = False
 
 
 def rounded_time(moment: datetime, grain_s: int) -> datetime:
@@ -111,7 +111,7 @@ def rounded_time(moment: datetime, grain_s: int) -> datetime:
 def request_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
     """Return the sun of a request with its time rounded; ``None`` means the level's own sun.
 
-    ``time`` is rounded to multiples of ``grain_s`` seconds, and ``current`` is rounded down. The rounded time is also stored as
+    ``time`` is rounded to multiples of ``grain_s`` seconds, and ``is_current`` is rounded down. The rounded time is also stored as
     ``request.state.request_time``. Raises ``InputError``.
     """
     if time is not None and time.strip() == CURRENT:
@@ -121,14 +121,14 @@ def request_sun(request: Request, time: str | None, azimuth: float | None, altit
         grain = timedelta(seconds=grain_s or 1)
         moment = _EPOCH + (now - _EPOCH) // grain * grain  # rounded down: now is never in the future
         left_s = int((moment + grain - now).total_seconds())
-        request.state.request_time = RequestTime(moment, max(min(left_s, CURRENT_S), 1), current=True)
+        request.state.request_time = RequestTime(moment, max(min(left_s, CURRENT_S), 1), is_current=True)
         return SunSpec(time=moment)
     sun = parse_sun(None if time == DEFAULT_TIME else time, azimuth, altitude)
     if sun is None or sun.time is None:
         return sun
     moment = rounded_time(sun.time, grain_s)
     check_times(as_utc([moment]))
-    request.state.request_time = RequestTime(moment, REQUESTED_SUN_FRESH_S)
+    request.state.request_time = RequestTime(moment, REQUESTED_SUN_MAX_AGE_S)
     return SunSpec(time=moment)
 
 
@@ -138,9 +138,9 @@ def request_time(request: Request) -> RequestTime | None:
 
 
 def is_current(request: Request) -> bool:
-    """Return whether a request asks for ``current``. Its address then means another picture soon."""
+    """Return whether a request asks for ``is_current``. Its address then means another picture soon."""
     stored_time = request_time(request)
-    return stored_time is not None and stored_time.current
+    return stored_time is not None and stored_time.is_current
 
 
 def current_quarter_hour() -> tuple[datetime, int]:
@@ -154,9 +154,9 @@ def current_quarter_hour() -> tuple[datetime, int]:
 
 
 def freshness_s(request: Request, default_s: int) -> int:
-    """Return the freshness lifetime in seconds: for ``current`` until it means another rounded time, else ``default_s``."""
+    """Return the freshness lifetime in seconds: for ``is_current`` until it means another rounded time, else ``default_s``."""
     stored_time = request_time(request)
-    return stored_time.fresh_s if stored_time is not None and stored_time.current else default_s
+    return stored_time.max_age_s if stored_time is not None and stored_time.is_current else default_s
 
 
 def time_headers(request: Request) -> dict[str, str]:

@@ -37,7 +37,7 @@ class HorizonFormat:
         Media type of its files.
     directions
         Number of azimuths in a file; ``None`` writes all azimuths of the computed horizon.
-    about
+    description
         Description for users.
     write
         Function that returns the text of a file.
@@ -47,7 +47,7 @@ class HorizonFormat:
     suffix: str
     media_type: str
     directions: int | None
-    about: str
+    description: str
     write: Writer
 
 

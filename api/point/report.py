@@ -117,7 +117,8 @@ def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
 def _reported_day(day: SunDay, clock: str) -> ReportedDay:
     intervals = tuple(
         ReportedInterval(
-            begin=interval.begin, end=interval.end, after=reported_caster(interval.after), before=reported_caster(interval.before)
+            begin=interval.begin, end=interval.end, after=reported_caster(interval.occluder_before),
+            before=reported_caster(interval.occluder_after),
         )
         for interval in day.sunlit
     )  # fmt: skip

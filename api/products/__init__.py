@@ -65,7 +65,7 @@ def product_named(name: str, allowed: tuple[str, ...] | None = None, parameter: 
 def product_table() -> str:
     """Return the Markdown table of products for the documentation: name, description, formats and options."""
     rows = [
-        f"| `{product.name}` | {product.about} | {', '.join(product.map_formats)} | "
+        f"| `{product.name}` | {product.description} | {', '.join(product.map_formats)} | "
         f"{', '.join(f'`{name}`' for name in product.options.model_fields) or '-'} |"
         for product in map(PRODUCTS.__getitem__, MAP_PRODUCTS)
     ]

@@ -16,6 +16,6 @@ def _compute(part: Part) -> np.ndarray:
 
 
 PRODUCT = Product(
-    name="color", about="shaded relief with cast shadows", formats=("png", "webp", "tif", "jpg"), compute=_compute,
+    name="color", description="shaded relief with cast shadows", formats=("png", "webp", "tif", "jpg"), compute=_compute,
     needs=frozenset({"color", "opacity", "reach"}), dtype="uint8", bands=4, nodata=None, is_picture=True, is_display=True,
 )  # fmt: skip

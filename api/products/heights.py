@@ -38,14 +38,14 @@ def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> P
         return encoded_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
 
     return Product(
-        name=name, about=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME,
+        name=name, description=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME,
         dtype="uint8", bands=3, nodata=None, encoding=encoding, empty=empty,
     )  # fmt: skip
 
 
 PRODUCTS = (
     Product(
-        name="height", about="the ground's heights in metres", formats=("npy", "tif"), compute=height_m, when="none",
+        name="height", description="the ground's heights in metres", formats=("npy", "tif"), compute=height_m, when="none",
         perspective_needs=NEEDS_FRAME, unit="m",
     ),
     _encoded_product("terrain-rgb", "heights in Mapbox's encoding, for terrain in three dimensions", "mapbox"),

@@ -14,6 +14,6 @@ def _compute(part: Part) -> np.ndarray:
 
 
 PRODUCT = Product(
-    name="cosi", about="the cosine of the sun's angle of incidence on the ground", formats=("tif", "npy"), compute=_compute,
+    name="cosi", description="the cosine of the sun's angle of incidence on the ground", formats=("tif", "npy"), compute=_compute,
     view_kinds=("map",), unit="1",
 )  # fmt: skip

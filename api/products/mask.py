@@ -16,7 +16,7 @@ def _compute(part: Part) -> np.ndarray:
 
 
 PRODUCT = Product(
-    name="mask", about=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
+    name="mask", description=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
     formats=("png", "webp", "tif", "npy"), compute=_compute, needs=VISIBILITY, dtype="uint8", nodata=MASK_NO_SURFACE,
     is_smooth=False, is_picture=True,
 )  # fmt: skip

@@ -52,7 +52,8 @@ def _pass_product(
         return by_light[light]
 
     return Product(
-        name=layer, about=description, formats=formats, compute=compute, needs=NEEDS_FRAME, pass_layer=layer, to_picture=to_picture
+        name=layer, description=description, formats=formats, compute=compute, needs=NEEDS_FRAME, pass_layer=layer,
+        to_picture=to_picture,
     )  # fmt: skip
 
 

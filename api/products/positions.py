@@ -42,8 +42,15 @@ def _position(part: Part) -> np.ndarray:
 
 
 PRODUCTS = (
-    Product(name="depth", about="", formats=("npy", "tif"), compute=_depth, needs=NEEDS_FRAME, unit="m", is_served=False),
+    Product(name="depth", description="", formats=("npy", "tif"), compute=_depth, needs=NEEDS_FRAME, unit="m", is_served=False),
     Product(
-        name="position", about="", formats=("npy",), compute=_position, needs=NEEDS_FRAME, dtype="float64", bands=3, is_served=False
+        name="position",
+        description="",
+        formats=("npy",),
+        compute=_position,
+        needs=NEEDS_FRAME,
+        dtype="float64",
+        bands=3,
+        is_served=False,
     ),
 )

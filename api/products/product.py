@@ -143,7 +143,7 @@ class Product:
     ----------
     name
         The name in commands, queries and files.
-    about
+    description
         A description in one line, in lower case; empty for a product that HTTP does not serve.
     formats
         The file formats that hold it without loss, or as a picture.
@@ -182,7 +182,7 @@ class Product:
     color_scale
         Returns the colour scale of pictures and legends, for options and a world.
     describe
-        Returns ``about`` and ``unit`` for options, if they depend on the options.
+        Returns ``description`` and ``unit`` for options, if they depend on the options.
     empty
         Returns the array of a map without data, from rows, columns and the height of the level's lowest ground in metres; ``None``:
         an array of ``nodata``.
@@ -199,7 +199,7 @@ class Product:
     """
 
     name: str
-    about: str
+    description: str
     formats: tuple[MapFormat, ...]
     compute: Callable[[Part], np.ndarray]
     view_kinds: tuple[Literal["map", "perspective"], ...] = ("map", "perspective")
@@ -264,7 +264,7 @@ class Product:
 
     def description_and_unit(self, options: ProductOptions) -> tuple[str, str]:
         """Return the description and the unit of values for some options."""
-        return (self.about, self.unit) if self.describe is None else self.describe(options)
+        return (self.description, self.unit) if self.describe is None else self.describe(options)
 
     def options_of(self, values: Mapping[str, Any]) -> ProductOptions:
         """Validate names and values of options, and return them as a model.

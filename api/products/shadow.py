@@ -17,6 +17,6 @@ def _compute(part: Part) -> np.ndarray:
 
 
 PRODUCT = Product(
-    name="shadow", about="black with the shadow as opacity", formats=("png", "webp", "tif"), compute=_compute,
+    name="shadow", description="black with the shadow as opacity", formats=("png", "webp", "tif"), compute=_compute,
     needs=frozenset({"color", "opacity", "reach"}), dtype="uint8", bands=4, nodata=None, is_picture=True,
 )  # fmt: skip

@@ -203,7 +203,7 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
 
 
 PRODUCT = Product(
-    name=NAME, about="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
+    name=NAME, description="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
     view_kinds=("map",), when="days", options=SunHoursOptions, unit="h", color_scale=_color_scale,
     describe=lambda options: QUANTITIES[options.quantity], blocks=sun_blocks, step_count=_date_count,
     tags=_tags, check=_check,

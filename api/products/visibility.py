@@ -18,6 +18,6 @@ def visibility_of(part: Part) -> np.ndarray:
 
 
 PRODUCT = Product(
-    name="visibility", about="the share of the light that reaches the ground, 0 to 1", formats=("npy", "tif"),
+    name="visibility", description="the share of the light that reaches the ground, 0 to 1", formats=("npy", "tif"),
     compute=visibility_of, needs=VISIBILITY, unit="1",
 )  # fmt: skip

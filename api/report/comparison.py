@@ -64,8 +64,8 @@ def print_comparison(comparison: Comparison, base_command: str) -> None:
         table.add_row(*_cells(row))
     console.print(table)
     console.print(
-        f"boundary {100 * comparison.boundary:.2f} % of the surface (errors are not counted there), "
-        f"surface {100 * comparison.surface:.2f} % (difference of the rendered grid from the full raster), "
+        f"boundary {100 * comparison.undecided_share:.2f} % of the surface (errors are not counted there), "
+        f"surface {100 * comparison.simplification_share:.2f} % (difference of the rendered grid from the full raster), "
         f"noise floor {100 * comparison.noise_floor:.3f} % {comparison.error.replace('_', ' ')}"
     )
     if any(row.figures["cold"] for row in comparison.rows):

@@ -146,10 +146,10 @@ def _left_out_note(commands: Sequence[str]) -> list[str]:
 
 def _shares(comparison: Comparison) -> dict[str, str]:
     return {
-        "cast shadow": f"{format_percent(comparison.cast)} of the surface, by truth",
-        "boundary": f"{format_percent(comparison.boundary)} of the surface: errors are not counted there, because "
+        "cast shadow": f"{format_percent(comparison.cast_share)} of the surface, by truth",
+        "boundary": f"{format_percent(comparison.undecided_share)} of the surface: errors are not counted there, because "
         "truth itself is uncertain",
-        "rendered grid": f"{format_percent(comparison.surface)} of the surface differs from that of the full raster",
+        "rendered grid": f"{format_percent(comparison.simplification_share)} of the surface differs from that of the full raster",
         "noise floor": f"{format_percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
         f"errors up to {format_percent(EXACT_NOISE_FLOORS * comparison.noise_floor)} are called exact",
     }

@@ -30,7 +30,7 @@ def format_summary(comparison: Comparison) -> list[str]:
     rows = [row.figures for row in comparison.rows if casts_shadow(row.figures, comparison.light)]
     if not rows:
         return []
-    summary = _SummaryText(comparison.error, EXACT_NOISE_FLOORS * comparison.noise_floor)
+    summary = _SummaryWriter(comparison.error, EXACT_NOISE_FLOORS * comparison.noise_floor)
     front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.error_of(f)))
     return [
         *summary.extreme_sentences(rows), *summary.price_sentences(front), *_default_sentences(rows, comparison),
@@ -56,7 +56,7 @@ def is_on_front(figures: RowFigures, light: str) -> bool:
 
 
 @dataclass(frozen=True)
-class _SummaryText:
+class _SummaryWriter:
     """Writer of the sentences about one kind of error.
 
     Attributes

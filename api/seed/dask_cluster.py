@@ -81,8 +81,8 @@ class DaskCluster:
         self._run, self._present_at_s = (shards, name), clock.monotonic()
         return self
 
-    def free(self) -> Sequence[int]:
-        """Implement ``Runner.free`` with a single lane, since Dask chooses the worker of a task."""
+    def free_lanes(self) -> Sequence[int]:
+        """Implement ``Runner.free_lanes`` with a single lane, since Dask chooses the worker of a task."""
         return [0] * max(TASKS_PER_WORKER * len(self._eligible_workers()) - len(self._running), 0)
 
     def submit(self, task: Task, lane: int = 0) -> None:

@@ -38,7 +38,7 @@ class GroundChunks:
         Digest of each chunk's cells, and of the cells over them in the file's overviews.
     low_m, high_m : (rows, cols) float32
         Lowest and highest height of each chunk's surface, metres; NaN without data.
-    holes : bool
+    has_nodata : bool
         Whether any cell of the raster has no data.
     """
 
@@ -46,7 +46,7 @@ class GroundChunks:
     digests: np.ndarray
     low_m: np.ndarray
     high_m: np.ndarray
-    holes: bool
+    has_nodata: bool
 
     @cached_property
     def digest(self) -> bytes:
@@ -57,7 +57,7 @@ class GroundChunks:
         """Return the chunks as bytes for the task table."""
         out = io.BytesIO()
         np.savez_compressed(
-            out, side=self.side, digests=self.digests, low_m=self.low_m, high_m=self.high_m, holes=self.holes
+            out, side=self.side, digests=self.digests, low_m=self.low_m, high_m=self.high_m, holes=self.has_nodata
         )  # fmt: skip
         return out.getvalue()
 
@@ -77,12 +77,12 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
     factors = [factor for factor in elevation.overview_factors if factor <= side]
     digests = np.zeros((*shape, CHUNK_DIGEST_BYTES), np.uint8)
     low_m, high_m = (np.full(shape, np.nan, np.float32) for _ in range(2))
-    holes, chunks_per_read = False, max(READ_CELLS // side // side, 1)
+    has_nodata, chunks_per_read = False, max(READ_CELLS // side // side, 1)
     for i in range(shape[0]):
         for first in range(0, shape[1], chunks_per_read):
             rows = slice(i * side, min((i + 1) * side, elevation.rows))
             cols = slice(first * side, min((first + chunks_per_read) * side, elevation.cols))
-            stored, stored_valid = elevation.stored(rows, cols)
+            stored, stored_valid = elevation.stored_values(rows, cols)
             overviews = [_overview_cells(elevation, rows, cols, factor) for factor in factors]
             for j in range(first, min(first + chunks_per_read, shape[1])):
                 chunk_cols = slice((j - first) * side, (j - first + 1) * side)
@@ -95,13 +95,13 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
                 ):
                     digest.update(np.ascontiguousarray(part).tobytes())
                 digests[i, j] = np.frombuffer(digest.digest(), np.uint8)
-                holes |= not valid.all()
+                has_nodata |= not valid.all()
                 if valid.any():
                     low_m[i, j], high_m[i, j] = elevation.surface_range_m(cells[valid])
-    return GroundChunks(side, digests, low_m, high_m, holes)
+    return GroundChunks(side, digests, low_m, high_m, has_nodata)
 
 
 def _overview_cells(elevation: Elevation, rows: slice, cols: slice, factor: int) -> tuple[int, np.ndarray]:
     """Return an overview's factor of decimation, and its cells in a window of the raster."""
     shape = max((rows.stop - rows.start) // factor, 1), max((cols.stop - cols.start) // factor, 1)
-    return factor, elevation.stored(rows, cols, shape)[0]
+    return factor, elevation.stored_values(rows, cols, shape)[0]

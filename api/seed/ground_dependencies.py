@@ -74,7 +74,7 @@ class _SunlitChunks:
     ----------
     light : LightSpace
         The light space of the sun.
-    tops : (n, 3)
+    top_points_light_m : (n, 3)
         The highest point of each chunk, raised by the height of the tallest object.
     object_height_m : float
         Height of the tallest object on the ground, metres.
@@ -83,7 +83,7 @@ class _SunlitChunks:
     """
 
     light: LightSpace
-    tops: np.ndarray
+    top_points_light_m: np.ndarray
     object_height_m: float
     is_per_point: bool
 
@@ -116,7 +116,7 @@ class GroundDependencies:
         shades_ground
             Whether the picture includes the shading of the ground.
         """
-        sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.runs else None
+        sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.effect_names else None
         digests = []
         for (x, y), mask in zip(blocks, self.chunk_masks(grid, blocks, plan), strict=True):
             digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
@@ -130,7 +130,7 @@ class GroundDependencies:
     def chunk_masks(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
         """Return the chunks that each block depends on, as one bool mask (rows, cols) of chunks for each block."""
         shape = self._chunks.low_m.shape
-        if plan is not None and plan.runs & GLOBAL_EFFECTS:
+        if plan is not None and plan.effect_names & GLOBAL_EFFECTS:
             return [np.ones(shape, np.bool_) for _ in blocks]
         sunlit = None if plan is None else self._tops_in_sun(plan)
         masks = []
@@ -168,7 +168,7 @@ class GroundDependencies:
         if not np.isfinite(row).all() or not np.isfinite(col).all():
             return -np.inf, np.inf, -np.inf, np.inf
         cells_per_node = max(2.0 ** self._scene.surface(grid).lod, 1.0)
-        margin = cells_per_node * (MARGIN_CELLS + (FILL_CELLS if self._chunks.holes else 0))
+        margin = cells_per_node * (MARGIN_CELLS + (FILL_CELLS if self._chunks.has_nodata else 0))
         margins = [0.01 * np.ptp(values) + margin for values in (row, col)]  # margin for curved sides of a block
         if elevation.crs.is_geographic and (np.ptp(col) > elevation.cols / 2 or col.min() < 0 or col.max() > elevation.cols):
             return row.min() - margins[0], row.max() + margins[0], -np.inf, np.inf  # it may lie across the antimeridian
@@ -184,14 +184,14 @@ class GroundDependencies:
 
     def _tops_in_sun(self, plan: Plan) -> _SunlitChunks | None:
         """Return the chunks' highest points in light space; ``None`` if the plan casts no shadow of the sun."""
-        scene = with_apparent_sun(self._scene, plan.runs)
-        if scene.sun is None or not scene.sun_is_up or not plan.casts:
+        scene = with_apparent_sun(self._scene, plan.effect_names)
+        if scene.sun is None or not scene.sun_is_up or not plan.casts_shadows:
             return None
         light, object_height_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
-        tops = light.from_earth(self._points.top_earth_m + object_height_m * _unit_vectors(self._points.top_earth_m))
+        top_points_light_m = light.from_earth(self._points.top_earth_m + object_height_m * _unit_vectors(self._points.top_earth_m))
         # Algorithms with OpenGL fit their maps to all casters; the others compute each point separately.
         uses_fitted_maps = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
-        return _SunlitChunks(light, tops, object_height_m, is_terrain_only(scene) and not uses_fitted_maps)
+        return _SunlitChunks(light, top_points_light_m, object_height_m, is_terrain_only(scene) and not uses_fitted_maps)
 
     def _shading_chunks(self, grid: Grid, x: int, y: int, visible_chunks: np.ndarray, sunlit: _SunlitChunks) -> np.ndarray:
         """Return the chunks that can cast a shadow on a block whose ground lies in ``visible_chunks``."""
@@ -208,8 +208,8 @@ class GroundDependencies:
         if not valid.any():
             return np.ones(visible_chunks.shape, np.bool_)
         receivers = sunlit.light.from_earth(np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)]))
-        lower, upper, tops = receivers.min(axis=0), receivers.max(axis=0), sunlit.tops
-        distance_m = np.maximum(upper[2] - tops[:, 2], 0.0)
+        lower, upper, top_points_light_m = receivers.min(axis=0), receivers.max(axis=0), sunlit.top_points_light_m
+        distance_m = np.maximum(upper[2] - top_points_light_m[:, 2], 0.0)
         margin_m = self._points.half_m + np.tan(np.radians(SHADOW_MARGIN_DEG)) * distance_m
         if not sunlit.is_per_point:
             step_m = map_pixel_m(scene.world, block_of_grid(grid, x, y))
@@ -217,8 +217,8 @@ class GroundDependencies:
                 2.0
             )
         can_shade = (
-            (tops[:, 0] >= lower[0] - margin_m) & (tops[:, 0] <= upper[0] + margin_m)
-            & (tops[:, 1] >= lower[1] - margin_m) & (tops[:, 2] <= upper[2] + margin_m)
+            (top_points_light_m[:, 0] >= lower[0] - margin_m) & (top_points_light_m[:, 0] <= upper[0] + margin_m)
+            & (top_points_light_m[:, 1] >= lower[1] - margin_m) & (top_points_light_m[:, 2] <= upper[2] + margin_m)
         )  # fmt: skip
         return can_shade.reshape(visible_chunks.shape)
 

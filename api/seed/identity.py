@@ -76,7 +76,7 @@ def contents_digest(source: str, table: TaskTable) -> str:
 def plan_digest(plan: Plan | None) -> str:
     """Return the digest of what a plan does. Its reasons and expected costs do not count."""
     return digest_of_json(None if plan is None else plan.model_dump(mode="json", include={"algorithm", "settings"}) | {
-        "effects": sorted(plan.runs)
+        "effects": sorted(plan.effect_names)
     })  # fmt: skip
 
 

@@ -20,7 +20,7 @@ MAX_FAILED_STARTS = 5
 class Runner(Protocol):
     """Protocol of the workers that draw the tasks of a run. Use it from one thread."""
 
-    def free(self) -> Sequence[int]:
+    def free_lanes(self) -> Sequence[int]:
         """Return the lanes (queues of workers) that accept a task now. A lane is listed once for each task that it accepts.
 
         Consecutive tasks of a lane are best neighbours on the map, because its worker then has most of the ground in memory.
@@ -55,8 +55,8 @@ class LocalPool:
             process.begin(*self._run)
         return self
 
-    def free(self) -> Sequence[int]:
-        """Implement ``Runner.free``. Each process is a lane."""
+    def free_lanes(self) -> Sequence[int]:
+        """Implement ``Runner.free_lanes``. Each process is a lane."""
         return [lane for lane, process in enumerate(self._processes) if process.is_ready and process.task is None]
 
     def submit(self, task: Task, lane: int) -> None:

@@ -69,7 +69,7 @@ class SeedRequest:
         Zooms; ``None``: from the zoom that shows the whole level to the zoom of its cells.
     suns : tuple
         Suns; ``None`` is the level's own.
-    asked : ProductRequest
+    product_request : ProductRequest
         The product and its options, independent of the sun.
     format : str
         Format of the tiles.
@@ -78,7 +78,7 @@ class SeedRequest:
     level: LevelSource
     zooms: ZoomRange | None
     suns: tuple[SunSpec | None, ...]
-    asked: ProductRequest
+    product_request: ProductRequest
     format: MapFormat
 
 
@@ -167,8 +167,8 @@ def _make_spec(
     table.put(asked=b"")  # an interrupted planning is repeated
     on_status("Reading the ground")
     ground = GroundDependencies(scene, ground_chunks_of(loaded, scene, table))
-    product, overrides = request.asked.product_record, request.asked.overrides
-    request_values = [level_digest(loaded, scene, table), request.format, request.asked.model_dump(mode="json")]
+    product, overrides = request.product_request.product_record, request.product_request.overrides
+    request_values = [level_digest(loaded, scene, table), request.format, request.product_request.model_dump(mode="json")]
     # The range of heights scales colours, and its middle places lines towards the sun.
     drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
     planner = _Planner(table, loaded, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
@@ -193,8 +193,8 @@ def _make_spec(
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, share, whole_s * share))
     table.set_tasks(tasks)
     return RunSpec(
-        level=request.level, ground=version, renderer=renderer, asked=request.asked, format=request.format, suns=request.suns,
-        plans=tuple(plans),
+        level=request.level, ground=version, renderer=renderer, asked=request.product_request, format=request.format,
+        suns=request.suns, plans=tuple(plans),
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ class PlannedZoom(BaseModel):
     plan: str
 
     @cached_property
-    def read(self) -> Plan:
+    def parsed_plan(self) -> Plan:
         """The plan."""
         return Plan.model_validate_json(self.plan)
 
@@ -60,4 +60,4 @@ class RunSpec(BaseModel):
     @cached_property
     def plan_by_sun_and_zoom(self) -> dict[tuple[int, int], Plan]:
         """Plans by index of the sun and zoom."""
-        return {(planned_zoom.sun, planned_zoom.zoom): planned_zoom.read for planned_zoom in self.plans}
+        return {(planned_zoom.sun, planned_zoom.zoom): planned_zoom.parsed_plan for planned_zoom in self.plans}

@@ -100,7 +100,7 @@ def run_tasks(
     unchecked: list[TaskResult] = []
     total, done, checked_at_s = len(waiting_tasks), 0, clock.monotonic()
     while waiting_tasks or running:
-        for lane in runner.free():
+        for lane in runner.free_lanes():
             if waiting_tasks:
                 task = task_of(table, run, waiting_tasks.take(lane), min_limit_s)
                 running[task.id] = task

@@ -53,7 +53,7 @@ class PlannedTask(NamedTuple):
         Smallest tile id of the block.
     parts : KeyParts
         Digests of the inputs of its tiles.
-    share : float
+    data_share : float
         Share of the block that shows data.
     expected_s : float
         Expected duration in seconds.
@@ -65,7 +65,7 @@ class PlannedTask(NamedTuple):
     y: int
     first_tile: int
     parts: KeyParts
-    share: float
+    data_share: float
     expected_s: float
 
 
@@ -210,7 +210,7 @@ class TaskTable:
                 NEW_REASON,
                 task_key(task),
                 parts,
-                task.share,
+                task.data_share,
                 task.expected_s,
             )
 

@@ -50,7 +50,7 @@ def check_admission(queue: JobQueue, job: Job, client: str, now_s: float, settin
     client_jobs = queue.jobs_of_client(client)
     if not client_jobs or (is_tile(job) and sum(is_tile(pending_job.job) for pending_job in client_jobs) < settings.queue_length):
         return
-    cost_s, work_s = queue.expected.of(job), sum(pending_job.cost_s for pending_job in client_jobs)
+    cost_s, work_s = queue.expected_times.expected_s(job), sum(pending_job.cost_s for pending_job in client_jobs)
     if work_s + cost_s > settings.queue_work_s:
         message = (
             f"The service is busy: {len(client_jobs)} pictures of this client are queued, expected to take {work_s:.1f} s, "

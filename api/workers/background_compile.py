@@ -23,7 +23,7 @@ log = logging.getLogger("skugga")
 
 
 class BackgroundCompile:
-    """Compiles all missing loops once, in a separate process. After a failure the next ``begin`` retries.
+    """Compiles all missing loops once, in a separate process. After a failure the next ``start_if_needed`` retries.
 
     Use it from one event loop.
 
@@ -38,7 +38,7 @@ class BackgroundCompile:
     def __init__(self, processes: int, on_progress: Callable[[Preparing | None], None]) -> None:
         self._processes, self._on_progress = processes, on_progress
         self._thread = ThreadPoolExecutor(1, "skugga-compile")
-        self._farm: subprocess.Popen[str] | None = None
+        self._compile_process: subprocess.Popen[str] | None = None
         self._task: asyncio.Task[None] | None = None
         self._is_done = self._closed = False
         self._not_before_s = float("-inf")
@@ -48,7 +48,7 @@ class BackgroundCompile:
         """Whether loops are being compiled."""
         return self._task is not None and not self._task.done()
 
-    def begin(self, missing_loops: int) -> None:
+    def start_if_needed(self, missing_loops: int) -> None:
         """Start the compilation of the missing loops, whose number is ``missing_loops``. Return at once.
 
         It does not start if no loops are missing, it runs or is done already, or it failed less than ``RETRY_DELAY_S`` ago.
@@ -62,8 +62,8 @@ class BackgroundCompile:
     async def close(self) -> None:
         """Kill the compiling process and wait for its end. Loops that it has compiled stay stored."""
         self._closed = True
-        if self._farm is not None:
-            self._farm.kill()
+        if self._compile_process is not None:
+            self._compile_process.kill()
         if self._task is not None:
             await asyncio.gather(self._task, return_exceptions=True)
         self._thread.shutdown(wait=True)
@@ -85,6 +85,6 @@ class BackgroundCompile:
         compile_ahead(PRODUCTS, self._processes, report, background=True, on_start=self._note_start)
 
     def _note_start(self, farm: subprocess.Popen[str]) -> None:
-        self._farm = farm
+        self._compile_process = farm
         if self._closed:
             farm.kill()

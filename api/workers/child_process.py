@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from skugga.api.resource_exhaustion import run_in_pool
 from skugga.api.workers.piped_process import PipedProcess
-from skugga.api.workers.process_life import EXIT_TIMEOUT_S, process_end
+from skugga.api.workers.process_life import EXIT_TIMEOUT_S, wait_for_exit
 
 T = TypeVar("T")
 
@@ -57,7 +57,7 @@ class ChildProcess:
 
     async def wait_for_end(self) -> None:
         """Wait until the process has ended, for at most ``EXIT_TIMEOUT_S``."""
-        await process_end(self._piped.process)
+        await wait_for_exit(self._piped.process)
 
     async def end(self) -> None:
         """Kill the process and close its pipe."""

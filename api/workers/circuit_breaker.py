@@ -25,7 +25,7 @@ INITIAL_OPEN_S, MAX_OPEN_S = 30.0, 600.0
 class _Record:
     failures: int = 0
     open_until_s: float = 0.0
-    next_pause_s: float = INITIAL_OPEN_S
+    next_open_s: float = INITIAL_OPEN_S
 
 
 class CircuitBreaker:
@@ -52,7 +52,7 @@ class CircuitBreaker:
             if record.failures >= FAILURE_THRESHOLD:
                 # After the pause a single further failure opens the circuit again.
                 record = _Record(
-                    FAILURE_THRESHOLD - 1, self._clock() + record.next_pause_s, min(record.next_pause_s * 2.0, MAX_OPEN_S)
+                    FAILURE_THRESHOLD - 1, self._clock() + record.next_open_s, min(record.next_open_s * 2.0, MAX_OPEN_S)
                 )
             self._records.put(key, value=record)
 

@@ -52,7 +52,7 @@ class ExpectedTimes:
     def __init__(self) -> None:
         self._seconds: Cache[float] = Cache("skugga.api.workers.expected_times", "process", MIB, lambda _: 512)
 
-    def of(self, job: Job) -> float:
+    def expected_s(self, job: Job) -> float:
         """Return the expected duration of a job in seconds."""
         average_s = self._average_s(job)
         return (_initial_estimate_s(job) if average_s is None else average_s) * _size_of(job)
@@ -62,7 +62,7 @@ class ExpectedTimes:
         average_s = self._average_s(job)
         return average_s is not None and average_s * _size_of(job) <= MAX_LIGHT_S
 
-    def learn(self, job: Job, seconds: float) -> None:
+    def add_duration(self, job: Job, seconds: float) -> None:
         """Update the averages with the measured duration of a job in seconds."""
         unit_seconds = seconds / _size_of(job)
         for key in _keys_of(job):

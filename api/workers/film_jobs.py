@@ -5,7 +5,7 @@ The plan (choice of algorithms) of a frame depends on that of the previous frame
 
 from __future__ import annotations
 
-from skugga.api.workers.jobs import Film, FilmCheckJob, FilmPicture, FrameJob, PlanHandover
+from skugga.api.workers.jobs import Film, FilmCheckJob, FilmPicture, FilmPlanState, FrameJob
 from skugga.api.workers.map_plans import plan_function_in_service
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.selector.film import FrameMoment, film_frames, frame_moments
@@ -31,14 +31,14 @@ def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan,
 def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
     """Draw one frame of a film. Return its colours and the planning state for the next frame. Raises ``SkuggaError``."""
     moments = frame_moments(scene, job.film_request(), only=job.number)
-    replanner = _replanner(job, moments[0], scene, basis, job.previous_plans)
+    replanner = _replanner(job, moments[0], scene, basis, job.previous_plan_state)
     (frame,) = film_frames(scene, job.film_request(), moments, replanner)
     assert replanner.state is not None
-    return FilmPicture(frame.color, PlanHandover(replanner.state))
+    return FilmPicture(frame.color, FilmPlanState(replanner.state))
 
 
 def _replanner(
-    film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, previous_plans: PlanHandover | None = None
+    film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, previous_plan_state: FilmPlanState | None = None
 ) -> Replanner:
     plans = plan_function_in_service(moment.scene(scene), moment.view, film.level, basis)
-    return Replanner(plans=plans, state=None if previous_plans is None else previous_plans.state)
+    return Replanner(plans=plans, state=None if previous_plan_state is None else previous_plan_state.state)

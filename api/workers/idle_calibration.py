@@ -63,7 +63,7 @@ class IdleCalibration:
         self._enabled, self._idle, self._device, self._set_profile, self._measure = enabled, idle, device, set_profile, measure
         self._renderer, self._version = "", ""
         self._expected, self._failed = enabled, False
-        self._watching: asyncio.Task[None] | None = None
+        self._watch_task: asyncio.Task[None] | None = None
 
     @property
     def state(self) -> CalibrationState:
@@ -83,7 +83,7 @@ class IdleCalibration:
         """Whether the device will be calibrated in idle time. Plans may change then."""
         return self._expected and self._device() is None
 
-    def begin(self, renderer: str, version: str) -> None:
+    def start_watching(self, renderer: str, version: str) -> None:
         """Load the calibration of a device, or request its measurement, and watch its file. Later calls do nothing.
 
         ``renderer`` and ``version`` are OpenGL's names of the device and the driver in the render processes. An empty ``version``
@@ -93,13 +93,13 @@ class IdleCalibration:
             return
         self._renderer, self._version, self._expected = renderer, version, self._enabled and bool(version)
         if version:
-            self._watching = asyncio.create_task(self._watch())
+            self._watch_task = asyncio.create_task(self._watch())
 
     async def close(self) -> None:
         """Stop watching the file."""
-        if self._watching is not None:
-            self._watching.cancel()
-            await asyncio.gather(self._watching, return_exceptions=True)
+        if self._watch_task is not None:
+            self._watch_task.cancel()
+            await asyncio.gather(self._watch_task, return_exceptions=True)
 
     def _request_calibration(self) -> None:
         if not self._enabled:

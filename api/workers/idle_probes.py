@@ -86,15 +86,15 @@ class IdleProbes:
         self._failed: set[tuple[str, int]] = set()
         self._folder: Path | None = None
         self._read_ns: dict[str, int] = {}
-        self._watching: asyncio.Task[None] | None = None
+        self._watch_task: asyncio.Task[None] | None = None
         self._is_unsaved = False
 
     @property
-    def waiting(self) -> int:
+    def requested_count(self) -> int:
         """Number of requested probes that are not made yet. Each is of one level under one class of suns."""
         return len(self._requested)
 
-    def begin(self, renderer: str, version: str) -> None:
+    def start_watching(self, renderer: str, version: str) -> None:
         """Load the stored probes of a device, and watch their folder for new ones. Later calls do nothing.
 
         ``renderer`` and ``version`` are OpenGL's names of the device and the driver in the render processes. An empty ``version``
@@ -105,29 +105,29 @@ class IdleProbes:
             self._add_new_probes(
                 self._read_changed_files()
             )  # before the first picture, so that saved probes do not change its plan later
-            self._watching = asyncio.create_task(self._watch())
+            self._watch_task = asyncio.create_task(self._watch())
 
     async def close(self) -> None:
         """Stop watching the files."""
-        if self._watching is not None:
-            self._watching.cancel()
-            await asyncio.gather(self._watching, return_exceptions=True)
+        if self._watch_task is not None:
+            self._watch_task.cancel()
+            await asyncio.gather(self._watch_task, return_exceptions=True)
 
-    def request_probe(self, level: LevelKey, unprobed: MapClass) -> None:
-        """Request the probe of a level for a map whose plan had none. ``unprobed`` is the class of the map: its scale and sun.
+    def request_probe(self, level: LevelKey, unprobed_class: MapClass) -> None:
+        """Request the probe of a level for a map whose plan had none. ``unprobed_class`` is its class: scale and sun.
 
         Nothing is requested without a calibration, or if such a probe exists, is requested already or has failed.
         """
-        device, key = self._device(), (level.version, unprobed.sun)
+        device, key = self._device(), (level.version, unprobed_class.sun)
         if not self._enabled or self._folder is None or device is None or key in self._requested | self._failed:
             return
         if any(
-            probed_class.sun == unprobed.sun
+            probed_class.sun == unprobed_class.sun
             for probed_class in MapProbes.model_validate_json(self._probes_in_use().get(level.version, "{}")).classes
         ):
             return  # the level was probed under such a sun; the map has a scale that tiles do not have
         self._requested.add(key)
-        name = f"{level.path.stem} under a sun about {unprobed.sun_altitude_deg:.0f} degrees high"
+        name = f"{level.path.stem} under a sun about {unprobed_class.sun_altitude_deg:.0f} degrees high"
 
         async def done(probes: MapProbes) -> None:
             await self._save_result(level, device, probes, name)
@@ -138,7 +138,7 @@ class IdleProbes:
             self._requested.discard(key)
             log.warning("maps of %s could not be probed, so their plans rely on predictions alone: %s", name, reason)
 
-        self._idle.add(IdleJob(self._probe, (level, unprobed.sun, device), done, failed))
+        self._idle.add(IdleJob(self._probe, (level, unprobed_class.sun, device), done, failed))
 
     async def _save_result(self, level: LevelKey, device: DeviceProfile, probes: MapProbes, name: str) -> None:
         known_probes = MapProbes.model_validate_json(self._probes_in_use().get(level.version, "{}"))

@@ -86,7 +86,7 @@ class JobQueue:
     ----------
     processes : int
         Number of render processes.
-    expected : ExpectedTimes
+    expected_times : ExpectedTimes
         Expected durations.
     waiting : dict
         Waiting jobs, by job.
@@ -97,7 +97,7 @@ class JobQueue:
     """
 
     processes: int
-    expected: ExpectedTimes = field(default_factory=ExpectedTimes)
+    expected_times: ExpectedTimes = field(default_factory=ExpectedTimes)
     waiting: dict[Job, PendingJob] = field(default_factory=dict)
     running: set[PendingJob] = field(default_factory=set)
     credit_s: dict[str, float] = field(default_factory=dict)
@@ -116,10 +116,10 @@ class JobQueue:
 
     def put(self, pending: PendingJob) -> None:
         """Add a job to the waiting ones, and set its expected duration."""
-        pending.cost_s = self.expected.of(pending.job)
+        pending.cost_s = self.expected_times.expected_s(pending.job)
         self.waiting[pending.job] = pending
 
-    def take(self, now_s: float) -> PendingJob | None:
+    def start_next(self, now_s: float) -> PendingJob | None:
         """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start."""
         heavy_count = sum(not self._is_light(pending_job) for pending_job in self.running)
         may_be_heavy = heavy_count < max(self.processes - 1, 1)
@@ -139,13 +139,13 @@ class JobQueue:
             del self.waiting[pending.job]
         self.running.discard(pending)
 
-    def learn(self, job: Job, seconds: float) -> None:
+    def add_duration(self, job: Job, seconds: float) -> None:
         """Learn the measured duration of a job in seconds, and update the expected durations of waiting jobs of its kind."""
-        self.expected.learn(job, seconds)
+        self.expected_times.add_duration(job, seconds)
         kind = kind_of_job(job)
         for pending_job in self.waiting.values():
             if kind_of_job(pending_job.job) == kind:
-                pending_job.cost_s = self.expected.of(pending_job.job)
+                pending_job.cost_s = self.expected_times.expected_s(pending_job.job)
 
     def wait_s(self, job: Job, client: str, now_s: float) -> float:
         """Return the expected wait in seconds of a job that a client requests now.
@@ -153,7 +153,7 @@ class JobQueue:
         The job waits for the running jobs and for its client's jobs with a lower sort key. Meanwhile each other client uses up to
         as much time as this client.
         """
-        cost_s = self.expected.of(job)
+        cost_s = self.expected_times.expected_s(job)
         work_s: dict[str, float] = {client: 0.0}
         for pending_job in self.foreground_jobs:
             if pending_job.client != client or pending_job.sort_key_s <= now_s + cost_s:
@@ -199,4 +199,4 @@ class JobQueue:
         return first_jobs[chosen]
 
     def _is_light(self, pending: PendingJob) -> bool:
-        return not pending.is_background and self.expected.is_light(pending.job)
+        return not pending.is_background and self.expected_times.is_light(pending.job)

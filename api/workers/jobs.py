@@ -181,7 +181,7 @@ class FilmCheckJob(Film):
 
 
 @dataclass(frozen=True, eq=False)
-class PlanHandover:
+class FilmPlanState:
     """Planning state after a frame of a film, from which the plan of the next frame is made.
 
     Another process may draw the next frame. Two objects are equal only if they are the same object.
@@ -193,11 +193,11 @@ class PlanHandover:
 class FrameJob(Film):
     """Draw one frame of a film.
 
-    ``number`` counts frames from 0. ``previous_plans`` is the planning state after the previous frame; ``None`` for the first.
+    ``number`` counts frames from 0. ``previous_plan_state`` is the planning state after the previous frame; ``None`` for the first.
     """
 
     number: int
-    previous_plans: InstanceOf[PlanHandover] | None = None
+    previous_plan_state: InstanceOf[FilmPlanState] | None = None
 
 
 Job = (
@@ -289,9 +289,9 @@ class BlockTiles:
         OpenGL's name of the renderer that drew the block.
     plan_version : str
         Version of the level's plans (``PlanBasis.version_of``).
-    drawn : bool
+    is_newly_drawn : bool
         Whether the block was drawn for this answer, and did not come from the process's cache.
-    unprobed : MapClass or None
+    unprobed_class : MapClass or None
         Class (scale and sun) of the map if a probe of the level would improve its plan; else ``None``.
     """
 
@@ -304,8 +304,8 @@ class BlockTiles:
     reach_clipped: bool
     renderer: str
     plan_version: str = ""
-    drawn: bool = True
-    unprobed: MapClass | None = None
+    is_newly_drawn: bool = True
+    unprobed_class: MapClass | None = None
 
     @property
     def nbytes(self) -> int:
@@ -355,7 +355,7 @@ class PointAnswer:
 
 
 @dataclass(frozen=True)
-class FilmChecked:
+class FilmCheckResult:
     """Result of a film check without errors. ``frame_ms`` is the predicted duration of a frame; ``None`` without a prediction."""
 
     frame_ms: float | None
@@ -366,7 +366,7 @@ class FilmPicture:
     """A frame of a film: its colours, uint8 (rows, cols, 3), and the planning state for the next frame."""
 
     color: np.ndarray
-    next_plans: PlanHandover
+    next_plan_state: FilmPlanState
 
 
 @dataclass(frozen=True)
@@ -409,5 +409,5 @@ class Failure:
         return kind(self.message)
 
 
-Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer | PointAnswer | FilmChecked | FilmPicture
+Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer | PointAnswer | FilmCheckResult | FilmPicture
 Answer = Result | Failure

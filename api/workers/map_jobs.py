@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time as clock
+import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.api.compute import compute
-from skugga.api.encoding import ARRAY_FORMATS, colored, encode, over
+from skugga.api.encoding import ARRAY_FORMATS, colored, composite_over, encode
 from skugga.api.workers.jobs import MapJob
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.plan import Plan
@@ -82,7 +82,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
     ``plan_of`` returns the plan for the key and the block of ``representative_part``.
     """
     request, (view, has_data) = job.request, requested_map_view(scene, job)
-    product, start = request.product_record, clock.perf_counter()
+    product, start = request.product_record, time.perf_counter()
     if not has_data:
         empty = product.empty_array if job.format in ARRAY_FORMATS else product.empty_picture
         array = empty(view.rows, view.cols, scene.height_range_m[0])
@@ -103,20 +103,20 @@ def _single_pass(name: str, start: float) -> PassRecord:
 
     ``start`` is the begin of its computation, in seconds of the performance counter.
     """
-    return PassRecord(name, (clock.perf_counter() - start) * 1000.0)
+    return PassRecord(name, (time.perf_counter() - start) * 1000.0)
 
 
 def _map_file(
     job: MapJob, array: np.ndarray, view: MapView, headline: str, passes: tuple[PassRecord, ...], reach: Reach | None
 ) -> EncodedMap:
-    start = clock.perf_counter()
-    body = encode(_over(array, job.background), job.request.product_record, job.format, view)
-    return EncodedMap(body, (clock.perf_counter() - start) * 1000.0, headline, passes, reach)
+    start = time.perf_counter()
+    body = encode(_composite_over(array, job.background), job.request.product_record, job.format, view)
+    return EncodedMap(body, (time.perf_counter() - start) * 1000.0, headline, passes, reach)
 
 
-def _over(array: np.ndarray, background: str | None) -> np.ndarray:
+def _composite_over(array: np.ndarray, background: str | None) -> np.ndarray:
     """Composite a picture with alpha over the colour ``background`` (``RRGGBB``). Return any other array unchanged."""
     if background is None or array.ndim != 3 or array.shape[2] != 4:
         return array
     red, green, blue = bytes.fromhex(background)
-    return over(array, (red, green, blue))
+    return composite_over(array, (red, green, blue))

@@ -28,13 +28,13 @@ class PlanBasis:
     ----------
     device : DeviceProfile or None
         Calibration of the device (measured costs of algorithms); ``None`` without one.
-    probed : Mapping
+    probes_json_by_version : Mapping
         Probes (observed errors and times) of levels, by the level's version, as JSON of
         ``skugga.selector.map_probes.MapProbes``.
     """
 
     device: DeviceProfile | None = None
-    probed: Mapping[str, str] = field(default_factory=dict)
+    probes_json_by_version: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def calibration(self) -> str:
@@ -46,18 +46,18 @@ class PlanBasis:
 
         The version changes with the calibration and with the level's probes. It is empty if there are neither.
         """
-        probes_json = None if level is None else self.probed.get(level.version)
+        probes_json = None if level is None else self.probes_json_by_version.get(level.version)
         if probes_json is None:
             return self.calibration
         return hashlib.sha256(f"{self.calibration}\n{probes_json}".encode()).hexdigest()[:16]
 
     def probes_of(self, level: LevelKey) -> MapProbes:
         """Return the probes of a level; they are empty if it was not probed."""
-        return _parse_probes(self.probed.get(level.version, "{}"))
+        return _parse_probes(self.probes_json_by_version.get(level.version, "{}"))
 
     def with_probed(self, probes_by_version: Mapping[str, str]) -> PlanBasis:
         """Return a copy with further probes, as JSON by the version of their level."""
-        return replace(self, probed={**self.probed, **probes_by_version})
+        return replace(self, probes_json_by_version={**self.probes_json_by_version, **probes_by_version})
 
 
 @cached("process", 4 * MIB)

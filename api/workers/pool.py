@@ -136,13 +136,13 @@ class Pool:
         Progress of the first process until it is ready, then of the background compilation; ``None`` without either.
     preparing_since : float
         Start of the preparation, in seconds of ``time.monotonic``.
-    compiling, idle, idle_calibration, idle_probes
+    background_compile, idle_work, idle_calibration, idle_probes
         The background compilation, the queue of idle work, and what calibrates and probes in idle time.
-    pids : set of int
+    ready_pids : set of int
         Process ids of the render processes that are ready.
     counters : PoolCounters
         Counters for metrics.
-    on_drawn : callable
+    on_picture_finished : callable
         Called with each block or snapshot that a process has finished.
     """
 
@@ -160,14 +160,14 @@ class Pool:
         self._config = first_config(settings)
         # Twice as many threads: a process that cannot be killed keeps its thread while a new one replaces it.
         self._threads = ThreadPoolExecutor(2 * settings.workers, "skugga-pipe")
-        self._finished: Cache[BlockTiles | Snapshot] = Cache(
+        self._picture_cache: Cache[BlockTiles | Snapshot] = Cache(
             "skugga.api.workers.finished", "process", settings.block_cache_bytes, lambda picture: picture.nbytes
         )
         self._pending: dict[Job, PendingJob] = {}
         self._queue = JobQueue(settings.workers)
         self._circuit_breaker = CircuitBreaker()
-        self._wake = asyncio.Event()
-        self._slots: list[asyncio.Task[None]] = []
+        self._queue_changed = asyncio.Event()
+        self._supervisor_tasks: list[asyncio.Task[None]] = []
         self._workers: set[WorkerProcess] = set()
         self._start_error: SkuggaError | None = None
         self._closed = False
@@ -177,25 +177,27 @@ class Pool:
         self.basis: PlanBasis | None = None
         self.preparing: Preparing | None = Preparing("starting a render process")
         self.preparing_since = time.monotonic()
-        self.compiling = BackgroundCompile(usable_cores(), self._note_preparing)
-        self.idle = IdleWork(self._is_busy, self._config.gl_threads)
-        self.idle_calibration = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._set_device, measure)
-        self.idle_probes = IdleProbes(
-            settings.probe_when_idle, self.idle, self._device, self._known_probes, self._add_probes, probe
+        self.background_compile = BackgroundCompile(usable_cores(), self._note_preparing)
+        self.idle_work = IdleWork(self._is_busy, self._config.gl_threads)
+        self.idle_calibration = IdleCalibration(
+            settings.calibrate_when_idle, self.idle_work, self._device, self._set_device, measure
         )
-        self.pids: set[int] = set()
+        self.idle_probes = IdleProbes(
+            settings.probe_when_idle, self.idle_work, self._device, self._known_probes, self._add_probes, probe
+        )
+        self.ready_pids: set[int] = set()
         self.counters = PoolCounters()
-        self.on_drawn: Callable[[BlockTiles | Snapshot], None] = lambda picture: None
+        self.on_picture_finished: Callable[[BlockTiles | Snapshot], None] = lambda picture: None
 
     @property
-    def ready(self) -> bool:
+    def is_ready(self) -> bool:
         """Whether a render process has warmed up and is not stopped (SIGSTOP) now."""
-        return any(not is_stopped(pid) for pid in self.pids)
+        return any(not is_stopped(pid) for pid in self.ready_pids)
 
     @property
     def is_healthy(self) -> bool:
         """Whether all tasks that supervise render processes still run, or the pool was closed."""
-        return self._closed or not any(slot.done() for slot in self._slots)
+        return self._closed or not any(task.done() for task in self._supervisor_tasks)
 
     def plan_version(self, level: LevelKey | None) -> str:
         """Return the present version of a level's plans; ``None`` stands for plans of clients' descriptors."""
@@ -211,14 +213,14 @@ class Pool:
         self.basis = replace(self.basis or PlanBasis(), device=device)
 
     def _known_probes(self) -> Mapping[str, str]:
-        return {} if self.basis is None else self.basis.probed
+        return {} if self.basis is None else self.basis.probes_json_by_version
 
     def _add_probes(self, probes: Mapping[str, str]) -> None:
         self.basis = (self.basis or PlanBasis()).with_probed(probes)
 
     def _is_busy(self) -> bool:
         """Return whether jobs wait or run, a process starts, or loops are compiled: idle work must not run then."""
-        return bool(self.queued or self.running or self._starting or self.compiling.is_running)
+        return bool(self.queued or self.running or self._starting or self.background_compile.is_running)
 
     def _note_preparing(self, preparing: Preparing | None) -> None:
         if self.preparing is None:
@@ -242,31 +244,31 @@ class Pool:
     @property
     def cached_bytes(self) -> int:
         """Bytes of the cached blocks and snapshots."""
-        return self._finished.nbytes
+        return self._picture_cache.nbytes
 
     def cached_picture(self, job: Job) -> BlockTiles | Snapshot | None:
         """Return the cached block or snapshot of a job, drawn with the present version of plans; ``None`` without one."""
-        cached = self._finished.get(job, self._plan_version_of(job))
+        cached = self._picture_cache.get(job, self._plan_version_of(job))
         return None if isinstance(cached, Missing) else cached
 
     def expected_s(self, job: Job) -> float:
         """Return the expected duration of a job in seconds, without its wait."""
-        return self._queue.expected.of(job)
+        return self._queue.expected_times.expected_s(job)
 
     def open(self) -> None:
         """Start tasks that start and supervise the render processes. Return at once."""
-        self.idle.start()
-        self._slots = [asyncio.create_task(self._supervise(number)) for number in range(self._settings.workers)]
+        self.idle_work.start()
+        self._supervisor_tasks = [asyncio.create_task(self._supervise(number)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
         """End the render processes and all background work, and fail all pending jobs."""
         self._closed = True
         self._first_process_event.set()
-        for slot in self._slots:
-            slot.cancel()
+        for task in self._supervisor_tasks:
+            task.cancel()
         await asyncio.gather(
-            self.idle_calibration.close(), self.idle_probes.close(), self.idle.close(), self.compiling.close(), *self._slots,
-            return_exceptions=True,
+            self.idle_calibration.close(), self.idle_probes.close(), self.idle_work.close(), self.background_compile.close(),
+            *self._supervisor_tasks, return_exceptions=True,
         )  # fmt: skip
         self._fail_all(BusyError("The service is shutting down."), list(self._pending.values()))
         self._threads.shutdown(wait=True)
@@ -320,16 +322,16 @@ class Pool:
             pending.clients[client] -= 1
             pending.clients += Counter()  # drops clients without waiting requests
             if not pending.clients and self._queue.waiting.get(job) is pending:
-                self._forget(pending)
+                self._remove(pending)
                 pending.answer.cancel()
                 self.counters.abandoned += 1
 
     def _enqueue(self, job: Job, client: str) -> PendingJob:
         if self._closed:
             raise BusyError("The service is shutting down.")
-        if self._start_error is not None and not self.pids:
+        if self._start_error is not None and not self.ready_pids:
             raise _start_error_of(self._start_error)
-        self.idle.pause_for_requests()
+        self.idle_work.pause_for_requests()
         loop = asyncio.get_running_loop()
         left_s = self._circuit_breaker.seconds_left(job)
         if left_s > 0.0:
@@ -340,14 +342,14 @@ class Pool:
         pending.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
         if not pending.is_background:
             try:
-                check_admission(self._queue, job, client, loop.time(), self._settings, bool(self.pids))
+                check_admission(self._queue, job, client, loop.time(), self._settings, bool(self.ready_pids))
             except RetryLaterError:
                 self.counters.refused += 1
                 raise
             self._start_expiry_timer(pending)
         self._pending[job] = pending
         self._queue.put(pending)
-        self._wake.set()
+        self._queue_changed.set()
         return pending
 
     def _start_expiry_timer(self, pending: PendingJob) -> None:
@@ -383,7 +385,7 @@ class Pool:
                 await asyncio.sleep(min(INITIAL_BACKOFF_S * 2 ** (failures - 2), MAX_BACKOFF_S))
             try:
                 healthy = await self._run_process(number)
-            except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot survives all of them
+            except Exception as error:  # out of descriptors, threads or memory, or a bug: the task survives all of them
                 log.error("a supervisor of render processes failed and starts another process: %s: %s", type(error).__name__, error)
                 self._note_start_failure(exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error}"))
                 healthy = False
@@ -400,14 +402,14 @@ class Pool:
             needs_opengl = self.renderer not in (None, NO_OPENGL)
             config = replace(self._config, needs_opengl=needs_opengl, basis=self.basis, number=number)
             spawned_worker = SpawnedWorker(self._target, config)
-        worker = WorkerProcess(spawned_worker, self._threads, self._wake.set, self._note_preparing)
+        worker = WorkerProcess(spawned_worker, self._threads, self._queue_changed.set, self._note_preparing)
         self._workers.add(worker)
         try:
             worker.first_blocks = await run_in_pool(self._threads, self._first_blocks)
             return await self._start_and_serve(worker)
         finally:
             self._workers.discard(worker)
-            self.pids.discard(worker.pid or 0)
+            self.ready_pids.discard(worker.pid or 0)
             await worker.end()
 
     async def _start_and_serve(self, worker: WorkerProcess) -> bool:
@@ -426,19 +428,19 @@ class Pool:
         duration_s = asyncio.get_running_loop().time() - began_s
         self._start_error = None
         self.counters.started += 1
-        self.pids.add(worker.pid or 0)
+        self.ready_pids.add(worker.pid or 0)
         renderer_text = f"{self.renderer}, {ready.egl_device}" if ready.egl_device else self.renderer
         log.info("render process %s ready after %.1f s: %s", worker.pid, duration_s, renderer_text)
-        self.preparing = self.preparing if self.compiling.is_running else None
-        self.compiling.begin(ready.missing_loops)
-        self.idle_calibration.begin(ready.renderer, ready.version)
-        self.idle_probes.begin(ready.renderer, ready.version)
+        self.preparing = self.preparing if self.background_compile.is_running else None
+        self.background_compile.start_if_needed(ready.missing_loops)
+        self.idle_calibration.start_watching(ready.renderer, ready.version)
+        self.idle_probes.start_watching(ready.renderer, ready.version)
         return await self._serve(worker)
 
     def _note_start_failure(self, error: SkuggaError) -> None:
         self._start_error = error
         self._first_process_event.set()
-        if not self.pids:
+        if not self.ready_pids:
             self._fail_all(_start_error_of(error), list(self._queue.waiting.values()))
 
     async def _serve(self, worker: WorkerProcess) -> bool:
@@ -452,7 +454,7 @@ class Pool:
                 return count > 0
             pending.plan_version = self._plan_version_of(pending.job)
             try:
-                answer = await worker.ask(pending.job, self._settings.render_timeout_s, self.basis)
+                answer = await worker.send_and_receive(pending.job, self._settings.render_timeout_s, self.basis)
             except ExhaustedError as error:  # the process did not receive the job
                 self._finish(pending, error)
                 continue
@@ -463,18 +465,18 @@ class Pool:
             except RenderTimeoutError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
                 self.counters.timed_out += 1
-                self._queue.learn(pending.job, self._settings.render_timeout_s)
+                self._queue.add_duration(pending.job, self._settings.render_timeout_s)
                 self._finish(pending, error)
                 self._record_crash(pending.job)
                 return True
-            except Exception as error:  # a bug of this slot: clients must not wait for ever
+            except Exception as error:  # a bug of this task: clients must not wait for ever
                 self._finish(pending, WorkerCrashError(f"the supervisor of the render process failed: {error!r}"))
                 raise
             if isinstance(answer, Failure) and answer.fatal:
                 log.error("render process %s is replaced: %s", worker.pid, answer.message)
                 self._retry_or_finish(pending, answer)
                 return True
-            self._finish(pending, answer, learn=not worker.has_prepared)
+            self._finish(pending, answer, add_duration=not worker.has_prepared)
         log.info("render process %s is replaced after %d jobs", worker.pid, self._settings.recycle_blocks)
         return True
 
@@ -482,20 +484,20 @@ class Pool:
         """Wait for the next job of the queue and return it; return ``None`` if the process dies or does not answer a heartbeat."""
         loop = asyncio.get_running_loop()
         while not worker.has_ended:
-            pending = self._queue.take(loop.time())
+            pending = self._queue.start_next(loop.time())
             if pending is not None:
                 if pending.expiry_timer is not None:
                     pending.expiry_timer.cancel()
                 return pending
-            self._wake.clear()
+            self._queue_changed.clear()
             try:
-                await asyncio.wait_for(self._wake.wait(), PREPARE_AFTER_S if worker.first_blocks else HEARTBEAT_INTERVAL_S)
+                await asyncio.wait_for(self._queue_changed.wait(), PREPARE_AFTER_S if worker.first_blocks else HEARTBEAT_INTERVAL_S)
             except TimeoutError:
                 try:
-                    pong = await worker.ask(Ping(worker.first_blocks), HEARTBEAT_TIMEOUT_S)
+                    pong = await worker.send_and_receive(Ping(worker.first_blocks), HEARTBEAT_TIMEOUT_S)
                     worker.first_blocks = ()
                     if isinstance(pong, Pong):
-                        self.compiling.begin(pong.missing_loops)
+                        self.background_compile.start_if_needed(pong.missing_loops)
                 except ExhaustedError:  # try again later
                     continue
                 except (RenderTimeoutError, WorkerCrashError):
@@ -512,7 +514,7 @@ class Pool:
         if pending.start_count < MAX_STARTS and pending.clients and not self._closed:
             self._queue.discard(pending)
             self._queue.put(pending)
-            self._wake.set()
+            self._queue_changed.set()
             self.counters.retried += 1
             if not pending.is_background:
                 self._start_expiry_timer(pending)
@@ -534,16 +536,16 @@ class Pool:
             if self._circuit_breaker.seconds_left(pending.job) > 0.0:
                 self._finish(pending, _circuit_open_error(pending.job, left_s))
 
-    def _finish(self, pending: PendingJob, answer: Answer | SkuggaError, learn: bool = True) -> None:
+    def _finish(self, pending: PendingJob, answer: Answer | SkuggaError, add_duration: bool = True) -> None:
         """Answer all requests that wait for a job, with a result or an error, and remove the job.
 
-        ``learn`` says whether its duration is learnt. It is not if the process made one-time preparations before the job.
+        ``add_duration`` says whether its duration is learnt. It is not if the process made one-time preparations before the job.
         """
         if pending.started_s is not None and not isinstance(answer, SkuggaError | Failure):
-            if learn:
-                self._queue.learn(pending.job, asyncio.get_running_loop().time() - pending.started_s)
+            if add_duration:
+                self._queue.add_duration(pending.job, asyncio.get_running_loop().time() - pending.started_s)
             self._circuit_breaker.record_success(pending.job)
-        self._forget(pending)
+        self._remove(pending)
         if pending.answer.done():
             return
         if isinstance(answer, SkuggaError):
@@ -552,19 +554,19 @@ class Pool:
         else:
             self.counters.answered += 1
             if isinstance(answer, BlockTiles | Snapshot):
-                self._finished.put(pending.job, answer.plan_version, value=answer)
-                self.on_drawn(answer)
-            if isinstance(answer, BlockTiles) and isinstance(pending.job, BlockJob) and answer.unprobed is not None:
-                self.idle_probes.request_probe(pending.job.level, answer.unprobed)
+                self._picture_cache.put(pending.job, answer.plan_version, value=answer)
+                self.on_picture_finished(answer)
+            if isinstance(answer, BlockTiles) and isinstance(pending.job, BlockJob) and answer.unprobed_class is not None:
+                self.idle_probes.request_probe(pending.job.level, answer.unprobed_class)
             pending.answer.set_result(answer)
 
-    def _forget(self, pending: PendingJob) -> None:
+    def _remove(self, pending: PendingJob) -> None:
         if pending.expiry_timer is not None:
             pending.expiry_timer.cancel()
         if self._pending.get(pending.job) is pending:
             del self._pending[pending.job]
         self._queue.discard(pending)
-        self._wake.set()  # a waiting job may start now
+        self._queue_changed.set()  # a waiting job may start now
 
     def _fail_all(self, error: SkuggaError, pending_jobs: list[PendingJob]) -> None:
         for pending in pending_jobs:

@@ -24,7 +24,7 @@ def prepare_level(block: BlockJob, state: WorkerState) -> None:
     name = block.level.path.stem
     try:
         scene = block.request.applied_to(state.scenes.get(block.level))
-        if SKY_PASS in plan_of_tiles(block, scene, state).runs:
+        if SKY_PASS in plan_of_tiles(block, scene, state).effect_names:
             sky_view(scene.elevation, scene.world)
     except SkuggaError as error:
         log.warning("level %s cannot be drawn yet: %s", name, error)

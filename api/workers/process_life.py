@@ -43,7 +43,7 @@ def set_idle_priority() -> None:
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
-async def process_end(process: BaseProcess) -> None:
+async def wait_for_exit(process: BaseProcess) -> None:
     """Wait until a killed process has ended, for at most ``EXIT_TIMEOUT_S``.
 
     It polls instead of waiting in a thread, since a machine under load may have no thread left.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import time as clock
+import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
@@ -32,8 +32,8 @@ from skugga.api.workers.jobs import (
     DescriptorAnswer,
     DescriptorJob,
     Failure,
-    FilmChecked,
     FilmCheckJob,
+    FilmCheckResult,
     FrameJob,
     Job,
     LevelKey,
@@ -101,10 +101,10 @@ log = logging.getLogger("skugga.worker")
 def run_job(job: Job, state: WorkerState) -> Result:
     """Run a job and return its result. Raises ``SkuggaError``."""
     if isinstance(job, DescribedPlanJob):
-        return _plan_of_facts(job, state)
+        return _plan_of_descriptor(job, state)
     scene = job.request.applied_to(state.scenes.get(job.level))
     overrides = job.request.overrides.for_selector()
-    declare_product(product_of(job, scene))
+    declare_product(loop_group_of(job, scene))
     match job:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_view_with_name(scene, job.view)).model_dump_json())
@@ -122,7 +122,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case FilmCheckJob():
             plan, moment = first_plan(job, scene, state.basis)
             _check_cost(plan, f"{moment.view.cols}x{moment.view.rows}", state)
-            return FilmChecked(None if plan.predicted is None else plan.predicted.ms)
+            return FilmCheckResult(None if plan.predicted is None else plan.predicted.ms)
         case FrameJob():
             return film_picture(job, scene, state.basis)
         case SnapshotJob():
@@ -131,15 +131,15 @@ def run_job(job: Job, state: WorkerState) -> Result:
             plan = plan_in_service(scene, view, job.view, overrides, job.level, state.basis)
             _check_cost(plan, f"{view.cols}x{view.rows}", state)
             computed = compute(scene, view, job.request, plan, job.light)
-            start = clock.perf_counter()
+            start = time.perf_counter()
             body = encode_exactly(
                 as_picture(computed.array, job.request.product_record, computed.picture), job.request.product_record, job.format
             )
-            facts = _facts(plan.headline, computed.passes, computed.reach, state, job.level)
-            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **facts)
+            facts = _picture_record(plan.headline, computed.passes, computed.reach, state, job.level)
+            return Snapshot(body=body, encode_ms=(time.perf_counter() - start) * 1000.0, **facts)
 
 
-def product_of(job: Job, scene: Scene) -> str:
+def loop_group_of(job: Job, scene: Scene) -> str:
     """Return the group of loops that a job needs: one of ``skugga.terrain.compiling.ahead_of_time.PRODUCTS``.
 
     A loop is a function that numba compiles. If the cache on disk lacks a loop of a group, all missing loops of the group are
@@ -165,7 +165,7 @@ def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) ->
     return job.view != "map" if view_spec is None else view_spec.kind == "perspective"
 
 
-def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
+def _plan_of_descriptor(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
     descriptor = Descriptor.model_validate_json(job.descriptor_json)
     plan_request = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in descriptor.light_kinds if lamp != SUN)))
     plan = select(descriptor, plan_request, job.request.overrides.for_selector(), job.policy, state.device)
@@ -191,31 +191,31 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     if isinstance(cached, Missing):
         plan = _checked_plan(job, scene, state)
         picture = draw_picture(scene, block_view(job), product, plan)
-        cached = picture, _block_facts(job, plan, picture.passes, picture.reach, scene, state)
+        cached = picture, _block_record(job, plan, picture.passes, picture.reach, scene, state)
         state.blocks.put(*key, value=cached)
     picture, facts = cached
-    start = clock.perf_counter()
+    start = time.perf_counter()
     tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
     files = {place: body or empty_tile(job.request, job.format, job.tiles) for place, body in tiles.items()}
-    return BlockTiles(tiles=files, encode_ms=(clock.perf_counter() - start) * 1000.0, drawn=is_new, **facts)
+    return BlockTiles(tiles=files, encode_ms=(time.perf_counter() - start) * 1000.0, is_newly_drawn=is_new, **facts)
 
 
 def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     """Compute a whole block of a product as an array, and cut it into encoded tiles."""
-    product, start = job.request.product_record, clock.perf_counter()
+    product, start = job.request.product_record, time.perf_counter()
     product.check(scene)
     plan = _checked_plan(job, scene, state) if product.needs else None
     computed = compute(scene, block_view(job), job.request, plan)
-    encode_start = clock.perf_counter()
+    encode_start = time.perf_counter()
     tiles: dict[TilePosition, bytes] = tiles_of_array(
         computed.array, job.request, scene.world, block_view(job), job.format, job.tiles
     )
     if plan is None:
         passes = (PassRecord(product.name, (encode_start - start) * 1000.0),)
-        facts = _facts(product.name, passes, None, state, job.level)
+        facts = _picture_record(product.name, passes, None, state, job.level)
     else:
-        facts = _block_facts(job, plan, computed.passes, computed.reach, scene, state)
-    return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - encode_start) * 1000.0, **facts)
+        facts = _block_record(job, plan, computed.passes, computed.reach, scene, state)
+    return BlockTiles(tiles=tiles, encode_ms=(time.perf_counter() - encode_start) * 1000.0, **facts)
 
 
 def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
@@ -225,12 +225,12 @@ def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
     return plan
 
 
-def _block_facts(
+def _block_record(
     job: BlockJob, plan: Plan, passes: Sequence[PassRecord], reach: Reach | None, scene: Scene, state: WorkerState
 ) -> dict[str, Any]:
-    """Return the fields of ``BlockTiles`` that describe how a block was drawn: those of ``_facts``, and ``unprobed``."""
-    unprobed = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.basis)
-    return {**_facts(plan.headline, passes, reach, state, job.level), "unprobed": unprobed}
+    """Return the fields of ``BlockTiles`` on how a block was drawn: those of ``_picture_record``, and ``unprobed_class``."""
+    map_class = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.basis)
+    return {**_picture_record(plan.headline, passes, reach, state, job.level), "unprobed_class": map_class}
 
 
 def _map_snapshot(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
@@ -241,7 +241,7 @@ def _map_snapshot(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
         return state.plans.get(key, lambda: plan_in_service(scene, part, "map", overrides, job.level, state.basis))
 
     encoded_map = map_file(scene, job, plan_of)
-    facts = _facts(encoded_map.headline, encoded_map.passes, encoded_map.reach, state, job.level)
+    facts = _picture_record(encoded_map.headline, encoded_map.passes, encoded_map.reach, state, job.level)
     return Snapshot(body=encoded_map.body, encode_ms=encoded_map.encode_ms, **facts)
 
 
@@ -250,7 +250,9 @@ def _view_with_name(scene: Scene, view: str | Tiles) -> tuple[MapView | Perspect
     return (representative_block(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
-def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, state: WorkerState, level: LevelKey) -> dict[str, Any]:
+def _picture_record(
+    headline: str, passes: Sequence[PassRecord], reach: Reach | None, state: WorkerState, level: LevelKey
+) -> dict[str, Any]:
     """Return the fields of ``BlockTiles`` and ``Snapshot`` that describe how a picture was drawn.
 
     ``reach`` is ``None`` unless a single sun lit the picture.

@@ -29,7 +29,7 @@ log = logging.getLogger("skugga")
 
 
 class WorkerProcess:
-    """A render process. Call ``start``, then ``ask`` with one job at a time, then ``end``.
+    """A render process. Call ``start``, then ``send_and_receive`` with one job at a time, then ``end``.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class WorkerProcess:
         self.basis = self.basis or PlanBasis(answer.device)
         return answer
 
-    async def ask(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
+    async def send_and_receive(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
         """Send a job or a heartbeat and return the answer.
 
         Parameters

@@ -101,7 +101,11 @@ def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRast
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUNS]
     under = [
-        SunShares(*sun, float((~truth.lit & truth.decidable).sum() / truth.decidable.sum()), float((~truth.decidable).mean()))
+        SunShares(
+            *sun,
+            float((~truth.lit & truth.certain_for_any_cut).sum() / truth.certain_for_any_cut.sum()),
+            float((~truth.certain_for_any_cut).mean()),
+        )
         for sun, truth in zip(SUNS, truths, strict=True)
     ]
     rows, cols = height_m.shape
@@ -146,7 +150,9 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
                             continue
                         if tool.lit is not None and key not in error_shares:
                             truth = truths[name][k]
-                            error_shares[key] = errors(tool.mask(job), truth, truth.drawn if tool.ours else truth.decidable)
+                            error_shares[key] = errors(
+                                tool.mask(job), truth, truth.certain if tool.ours else truth.certain_for_any_cut
+                            )
                 print(f"{time.perf_counter() - begin:4.0f} s  round {repeat + 1} of {repeats}: {name}", flush=True)
     answers = [
         _answer(*key[:2], SUNS[key[2]], key_runs, error_shares.get(key)) for key, key_runs in runs.items() if key[0] in tools

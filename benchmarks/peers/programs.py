@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-    Ask = Callable[[float, float], np.ndarray]
+    MaskFunction = Callable[[float, float], np.ndarray]
     """A function of azimuth, clockwise from north, and altitude, degrees; it returns where the sun is visible (rows, cols)."""
 
 TINY_CELLS = 64
@@ -32,7 +32,7 @@ COMPILED = ("insolation", "sweep")
 """Programs whose loops are compiled on the first call."""
 
 
-def insolation(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+def insolation(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
     """Return a function of a sun that computes Corripio's mask: a running maximum along lines from the border.
 
     Its y axis points south.
@@ -40,15 +40,15 @@ def insolation(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
     import numpy as np
     from insolation import insolf
 
-    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    def compute_mask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
         azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
         to_sun_south = np.array([np.sin(azimuth) * np.cos(altitude), -np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
         return insolf.doshade(height_m, cell_m, to_sun_south)
 
-    return ask
+    return compute_mask
 
 
-def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
     """Return a function of a sun that computes a mask from horizons after Dozier and Frew.
 
     The package returns sines of horizon angles. Its azimuths are 0 in the south and positive in the east, within 180 degrees.
@@ -58,14 +58,14 @@ def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
     height_m = height_m.astype(np.float64)
 
-    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    def compute_mask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
         from_south_deg = (360.0 - azimuth_deg) % 360.0 - 180.0
         return horizon(from_south_deg, height_m, cell_m) <= np.sin(np.radians(altitude_deg))
 
-    return ask
+    return compute_mask
 
 
-def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+def solweig(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
     """Return a function of a sun that computes a mask as the maximum of shifted copies of the terrain.
 
     It runs on the CPU, because its GPU path is slower on software devices.
@@ -76,27 +76,27 @@ def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
     shadowing.disable_gpu()
 
-    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    def compute_mask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
         shadows = shadowing.calculate_shadows_wall_ht_25(azimuth_deg, altitude_deg, cell_m, float(np.ptp(height_m)), height_m)
         return shadows.bldg_sh > 0.5
 
-    return ask
+    return compute_mask
 
 
-def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
     """Return a function of a sun that computes a mask from horizon angles in degrees. The package has a raster type of its own."""
     from whitebox_workflows import WbEnvironment
 
     environment = WbEnvironment()
     raster = environment.read_raster(path)
 
-    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    def compute_mask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
         return environment.horizon_angle(raster, azimuth_deg).to_numpy() <= altitude_deg
 
-    return ask
+    return compute_mask
 
 
-def sweep(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+def sweep(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
     """Return a function of a sun that computes the mask by Skugga's line sweep, on all cores.
 
     The number of lines per cell is the command line's.
@@ -107,7 +107,7 @@ def sweep(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
     return lambda azimuth_deg, altitude_deg: sunlit(height_m, cell_m, azimuth_deg, altitude_deg, lines=lines, cores=cores)
 
 
-PREPARE: dict[str, Callable[[str, np.ndarray, float], Ask]] = {
+PREPARE: dict[str, Callable[[str, np.ndarray, float], MaskFunction]] = {
     "insolation": insolation,
     "topocalc": topocalc,
     "solweig": solweig,
@@ -126,9 +126,9 @@ def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: s
     if name in COMPILED:
         tiny_m = np.random.default_rng(1).random((TINY_CELLS, TINY_CELLS), np.float32)
         PREPARE[name](path, tiny_m, cell_m)(azimuth_deg, altitude_deg)
-    ask = PREPARE[name](path, height_m, cell_m)
+    compute_mask = PREPARE[name](path, height_m, cell_m)
     start = time.perf_counter()
-    lit = ask(azimuth_deg, altitude_deg)
+    lit = compute_mask(azimuth_deg, altitude_deg)
     taken_s = time.perf_counter() - start
     with rasterio.open(out, "w", **{**profile, "dtype": "uint8", "nodata": None}) as target:
         target.write(np.asarray(lit, np.uint8).reshape(height_m.shape), 1)

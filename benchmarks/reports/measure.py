@@ -65,8 +65,8 @@ def record(scene: ReportScene, comparison: Comparison, report_facts: dict[str, s
             key: report_facts[key] for key in ("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made")
         },
         "error": comparison.error,
-        "cast": comparison.cast,
-        "boundary": comparison.boundary,
+        "cast": comparison.cast_share,
+        "boundary": comparison.undecided_share,
         "noise_floor": comparison.noise_floor,
         "default": comparison.default,
         "summary": format_summary(comparison),

@@ -58,13 +58,13 @@ def measure() -> Figures:
             rows |= {BARE_BODIES: {**bodies, "bias_scale": 0.0}, BODIES: {**bodies, "bias_scale": 1.0}}
             rows |= {CULLED: {**bodies, "bias_scale": 0.0, "culling": "front"}}
         figures[scene] = {
-            "rows": {row: _biased(truth_view, one_map(TEXELS, **overrides)) for row, overrides in rows.items()},
+            "rows": {row: _errors_with_bias(truth_view, one_map(TEXELS, **overrides)) for row, overrides in rows.items()},
             "formulas": {str(size): _by_formulas(truth_view, size) for size in (COARSE_MAP_SIZE, TEXELS)},
         }
     return figures
 
 
-def _biased(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> dict[str, float]:
+def _errors_with_bias(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> dict[str, float]:
     """Return the errors of a shadow map with some overrides, such as its bias.
 
     Two further figures describe the visibility of points that face the sun. ``partial`` is the share of points with a visibility

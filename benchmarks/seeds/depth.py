@@ -12,7 +12,7 @@ import trimesh
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.spatialace import MAX_COVERAGE_ERROR
 from benchmarks.seeds.verdicts import SPATIALACE, at_most, percent, reason, whole_percent
-from benchmarks.seeds.views import ViewWithTruth, one_map, scene_of, settings_of, shallow, view_with_truth
+from benchmarks.seeds.views import ViewWithTruth, one_map, scene_of, sees_sun_after_move, settings_of, view_with_truth
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import sun_maps
 from skugga.shadows.truth.metrics import boundary
@@ -87,7 +87,7 @@ def _by_bits(truth_view: ViewWithTruth, bias: str, altitude_deg: float) -> dict[
             "wrong_cast": truth_view.errors(np.where(truth_view.buffer.valid, 1.0 - dark[bits], np.nan))["wrong_cast"],
             "step_m": step_m, "texels": step_m / max(shadow_map.uniforms["texel_m"]),
             "shift_px": float(np.median(shift_px[edge])), "bound": float(2.0**0.5 * shift_px[edge].sum() / shaded.sum()),
-            "near": float((shaded & shallow(truth_view, truth_view.buffer, off_m)).sum() / shaded.sum()),
+            "near": float((shaded & sees_sun_after_move(truth_view, truth_view.buffer, off_m)).sum() / shaded.sum()),
             "changed": float((dark[bits] != dark[BITS[-1]]).sum() / shaded.sum()),
             "healed": float(((dark[bits] != dark[BITS[-1]]) & truth_view.truth.lit).sum() / shaded.sum()),
         }  # fmt: skip

@@ -36,7 +36,7 @@ class CaptionedPicture:
 
 def draw_crop(truth_view: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) -> Image.Image:
     """Draw a part of a view, ``shrink`` times smaller. The settings must not depend on the view's extent."""
-    with variant.without():
+    with variant.disabled_part():
         color = render_frame(truth_view.scene, _part(truth_view.perspective, box), truth_view.plan(variant.overrides)).color
     clear_caches("light")
     return Image.fromarray(color).convert("RGB").reduce(shrink)

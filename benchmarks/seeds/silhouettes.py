@@ -68,14 +68,14 @@ def _volumes_of(level: str) -> dict[str, float]:
     truth_view = view_with_truth(bundled(level), "main", SIZE)
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     vertices, triangles = caster_solids(truth_view.scene.objects, truth_view.buffer.frame)
-    shared, separate_edges = edges_of(vertices, triangles), unshared(triangles)
+    shared, separate_edges = edges_of(vertices, triangles), edges_without_sharing(triangles)
     rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
     orientations = orientations_of(facing(vertices, triangles, light), rule)
     groups = batches(vertices, triangles, shared, orientations, light, MAX_VOLUME_LAYERS)
 
     def built(edges: Edges) -> list[Volumes]:
         orientations_of(facing(vertices, triangles, light), rule)  # the work for each new sun
-        return [extruded(vertices, silhouette(triangles, edges, group), light) for group in groups]
+        return [extruded_volumes(vertices, silhouette(triangles, edges, group), light) for group in groups]
 
     silhouettes, polygons, engine_volumes = built(shared), built(separate_edges), _engines(truth_view, light)
     sides = [
@@ -124,7 +124,7 @@ def _counted(
     ), record.triangles
 
 
-def unshared(triangles: np.ndarray) -> Edges:
+def edges_without_sharing(triangles: np.ndarray) -> Edges:
     """Return the edges of triangles (m, 3) as if no two triangles shared an edge.
 
     The silhouette of such a mesh includes all sides of each triangle.
@@ -135,7 +135,7 @@ def unshared(triangles: np.ndarray) -> Edges:
     return Edges(ends.astype(np.int32), np.arange(triangles.size, dtype=np.int32).reshape(-1, 3), directions)
 
 
-def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes:
+def extruded_volumes(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes:
     """Return the sun's shadow volume of a silhouette, as one caster.
 
     It consists of the caps, and of a triangle from each silhouette edge to the point at infinity.
@@ -184,7 +184,7 @@ def _inside() -> dict[str, float]:
     wrong_shares = {}
     for key, method in methods.items():
         layers, _ = _counted(truth_view, light, *method)
-        wrong_shares[key] = truth_view.errors(truth_view.finished((layers == 0).astype(np.float32)))["wrong_cast"]
+        wrong_shares[key] = truth_view.errors(truth_view.with_attached_shadow((layers == 0).astype(np.float32)))["wrong_cast"]
     return wrong_shares
 
 

@@ -13,7 +13,15 @@ from benchmarks.algorithms import frames_of_sizes
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import interleaved_times
 from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, factor, format_largest, percent, reason, whole_percent
-from benchmarks.seeds.views import ShadowOverrides, ViewWithTruth, bundled, one_map, settings_of, shallow, view_with_truth
+from benchmarks.seeds.views import (
+    ShadowOverrides,
+    ViewWithTruth,
+    bundled,
+    one_map,
+    sees_sun_after_move,
+    settings_of,
+    view_with_truth,
+)
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
@@ -104,7 +112,7 @@ def _hidden(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
     * ``near``: the share that lies within ``HIDDEN_TEXELS`` texels, along the rays, behind the first hit from the sun.
     * ``lit_near``: the same share among the surfaces that are left lit.
     """
-    turned = truth_view.turned
+    turned = truth_view.faces_away
     flipped = replace(
         truth_view.buffer, normal_frame=np.where(turned[..., None], -1.0, 1.0).astype(np.float32) * truth_view.buffer.normal_frame
     )
@@ -112,7 +120,7 @@ def _hidden(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
     settings = settings_of(truth_view, plan)
     assert isinstance(settings, ShadowMapSettings)
     texel_m = max(settings.cascades[0].texel_m)
-    near = shallow(truth_view, flipped, HIDDEN_TEXELS * texel_m) & turned
+    near = sees_sun_after_move(truth_view, flipped, HIDDEN_TEXELS * texel_m) & turned
     return {
         "texel_m": texel_m,
         "turned": float(turned.sum() / truth_view.buffer.valid.sum()),

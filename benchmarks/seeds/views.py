@@ -60,7 +60,7 @@ class ViewWithTruth:
         return self.buffer.valid & ~attached(self.buffer, self.scene, self.light)
 
     @property
-    def turned(self) -> np.ndarray:
+    def faces_away(self) -> np.ndarray:
         """The mask of surface that faces away from the light or lies outside its cone (rows, cols)."""
         return self.buffer.valid & ~self.receivers
 
@@ -94,9 +94,11 @@ class ViewWithTruth:
     def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:
         """Return the light's visibility by a plan (rows, cols), with attached shadow; NaN without a surface."""
         steps = plan.steps_under(self.light)
-        return self.finished(fill_steps(steps, self.buffer, self.scene, self.casters, plan.runs, log or PassLog()))
+        return self.with_attached_shadow(
+            fill_steps(steps, self.buffer, self.scene, self.casters, plan.effect_names, log or PassLog())
+        )
 
-    def finished(self, visibility: np.ndarray) -> np.ndarray:
+    def with_attached_shadow(self, visibility: np.ndarray) -> np.ndarray:
         """Return a visibility (rows, cols) with attached shadow added, and NaN where no surface is."""
         return np.where(self.buffer.valid, np.where(self.receivers, visibility, np.float32(0.0)), np.float32(np.nan))
 
@@ -157,7 +159,7 @@ class Variant:
     """A variant of an algorithm: overrides and, for a control, a context manager that disables a part of the algorithm."""
 
     overrides: ShadowOverrides
-    without: Callable[[], AbstractContextManager[Any]] = nullcontext
+    disabled_part: Callable[[], AbstractContextManager[Any]] = nullcontext
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,7 @@ def draw_variant(truth_view: ViewWithTruth, variant: Variant) -> DrawnVariant:
     """
     log = PassLog()
     clear_caches("light")
-    with variant.without():
+    with variant.disabled_part():
         plan = truth_view.plan(variant.overrides)
         visibility, texels_px = truth_view.visibility(plan, log), truth_view.texels_px(plan)
     clear_caches("light")
@@ -191,7 +193,7 @@ def draw_variant(truth_view: ViewWithTruth, variant: Variant) -> DrawnVariant:
     return DrawnVariant(dark, figures, " ".join(record.note for record in records if record.note))
 
 
-def shallow(truth_view: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
+def sees_sun_after_move(truth_view: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
     """Return which points see the sun after they are moved towards it by ``depth_m`` metres, bool (rows, cols).
 
     These are the points that lie less than ``depth_m`` behind the first hit of a ray from the sun.

@@ -105,7 +105,7 @@ def _compare_block(
                 differences["times"].append((log(ms) - log(probe.ms), hypot(probe.ms_noise, probe.ms_noise)))
         beliefs = {"predict": block.options}
         for policy, observations in (("a probe of the middle", of_middle), ("probes", elsewhere)):
-            beliefs[policy] = block.options.after(observations.get(SUN, ()))
+            beliefs[policy] = block.options.with_observations(observations.get(SUN, ()))
         for target in TARGETS:
             for policy, believed in beliefs.items():
                 error, ms, _ = block.measured_option(leader_of(believed, target, None))
@@ -123,7 +123,7 @@ class _Block:
         options = plan_options(planner_of(descriptor, scene.loaded.level, None), profile)
         self.options = options.lights.get(SUN)
         if self.options is not None:
-            pictures = ProbedPictures(scene, view, make_plan(descriptor, scene.loaded.level, None, choices={}).runs)
+            pictures = ProbedPictures(scene, view, make_plan(descriptor, scene.loaded.level, None, choices={}).effect_names)
             self._prover = SceneProber(pictures, options.planner, SUN, self.options)
         self._drawn: dict[int, tuple[float, float, float]] = {}
 

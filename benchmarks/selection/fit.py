@@ -26,7 +26,7 @@ from skugga.selector.cost.error_model import (
     expected_errors,
     log_error,
     log_interior,
-    smoothed_ladder,
+    smoothed_differing_shares,
     step_castings,
     texel_px_of,
 )
@@ -270,17 +270,17 @@ class _Terms:
                                     narrow / NARROWEST_PERSPECTIVE if follows else np.inf,
                                 )
                             )
-                            differs.append(smoothed_ladder(band.differs))
+                            differs.append(smoothed_differing_shares(band.differs))
         self._of, self._kind, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
         self._of, self._kind, self._differs = self._of.astype(int), self._kind.astype(int), np.array(differs)
 
     def expected(self, x: np.ndarray) -> np.ndarray:
         counts, perspective, floors = np.reshape(x[:-3], (len(KINDS), 3)), x[-3], x[-2:]
         texel = np.minimum(self._most, perspective * self._each)
-        ladder_index = np.clip(np.interp(np.log2(np.maximum(texel, 1e-9)), LADDER, np.arange(len(LADDER))), 0, len(LADDER) - 1)
-        low = np.minimum(ladder_index.astype(int), len(LADDER) - 2)
+        histogram_index = np.clip(np.interp(np.log2(np.maximum(texel, 1e-9)), LADDER, np.arange(len(LADDER))), 0, len(LADDER) - 1)
+        low = np.minimum(histogram_index.astype(int), len(LADDER) - 2)
         first, second = (np.take_along_axis(self._differs, (low + k)[:, None], axis=1)[:, 0] for k in (0, 1))
-        differs = first + (second - first) * (ladder_index - low)
+        differs = first + (second - first) * (histogram_index - low)
         differs = np.where(texel <= TEXEL_SIZES_PX[0], self._differs[:, 0] * texel / TEXEL_SIZES_PX[0], differs)
         maximum, half, steepness = counts[self._kind].T
         # The search tries steep curves, whose powers would overflow.

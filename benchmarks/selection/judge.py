@@ -146,7 +146,7 @@ class PolicyScore:
     regret_p95: float
     regret_met: float
     """The mean regret of the choices that met their target."""
-    unclean: float
+    needless_interior_error_share: float
     """Share of instances in which the chosen row has an interior error above ``MAX_INTERIOR``, although another row met the target
     without one."""
     single: float

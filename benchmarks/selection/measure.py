@@ -77,7 +77,7 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
         record = {
             "name": instance.name, "family": instance.family, "terrain": instance.terrain, "unseen": instance.unseen,
             "light": light,
-            "renderer": device().renderer, "error": error, "boundary": _rounded(comparison.boundary),
+            "renderer": device().renderer, "error": error, "boundary": _rounded(comparison.undecided_share),
             "noise_floor": _rounded(comparison.noise_floor), "remarks": comparison.remarks,
             "rows": {
                 row: _row(compared_row.figures, light)

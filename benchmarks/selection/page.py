@@ -105,7 +105,7 @@ def _score_row(name: str, score: PolicyScore, aims: Mapping[str, str]) -> list[s
     return [
         name, f"{100.0 * score.met:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})", _format_gap(score),
         f"{score.regret:.2f} ({score.regret_interval[0]:.2f} to {score.regret_interval[1]:.2f})", f"{score.regret_median:.2f}",
-        f"{score.regret_p95:.2f}", f"{score.regret_met:.2f}", format_percent(score.unclean), aim,
+        f"{score.regret_p95:.2f}", f"{score.regret_met:.2f}", format_percent(score.needless_interior_error_share), aim,
     ]  # fmt: skip
 
 

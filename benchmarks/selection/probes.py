@@ -34,7 +34,7 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
     if light not in options.lights:
         return {}
     light_options = options.lights[light]
-    effects = options.planner.plan({light: light_options.options[0].choice}, {}).runs
+    effects = options.planner.plan({light: light_options.options[0].choice}, {}).effect_names
     start = time.perf_counter()
     pictures = ProbedPictures(scene, view, effects)
     prober = SceneProber(pictures, options.planner, light, light_options)

@@ -25,7 +25,7 @@ Figures = dict[str, Any]
 
 def write_table(views: Iterable[Figures], profile: DeviceProfile, path: Path = TABLE) -> None:
     """Write views' records and the calibration of the device that measured them."""
-    lines = [profile.model_dump(mode="json"), *map(_packed, views)]
+    lines = [profile.model_dump(mode="json"), *map(_to_compact_record, views)]
     path.write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines), encoding="utf-8")
 
 
@@ -37,7 +37,7 @@ def read_table(path: Path = TABLE) -> tuple[list[Figures], DeviceProfile]:
     )
 
 
-def _packed(view: Figures) -> Figures:
+def _to_compact_record(view: Figures) -> Figures:
     """Return a view's record in a compact form for the table.
 
     Default values and names of columns are omitted. ``picks`` and ``probe`` refer to rows by number.

@@ -64,9 +64,9 @@ class MaskTruth:
     azimuth_deg: np.ndarray
     altitude_deg: np.ndarray
     round_lit: np.ndarray
-    round_sure: np.ndarray
+    round_certain: np.ndarray
     flat_lit: np.ndarray
-    flat_sure: np.ndarray
+    flat_certain: np.ndarray
 
 
 def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth:
@@ -132,7 +132,7 @@ def _skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterat
     run_process([*single, begin], dem.path.with_name("mask.tif"))
     single_run = run_process([*shade, "--from", begin, "--to", end, "--step", f"{MASK_STEP_MIN}m"], names[-1])
     lit = np.stack([_read(name, truth, lambda values: values == MASK_LIT) for name in names])
-    error_share = wrong_share(lit, truth.round_lit, truth.round_sure)
+    error_share = wrong_share(lit, truth.round_lit, truth.round_certain)
     yield _mask_answer(dem, "Skugga shade, one run", True, [single_run], error_share, error_share)
     sampled_times = times[EACH_OF // 2 :: EACH_OF]
     runs = [run_process([*single, time.strftime("%Y-%m-%dT%H:%M:%SZ")], dem.path.with_name("mask.tif")) for time in sampled_times]
@@ -152,8 +152,8 @@ def _peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]
     error_share = as_is = None
     if lit:
         lit_stack = np.stack(lit)
-        error_share = wrong_share(lit_stack, truth.flat_lit[indices], truth.flat_sure[indices])
-        as_is = wrong_share(lit_stack, truth.round_lit[indices], truth.round_sure[indices])
+        error_share = wrong_share(lit_stack, truth.flat_lit[indices], truth.flat_certain[indices])
+        as_is = wrong_share(lit_stack, truth.round_lit[indices], truth.round_certain[indices])
     times = MASK_COUNT / len(indices)
     yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, error_share, as_is, times)
     computing = [run.compute_s for run in runs if run.compute_s is not None]

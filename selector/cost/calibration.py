@@ -37,7 +37,7 @@ The least time of a job counts, because the first run includes compilation.
 """
 
 TIME_LIMIT_S = 90.0
-"""Seconds after which the third round stops. The first two rounds always complete."""
+"""Seconds after which the third round of timing stops. The first two rounds always complete."""
 
 Progress = Callable[[int, int], None]
 
@@ -123,7 +123,7 @@ def _steps(descriptor: Descriptor, calibration_view: CalibrationView) -> Iterato
             kind for kind in calibration_view.kinds if can_serve(algorithm.name, descriptor, calibration_view.light, kind)
         )
         if algorithm.passes and kinds:
-            for settings in algorithm.calibration_settings(descriptor, calibration_view.light, calibration_view.grid):
+            for settings in algorithm.calibration_settings(descriptor, calibration_view.light, calibration_view.calibration_extent):
                 yield Step(calibration_view.light, kinds, algorithm.name, settings)
 
 

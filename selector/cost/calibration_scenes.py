@@ -39,7 +39,7 @@ class CalibrationView:
         Name of the light to time.
     kinds
         Kinds of casters whose shadows are timed.
-    grid
+    calibration_extent
         Which settings of each algorithm are timed: all (``full``), less (``some``), or only those that need this scene (``few``).
     """
 
@@ -48,16 +48,16 @@ class CalibrationView:
     view: MapView | PerspectiveView
     light: str
     kinds: tuple[CasterKind, ...]
-    grid: str
+    calibration_extent: str
 
 
 def calibration_views(folder: Path) -> Iterator[CalibrationView]:
     """Yield the calibration views. The files of their levels are written to ``folder``."""
-    for name, level, view, size, light, kinds, grid in calibration_levels(folder):
+    for name, level, view, size, light, kinds, calibration_extent in calibration_levels(folder):
         path = folder / f"{name}.yaml"
         path.write_text(json.dumps({"version": 1, **level}), encoding="utf-8")  # JSON is YAML
         scene = build_scene(load_level(path))
-        yield CalibrationView(name, scene, scene.view(view, size=size), light, kinds, grid)
+        yield CalibrationView(name, scene, scene.view(view, size=size), light, kinds, calibration_extent)
 
 
 def calibration_levels(
@@ -66,7 +66,7 @@ def calibration_levels(
     """Yield the definition of each calibration view.
 
     It holds the name, the content of a level file, the name of the view, its width and height in pixels, and the ``light``,
-    ``kinds`` and ``grid`` of ``CalibrationView``. Files to which the levels refer are written to ``folder``.
+    ``kinds`` and ``calibration_extent`` of ``CalibrationView``. Files to which the levels refer are written to ``folder``.
     """
     few, many = _balls(folder, 1, 5), _balls(folder, 3, 36)
     near, wide = _camera([-30, -46, 34], [0, -4, 0]), _camera([40, -70, 60], [0, 0, 0])

@@ -195,7 +195,10 @@ def constants_of(descriptor: Descriptor, step: Step, model: ErrorModel) -> Error
 
 
 def step_wrong_share(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
-    """Return the share of all visible points that a step is expected to get wrong. Raises the errors of ``combine_errors``."""
+    """Return the expected share of visible points where a step (one call of an algorithm) is wrong.
+
+    Raises the errors of ``combine_errors``.
+    """
     floor = _constants(descriptor, step, model).floor * _cast_share(descriptor, light)
     return floor + sum(
         _wrong_share_of_kind(descriptor, light, step, *kind_casting, model)
@@ -248,7 +251,7 @@ def step_castings(descriptor: Descriptor, light: str, step: Step) -> list[tuple[
 def _wrong_share_of_kind(
     descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel
 ) -> float:
-    """Return the share of all visible points where one kind's shadows are wrong."""
+    """Return the expected share of visible points where the shadows of one kind of casters are wrong."""
     accuracy = ALGORITHMS[step.algorithm].accuracy
     if accuracy.wrong_share is not None:
         return accuracy.wrong_share(casting)
@@ -270,7 +273,7 @@ def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, 
 
 
 @cached("process", MIB)
-def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
+def smoothed_differing_shares(differs: tuple[float, ...]) -> tuple[float, ...]:
     """Return the values of ``CastBand.differs`` with less sampling noise, one for each of ``TEXEL_SIZES_PX``.
 
     A value is the share of points whose shadow-map look-up differs. It grows about in proportion to the texel's side. So each value
@@ -289,7 +292,7 @@ def _interpolated_difference(band: CastBand, texel_px: float) -> float:
 
     It is interpolated between ``TEXEL_SIZES_PX``. Below the smallest size it is proportional to the texel's side.
     """
-    differs = smoothed_ladder(band.differs)
+    differs = smoothed_differing_shares(band.differs)
     if texel_px <= TEXEL_SIZES_PX[0]:
         return differs[0] * texel_px / TEXEL_SIZES_PX[0]
     above = bisect(TEXEL_SIZES_PX, texel_px)

@@ -32,10 +32,10 @@ from skugga.terrain.scene import Scene
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
 
-ROW_REPEATS = 5
+TIMING_REPEATS = 5
 """Number of timed repeats of each candidate, if the time limit allows."""
 
-TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
+TIME_LIMIT_S, DRAWING_TIME_SHARE = 70.0, 0.85
 """Time limit of a comparison in seconds, and the share of it after which no further candidates are drawn."""
 
 FINE_SAMPLES = 16
@@ -82,11 +82,11 @@ class Comparison:
         Valid mask of the surface, bool (rows, cols).
     error
         Name of the error that is compared with the requested limit in this view.
-    boundary
+    undecided_share
         Share of the surface, in [0, 1], for which truth is undecided, since samples within a pixel disagree.
-    cast
+    cast_share
         Share of the surface in true cast shadow, in [0, 1].
-    surface
+    simplification_share
         Share of the pixels that change because the ground is drawn with fewer nodes than its data have, in [0, 1].
     noise_floor
         Error of a second truth with other sub-samples, in [0, 1]. Smaller errors are not significant.
@@ -103,9 +103,9 @@ class Comparison:
     rows: list[ComparisonRow]
     valid: np.ndarray
     error: ErrorName
-    boundary: float
-    cast: float
-    surface: float
+    undecided_share: float
+    cast_share: float
+    simplification_share: float
     noise_floor: float
     remarks: list[str]
     left_out: tuple[str, ...] = ()
@@ -148,16 +148,16 @@ class TimedPlan:
         The plan.
     row
         Its result, still without final times.
-    first
+    first_times
         Times of the first execution.
-    later
+    repeat_times
         Times of all other executions.
     """
 
     plan: Plan
     row: ComparisonRow
-    first: Times
-    later: list[Times] = field(default_factory=list)
+    first_times: Times
+    repeat_times: list[Times] = field(default_factory=list)
 
 
 def compare(
@@ -174,8 +174,8 @@ def compare(
     """Measure the errors and times of all candidate plans of a view on one geometry.
 
     Each candidate is drawn once for its errors. Then all candidates are timed in turns, fastest first, so that other load on the
-    machine affects them alike. Repeats that would end after the time limit are left out. After a share of ``ROWS_SHARE`` of the
-    limit, further variants of algorithms that were drawn already are left out, too. Each algorithm is drawn at least once.
+    machine affects them alike. Repeats that would end after the time limit are left out. After a share of ``DRAWING_TIME_SHARE`` of
+    the limit, further variants of algorithms that were drawn already are left out, too. Each algorithm is drawn at least once.
     Candidates from ``plans`` and ``only`` are always drawn.
 
     Parameters
@@ -211,16 +211,16 @@ def compare(
         plans = candidates(scene, view, name, light)
         default = name_of(plans[0], light) if plans else ""
         plans = _select_plans(plans, light, only)
-    total = len(plans) + ROW_REPEATS + 2
+    total = len(plans) + TIMING_REPEATS + 2
     step = on_step or (lambda done, total_steps: None)
-    effects = frozenset().union(*(plan.runs for plan in plans))
+    effects = frozenset().union(*(plan.effect_names for plan in plans))
     scene = with_apparent_sun(scene, effects)
     view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, effects)
     pictures = picture_blocks(scene, view)
     step(1, total)
     first = view_truth.blocks[0]
     floor = _noise_floor(scene, view_truth)
-    surface = truth_module.surface_error(first.buffer, scene, first.casters)
+    simplification_share = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name, "points").pixel_m
     trials: list[TimedPlan] = []
@@ -229,24 +229,24 @@ def compare(
     for done, plan in enumerate(plans, start=3):
         began_s, names = time.perf_counter() - start, set(plan.algorithm.get(light, {}).values())
         ends_s = began_s + max((draw_times_s.get(algorithm, 0.0) for algorithm in names), default=0.0)
-        if not is_explicit and names <= draw_times_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
+        if not is_explicit and names <= draw_times_s.keys() and ends_s > DRAWING_TIME_SHARE * time_limit_s:
             left_out.append(name_of(plan, light))
         else:
             trials.append(_first_run(scene, view_truth, pictures, plan, pixel_m))
             trial_s = time.perf_counter() - start - began_s
             draw_times_s |= {algorithm: min(trial_s, draw_times_s.get(algorithm, trial_s)) for algorithm in names}
         step(done, total)
-    for repeat in range(ROW_REPEATS):
-        for trial in sorted(trials, key=lambda trial: trial.first[0]) if view_truth.full_truth.valid.any() else []:
-            if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
-                trial.later.append(run_light(scene, pictures, trial.plan, light).times)
+    for repeat in range(TIMING_REPEATS):
+        for trial in sorted(trials, key=lambda trial: trial.first_times[0]) if view_truth.full_truth.valid.any() else []:
+            if time.perf_counter() - start + trial.first_times[0] / 1000.0 < time_limit_s:
+                trial.repeat_times.append(run_light(scene, pictures, trial.plan, light).times)
         step(len(plans) + 3 + repeat, total)
     rows = [_with_times(trial) for trial in trials]
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
         view, light, rows, view_truth.full_truth.valid, view_truth.error, view_truth.full_truth.boundary,
-        view_truth.full_truth.cast, surface, floor, remarks, tuple(left_out), default,
+        view_truth.full_truth.cast, simplification_share, floor, remarks, tuple(left_out), default,
     )  # fmt: skip
 
 
@@ -258,11 +258,11 @@ def measure_plan(
     The time is the median of ``repeats`` executions after the first one. Without repeats it is that of the first one, which
     includes compilation.
     """
-    scene, light = with_apparent_sun(scene, plan.runs), _check_light(scene, light)
-    view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
+    scene, light = with_apparent_sun(scene, plan.effect_names), _check_light(scene, light)
+    view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.effect_names)
     pictures = picture_blocks(scene, view)
     trial = _first_run(scene, view_truth, pictures, plan, describe(scene, view, plan.view, "points").pixel_m)
-    trial.later.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
+    trial.repeat_times.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
     return _with_times(trial)
 
 
@@ -362,7 +362,7 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
     log, start = PassLog(), time.perf_counter()
     parts = []
     for picture, casters in pictures:
-        parts.append(fill_steps(steps, picture.buffer, scene, casters, plan.runs, log)[: picture.rows])
+        parts.append(fill_steps(steps, picture.buffer, scene, casters, plan.effect_names, log)[: picture.rows])
     ms = (time.perf_counter() - start) * 1000.0 if steps else 0.0
     stages: dict[str, float] = {}
     for name, record in log.records.items():
@@ -376,13 +376,13 @@ def _with_times(trial: TimedPlan) -> ComparisonRow:
 
     The first execution counts only if there are no later ones, because it includes compilation and allocation.
     """
-    runs = sorted(trial.later or [trial.first], key=lambda run: run[0])
+    runs = sorted(trial.repeat_times or [trial.first_times], key=lambda run: run[0])
     times_ms = [ms for ms, _ in runs]
     trial.row.figures.update({
         "ms_median": float(np.median(times_ms)),
         "ms_p95": float(np.quantile(times_ms, 0.95)),
         "runs": len(runs),
-        "cold": not trial.later,
+        "cold": not trial.repeat_times,
         "stages": {name: round(ms, 3) for name, ms in runs[len(runs) // 2][1].items()},
         "pareto": False,
         "pareto_soft": False,

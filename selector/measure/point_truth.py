@@ -70,8 +70,8 @@ class PointCounts:
 def share_interval(part: int, total: int, z: float = INTERVAL_Z) -> tuple[float, float]:
     """Return the lower and upper limit of the Wilson score interval of a share, for ``part`` of ``total`` observations.
 
-    ``z`` is the number of standard errors to either side. The source is E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927. The interval is 0 to 1
-    without observations.
+    ``z`` is the number of standard errors to either side. Without observations the interval is 0 to 1. The source is E. B. Wilson,
+    Probable inference, the law of succession, and statistical inference, 1927.
     """
     if total == 0:
         return 0.0, 1.0

@@ -97,7 +97,7 @@ def probed_plan(
     descriptor = describe(scene, view, name, "points")
     model = errors if device is not None else uncalibrated_model(errors)
     options = plan_options(planner_of(descriptor, plan_request, overrides), device or typical_device(), model)
-    pictures = ProbedPictures(scene, view, make_plan(descriptor, plan_request, overrides, choices={}).runs)
+    pictures = ProbedPictures(scene, view, make_plan(descriptor, plan_request, overrides, choices={}).effect_names)
     probes: dict[str, LightProbe] = {}
     for number, (light, light_options) in enumerate(options.lights.items()):
         if not light_options.numbers:

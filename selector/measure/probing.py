@@ -32,7 +32,7 @@ It is a share of the leader's time, or of the leader's error if the leader misse
 """
 
 MIN_SAVING_UNLIMITED = 0.002
-"""``MIN_SAVING`` for probes without a time limit."""
+"""Minimum expected gain, as ``MIN_SAVING``, for probes without a time limit."""
 
 TIME_NOISE = 0.12
 """Standard deviation of the logarithm of a time that a probe measures.
@@ -44,7 +44,7 @@ differ by 0.09 within a view, and by 0.14 overall.
 INTERVAL_Z = 1.96
 """Number of standard errors from a share to the limits of its 95 % interval."""
 
-DECIDED_Z, MIN_NOISE = 2.58, 1e-9
+DECISION_Z, MIN_NOISE = 2.58, 1e-9
 """Minimum distance of an error from its limit, in standard errors, of a decided comparison (confidence 99 %).
 
 ``MIN_NOISE`` is a lower bound of the standard error.
@@ -85,7 +85,7 @@ class ErrorMeasurement:
         """Return whether the sample points suffice to tell if the errors stay within ``max_error`` and ``MAX_INTERIOR``."""
         over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, MIN_NOISE)
         inside_over = (log_interior(self.interior) - log_interior(MAX_INTERIOR)) / max(self._interior_noise, MIN_NOISE)
-        return max(over, inside_over) < -DECIDED_Z or over > DECIDED_Z or inside_over > DECIDED_Z
+        return max(over, inside_over) < -DECISION_Z or over > DECISION_Z or inside_over > DECISION_Z
 
     @property
     def _error_noise(self) -> float:
@@ -96,7 +96,7 @@ class ErrorMeasurement:
         return (log_interior(self.interior_high) - log_interior(self.interior_low)) / (2.0 * INTERVAL_Z)
 
     def to_observation(self, choice: str, ms: float) -> Observation:
-        """Return this as an observation of a choice that took ``ms`` milliseconds."""
+        """Convert this to an observation of the choice named ``choice``, which took ``ms`` milliseconds."""
         return Observation(
             choice=choice, error=self.error, error_noise=self._error_noise, interior=self.interior,
             interior_noise=self._interior_noise, ms=ms, ms_noise=TIME_NOISE,
@@ -110,7 +110,7 @@ class OptionProber(Protocol):
     """
 
     def elapsed_s(self) -> float:
-        """Return the seconds since the start."""
+        """Return the seconds since the start of the probe."""
 
     def draw(self, which: int) -> float | None:
         """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
@@ -177,7 +177,7 @@ def probe_options(
 
     while True:
         measurements = {which: prober.measurement(which) for which in drawn_ms}
-        posterior = prior.after(
+        posterior = prior.with_observations(
             measurement.to_observation(prior.options[which].choice.name, drawn_ms[which])
             for which, measurement in measurements.items()
         )
@@ -253,7 +253,8 @@ def expected_gain(options: LightOptions, which: int, leader: int, max_error: flo
 def _expected_saving(estimate: GaussianEstimate, which: int, than_log: float) -> float:
     """Return the expected relative saving of a log-normal value against a known value, whose logarithm is ``than_log``.
 
-    The log-normal value is that of candidate ``which``. A larger value counts as a saving of 0. The formula is that of a put option's price (F. Black and M. Scholes, 1973).
+    The log-normal value is that of candidate ``which``. A larger value counts as a saving of 0. The formula is that of a put
+    option's price (F. Black and M. Scholes, 1973).
     """
     mean, sd = float(estimate.mean[which]) - than_log, sqrt(max(float(estimate.covariance[which, which]), 0.0))
     if sd == 0.0:

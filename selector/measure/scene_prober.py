@@ -90,7 +90,7 @@ class SceneProber:
         self._shares: list[np.ndarray] = []
 
     def elapsed_s(self) -> float:
-        """Return the seconds since the start."""
+        """Return the seconds since this object was made."""
         return time.perf_counter() - self._start_s
 
     @staticmethod

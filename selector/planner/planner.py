@@ -1,6 +1,7 @@
-"""Make the plan of a view from a descriptor, a request and choices, for every policy.
+"""Make the plan of a view from a descriptor (facts of the view), a request, and the choices of any policy.
 
-A plan has the algorithm and the settings for each light and kind of casters, with reasons.
+A plan has the algorithm and the settings for each light and kind of casters, with reasons. The request and the level may set some
+of them. The choices decide on the rest.
 """
 
 from __future__ import annotations
@@ -65,11 +66,12 @@ def make_plan(
     plan_request
         The level, or a ``StandaloneRequest``.
     overrides
-        Fields of ``Shadows`` that the request sets. They take precedence over the level's pins, and these over its ``shadows``.
+        Fields of ``Shadows`` that the request sets. They take precedence over the level's pins (settings for some views and suns).
+        Pins take precedence over the level's own ``shadows``.
     choices
-        Choices by light for everything that request and level leave open. ``None`` takes those of the rules.
+        Choices by light for everything that the request and the level leave open. ``None``: the choices of the policy ``rules``.
     rejected
-        Reasons against algorithms. For all others the plan names the preferred algorithm.
+        Reasons against algorithms that the plan does not use. For an algorithm without a reason the plan names the preferred one.
 
     Raises
     ------
@@ -85,10 +87,10 @@ def make_plan(
 
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
-    """Return the planner of a descriptor: all that its plans share, whatever is chosen. Raises the errors of ``make_plan``."""
+    """Return the planner of a view, which makes plans for different choices. Raises the errors of ``make_plan``."""
     request = resolve_shadow_request(descriptor, plan_request, overrides)
     shadows = request.shadows
-    effects, left_out = _effects(descriptor, plan_request, shadows)
+    effects, left_out = _effects_to_run(descriptor, plan_request, shadows)
     try:
         algorithm_override = expand_override(shadows.algorithm, plan_request.light_names)
     except PydanticCustomError as error:
@@ -104,20 +106,20 @@ SUPERSAMPLING_REASON = (
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """Makes the plans of one descriptor.
+    """Makes plans of one view for different choices of algorithms and settings.
 
     Attributes
     ----------
     descriptor
         Facts of the view.
     request
-        Shadow settings of the request and the level.
+        Combined shadow settings of the request and the level.
     effects
-        Effects that the scene needs.
+        Effects that the scene needs, with reasons.
     left_out
         Effects that are left out, with reasons.
     algorithm_override
-        Requested algorithms by light and kind of casters.
+        Algorithms that the request or the level sets, by light and kind of casters.
     forced
         Effects that the level forces on.
     """
@@ -136,14 +138,14 @@ class Planner:
     def lights(self) -> tuple[str, ...]:
         """The lights to plan for: the sun and the lamps.
 
-        In a perspective view lamps that do not reach the view are left out, unless lamps are forced on. In a map view all lamps are
-        planned for, because the plan may stand for other maps of its scale.
+        In a perspective view lamps that do not reach the view are left out, unless the level forces the effect ``lamps`` on. In a
+        map view all lamps are included, because the plan may be used for other maps of the same scale.
         """
         return tuple(light for light in self.descriptor.light_kinds if light not in self._unreached_lamps)
 
     @cached_property
     def _unreached_lamps(self) -> dict[str, None]:
-        """The lamps that are left out, in order."""
+        """The names of the lamps that are left out, as the keys of a dictionary, in order."""
         if self.descriptor.view_kind == "map":
             return {}
         return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced)
@@ -154,11 +156,11 @@ class Planner:
         return self.request.shadows
 
     def casting(self, light: str) -> list[CasterKind]:
-        """Return the kinds of casters that cast shadows under a light, or may."""
+        """Return the kinds of casters that cast shadows under a light, as far as the descriptor tells."""
         return [assignment.kind for assignment in self._assignments(light, None) if assignment.algorithm != NO_SHADOWS]
 
     def steps(self, light: str, choice: Choice) -> tuple[Step, ...]:
-        """Return the steps of a choice for a light. Raises the errors of ``make_plan``."""
+        """Return the steps (calls of algorithms) that a choice leads to for a light. Raises the errors of ``make_plan``."""
         combination = (light, *choice.algorithm.items())
         if combination not in self._combinations:
             self._combinations[combination] = {
@@ -174,7 +176,7 @@ class Planner:
         return tuple(plan_steps({light: algorithm}, {light: settings}))
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
-        """Return the plan for choices by light. Raises the errors of ``make_plan``."""
+        """Return the plan for choices by light. ``rejected`` and the errors raised are those of ``make_plan``."""
         descriptor, shadows, requester = self.descriptor, self.requested_shadows, self.request.requester("algorithm")
         assignments = [assignment for light in self.lights for assignment in self._assignments(light, choices.get(light))]
         reasons = [
@@ -209,8 +211,10 @@ class Planner:
             ],
             passes=[], target=Target(max_error=shadows.max_error, max_ms=shadows.max_ms), reasons=reasons,
         )  # fmt: skip
-        passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
-        return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
+        passes = [
+            name for step in plan.steps for name in PassLog.pass_names(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)
+        ]
+        return plan.model_copy(update={"passes": passes_of(plan.effect_names, passes)})
 
     @cached_property
     def _left_out_reasons(self) -> dict[str, str]:
@@ -220,22 +224,22 @@ class Planner:
         kind_of_light, assignments = self.descriptor.light_kinds[light], []
         left_out_reasons = self._left_out_reasons
         for caster in self.descriptor.casters:
-            requested, parts = (
+            requested, requirements = (
                 self.algorithm_override.get(light, {}).get(caster),
                 requirements_of(self.descriptor, kind_of_light, caster, self._is_area(light)),
             )
-            name, reason, is_free = _algorithm(
+            name, reason, is_chosen_by_policy = _algorithm(
                 self.descriptor, light, caster, requested, self.request, left_out_reasons, self.forced, choice
             )
-            requested_algorithm, fallback_reason = name, _fallback_reason(name, parts)
+            requested_algorithm, fallback_reason = name, _fallback_reason(name, requirements)
             if fallback_reason is not None:
                 name, reason = FALLBACK, f"{self.request.requester('algorithm')} sets {requested_algorithm}, but {fallback_reason}"
-            _check_served(name, light, caster, parts, self.request)
-            assignments.append(_Assignment(light, caster, name, reason, is_free, parts, requested_algorithm))
+            _check_served(name, light, caster, requirements, self.request)
+            assignments.append(_Assignment(light, caster, name, reason, is_chosen_by_policy, requirements, requested_algorithm))
         return assignments
 
     def _is_area(self, light: str) -> bool:
-        """Return whether a light is drawn as an area. The sun is not, if its edges are to be sharp."""
+        """Return whether a light is drawn as an area light. The sun is not if the effect ``soft_edges`` is left out."""
         return is_area(self.descriptor, light, self.requested_shadows) and not (
             light == SUN and "soft_edges" in self._left_out_reasons
         )
@@ -251,7 +255,10 @@ class Planner:
     def _resolve(
         self, light: str, name: AlgorithmName, choice: Choice | None
     ) -> tuple[AlgorithmSettings | None, list[NamedReason]]:
-        """Return the settings of an algorithm, if any, and the reasons for those that the choice left open. Results are cached."""
+        """Return the settings of an algorithm, or ``None``, and the reasons for those that the choice does not set.
+
+        Results are cached.
+        """
         open_settings = self._open_settings(choice)
         key = (light, name, *open_settings.items())
         if key not in self._resolved_settings:
@@ -269,7 +276,7 @@ class Planner:
     def _settings(
         self, light: str, name: AlgorithmName, choice: Choice | None
     ) -> tuple[AlgorithmSettings | None, list[NamedReason]]:
-        """Return the settings of an algorithm, if any, and the reasons for them."""
+        """Return the settings of an algorithm, or ``None``, and the reasons for all of them."""
         open_settings = self._open_settings(choice)
         settings, reasons = self._resolve(light, name, choice)
         chosen = [
@@ -295,25 +302,27 @@ class _Assignment:
         The algorithm.
     reason
         The reason for it.
-    is_free
-        Whether the policy chose it.
-    parts
-        What the algorithm must be able to do.
+    is_chosen_by_policy
+        Whether the policy chose it, and not the request, the level or a lack of shadows.
+    requirements
+        Requirements that the algorithm must meet.
     requested_algorithm
-        The chosen or requested algorithm, before a fallback.
+        The algorithm that was chosen or requested. It differs from ``algorithm`` if that is a fallback.
     """
 
     light: str
     kind: CasterKind
     algorithm: AlgorithmName
     reason: str
-    is_free: bool
-    parts: tuple[Requirement, ...]
+    is_chosen_by_policy: bool
+    requirements: tuple[Requirement, ...]
     requested_algorithm: AlgorithmName
 
 
-def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows) -> tuple[list[NamedReason], list[NamedReason]]:
-    """Return the effects that run and those that are left out."""
+def _effects_to_run(
+    descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows
+) -> tuple[list[NamedReason], list[NamedReason]]:
+    """Return the effects that are used and those that are left out, each with a reason."""
     effects: list[NamedReason] = []
     left_out: list[NamedReason] = []
     for name, effect in EFFECTS.items():
@@ -341,9 +350,9 @@ def _without_idle_effects(
     algorithm: dict[str, dict[CasterKind, AlgorithmName]],
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
 ) -> tuple[list[NamedReason], list[NamedReason]]:
-    """Return the effects that run and those that are left out, given the algorithms.
+    """Return the effects that are used and those that are left out, each with a reason, given the chosen algorithms.
 
-    Some effects have no work with some algorithms.
+    Effects that have nothing to do with these algorithms are moved from ``effects`` to ``left_out``.
     """
     casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != NO_SHADOWS}
     sun = algorithm.get(SUN, {})
@@ -379,9 +388,10 @@ def _algorithm(
     forced: Collection[EffectName],
     choice: Choice | None,
 ) -> tuple[AlgorithmName, str, bool]:
-    """Return the algorithm of a light for a kind of casters, the reason, and whether the policy chose it.
+    """Return the algorithm for a light and a kind of casters, the reason, and whether the policy chose it.
 
-    ``left_out_reasons`` has the reasons of the effects that are left out, ``forced`` the effects that the level forces on.
+    ``requested`` is the algorithm that the request or the level sets, if any. ``left_out_reasons`` has a reason for each effect
+    that is left out. ``forced`` holds the effects that the level forces on.
     """
     needed_effects = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed_effects | ({"lamps"} if light != SUN else set())):
@@ -402,24 +412,27 @@ def _algorithm(
     return choice.algorithm[caster], choice.reason.get(caster, choice.name), True
 
 
-def _fallback_reason(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
-    """Return the reason why an algorithm falls back to ``FALLBACK``.
+def _fallback_reason(name: AlgorithmName, requirements: tuple[Requirement, ...]) -> str | None:
+    """Return the reason why ``FALLBACK`` replaces an algorithm.
 
-    ``None`` means that it serves, or that its refusal is an error.
+    ``None`` means that the algorithm meets ``requirements``, or that it fails to meet one for which there is no fallback.
     """
-    other_parts = [part for part in parts if part != FALLBACK_REQUIREMENT]
-    return None if ALGORITHMS[name].refusal(other_parts) else ALGORITHMS[name].refusal(parts)
+    other_requirements = [requirement for requirement in requirements if requirement != FALLBACK_REQUIREMENT]
+    return None if ALGORITHMS[name].refusal(other_requirements) else ALGORITHMS[name].refusal(requirements)
 
 
 def _check_served(
-    name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], request: ShadowRequest
+    name: AlgorithmName, light: str, caster: CasterKind, requirements: tuple[Requirement, ...], request: ShadowRequest
 ) -> None:
-    """Raise ``UnsupportedError`` if an algorithm refuses, with the algorithms that serve instead."""
-    reason = ALGORITHMS[name].refusal(parts)
+    """Raise ``UnsupportedError`` if an algorithm does not meet ``requirements``.
+
+    The message names the algorithms that do.
+    """
+    reason = ALGORITHMS[name].refusal(requirements)
     if reason is not None:
         value, allowed = (
             f"{name} for {caster} under {light}",
-            f"{reason}; algorithms that can: {', '.join(algorithms_serving(parts))}",
+            f"{reason}; algorithms that can: {', '.join(algorithms_serving(requirements))}",
         )
         raise UnsupportedError(request.key_path("algorithm"), value, allowed)
 
@@ -427,26 +440,29 @@ def _check_served(
 def _rejection_reason(
     name: AlgorithmName, assignments: list[_Assignment], requester: str, rejected: Mapping[AlgorithmName, str]
 ) -> str:
-    """Return why an algorithm is not used: its own refusal, the policy's reason against it, or the preferred algorithm."""
-    free_assignments = [assignment for assignment in assignments if assignment.is_free]
+    """Return why an algorithm is not used: a requirement that it does not meet, the policy's reason, or the preferred algorithm.
+
+    ``requester`` is the source of the algorithms that are set, in words. ``rejected`` holds the policy's reasons.
+    """
+    policy_assignments = [assignment for assignment in assignments if assignment.is_chosen_by_policy]
     if not ALGORITHMS[name].is_served:
-        return ALGORITHMS[name].about
+        return ALGORITHMS[name].description
     if any(assignment.requested_algorithm == name for assignment in assignments):
         return ALGORITHMS[name].refusals[FALLBACK_REQUIREMENT]
-    if not free_assignments:
+    if not policy_assignments:
         return f"{requester} sets {', '.join(sorted({assignment.requested_algorithm for assignment in assignments}))}"
     if name == NO_SHADOWS:
         return "the view has casters and light, so shadows are drawn"
     if name in rejected:
         return rejected[name]
-    if len(free_assignments) == 1:
+    if len(policy_assignments) == 1:
         return (
-            ALGORITHMS[name].refusal(free_assignments[0].parts)
-            or f"{free_assignments[0].algorithm} was preferred: {free_assignments[0].reason}"
+            ALGORITHMS[name].refusal(policy_assignments[0].requirements)
+            or f"{policy_assignments[0].algorithm} was preferred: {policy_assignments[0].reason}"
         )
     kinds_by_reason: dict[str, list[str]] = {}
-    for assignment in free_assignments:
-        reason = ALGORITHMS[name].refusal(assignment.parts) or f"{assignment.algorithm} was preferred"
+    for assignment in policy_assignments:
+        reason = ALGORITHMS[name].refusal(assignment.requirements) or f"{assignment.algorithm} was preferred"
         kinds_by_reason.setdefault(reason, []).append(
             assignment.kind if assignment.light == SUN else f"{assignment.kind} under {assignment.light}"
         )
@@ -460,9 +476,9 @@ def _requested_setting_reasons(
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
     given_reasons: list[NamedReason],
 ) -> list[NamedReason]:
-    """Return a reason for each setting that is set: who set it, and whether any chosen algorithm has it.
+    """Return a reason for each setting that the request or the level sets: who set it, and whether a used algorithm has it.
 
-    ``given_reasons`` are reported already.
+    Settings in ``given_reasons`` have a reason already and are left out.
     """
     resolved = [kind_settings for per_kind in settings.values() for kind_settings in per_kind.values()]
     reported = {reasoned.name.rpartition(": ")[2] for reasoned in given_reasons}

@@ -45,7 +45,7 @@ class ShadowRequest:
         return "the level" if not self._is_pinned(key) else f"the level's pin for {self._pin_scope}"
 
     def reason_for(self, key: str) -> str:
-        """Return the reason for a setting that the request or the level sets."""
+        """Return who set a setting, the request or the level, as a reason in words."""
         return f"pinned by the level for {self._pin_scope}" if self._is_pinned(key) else f"set by {self.requester(key)}"
 
     def key_path(self, key: str) -> str:

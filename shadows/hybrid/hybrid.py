@@ -55,25 +55,25 @@ def fill(
 
     The value is undefined off the surface and in attached shadow. Raises ``GraphicsError``.
     """
-    passes = log.named(light, kinds, PASSES)
+    passes = log.pass_names(light, kinds, PASSES)
     light_frame = np.array(scene.light_position(light, buffer.frame))
-    with log.run(passes[0]) as record:
+    with log.record_pass(passes[0]) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
     receiver_mask = buffer.valid & ~attached(buffer, scene, light)
     if settings.mask == "original":
         classes = _classify_by_comparison(buffer, scene, light, kinds, casters, settings, receiver_mask, passes, log)
     else:
         classes = classify_pixels(buffer, scene, light, kinds, volumes, settings.map.map_size, receiver_mask, passes, log)
-        log.keep("shadow-map", light, map_pictures, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
-    log.keep("volumes", light, faces_in_front, buffer, scene, volumes)
+        log.keep_layer("shadow-map", light, map_pictures, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
+    log.keep_layer("volumes", light, faces_in_front, buffer, scene, volumes)
     is_masked = classes == MASKED
-    log.keep("silhouettes", light, lambda: np.where(is_masked, np.uint8(255), np.uint8(0)))
-    with log.run(passes[3]) as record:
+    log.keep_layer("silhouettes", light, lambda: np.where(is_masked, np.uint8(255), np.uint8(0)))
+    with log.record_pass(passes[3]) as record:
         row, col = np.nonzero(is_masked[: buffer.view.rows])
         record.marked += len(row)
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
         counts = count(buffer, scene, light_frame, volumes, settings, is_masked, True, record)
-    log.keep("stencil", light, counts.copy)
+    log.keep_layer("stencil", light, counts.copy)
     return np.where(np.where(is_masked, counts > 0, classes == SHADED), np.float32(0.0), np.float32(1.0))
 
 
@@ -98,7 +98,7 @@ def _classify_by_comparison(
     else:
         maps = [depth_map for depth_map in [lamp_map(buffer, scene.lamps[light], map_settings, None)] if depth_map is not None]
     if not maps:  # a lamp that shines on nothing
-        with log.run(passes[1]):
+        with log.record_pass(passes[1]):
             pass
     visibility = visibility_by_maps(maps, buffer, scene, light, kinds, casters, map_settings, (passes[1], passes[2]), log)
     classes = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
@@ -107,15 +107,15 @@ def _classify_by_comparison(
     return classes
 
 
-def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-    sizes = (512, 2048) if grid != "few" and light == SUN and not descriptor.relief_m else (1024,)
+def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
+    sizes = (512, 2048) if calibration_extent != "few" and light == SUN and not descriptor.relief_m else (1024,)
     for size in sizes:
         yield resolve_hybrid(SettingsRequest(descriptor, light, Shadows(map_size=size)))[0]
 
 
 ALGORITHM = Algorithm(
     name="hybrid",
-    about="a small map, and shadow volumes only where it cannot decide",
+    description="a small map, and shadow volumes only where it cannot decide",
     plural="hybrid",
     fill=fill,
     passes=PASSES,

@@ -97,15 +97,15 @@ def classify_pixels(
 ) -> np.ndarray:
     """Return the class of each point in ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
     classes, on_caster = np.full(receiver_mask.shape, LIT, np.uint8), _caster_mask(buffer, scene, light, kinds, receiver_mask)
-    with log.run(passes[1]), log.run(passes[2]):
+    with log.record_pass(passes[1]), log.record_pass(passes[2]):
         windows = [*_windows(buffer, scene, light, map_size, receiver_mask)]
     for window in windows:
-        with log.run(passes[1]) as record:
+        with log.record_pass(passes[1]) as record:
             window_map, was_cached = _cached_map(window, volumes)
             record.kept += was_cached
             record.map_texels += window_map.nearest.size
             record.bytes = max(record.bytes, 3 * window_map.nearest.nbytes)
-        with log.run(passes[2]):
+        with log.record_pass(passes[2]):
             classes.ravel()[window.pixels] = classify_points(
                 window_map, window.u, window.v, window.depth, window.slack, on_caster[window.pixels]
             )

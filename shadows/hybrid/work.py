@@ -30,9 +30,9 @@ def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
     texels = faces * size**2
     map_counts = {
         "blocks": 1.0, "texels": texels, "texels of ground": texels if task.caster_facts("relief") else 0.0,
-        "texels in shadow": texels * task.facts.cast_share, "caps": caps, "ground": ground, "facing": task.facing,
+        "texels in shadow": texels * task.facts.cast_share, "caps": caps, "ground": ground, "facing": task.facing_pixels,
     }  # fmt: skip
-    mask = {"blocks": 1.0, "facing": task.facing, "pixels": task.pixels, "texels": texels}
+    mask = {"blocks": 1.0, "facing": task.facing_pixels, "pixels": task.pixels, "texels": texels}
     return counting | {task.by_view("conservative map"): map_counts, "mask": mask}
 
 
@@ -48,9 +48,9 @@ def _masked_share(task: Workload, side_px: float) -> float:
     """Return the share of the picture in squares of ``side_px`` pixels that a shadow edge crosses; 1 without facts on casters."""
     if not task.facts.casts:
         return 1.0
-    ladder = np.log2(TEXEL_SIZES_PX)
+    log_texel_sizes = np.log2(TEXEL_SIZES_PX)
     shares = [
-        band.share * np.interp(np.log2(side_px), ladder, band.differs)
+        band.share * np.interp(np.log2(side_px), log_texel_sizes, band.differs)
         for kind, casting in task.facts.casts.items() if kind in task.kinds
         for band in casting.bands
     ]  # fmt: skip

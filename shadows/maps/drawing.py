@@ -14,7 +14,7 @@ from skugga.shadows.maps.settings import Culling, LampMapSettings, PerspectiveMa
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.cache import IdentityKey
-from skugga.terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters
+from skugga.terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_caster_mask
 from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader
@@ -90,7 +90,7 @@ def draw_map(
                     record.triangles += gl.draw_triangles(solid, vertices, triangles)
                 largest_bytes = max(largest_bytes, len(vertices) * 12 + triangles.nbytes)
             if trees is not None:
-                gl.layers(foliage().mip_levels).use(0)
+                gl.srgb_texture_array(foliage().mip_levels).use(0)
                 variant = np.concatenate([trees.yaw_cos_sin, trees.variant[:, None]], axis=1)
                 instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", variant)]
                 record.triangles += gl.draw_instances(leaves, QUAD_TRIANGLES, instances)
@@ -142,7 +142,7 @@ def _meshes_with_culling(
     if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]
     *ground, (vertices, triangles) = meshes
-    closed = closed_casters(scene.objects)
+    closed = closed_caster_mask(scene.objects)
     return [*((mesh, False) for mesh in ground), ((vertices, triangles[closed]), True), ((vertices, triangles[~closed]), False)]
 
 
@@ -162,11 +162,11 @@ def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh],
     return settings, depth_map.size, len(depth_map.faces), tuple(depth_map.uniforms.items()), geometry, tree_digest
 
 
-def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
+def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, for_sun_disc: bool) -> TreeInstances | None:
     """Return the trees to draw into a map: those that may shade a visible point."""
     if depth_map.trees is None or depth_map.reach is None:
         return depth_map.trees
-    return depth_map.trees.select(relevant_trees(depth_map, buffer, soft))
+    return depth_map.trees.select(relevant_trees(depth_map, buffer, for_sun_disc))
 
 
 def _face_uniforms(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:

@@ -56,16 +56,16 @@ def visibility_by_maps(
     draw_pass, look_up_pass = passes
     visibility = np.ones(buffer.valid.shape, np.float32)
     if not maps:
-        with log.run(look_up_pass):
+        with log.record_pass(look_up_pass):
             return visibility
     gl = device()
 
     def draw(depth_map: DepthMap) -> Framebuffer:
-        with log.run(draw_pass) as record:
+        with log.record_pass(draw_pass) as record:
             return draw_map(gl, depth_map, buffer, scene, kinds, casters, settings, record)
 
     for depth_map, target in draw_ahead(maps, draw):
-        log.keep("shadow-map", light, read_depths, gl, depth_map, target)
-        with log.run(look_up_pass) as record:
+        log.keep_layer("shadow-map", light, read_depths, gl, depth_map, target)
+        with log.record_pass(look_up_pass) as record:
             look_up(gl, depth_map, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
     return visibility

@@ -10,7 +10,7 @@ import numpy as np
 
 from skugga.shadows.maps.drawing import MapSettings
 from skugga.shadows.maps.point_lookup import DepthComparison, LookupPoints, look_up_points, sun_map
-from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, MAX_HALF_DISC_TEXELS, MIN_DISC_TAPS, samples_before_edges
+from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, MAX_HALF_DISC_TEXELS, MIN_DISC_TAPS, disc_samples_before_edges
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.compiled import compiled
@@ -100,7 +100,7 @@ def look_up(
                     _reshape_to_rows(pixel_xy)
                 ]
                 arrays = [gathered[0], gathered[1], *(array.reshape(len(array), -1, 3) for array in gathered[2:-1]), gathered[-1]]
-            arrays.insert(2, _nodes_with_cuts(window.casting.sheet))
+            arrays.insert(2, _nodes_with_cuts(window.with_rim.sheet))
             lit = _run_lookup(gl, program, arrays, target, depth_map, record)
             visibility.ravel()[chosen] = lit.ravel()[: chosen.size] if triangle_flags["placed"] else lit.ravel()[chosen]
             visibility[facets.blocked] = 0.0  # a map may miss occluders nearer than a texel
@@ -169,7 +169,7 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
         set_uniforms(program, {
             "least_depth": MIN_DEPTH_UNIT, "block_texels": BLOCK_TEXELS, "disc_tangent": DISC_TANGENT, "widest_m": widest_m,
         })  # fmt: skip
-        for name, bits in zip(("left_of", "below"), samples_before_edges(), strict=True):
+        for name, bits in zip(("left_of", "below"), disc_samples_before_edges(), strict=True):
             uniform = program[name]
             assert isinstance(uniform, Uniform)
             uniform.write(bits.tobytes())

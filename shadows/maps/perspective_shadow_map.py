@@ -87,9 +87,9 @@ def fill(
     """
     if settings.filter == "sun":
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
-    depth_pass, visibility_pass = log.named(light, kinds, PASSES)
+    depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
-    with log.run(depth_pass) as record:  # fitting a map is part of making it
+    with log.record_pass(depth_pass) as record:  # fitting a map is part of making it
         receivers = buffer.valid & ~attached(buffer, scene, light)
         shaded = receivers.any() and has_casters(scene, buffer, kinds)
         fitted_maps = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
@@ -165,17 +165,17 @@ def perspective_map(
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
     sample, triangles = position[sampled], corners.reshape(-1, 3, 3)[sampled]
-    camera, source = camera_of(buffer), light_of(buffer, scene, light)
+    camera, source = camera_of(buffer), homogeneous_light(buffer, scene, light)
     inner = 1.0 - 2.0 * MAP_BORDER_TEXELS / settings.map_size
     uniform = uniform_matrix(source, sample)[3]
     nearest = NEAREST_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
-    rim = sample[:0]
+    outer_receivers = sample[:0]
     for _ in range(MAX_FIT_ROUNDS):
-        best, *fallbacks = post_perspectives(camera, source, sample, inner, rim)
+        best, *fallbacks = post_perspectives(camera, source, sample, inner, outer_receivers)
         low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
         if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_OVERSHOOT * inner:
             break
-        rim = np.concatenate([rim, position[outermost]])
+        outer_receivers = np.concatenate([outer_receivers, position[outermost]])
     while not is_clear_of_horizon(np.array([low[3], high[3]])):
         best, *fallbacks = fallbacks
         low, high, _ = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
@@ -255,7 +255,7 @@ def camera_of(buffer: GeometryBuffer) -> Camera:
     return Camera(*buffer.view.in_frame(buffer.frame))
 
 
-def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
+def homogeneous_light(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
     """Return the sun or a lamp as a homogeneous point in the buffer's frame."""
     if light == SUN:
         assert scene.sun is not None
@@ -315,9 +315,9 @@ def _texel_m(
     return texel_m
 
 
-def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-    """Yield the settings that a calibration measures: sizes and taps, as many as its extent ``grid`` asks for (``Cost``)."""
-    map_overrides = calibration_overrides(descriptor, light, grid)
+def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
+    """Yield the settings that a calibration of this extent measures (``Cost``): sizes and taps."""
+    map_overrides = calibration_overrides(descriptor, light, calibration_extent)
     for overrides in [
         *map_overrides.sizes,
         *(filter_override for filter_override in map_overrides.filters if filter_override["filter"] != "sun"),
@@ -327,7 +327,7 @@ def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iter
 
 ALGORITHM = Algorithm(
     name="perspective_shadow_map",
-    about="depth map in post-perspective space: fine near the eye",
+    description="depth map in post-perspective space: fine near the eye",
     plural="perspective shadow maps",
     fill=fill,
     passes=PASSES,

@@ -166,17 +166,17 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
 
 
 def post_perspectives(
-    camera: Camera, light: Light, points: np.ndarray, inner: float, rim: np.ndarray = NO_POINTS
+    camera: Camera, light: Light, points: np.ndarray, inner: float, outer_receivers: np.ndarray = NO_POINTS
 ) -> list[PostPerspective]:
     """Return the candidate maps for receivers (n, 3) in front of the eye, the best one first.
 
     The last one is the uniform map. Candidates with larger texels than the uniform map are left out. The maps are chosen by
-    ``points``, and also hold the points ``rim`` (m, 3). If another receiver lies beyond the horizon of a map, the caller takes the
-    next candidate. ``inner`` is the part of the map's half width that receivers may fill.
+    ``points``, and also hold the points ``outer_receivers`` (m, 3). If another receiver lies beyond the horizon of a map, the
+    caller takes the next candidate. ``inner`` is the part of the map's half width that receivers may fill.
     """
     uniform = uniform_matrix(light, points)
-    outline = np.concatenate([points[_outline(project_points(uniform, points)[:, :2])], rim])
-    required_points = np.concatenate([points, rim])
+    outline = np.concatenate([points[_outline(project_points(uniform, points)[:, :2])], outer_receivers])
+    required_points = np.concatenate([points, outer_receivers])
     camera_points, uniform_distance = camera.camera_points(points), horizon_distance(uniform, required_points)
     ray_axes, picture_derivatives = _in_picture(camera, light, points)
 

@@ -79,10 +79,10 @@ class CalibrationOverrides:
     filters: list[dict[str, Any]]
 
 
-def calibration_overrides(descriptor: Descriptor, light: str, grid: str) -> CalibrationOverrides:
-    """Return the overrides that a calibration tries; ``grid`` is its extent (``skugga.shadows.algorithm.Cost``)."""
-    sizes = {"few": (1024, 2048)}.get(grid, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
-    taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if grid == "full" else ()
+def calibration_overrides(descriptor: Descriptor, light: str, calibration_extent: str) -> CalibrationOverrides:
+    """Return the overrides that a calibration of this extent tries (``skugga.shadows.algorithm.Cost``)."""
+    sizes = {"few": (1024, 2048)}.get(calibration_extent, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
+    taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if calibration_extent == "full" else ()
     return CalibrationOverrides(
         [{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": filter_value} for filter_value in taps]
     )
@@ -114,8 +114,8 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     assert descriptor.receivers_light_m is not None and descriptor.sun_altitude_deg is not None
     altitude = np.radians(max(descriptor.sun_altitude_deg, 0.5))
     reasons: list[NamedReason] = []
-    runs = _cascades(descriptor, shadows, altitude, reasons)
-    footprints_px = [float(_ground_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in runs]
+    cascade_extents = _cascades(descriptor, shadows, altitude, reasons)
+    footprints_px = [float(_ground_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in cascade_extents]
     size, bits, taps = shadows.map_size, shadows.depth_bits, shadows.filter
     if size == "auto":
         target_px = _target_px(descriptor) if descriptor.bands else MAX_TEXEL_PX
@@ -125,9 +125,15 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
         reasons.append(
             NamedReason(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{remark}")
         )
-    texels = [extent[:2] / (size - 2 * MAP_BORDER_TEXELS) for _, extent, _ in runs]
-    ranges_m = [run[1][2] * 1.1 + 3 * MAP_BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
-    shifts_px = [range_m / (2**16 - 1) * np.cos(altitude) / run[2] for range_m, run in zip(ranges_m, runs, strict=True)]
+    texels = [extent[:2] / (size - 2 * MAP_BORDER_TEXELS) for _, extent, _ in cascade_extents]
+    ranges_m = [
+        extent[2] * 1.1 + 3 * MAP_BORDER_TEXELS * float(texel.max())
+        for (_, extent, _), texel in zip(cascade_extents, texels, strict=True)
+    ]
+    shifts_px = [
+        range_m / (2**16 - 1) * np.cos(altitude) / pixel_m
+        for range_m, (_, _, pixel_m) in zip(ranges_m, cascade_extents, strict=True)
+    ]
     if bits == "auto" and taps == "sun":
         bits = 24
         reason = "the penumbra's width follows the distance to the caster, so depths must be fine everywhere"
@@ -144,7 +150,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     steps = 2**16 - 1 if bits == 16 else 2**24 - 1
     cascades = tuple(
         Cascade(far_m=far_m, texel_m=(float(texel[0]), float(texel[1])), depth_step_m=float(range_m / steps))
-        for (far_m, _, _), texel, range_m in zip(runs, texels, ranges_m, strict=True)
+        for (far_m, _, _), texel, range_m in zip(cascade_extents, texels, ranges_m, strict=True)
     )
     if taps == "auto":
         taps, reason = sun_taps(descriptor, cascades)
@@ -272,7 +278,7 @@ def _cascades(
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
 
     bands, pixel, target_px = descriptor.bands, descriptor.pixel, _target_px(descriptor)
-    extent_m, near_m, nearness = _of_runs(bands)
+    extent_m, near_m, nearness = _measure_band_ranges(bands)
     texels_a_pixel = (extent_m[..., :2] / np.array([1.0, np.sin(altitude)])).max(axis=-1) / pixel  # at distance 1
     options = []
     for count in range(1, 5) if shadows.cascades == "auto" else [shadows.cascades]:
@@ -307,14 +313,15 @@ def _automatic_size(texels: float, max_size: int) -> int:
 
 
 @cached("process", 16 * MIB)
-def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the extents, near distances and sums of shares of all runs of consecutive bands.
+def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the extents, near distances and sums of shares of all ranges of consecutive bands.
 
-    A band is a range of distances from the eye. Run (i, j) consists of the bands i to j, of n bands in all.
+    A band is an interval of distances from the eye. Range (i, j) consists of the bands i to j, of n bands in all.
 
-    - Extents (n, n, 3): sides of the run's bounds in light space, metres, rounded up to powers of ``EXTENT_STEP``; NaN where j < i.
+    - Extents (n, n, 3): sides of the range's bounds in light space, metres, rounded up to powers of ``EXTENT_STEP``; NaN where j <
+      i.
     - Near distances (n,): where each band starts, metres from the eye.
-    - Sums (n, n): over the run's bands, each band's share of the visible surfaces divided by its near distance.
+    - Sums (n, n): over the range's bands, each band's share of the visible surfaces divided by its near distance.
     """
     near_m = np.array([band.near_m for band in bands])
     cumulative = np.concatenate([[0.0], np.cumsum([band.share for band in bands] / near_m)])
@@ -327,14 +334,14 @@ def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 @cached("process", 16 * MIB)
 def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return all ways to split bands into ``count`` runs of consecutive bands, at most one run for each band.
+    """Return all ways to split bands into ``count`` ranges of consecutive bands, at most one range for each band.
 
-    The result is the numbers of the first and of the last band of each run, int64 (ways, runs) each.
+    The result is the numbers of the first and of the last band of each range, int64 (ways, ranges) each.
     """
     count = min(count, bands)
-    cuts_of_runs = list(combinations(range(1, bands), count - 1))
-    cuts = np.array(cuts_of_runs, np.int64).reshape(len(cuts_of_runs), count - 1)
-    ends = np.full((len(cuts_of_runs), 1), bands)
+    cuts_by_split = list(combinations(range(1, bands), count - 1))
+    cuts = np.array(cuts_by_split, np.int64).reshape(len(cuts_by_split), count - 1)
+    ends = np.full((len(cuts_by_split), 1), bands)
     return np.hstack([0 * ends, cuts]), np.hstack([cuts, ends]) - 1
 
 

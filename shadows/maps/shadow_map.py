@@ -47,10 +47,10 @@ def fill(
     """
     if isinstance(settings, LampMapSettings) and settings.filter == "sun":
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
-    depth_pass, visibility_pass = log.named(light, kinds, PASSES)
+    depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []
-    with log.run(depth_pass):  # fitting a map is part of making it
+    with log.record_pass(depth_pass):  # fitting a map is part of making it
         if not has_casters(scene, buffer, kinds):
             pass
         elif isinstance(settings, ShadowMapSettings):
@@ -69,9 +69,9 @@ def _is_tunable(descriptor: Descriptor, light: str, key: str, value: int) -> boo
     return key != "cascades" or (light == SUN and value <= len(descriptor.bands))
 
 
-def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-    """Yield the settings that a calibration measures: sizes, cascades and taps; ``grid`` is its extent (``Cost``)."""
-    map_overrides = calibration_overrides(descriptor, light, grid)
+def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
+    """Yield the settings that a calibration of this extent measures (``Cost``): sizes, cascades and taps."""
+    map_overrides = calibration_overrides(descriptor, light, calibration_extent)
     for overrides in [
         *map_overrides.sizes,
         *(CALIBRATED_CASCADES if descriptor.bands and light == SUN else ()),
@@ -93,14 +93,14 @@ VARIANTS: tuple[dict[str, Any], ...] = tuple(BASELINE_MAP | change for change in
 
 ALGORITHM = Algorithm(
     name="shadow_map",
-    about="depth map from the light, fitted to the view",
+    description="depth map from the light, fitted to the view",
     plural="shadow maps",
     fill=fill,
     passes=PASSES,
     layers=("shadow-map",),
     settings=(ShadowMapSettings, LampMapSettings),
     resolve=resolve_shadow_map,
-    cache_names=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.samples_before_edges"),
+    cache_names=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.disc_samples_before_edges"),
     search=Search(
         search_space={"map_size": TUNED_SIZES, "cascades": (1, 2, 4)},
         is_tunable=_is_tunable,

@@ -33,7 +33,7 @@ MIN_DISC_TAPS = 3
 
 
 @cached("process", MIB)
-def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
+def disc_samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
     """Return which samples of the disc lie before an edge, as bits, for edges at ``EDGE_STEPS + 1`` positions in [-1, 1].
 
     Both arrays are uint32 (``EDGE_STEPS + 1``, 4), with one bit for each sample. Positions run to the right in the first array, and

@@ -21,7 +21,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
     """Return the work of the sun's maps, or of a lamp's."""
     if isinstance(settings, ShadowMapSettings):
         windows = sun_windows(task.descriptor, settings)
-        return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing)}
+        return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing_pixels)}
     if settings.filter == "sun":
         return scaled_by_points(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     faces = 6 if task.light_kind == "omni" else 1
@@ -34,7 +34,7 @@ def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Wo
     if settings.filter == "sun":
         return scaled_by_points(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     windows = [(float(settings.map_size**2), task.seen_light_m2)]
-    return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing)}
+    return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing_pixels)}
 
 
 def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: float) -> Counts:

@@ -154,7 +154,7 @@ def clears_objects(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude
     for kind in ("meshes", "forest"):
         left = np.flatnonzero(free)
         (sighted,) = _nearest_occluders(surroundings, azimuth_deg[left], _tangent(altitude_deg[left]), (kind,))
-        free[left] = sighted.number < 0
+        free[left] = sighted.object_index < 0
     return free
 
 
@@ -174,9 +174,9 @@ def sun_occluders(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_
         if altitude[n] > 0.0 and tangent <= ground.tangent[n]:
             candidates.append((float(ground.tangent[n]), _ground_caster(surroundings.place, ground, n)))
         for top, near in zip(highest, nearest, strict=True):
-            if altitude[n] > 0.0 and near.number[n] >= 0:
-                sighted = top if top.number[n] >= 0 else near
-                kind: CasterType = "forest" if top is highest[1] else _solid_kind(surroundings, int(sighted.number[n]))
+            if altitude[n] > 0.0 and near.object_index[n] >= 0:
+                sighted = top if top.object_index[n] >= 0 else near
+                kind: CasterType = "forest" if top is highest[1] else _solid_kind(surroundings, int(sighted.object_index[n]))
                 candidates.append((float(sighted.tangent[n]), _object_caster(surroundings.place, kind, azimuth[n], sighted, n)))
         occluders.append(max(candidates, key=lambda candidate: candidate[0])[1] if candidates else None)
     return occluders

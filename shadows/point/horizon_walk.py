@@ -62,8 +62,8 @@ class PageArrays(NamedTuple):
         ``PagedLevel.bound_m``.
     first_row, first_col
         Row and column of the page of ``bound[0, 0]``, counted in pages from the grid's origin.
-    number
-        ``PagedLevel.number``.
+    page_index
+        ``PagedLevel.page_index``.
     height
         ``PagedLevel.height_m``.
     high
@@ -77,7 +77,7 @@ class PageArrays(NamedTuple):
     bound: np.ndarray
     first_row: int
     first_col: int
-    number: np.ndarray
+    page_index: np.ndarray
     height: np.ndarray
     high: np.ndarray
     scale: float
@@ -171,7 +171,7 @@ def _walk_to_ground(
             needed_pages = np.zeros(pages.bound_m.shape, np.bool_)
             _walk(
                 PageArrays(
-                    pages.bound_m, pages.first_row, pages.first_col, pages.number, pages.height_m, pages.high_m,
+                    pages.bound_m, pages.first_row, pages.first_col, pages.page_index, pages.height_m, pages.high_m,
                     2.0**level, ground.blocks,
                 ),
                 LineArrays(
@@ -248,7 +248,7 @@ def _follow(pages, lines, walks, needed_pages, n):
             if distance_nodes < lines.near and scale * PATCH_QUADS < lines.near - distance_nodes:
                 t = t_out
                 continue
-            number = pages.number[a, b]
+            number = pages.page_index[a, b]
             if number < 0:
                 needed_pages[a, b] = True
                 walks.piece[n], walks.share[n], walks.tangent[n] = piece, t, best

@@ -19,7 +19,7 @@ from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, TEXTURE_PX, foliage
 
 TANGENT_STEP = 1e-4
-"""Step of the tangent (0.006 degrees) in the search for distant leaves."""
+"""Step of the tangent of the elevation angle (0.006 degrees) in the search for distant leaves."""
 
 
 class VisibleTrees(NamedTuple):
@@ -33,9 +33,9 @@ class VisibleTrees(NamedTuple):
         (3, 3): rotation from the frame to east, north and up.
     eye_frame
         (3,) metres: the eye in the frame.
-    low, high
+    min_azimuth_deg, max_azimuth_deg
         (n,) degrees: azimuths between which each tree lies.
-    steepest
+    max_tangent
         (n,): upper bound of the tangent of each tree's elevation angle.
     alpha
         (layers, rows, cols): alpha channel of the trees' textures.
@@ -48,9 +48,9 @@ class VisibleTrees(NamedTuple):
     curvature: float
     enu_from_frame: np.ndarray
     eye_frame: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    steepest: np.ndarray
+    min_azimuth_deg: np.ndarray
+    max_azimuth_deg: np.ndarray
+    max_tangent: np.ndarray
     alpha: np.ndarray
 
 
@@ -115,11 +115,11 @@ def _sight_trees(trees, directions, tangent, highest, sighting):
     enu_rotation, origin = trees.enu_from_frame, trees.eye_frame
     corner, quad = np.empty((4, 3)), np.empty((3, 3, 3))
     for m in range(len(trees.base)):
-        begin, end = direction_range(directions, trees.low[m], trees.high[m])
+        begin, end = direction_range(directions, trees.min_azimuth_deg[m], trees.max_azimuth_deg[m])
         has_quads = False
         for k in range(begin, end):
             n = k % count
-            if trees.steepest[m] <= tangent[n]:  # in a search for the highest leaves, ``tangent`` is the largest so far
+            if trees.max_tangent[m] <= tangent[n]:  # in a search for the highest leaves, ``tangent`` is the largest so far
                 continue
             if not has_quads:
                 for q in range(3):
@@ -140,7 +140,7 @@ def _sight_trees(trees, directions, tangent, highest, sighting):
 
 @internal
 def _to_enu(enu_rotation, origin, x, y, z, out):
-    """Write a frame point as metres east, north and up from the eye."""
+    """Convert a point of the frame to metres east, north and up from the eye, and write it to ``out`` (3,)."""
     x, y, z = x - origin[0], y - origin[1], z - origin[2]
     for d in range(3):
         out[d] = enu_rotation[d, 0] * x + enu_rotation[d, 1] * y + enu_rotation[d, 2] * z
@@ -195,7 +195,7 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, sighting, n, m):
     share = over / (over - under)
     s = s0 + share * (s1 - s0)
     if MIN_DISTANCE_M < s < sighting.distance[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
-        sighting.tangent[n], sighting.distance[n], sighting.number[n] = tangent, s, m
+        sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = tangent, s, m
 
 
 @internal
@@ -224,7 +224,7 @@ def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m):
         if z <= sighting.tangent[n] * s:
             return
         if _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
-            sighting.tangent[n], sighting.distance[n], sighting.number[n] = z / s, s, m
+            sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = z / s, s, m
             return
 
 

@@ -44,13 +44,13 @@ class PagedLevel:
         float32 (m, n): upper bound of each page's heights; -inf without ground.
     first_row, first_col
         Row and column of the page of ``bound_m[0, 0]``, counted in pages from the grid's origin.
-    number
+    page_index
         int32 (m, n): index of each page in ``height_m`` and ``high_m``; -1 if it is not read.
     height_m
         float32 (pages, 257, 257), metres: heights; NaN without ground.
     high_m
         float32 (pages, 16, 16), metres: the maximum height of each tile.
-    pages
+    page_count
         Number of pages that have been read.
     """
 
@@ -58,20 +58,20 @@ class PagedLevel:
     bound_m: np.ndarray
     first_row: int
     first_col: int
-    number: np.ndarray
+    page_index: np.ndarray
     height_m: np.ndarray
     high_m: np.ndarray
-    pages: int = 0
+    page_count: int = 0
 
     def put(self, row: int, col: int, height_m: np.ndarray) -> None:
         """Store the heights (257, 257) of the page at ``row`` and ``col`` of ``bound_m``."""
-        if self.pages == len(self.height_m):
-            room = max(2 * self.pages, 16)
+        if self.page_count == len(self.height_m):
+            room = max(2 * self.page_count, 16)
             self.height_m, self.high_m = _grown_copy(self.height_m, room), _grown_copy(self.high_m, room)
-        self.height_m[self.pages] = height_m
-        self.high_m[self.pages] = _tile_max(height_m)
-        self.number[row, col] = self.pages
-        self.pages += 1
+        self.height_m[self.page_count] = height_m
+        self.high_m[self.page_count] = _tile_max(height_m)
+        self.page_index[row, col] = self.page_count
+        self.page_count += 1
 
 
 @dataclass(eq=False)
@@ -110,7 +110,7 @@ class PagedRelief:
 
     @property
     def cell_m(self) -> float:
-        """Distance of neighbouring nodes, metres."""
+        """Distance of neighbouring nodes of the grid at full detail, metres."""
         return step_at_anchor_m(self.world, self.grid)
 
     def level(self, level: int) -> PagedLevel:
@@ -125,7 +125,7 @@ class PagedRelief:
     def read(self, level: int, needed_pages: np.ndarray) -> None:
         """Read the pages of a level of detail that are True in ``needed_pages``, bool (m, n)."""
         pages, side = self.level(level), PATCH_QUADS + 1
-        for row, col in zip(*np.nonzero(needed_pages & (pages.number < 0)), strict=True):
+        for row, col in zip(*np.nonzero(needed_pages & (pages.page_index < 0)), strict=True):
             first = (row + pages.first_row) * PATCH_QUADS, (col + pages.first_col) * PATCH_QUADS
             pages.put(row, col, self.nodes(level, *first, side, side))
 
@@ -176,7 +176,7 @@ def paged_relief(scene: Scene) -> PagedRelief:
     Pages read for earlier points are reused. All of them are dropped if they are more than ``MAX_PAGES``.
     """
     cache = _page_cache(scene.world, scene.elevation, scene.map_crs)
-    if sum(pages.pages for pages in cache.levels.values()) > MAX_PAGES:
+    if sum(pages.page_count for pages in cache.levels.values()) > MAX_PAGES:
         cache.levels.clear()
     return PagedRelief(scene.world, scene.elevation, cache.grid, cache.levels)
 

@@ -27,13 +27,13 @@ class Sighting(NamedTuple):
         (n,): tangent of the elevation angle of the point that is seen.
     distance
         (n,), metres: horizontal distance of the point from the eye; inf without an object.
-    number
+    object_index
         (n,): index of the object, a triangle or a tree; -1 without one.
     """
 
     tangent: np.ndarray
     distance: np.ndarray
-    number: np.ndarray
+    object_index: np.ndarray
 
 
 def empty_sighting(count: int, tangent: float = -np.inf) -> Sighting:
@@ -143,11 +143,11 @@ def sight_segment(s0, z0, s1, z1, tangent, highest, sighting, n, m):
     if highest:
         for s, z in ((s0, z0), (s1, z1)):
             if z > sighting.tangent[n] * s:
-                sighting.tangent[n], sighting.distance[n], sighting.number[n] = z / s, s, m
+                sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = z / s, s, m
     else:
         over, under = z0 - tangent * s0, z1 - tangent * s1
         if (over > 0.0) == (under > 0.0) and over != 0.0 and under != 0.0:
             return
         s = s0 + (over / (over - under) if over != under else 0.0) * (s1 - s0)
         if s < sighting.distance[n]:
-            sighting.tangent[n], sighting.distance[n], sighting.number[n] = tangent, s, m
+            sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = tangent, s, m

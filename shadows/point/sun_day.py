@@ -29,16 +29,16 @@ class SunlitInterval:
     ----------
     begin, end
         Start and end of the interval.
-    after
+    occluder_before
         The caster that hides the sun before ``begin``; ``None`` at sunrise over a flat horizon, or if the day begins there.
-    before
+    occluder_after
         The caster that hides the sun after ``end``; ``None`` at sunset over a flat horizon, or if the day ends there.
     """
 
     begin: datetime
     end: datetime
-    after: SunCaster | None
-    before: SunCaster | None
+    occluder_before: SunCaster | None
+    occluder_after: SunCaster | None
 
     @property
     def hours(self) -> float:

@@ -17,6 +17,7 @@ def quadratic_fit(row: np.ndarray, col: np.ndarray, shape: tuple[int, int]) -> n
 
 
 @internal
-def quadratic(c, y, x):
-    """Return the value of a quadratic with coefficients ``c`` (6,); ``y`` and ``x`` go from 0 to 1 over the rows and columns."""
+def evaluate_quadratic(coefficients, y, x):
+    """Return the value of a quadratic with ``coefficients`` (6,); ``y`` and ``x`` go from 0 to 1 over the rows and columns."""
+    c = coefficients
     return c[0] + y * (c[1] + y * c[3] + x * c[4]) + x * (c[2] + x * c[5])

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sun_hours.quadratics import quadratic, quadratic_fit
-from skugga.shadows.sun_hours.suns import WindowSun, lattice_of
+from skugga.shadows.sun_hours.quadratics import evaluate_quadratic, quadratic_fit
+from skugga.shadows.sun_hours.suns import WindowSun, block_sample_positions
 from skugga.shadows.sweep.grid import GridOrientation
 from skugga.shadows.sweep.rays import patch_windows
 from skugga.terrain.casters.reach import Patch
@@ -25,7 +25,7 @@ from skugga.terrain.geo.world import EARTH_RADIUS_M, World
 from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
 
-PASSED_TILE, PASSED_BLOCK = 8, 64
+TILE_QUADS, BLOCK_QUADS = 8, 64
 """Quads along a side of the tiles, and of the blocks of tiles, that a walk skips at once."""
 
 EARTH_DROP_PER_M2 = 0.5 / EARTH_RADIUS_M
@@ -48,20 +48,20 @@ class WalkedGround(NamedTuple):
     ----------
     height
         float32, metres: the heights of all grids, one grid after the other.
-    top
+    tile_max
         float32, metres: the maximum heights of the tiles and of the blocks of all grids.
     origin
-        int64 (k, 8): for each grid, the index of its first height in ``height`` and of its first tile in ``top``; its first row and
-        column; its number of rows and of columns; the distance of its nodes, in nodes of the finest grid; and the index of its
-        first block in ``top``.
-    highest
+        int64 (k, 8): for each grid, the index of its first height in ``height`` and of its first tile in ``tile_max``; its first
+        row and column; its number of rows and of columns; the distance of its nodes, in nodes of the finest grid; and the index of
+        its first block in ``tile_max``.
+    grid_max
         (k,), metres: the maximum height of each grid.
     """
 
     height: np.ndarray
-    top: np.ndarray
+    tile_max: np.ndarray
     origin: np.ndarray
-    highest: np.ndarray
+    grid_max: np.ndarray
 
 
 class SunTrack(NamedTuple):
@@ -76,18 +76,18 @@ class SunTrack(NamedTuple):
     towards
         (3, TRACK_TIMES, 6): coefficients of quadratics over the cells, at the two moments and midway between them. They give rows
         per metre towards the sun, columns per metre towards the sun, and the tangent of the sun's altitude.
-    cell
+    grid_from_turned
         int64 (2, 3): affine map from turned positions to rows and to columns of the grid. Each row holds an offset, a step per
         turned row and a step per turned column.
-    last
+    last_index
         (2,): index of the last turned row and of the last turned column, at least 1.
     """
 
     begin: float
     end: float
     towards: np.ndarray
-    cell: np.ndarray
-    last: np.ndarray
+    grid_from_turned: np.ndarray
+    last_index: np.ndarray
 
 
 def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) -> WalkedGround:
@@ -101,23 +101,23 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     spans = {detail: _span(windows_of_detail) for detail, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
     counts = [
-        [-(-(rows - 1) // side) * -(-(cols - 1) // side) for side in (PASSED_TILE, PASSED_BLOCK)]
+        [-(-(rows - 1) // side) * -(-(cols - 1) // side) for side in (TILE_QUADS, BLOCK_QUADS)]
         for _, _, rows, cols in spans.values()
     ]
-    height, top = np.full(sum(sizes), np.nan, np.float32), np.empty(int(np.sum(counts)), np.float32)
-    origin, highest = np.zeros((len(spans), 8), np.int64), np.empty(len(spans))
+    height, tile_max = np.full(sum(sizes), np.nan, np.float32), np.empty(int(np.sum(counts)), np.float32)
+    origin, grid_max = np.zeros((len(spans), 8), np.int64), np.empty(len(spans))
     begin = tile_begin = 0
     for n, (detail, (row0, col0, rows, cols)) in enumerate(spans.items()):
         grid, block_begin = height[begin : begin + rows * cols].reshape(rows, cols), tile_begin + counts[n][0]
         for window in windows[detail]:
             _copy_heights(window, grid[window.row0 - row0 :, window.col0 - col0 :])
-        tops, block_tops = top[tile_begin:block_begin], top[block_begin : block_begin + counts[n][1]]
-        _highest_of_tiles(grid, tops.reshape(-1, -(-(cols - 1) // PASSED_TILE)), PASSED_TILE)
-        _highest_of_tiles(grid, block_tops.reshape(-1, -(-(cols - 1) // PASSED_BLOCK)), PASSED_BLOCK)
-        highest[n] = block_tops.max(initial=-np.inf)
+        tops, block_tops = tile_max[tile_begin:block_begin], tile_max[block_begin : block_begin + counts[n][1]]
+        _highest_of_tiles(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
+        _highest_of_tiles(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
+        grid_max[n] = block_tops.max(initial=-np.inf)
         origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**detail, block_begin
         begin, tile_begin = begin + sizes[n], block_begin + counts[n][1]
-    return WalkedGround(height, top, origin, highest)
+    return WalkedGround(height, tile_max, origin, grid_max)
 
 
 def _span(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
@@ -137,7 +137,7 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridO
     ``ends`` are the moments, minutes after the start of the day's window of time.
     """
     view = nodes.view
-    row, col = (values.ravel() for values in lattice_of(view))
+    row, col = (values.ravel() for values in block_sample_positions(view))
     steps = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
     rows, cols = view.row0 + row + steps[:, :1], view.col0 + col + steps[:, 1:]
     point, up = world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
@@ -157,9 +157,9 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridO
     shape = (view.cols, view.rows) if orientation.swapped else (view.rows, view.cols)
     turned = np.array([0, 1, 0]), np.array([0, 0, 1])
     first, after_row, after_col = np.stack(orientation.from_turned(*turned, view.rows, view.cols), axis=1)
-    cell = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
-    last = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
-    return SunTrack(float(ends[0]), float(ends[1]), towards @ quadratic_fit(i, j, shape).T, cell, last)
+    grid_from_turned = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
+    last_index = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
+    return SunTrack(float(ends[0]), float(ends[1]), towards @ quadratic_fit(i, j, shape).T, grid_from_turned, last_index)
 
 
 @internal
@@ -169,15 +169,15 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
     They hold at the moment ``minutes``, for an eye ``eye_height_m`` metres above the node at row ``i`` and column ``j`` of the
     turned grid.
     """
-    cell, a = track.cell, track.towards
-    row, col = cell[0, 0] + i * cell[0, 1] + j * cell[0, 2], cell[1, 0] + i * cell[1, 1] + j * cell[1, 2]
-    y, x = i / track.last[0], j / track.last[1]
+    affine, a = track.grid_from_turned, track.towards
+    row, col = affine[0, 0] + i * affine[0, 1] + j * affine[0, 2], affine[1, 0] + i * affine[1, 1] + j * affine[1, 2]
+    y, x = i / track.last_index[0], j / track.last_index[1]
     span = track.end - track.begin
     u = (minutes - track.begin) / span
     w0, w1, w2 = 2.0 * (u - 0.5) * (u - 1.0), -4.0 * u * (u - 1.0), 2.0 * u * (u - 0.5)  # Lagrange weights of the three moments
-    down = w0 * quadratic(a[0, 0], y, x) + w1 * quadratic(a[0, 1], y, x) + w2 * quadratic(a[0, 2], y, x)
-    right = w0 * quadratic(a[1, 0], y, x) + w1 * quadratic(a[1, 1], y, x) + w2 * quadratic(a[1, 2], y, x)
-    s0, s1, s2 = quadratic(a[2, 0], y, x), quadratic(a[2, 1], y, x), quadratic(a[2, 2], y, x)
+    down = w0 * evaluate_quadratic(a[0, 0], y, x) + w1 * evaluate_quadratic(a[0, 1], y, x) + w2 * evaluate_quadratic(a[0, 2], y, x)
+    right = w0 * evaluate_quadratic(a[1, 0], y, x) + w1 * evaluate_quadratic(a[1, 1], y, x) + w2 * evaluate_quadratic(a[1, 2], y, x)
+    s0, s1, s2 = evaluate_quadratic(a[2, 0], y, x), evaluate_quadratic(a[2, 1], y, x), evaluate_quadratic(a[2, 2], y, x)
     rate = ((4.0 * u - 3.0) * s0 + (4.0 - 8.0 * u) * s1 + (4.0 * u - 1.0) * s2) / span
     sun = w0 * s0 + w1 * s1 + w2 * s2
     min_tangent = sun - SEARCH_FACTOR * abs(s2 - s0) - SEARCH_TANGENT
@@ -191,7 +191,7 @@ def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
     The eye is ``eye_height_m`` metres above the node at ``row`` and ``col``. A step of one metre in the direction leads ``down``
     rows and ``right`` columns further on the finest grid.
     """
-    height, top, origin, highest = ground
+    height, tile_max, origin, grid_max = ground
     best = min_tangent
     swapped = abs(right) > abs(down)
     main_step, cross_step = (right, down) if swapped else (down, right)
@@ -202,7 +202,7 @@ def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
     for n in range(len(origin)):
         begin, tile_begin, row0, col0 = origin[n, 0], origin[n, 1], origin[n, 2], origin[n, 3]
         rows, cols, side = origin[n, 4], origin[n, 5], origin[n, 6]
-        block_begin, tiles, blocks = origin[n, 7], -(-(cols - 1) // PASSED_TILE), -(-(cols - 1) // PASSED_BLOCK)
+        block_begin, tiles, blocks = origin[n, 7], -(-(cols - 1) // TILE_QUADS), -(-(cols - 1) // BLOCK_QUADS)
         # Positions are counted along the line and across it, mirrored where the line runs towards smaller indices.
         p, q = (
             main_sign * ((col / side - col0) if swapped else (row / side - row0)),
@@ -223,22 +223,22 @@ def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
             if (low < 0 and cross_sign < 0) or (high >= count_q and cross_sign > 0):
                 break
             outside = index < 0 or index >= count_p or next_index < 0 or next_index >= count_p or low < 0 or high >= count_q
-            if best > 0.0 and eye_m + best * far + EARTH_DROP_PER_M2 * far * far > highest[n]:
+            if best > 0.0 and eye_m + best * far + EARTH_DROP_PER_M2 * far * far > grid_max[n]:
                 break
             if outside:
                 k, x = k + 1, x + slope
                 continue
             is_skipped, steps_left = False, 1
             for large in range(2):  # blocks, then tiles
-                width, first, wide = (PASSED_BLOCK, block_begin, blocks) if large == 0 else (PASSED_TILE, tile_begin, tiles)
+                width, first, wide = (BLOCK_QUADS, block_begin, blocks) if large == 0 else (TILE_QUADS, tile_begin, tiles)
                 a, b = min(index, next_index) // width, low // width
                 steps_left = min((a + 1) * width, count_p - 1) - index if main_sign > 0 else index - a * width
                 side_end = min((b + 1) * width, count_q - 1) if cross_sign > 0 else -b * width
                 if slope * steps_left > side_end - x:
                     steps_left = int((side_end - x) * per_side)
-                tile_max = np.float64(top[first + (b * wide + a if swapped else a * wide + b)])
+                max_in_tile = np.float64(tile_max[first + (b * wide + a if swapped else a * wide + b)])
                 lowest = best * far if best > 0.0 else best * (far + steps_left * unit)
-                if steps_left >= 1 and not tile_max > eye_m + lowest + EARTH_DROP_PER_M2 * far * far:
+                if steps_left >= 1 and not max_in_tile > eye_m + lowest + EARTH_DROP_PER_M2 * far * far:
                     k, x, is_skipped = k + steps_left, x + slope * steps_left, True
                     break
             if is_skipped:

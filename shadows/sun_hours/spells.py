@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sun_hours.quadratics import quadratic
+from skugga.shadows.sun_hours.quadratics import evaluate_quadratic
 from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent
 from skugga.shadows.sweep.grid import GridOrientation, copy_into
 from skugga.terrain.compiled import compiled, internal, map_on_cores
@@ -80,7 +80,7 @@ class SunSpells(NamedTuple):
     days: np.ndarray
 
 
-class OcclusionTrack(NamedTuple):
+class WalkInput(NamedTuple):
     """The input of walks that find the horizons of cells between two moments.
 
     Attributes
@@ -105,14 +105,14 @@ class ClockReading(NamedTuple):
     ----------
     start
         Reading at the window's start, minutes from midnight.
-    change
+    change_min
         Time of the clock change, minutes after the window's start.
     advance_min
         Minutes by which the clock is put forward then; 0 without a change.
     """
 
     start: float
-    change: float
+    change_min: float
     advance_min: float
 
 
@@ -126,13 +126,13 @@ class ClearanceSample:
         The moment, minutes after the start of the day's window of time.
     clearance
         float32 (n, m): clearances of the cells, at least 0 in sunlight.
-    above
+    above_floor_sine
         (k,): the sine of the sun's altitude less that of the minimum altitude that counts, at k positions of the block.
     """
 
     minutes: float
     clearance: np.ndarray
-    above: np.ndarray
+    above_floor_sine: np.ndarray
 
 
 def empty_spells(shape: tuple[int, int]) -> SunSpells:
@@ -160,26 +160,26 @@ def add_between(
     moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample],
     clock: ClockReading,
     fit: np.ndarray,
-    begins: bool,
-    occlusion: OcclusionTrack | None,
+    is_first_step: bool,
+    walk_input: WalkInput | None,
     cores: int,
 ) -> None:
     """Add the sun between the second and the third of four successive moments to ``spells``.
 
     The outer two moments improve the estimate of crossings. At the start of a span (an interval with the sun up) the first moment
-    equals the second one, and at its end the fourth equals the third one. ``begins`` tells whether this is the first time step of a
-    span. ``fit`` is the ``quadratic_fit`` for ``ClearanceSample.above``. ``occlusion``, unless it is ``None``, refines the
-    crossings by walks.
+    equals the second one, and at its end the fourth equals the third one. ``is_first_step`` tells whether this is the first time
+    step of a span. ``fit`` is the ``quadratic_fit`` for ``ClearanceSample.above_floor_sine``. ``walk_input``, unless it is
+    ``None``, refines the crossings by walks.
     """
     before, start_moment, end_moment, after = moments
     times = np.array([moment.minutes for moment in moments])
-    floored = min(float(start_moment.above.min()), float(end_moment.above.min())) <= 0.0
-    floors = np.stack([fit @ start_moment.above, fit @ end_moment.above])
+    floored = min(float(start_moment.above_floor_sine.min()), float(end_moment.above_floor_sine.min())) <= 0.0
+    floors = np.stack([fit @ start_moment.above_floor_sine, fit @ end_moment.above_floor_sine])
 
     def band(rows: slice) -> None:
         part = SunSpells(*(values[rows] for values in spells))
         four = (before.clearance[rows], start_moment.clearance[rows], end_moment.clearance[rows], after.clearance[rows])
-        _add_sun(part, *four, times, floors, begins, floored, rows.start, len(spells.day), clock, occlusion)
+        _add_sun(part, *four, times, floors, is_first_step, floored, rows.start, len(spells.day), clock, walk_input)
 
     _in_bands(band, len(spells.day), cores)
 
@@ -228,22 +228,22 @@ def _compute_clearances(ray_height, shade, eye_height_m, out):
 
 
 @compiled
-def _add_sun(spells, before, start, stop, after, times, floors, begins, floored, first_row, count, clock, occlusion):
+def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, floored, first_row, count, clock, walk_input):
     t0, t1 = times[1], times[2]
     rows, cols = start.shape
     for i in range(rows):
         for j in range(cols):
             e0, e1 = start[i, j], stop[i, j]
             lit0, lit1 = e0 >= 0.0, e1 >= 0.0
-            if lit0 == lit1 and not begins and not floored:
+            if lit0 == lit1 and not is_first_step and not floored:
                 continue
             if np.isnan(e0) or np.isnan(e1):
                 continue
             begin, end = t0, t1
             if lit0 != lit1:
                 crossing = _estimate_crossing(before[i, j], e0, e1, after[i, j], times)
-                if occlusion is not None:
-                    crossing = _refine_crossing(occlusion, first_row + i, j, lit0, crossing, t0, t1)
+                if walk_input is not None:
+                    crossing = _refine_crossing(walk_input, first_row + i, j, lit0, crossing, t0, t1)
                 if lit0:
                     end = crossing
                 else:
@@ -252,7 +252,7 @@ def _add_sun(spells, before, start, stop, after, times, floors, begins, floored,
                 end = t0 - 1.0
             if floored:
                 y, x = (first_row + i) / max(count - 1, 1), j / max(cols - 1, 1)
-                s0, s1 = quadratic(floors[0], y, x), quadratic(floors[1], y, x)
+                s0, s1 = evaluate_quadratic(floors[0], y, x), evaluate_quadratic(floors[1], y, x)
                 if s0 <= 0.0 and s1 <= 0.0:
                     end = t0 - 1.0
                 elif s0 <= 0.0:
@@ -297,7 +297,7 @@ def _estimate_crossing(before, e0, e1, after, times):
 
 
 @internal
-def _refine_crossing(occlusion, i, j, lit0, crossing, t0, t1):
+def _refine_crossing(walk_input, i, j, lit0, crossing, t0, t1):
     """Refine the estimated time ``crossing`` at which the sun passes a cell's horizon, between ``t0`` and ``t1``, by walks.
 
     ``lit0`` tells whether the cell is sunlit at ``t0``. Times are in minutes.
@@ -305,7 +305,7 @@ def _refine_crossing(occlusion, i, j, lit0, crossing, t0, t1):
     low, high = t0, t1
     t, before, clearance_before = crossing, np.nan, np.nan
     for _ in range(MAX_WALKS):
-        clearance, rate = clearance_tangent(occlusion.ground, occlusion.track, i, j, occlusion.eye_height_m, t)
+        clearance, rate = clearance_tangent(walk_input.ground, walk_input.track, i, j, walk_input.eye_height_m, t)
         if (clearance >= 0.0) == lit0:
             low = t
         else:
@@ -322,7 +322,7 @@ def _refine_crossing(occlusion, i, j, lit0, crossing, t0, t1):
 
 @internal
 def _clock_time(clock, t):
-    return t + clock.start + (clock.advance_min if clock.advance_min != 0.0 and t >= clock.change else 0.0)
+    return t + clock.start + (clock.advance_min if clock.advance_min != 0.0 and t >= clock.change_min else 0.0)
 
 
 @internal

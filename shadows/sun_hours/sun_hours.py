@@ -26,8 +26,8 @@ from skugga.shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked
 from skugga.shadows.sun_hours.spells import (
     ClearanceSample,
     ClockReading,
-    OcclusionTrack,
     SunSpells,
+    WalkInput,
     add_between,
     clearances,
     empty_spells,
@@ -37,7 +37,7 @@ from skugga.shadows.sun_hours.spells import (
     turned_spells,
 )
 from skugga.shadows.sun_hours.steps import IDENTITY, sampling_step_min
-from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, lattice_of, sun_spans
+from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
 from skugga.shadows.sweep.grid import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
 from skugga.terrain.casters.reach import Patch, find_sun_casters
@@ -61,7 +61,7 @@ Ground that hides the sun only between two searches is missed. Such ground is at
 is wide.
 """
 
-DRAWN_STEP_MIN = 2.0
+RENDERED_STEP_MIN = 2.0
 """Default minutes between two samples if objects stand on the ground. Each sample is a rendered picture of the shadows."""
 
 MIN_WALK_STEP_MIN = 3.0
@@ -213,8 +213,8 @@ class _BlockSpells:
 
     @property
     def fit(self) -> np.ndarray:
-        """The ``quadratic_fit`` for values at the positions ``lattice_of`` the block, in the order of the turned grid."""
-        row, col = lattice_of(self.view)
+        """The ``quadratic_fit`` for values at ``block_sample_positions``, in the order of the turned grid."""
+        row, col = block_sample_positions(self.view)
         i, j = self.orientation.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
         return quadratic_fit(i, j, self.spells.day.shape)
 
@@ -224,21 +224,21 @@ def _add_span(
 ) -> _BlockSpells:
     """Return the sun at a block's cells after a span, an interval of a day with the sun up."""
     moments: list[ClearanceSample] = []
-    begins = True
+    is_first_step = True
 
     def add(four: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
-        occlusion = block.occlusion(day, (four[1].minutes, four[2].minutes), block_spells.orientation)
-        add_between(block_spells.spells, four, clock, block_spells.fit, begins, occlusion, CORES)
+        walk_input = block.walk_input(day, (four[1].minutes, four[2].minutes), block_spells.orientation)
+        add_between(block_spells.spells, four, clock, block_spells.fit, is_first_step, walk_input, CORES)
 
     for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
         if orientation != block_spells.orientation:
             moments = [replace(m, clearance=turned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
             block_spells = block_spells.turned(orientation)
-        moments.append(ClearanceSample(float(span.samples_min[number]), clearance, span.above[number].ravel()))
+        moments.append(ClearanceSample(float(span.samples_min[number]), clearance, span.above_floor_sine[number].ravel()))
         if number >= 2:
             start_moment, end_moment, after = moments[-3:]
             add((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
-            begins = False
+            is_first_step = False
         del moments[:-3]
     start_moment, end_moment = moments[-2:]
     add((moments[-3] if len(moments) >= 3 else start_moment, start_moment, end_moment, end_moment))
@@ -286,7 +286,7 @@ class _TerrainBlock:
             )
             yield node_clearance.orientation, arrays[-1]
 
-    def occlusion(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> OcclusionTrack | None:
+    def walk_input(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
         """Return the input of walks between two moments, or ``None`` if the moments are so close that walks are not needed.
 
         ``ends`` are the moments, minutes after the window's start. ``orientation`` is that of the cells' turned grid.
@@ -297,7 +297,7 @@ class _TerrainBlock:
         if self._ground is None or self._ground[0] != patches:
             self._ground = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
-        return OcclusionTrack(self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, ends), self._height_m)
+        return WalkInput(self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, ends), self._height_m)
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
@@ -336,7 +336,7 @@ class _RenderedBlock:
 
     def step_min(self, day: WindowSun) -> float:
         """Return the minutes between two samples, which are the same for all days."""
-        return DRAWN_STEP_MIN
+        return RENDERED_STEP_MIN
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, ``IDENTITY`` and the clearances (rows, cols) of the cells."""
@@ -344,7 +344,7 @@ class _RenderedBlock:
             frame = self._render(day.sun(span.sample_min(number), self._scene.world))
             yield IDENTITY, frame.visibilities[SUN] - np.float32(0.5)
 
-    def occlusion(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> None:
+    def walk_input(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> None:
         """Return ``None``: rendered shadows are not refined by walks."""
 
     def _render(self, sun: Sun) -> Frame:

@@ -85,12 +85,12 @@ class SunSpan:
     ----------
     samples_min
         (k,): sampled moments, minutes after the window's start.
-    above
+    above_floor_sine
         (k, BLOCK_SAMPLES, BLOCK_SAMPLES): the sine of the sun's altitude less that of the floor, at positions of the block.
     """
 
     samples_min: np.ndarray
-    above: np.ndarray
+    above_floor_sine: np.ndarray
 
     def sample_min(self, number: int) -> float:
         """Return the moment, in minutes, for which the sun of sample ``number`` is computed.
@@ -135,7 +135,7 @@ def refracted_sine(sine: np.ndarray) -> np.ndarray:
     return np.asarray(np.sin(np.radians(altitude + np.where(altitude >= MIN_REFRACTED_DEG, lift, 0.0))))
 
 
-def lattice_of(view: MapView) -> tuple[np.ndarray, np.ndarray]:
+def block_sample_positions(view: MapView) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows and the columns of a lattice of positions that represent a block: (BLOCK_SAMPLES, BLOCK_SAMPLES) each.
 
     They are counted in pixels from the block's first pixel.
@@ -150,7 +150,7 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
 
     ``floor_deg`` is the minimum apparent altitude. ``step_min`` is the time between two samples, minutes.
     """
-    row, col = lattice_of(view)
+    row, col = block_sample_positions(view)
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     _, up = world.ground(view.grid.crs, x, y)
     up, floor = up.reshape(-1, 3), np.sin(np.radians(floor_deg))
@@ -164,9 +164,9 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
             if moment - knots[-1] >= MIN_SPACING_MIN and last - moment >= MIN_SPACING_MIN:
                 knots.append(float(moment))
         moments = np.array([*knots, last])
-        above = np.stack([np.interp(moments, day.times_min, heights_at_point) for heights_at_point in heights.T], axis=1)
-        above = above.reshape(-1, BLOCK_SAMPLES, BLOCK_SAMPLES)
-        spells.append(SunSpan(moments, above))
+        above_floor_sine = np.stack([np.interp(moments, day.times_min, heights_at_point) for heights_at_point in heights.T], axis=1)
+        above_floor_sine = above_floor_sine.reshape(-1, BLOCK_SAMPLES, BLOCK_SAMPLES)
+        spells.append(SunSpan(moments, above_floor_sine))
     return spells
 
 

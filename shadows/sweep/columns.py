@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.sweep.grid import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
-from skugga.shadows.sweep.points import cubic
+from skugga.shadows.sweep.points import evaluate_cubic
 from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters
 from skugga.terrain.compiled import compiled, internal, map_on_cores
@@ -134,7 +134,7 @@ class ColumnSweep:
         The sun's rays over the grid.
     grounds
         The ground by level of detail, the finest first.
-    number
+    point_index
         int (rows, cols): the point that each pixel shows; -1 without one.
     row
         (n,): rows of the points on the turned grid of the finest ground.
@@ -150,7 +150,7 @@ class ColumnSweep:
 
     rays: SunRays
     grounds: list[ColumnGround]
-    number: np.ndarray
+    point_index: np.ndarray
     row: np.ndarray
     t: np.ndarray
     height_m: np.ndarray
@@ -162,12 +162,12 @@ class ColumnSweep:
         """Size in bytes."""
         return sum(ground.columns.height.nbytes for ground in self.grounds) + 40 * self.row.size
 
-    def above_m(self, angle: float, measured: bool, cores: int) -> np.ndarray:
+    def above_m(self, angle: float, needs_height: bool, cores: int) -> np.ndarray:
         """Return by how many metres columns rise above the rays from a buffer's pixels (rows, cols) to the sun.
 
         The sun is higher than the scene's sun by ``angle``, radians. A value over 0 means that a column blocks the ray. If
-        ``measured``, the value is the largest height of a column above the ray, in metres. Otherwise only its sign is meaningful,
-        and the search is faster. ``cores`` is the number of threads.
+        ``needs_height``, the value is the largest height of a column above the ray, in metres. Otherwise only its sign is
+        meaningful, and the search is faster. ``cores`` is the number of threads.
         """
         grounds = [ground.tilted(angle) for ground in self.grounds]
         ray_heights = np.cos(angle) * self.ray_height_m - np.sin(angle) * self.towards_m
@@ -179,10 +179,10 @@ class ColumnSweep:
             part = slice(first, first + POINTS_AT_A_TIME)
             for ground, turned in zip(self.grounds, grounds, strict=True):
                 row = self._turned_rows_on(ground, self.row[part])
-                _follow_rays(turned, row, self.t[part] / turned.side, ray_heights[part], measured, above[part])
+                _follow_rays(turned, row, self.t[part] / turned.side, ray_heights[part], needs_height, above[part])
 
         map_on_cores(sweep_chunk, range(0, len(above), POINTS_AT_A_TIME), cores)
-        return np.append(above, 0.0)[self.number]
+        return np.append(above, 0.0)[self.point_index]
 
     def _turned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
         """Convert rows (n,) on the turned grid of the finest ground to those of another level of detail."""
@@ -213,7 +213,7 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
         height_m, _ = window.columns.coarser(patch.lod).heights(row0, col0, PATCH_QUADS, PATCH_QUADS)
         windows.setdefault(patch.lod, []).append((row0, col0, height_m))
     grounds = [_ground(rays, window.columns, detail, windows[detail]) for detail in sorted(windows)]
-    number, pixel = _numbered(buffer, placed, window.height_m.size)
+    point_index, pixel = _number_points(buffer, placed, window.height_m.size)
     t, ray_height_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
     on_columns = buffer.kind.ravel()[pixel] == RELIEF
     ray_height_m[on_columns] = np.nan
@@ -221,10 +221,10 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
     turned_row, _ = rays.orientation.to_turned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
     height_m = buffer.height_m.ravel()[pixel].astype(np.float64)
-    return ColumnSweep(rays, grounds, number, turned_row, t, height_m, ray_height_m, towards_m)
+    return ColumnSweep(rays, grounds, point_index, turned_row, t, height_m, ray_height_m, towards_m)
 
 
-def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tuple[np.ndarray, np.ndarray]:
+def _number_points(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Number the points that pixels show, and return each pixel's number (rows, cols), and one flat pixel index per point (n,).
 
     Pixels that show the same column share one point. Each pixel that shows anything else has its own point. A pixel without a
@@ -333,35 +333,41 @@ def _ray_heights(columns, row, t, height):
     for n in range(row.size):
         b = min(max(int(np.floor(row[n] + 0.5)), 0), borders - 2)
         share = row[n] + 0.5 - b
-        low = cubic(columns.ray_height_at_zero[b], t[n]) + height[n] * cubic(columns.ray_height_per_metre[b], t[n])
-        high = cubic(columns.ray_height_at_zero[b + 1], t[n]) + height[n] * cubic(columns.ray_height_per_metre[b + 1], t[n])
+        low = evaluate_cubic(columns.ray_height_at_zero[b], t[n]) + height[n] * evaluate_cubic(
+            columns.ray_height_per_metre[b], t[n]
+        )
+        high = evaluate_cubic(columns.ray_height_at_zero[b + 1], t[n]) + height[n] * evaluate_cubic(
+            columns.ray_height_per_metre[b + 1], t[n]
+        )
         out[n] = low + share * (high - low)
     return out
 
 
 @compiled
-def _follow_rays(columns, row, t, ray_heights, measured, above):
+def _follow_rays(columns, row, t, ray_heights, needs_height, above):
     """Raise ``above`` (n,) to the largest height in metres of columns above the rays from points to the sun.
 
-    Unless ``measured``, a point whose value is over 0 is skipped, because its ray is blocked already.
+    Unless ``needs_height``, a point whose value is over 0 is skipped, because its ray is blocked already.
     """
     for n in range(row.size):
-        if measured or above[n] <= 0.0:
-            above[n] = _highest_above(columns, row[n], t[n], ray_heights[n], measured, above[n])
+        if needs_height or above[n] <= 0.0:
+            above[n] = _highest_above(columns, row[n], t[n], ray_heights[n], needs_height, above[n])
 
 
 @internal
 def _border_crossing(columns, b, t, ray_height):
     """Return the fractional column and the height in metres at which a ray crosses the border before row ``b``."""
-    height = (ray_height - cubic(columns.ray_height_at_zero[b], t)) / cubic(columns.ray_height_per_metre[b], t)
-    return cubic(columns.column_of_t[b], t) + (height - columns.reference_height_m) * cubic(columns.column_per_metre[b], t), height
+    height = (ray_height - evaluate_cubic(columns.ray_height_at_zero[b], t)) / evaluate_cubic(columns.ray_height_per_metre[b], t)
+    return evaluate_cubic(columns.column_of_t[b], t) + (height - columns.reference_height_m) * evaluate_cubic(
+        columns.column_per_metre[b], t
+    ), height
 
 
 @internal
-def _highest_above(columns, row, t, ray_height, measured, above):
+def _highest_above(columns, row, t, ray_height, needs_height, above):
     """Return the maximum of ``above`` and of the heights in metres of columns above a ray from a turned row to the sun.
 
-    Unless ``measured``, the search ends at the first column that exceeds ``above``.
+    Unless ``needs_height``, the search ends at the first column that exceeds ``above``.
     """
     heights = columns.height
     n, m = heights.shape
@@ -404,7 +410,7 @@ def _highest_above(columns, row, t, ray_height, measured, above):
             )
             if height > entry_height + above + HEIGHT_TOLERANCE_M:
                 above = height - entry_height
-                if not measured:
+                if not needs_height:
                     return above
         i, x1, h1 = i - 1, x0, h0
     return above

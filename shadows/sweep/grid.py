@@ -275,7 +275,7 @@ def sweep_nodes(
     points: SweepPoints | None = None,
     shade: np.ndarray = NO_RAY_HEIGHTS,
     cores: int = 1,
-    begin: int = 0,
+    first_ground_row: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sweep a turned grid, and compute which of its nodes and of other points see the sun.
 
@@ -303,7 +303,7 @@ def sweep_nodes(
         Output array float32 (n, m + 2), if not empty: the ray height in metres above which each evaluated node sees the sun.
     cores
         Number of threads.
-    begin
+    first_ground_row
         First row that may hold ground; the rows before it are skipped.
 
     Returns
@@ -335,14 +335,14 @@ def sweep_nodes(
             if entry is None
             else entry.resampled(start - 1, cells, lines, factor).line_max
         )
-        number, begins, row, col, t, ray_height = select_strip_points(
+        number, row_starts, row, col, t, ray_height = select_strip_points(
             points.row, points.col, points.t, points.ray_height, interval, n, float(start), float(stop)
         )
         strip_results = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
-        strip_points = StripPoints(begins, row, col, t, ray_height, points.rounding, *strip_results)
-        strip_state = Strip(lines, start - 1, line_max, no_peaks(lines, cells))
-        before = min(max(first - 1, 0) if last > first else min(begin, int(interval.min(initial=n))), end)
-        sweep_rows(turned_grid, strip_state, min(begin, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
+        strip_points = StripPoints(row_starts, row, col, t, ray_height, points.rounding, *strip_results)
+        strip_state = Strip(lines, start - 1, line_max, initial_peaks(lines, cells))
+        before = min(max(first - 1, 0) if last > first else min(first_ground_row, int(interval.min(initial=n))), end)
+        sweep_rows(turned_grid, strip_state, min(first_ground_row, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
         sweep_rows(turned_grid, strip_state, before, end, shade, lit, strip_points)
         scatter_results(number, *strip_results, points_lit, points_above_m)
 
@@ -350,33 +350,33 @@ def sweep_nodes(
     return lit[:, 1:-1], points_lit, points_above_m
 
 
-def no_peaks(lines: int, cells: int) -> np.ndarray:
+def initial_peaks(lines: int, cells: int) -> np.ndarray:
     """Return the initial peaks (2, lines, cells) of a strip (``Strip.peaks``), before its lines pass any node."""
     peaks = np.zeros((2, lines, cells), np.float32)
     peaks[0] = NO_GROUND_RAY_HEIGHT
     return peaks
 
 
-def state_after(
+def sweep_to_state(
     turned_grid: TurnedGrid,
     lines: int,
     t_range: tuple[float, float],
     entry: LineState | None = None,
     factor: float = 2.0,
-    begin: int = 0,
+    first_ground_row: int = 0,
 ) -> LineState:
     """Sweep all rows of a turned grid, and return the highest ray height along each line.
 
     ``t_range`` is the range of positions across the lines, in cells, and ``lines`` the number of lines per cell. ``entry`` and
-    ``factor`` are those of ``sweep_nodes``. Rows before ``begin`` hold no ground and are skipped.
+    ``factor`` are those of ``sweep_nodes``. Rows before ``first_ground_row`` hold no ground and are skipped.
     """
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
     state = LineState(low, np.full((lines, high - low), NO_GROUND_RAY_HEIGHT, np.float32))
     if entry is not None:
         state = entry.resampled(low, high - low, lines, factor)
     rows = len(turned_grid.ray_height)
-    strip = Strip(lines, low, state.line_max, no_peaks(lines, high - low))
-    sweep_rows(turned_grid, strip, min(begin, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, no_points(rows))
+    strip = Strip(lines, low, state.line_max, initial_peaks(lines, high - low))
+    sweep_rows(turned_grid, strip, min(first_ground_row, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, no_points(rows))
     return state
 
 

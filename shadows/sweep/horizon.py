@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_linear_values
-from skugga.shadows.sweep.points import cubic, ground_at, is_cut
+from skugga.shadows.sweep.points import evaluate_cubic, ground_at, is_cut
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_HORIZON_SLOPE = -1e30
@@ -56,7 +56,7 @@ class HorizonQuery(NamedTuple):
 
     Attributes
     ----------
-    begins
+    line_starts
         int64 (lines + 1,): for each line, where the points between it and the next line begin in ``order``.
     order
         int64 (k,): the indices of the points, sorted by the line to their left, then by row.
@@ -68,7 +68,7 @@ class HorizonQuery(NamedTuple):
         float64 (k, 2), output: the tangent of the horizon angle on the line to the left of each point, and on the next line.
     """
 
-    begins: np.ndarray
+    line_starts: np.ndarray
     order: np.ndarray
     row_before: np.ndarray
     position: np.ndarray
@@ -135,12 +135,12 @@ def horizon_tangents(
     line = np.floor(t * lines).astype(np.int64)
     first, count = int(line.min()), int(np.ptp(line)) + 1
     _, by_row = _counting_sort(row_before, len(ray_height))
-    begins, order = _counting_sort(line[by_row] - first, count)
+    line_starts, order = _counting_sort(line[by_row] - first, count)
     order = by_row[order]
     position = np.stack([point_ray_height, point_towards], axis=1)
     near, line_tangents = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
     _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, row, t, position, near)
-    query = HorizonQuery(begins, order, row_before, position, line_tangents)
+    query = HorizonQuery(line_starts, order, row_before, position, line_tangents)
 
     def strip(start: int) -> None:
         _walk_lines(section, lines, first, start, min(start + STRIP_LINES, count), query)
@@ -156,16 +156,16 @@ def _counting_sort(key, count):
 
     The result is the start of each key's group in the sorted order, (count + 1,), and the indices of the keys in sorted order.
     """
-    begins = np.zeros(count + 1, np.int64)
+    group_starts = np.zeros(count + 1, np.int64)
     for value in key:
-        begins[value + 1] += 1
+        group_starts[value + 1] += 1
     for n in range(count):
-        begins[n + 1] += begins[n]
-    following, order = begins.copy(), np.empty(len(key), np.int64)
+        group_starts[n + 1] += group_starts[n]
+    following, order = group_starts.copy(), np.empty(len(key), np.int64)
     for n in range(len(key)):
         order[following[key[n]]] = n
         following[key[n]] += 1
-    return begins, order
+    return group_starts, order
 
 
 @compiled
@@ -180,10 +180,10 @@ def _nodes_between(column_of_t, t_of_column, low, high, cols):
     for i in range(rows):
         for side in range(2):
             t = high if side else low
-            column = min(max(int(np.ceil(cubic(column_of_t[i], t))), 1), cols - 1)
-            while column > 1 and cubic(t_of_column[i], column - 1) >= t:
+            column = min(max(int(np.ceil(evaluate_cubic(column_of_t[i], t))), 1), cols - 1)
+            while column > 1 and evaluate_cubic(t_of_column[i], column - 1) >= t:
                 column -= 1
-            while column < cols - 1 and cubic(t_of_column[i], column) < t:
+            while column < cols - 1 and evaluate_cubic(t_of_column[i], column) < t:
                 column += 1
             ends[i, side] = column
         total += ends[i, 1] - ends[i, 0]
@@ -191,7 +191,7 @@ def _nodes_between(column_of_t, t_of_column, low, high, cols):
     n = 0
     for i in range(rows):
         for j in range(ends[i, 0], ends[i, 1]):
-            row[n], col[n], t_of[n] = i, j, cubic(t_of_column[i], j)
+            row[n], col[n], t_of[n] = i, j, evaluate_cubic(t_of_column[i], j)
             n += 1
     return row, col, t_of
 
@@ -204,15 +204,15 @@ def _walk_lines(section, lines, first, start, stop, query):
     points between a line and the next one, both lines give a tangent (``HorizonQuery.line_tangents``).
     """
     ray_height, towards, column_of_t, is_cut_nw_se = section
-    begins, order, row_before, position, line_tangents = query
+    line_starts, order, row_before, position, line_tangents = query
     rows, cols = ray_height.shape
     hull = np.empty((4 * rows, 2))  # a line has at most four vertices per row
     for number in range(start, stop + 1):
         t = (first + number) / lines
         size = 0
-        right_of, right_end = (begins[number], begins[number + 1]) if number < stop else (0, 0)
-        left_of, left_end = (begins[number - 1], begins[number]) if number > start else (0, 0)
-        x = cubic(column_of_t[0], t)
+        right_of, right_end = (line_starts[number], line_starts[number + 1]) if number < stop else (0, 0)
+        left_of, left_end = (line_starts[number - 1], line_starts[number]) if number > start else (0, 0)
+        x = evaluate_cubic(column_of_t[0], t)
         for i in range(rows - 1):
             while right_of < right_end and row_before[order[right_of]] == i:
                 line_tangents[order[right_of], 0] = _tangent(hull, size, position[order[right_of]])
@@ -222,7 +222,7 @@ def _walk_lines(section, lines, first, start, stop, query):
                 left_of += 1
             if right_of == right_end and left_of == left_end:
                 break
-            next_x = cubic(column_of_t[i + 1], t)
+            next_x = evaluate_cubic(column_of_t[i + 1], t)
             s, c = next_x - x, int(np.floor(x))
             f = x - c
             x = next_x
@@ -293,8 +293,8 @@ def _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, r
     cols = ray_height.shape[1]
     for n in range(len(row)):
         i = row_before[n]
-        x = cubic(column_of_t[i], t[n])
-        s = cubic(column_of_t[i + 1], t[n]) - x
+        x = evaluate_cubic(column_of_t[i], t[n])
+        s = evaluate_cubic(column_of_t[i + 1], t[n]) - x
         c = int(np.floor(x))
         f, end = x - c, row[n] - i
         if np.isnan(position[n, 0]):

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sweep.points import cubic, cubic_of, evaluate_points, snap_to_column
+from skugga.shadows.sweep.points import evaluate_cubic, evaluate_points, row_cubic, snap_to_column
 from skugga.terrain.compiled import compiled, internal
 
 NO_GROUND_RAY_HEIGHT = np.float32(-1e30)
@@ -107,21 +107,21 @@ def sweep_rows(turned_grid, strip, first, last, shade, lit, points):
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, peaks = strip
-    begins = points.begins
+    row_starts = points.row_starts
     nodes = shade.size > 0 or lit.size > 0
     for i in range(first, last):
         cuts = is_cut_nw_se[i] if is_cut_nw_se.size else NO_CUTS
         if nodes:
             _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i)
             _update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i)
-        if begins[i] < begins[i + 1]:
+        if row_starts[i] < row_starts[i + 1]:
             evaluate_points(turned_grid, strip, i, points)
         for k in range(lines):
             _advance(
                 ray_height[i],
                 ray_height[i + 1],
-                cubic_of(column_of_t, i),
-                cubic_of(column_of_t, i + 1),
+                row_cubic(column_of_t, i),
+                row_cubic(column_of_t, i + 1),
                 lines,
                 cuts,
                 first_cell,
@@ -131,7 +131,7 @@ def sweep_rows(turned_grid, strip, first, last, shade, lit, points):
 
 
 @internal
-def _run_along(p, low, high, times):
+def _max_run_length(p, low, high, times):
     """Return the maximum number of adjacent lines or nodes whose positions a straight line interpolates between both ends.
 
     The positions are ``times`` the cubic ``p`` (4,) on the interval from ``low`` to ``high``. The tolerance is
@@ -152,9 +152,9 @@ def _crossing_class(cubic_above, cubic_below, t, j):
     It is 2 (c - j), where c is the grid column to the left of the line on the first row. It is larger by 1 if the line crosses
     column c + 1 before the next row. Adjacent lines with equal numbers cross quads in the same way.
     """
-    x = snap_to_column(cubic(cubic_above, t))
+    x = snap_to_column(evaluate_cubic(cubic_above, t))
     c = int(np.floor(x))
-    return 2 * (c - j) + (1 if snap_to_column(cubic(cubic_below, t)) > c + 1 else 0)
+    return 2 * (c - j) + (1 if snap_to_column(evaluate_cubic(cubic_below, t)) > c + 1 else 0)
 
 
 @internal
@@ -166,7 +166,7 @@ def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, li
     """
     cells, cols = line_max.size, above.size
     share = k / lines
-    run = _run_along(cubic_above, first_cell, first_cell + cells, np.int64(1))
+    run = _max_run_length(cubic_above, first_cell, first_cell + cells, np.int64(1))
     start = 0
     while start < cells:
         end = min(start + run, cells)
@@ -187,12 +187,12 @@ def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, li
         if begin < last:
             t0, t1 = first_cell + begin + share, first_cell + last - 1 + share
             f0, f1 = (
-                snap_to_column(cubic(cubic_above, t0)) - (begin + shift),
-                snap_to_column(cubic(cubic_above, t1)) - (last - 1 + shift),
+                snap_to_column(evaluate_cubic(cubic_above, t0)) - (begin + shift),
+                snap_to_column(evaluate_cubic(cubic_above, t1)) - (last - 1 + shift),
             )
             s0, s1 = (
-                snap_to_column(cubic(cubic_below, t0)) - (begin + shift) - f0,
-                snap_to_column(cubic(cubic_below, t1)) - (last - 1 + shift) - f1,
+                snap_to_column(evaluate_cubic(cubic_below, t0)) - (begin + shift) - f0,
+                snap_to_column(evaluate_cubic(cubic_below, t1)) - (last - 1 + shift) - f1,
             )
             _raise_run(above, below, cuts, begin + shift, line_max, begin, last - begin, f0, f1, s0, s1, crosses)
         start = end
@@ -360,16 +360,16 @@ def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cel
     """
     cols, cells = ray_height.shape[1], line_max.shape[1]
     t_of_column_below, column_of_t_above, column_of_t_below = (
-        cubic_of(t_of_column, i + 1),
-        cubic_of(column_of_t, i),
-        cubic_of(column_of_t, i + 1),
+        row_cubic(t_of_column, i + 1),
+        row_cubic(column_of_t, i),
+        row_cubic(column_of_t, i + 1),
     )
     first = _first_column_at(column_of_t_below, t_of_column_below, first_cell + 1, cols)
     last = _first_column_at(column_of_t_below, t_of_column_below, first_cell + cells - 2, cols)
-    run = _run_along(t_of_column_below, first, last, lines)
+    run = _max_run_length(t_of_column_below, first, last, lines)
     above, below, shade_heights = ray_height[i], ray_height[i + 1], np.empty(MAX_RUN_LINES, np.float32)
     while first < last:
-        end, number = _run_of_nodes(t_of_column_below, first, min(first + run, last), lines)
+        end, number = _run_end(t_of_column_below, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
         right, right_cell = (k + 1, cell) if k + 1 < lines else (0, cell + 1)
@@ -391,7 +391,7 @@ def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cel
             shade_heights,
         )
         if shade.size:
-            _put_shade(shade_heights, shade, i + 1, first, count)
+            _write_shade(shade_heights, shade, i + 1, first, count)
         if lit.size:
             _write_lit(shade_heights, below, lit, i + 1, first, count)
         first = end
@@ -401,12 +401,12 @@ def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cel
 def _update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i):
     """Update the peaks (the highest node between each line and the next) with the nodes of row ``i``."""
     cols, cells = ray_height.shape[1], peaks.shape[2]
-    row_t_of_column, row_column_of_t, row = cubic_of(t_of_column, i), cubic_of(column_of_t, i), ray_height[i]
+    row_t_of_column, row_column_of_t, row = row_cubic(t_of_column, i), row_cubic(column_of_t, i), ray_height[i]
     first = _first_column_at(row_column_of_t, row_t_of_column, first_cell + 1, cols)
     last = _first_column_at(row_column_of_t, row_t_of_column, first_cell + cells - 2, cols)
-    run = _run_along(row_t_of_column, first, last, lines)
+    run = _max_run_length(row_t_of_column, first, last, lines)
     while first < last:
-        end, number = _run_of_nodes(row_t_of_column, first, min(first + run, last), lines)
+        end, number = _run_end(row_t_of_column, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
         e0, e1 = (
@@ -435,7 +435,7 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
 
 
 @internal
-def _put_shade(shade_heights, shade, i, first, count):
+def _write_shade(shade_heights, shade, i, first, count):
     i = np.uintp(i)
     for n in range(count):
         shade[i, np.uintp(first + n)] = shade_heights[n]
@@ -452,17 +452,17 @@ def _write_lit(shade_heights, row, lit, i, first, count):
 @internal
 def _line_position(t_of_column, column, lines):
     """Return the position of the node in ``column`` of a row, counted in lines from t = 0; a whole number on a line."""
-    return snap_to_column(cubic(t_of_column, np.float64(column)) * lines)
+    return snap_to_column(evaluate_cubic(t_of_column, np.float64(column)) * lines)
 
 
 @internal
 def _column_shift(column_of_t, t_of_column, column):
     """Return by how many columns a node's ray is farther to the left on the row before."""
-    return column - snap_to_column(cubic(column_of_t, cubic(t_of_column, np.float64(column))))
+    return column - snap_to_column(evaluate_cubic(column_of_t, evaluate_cubic(t_of_column, np.float64(column))))
 
 
 @internal
-def _run_of_nodes(t_of_column, first, last, lines):
+def _run_end(t_of_column, first, last, lines):
     """Return the end of the adjacent nodes in [``first``, ``last``) with lines of one number to their left, and that line.
 
     The line is that to the left of node ``first``, counted from t = 0. From each node to the next it is ``lines`` farther right.
@@ -486,10 +486,10 @@ def _first_column_at(column_of_t, t_of_column, t, cols):
 
     The comparison uses ``t_of_column`` alone. So of two adjacent strips of lines exactly one evaluates each node.
     """
-    column = min(max(int(np.ceil(cubic(column_of_t, np.float64(t)))), 1), cols - 1)
-    while column > 1 and cubic(t_of_column, np.float64(column - 1)) >= t:
+    column = min(max(int(np.ceil(evaluate_cubic(column_of_t, np.float64(t)))), 1), cols - 1)
+    while column > 1 and evaluate_cubic(t_of_column, np.float64(column - 1)) >= t:
         column -= 1
-    while column < cols - 1 and cubic(t_of_column, np.float64(column)) < t:
+    while column < cols - 1 and evaluate_cubic(t_of_column, np.float64(column)) < t:
         column += 1
     return column
 

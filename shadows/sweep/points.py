@@ -25,7 +25,7 @@ class StripPoints(NamedTuple):
 
     Attributes
     ----------
-    begins
+    row_starts
         int64 (rows + 1,): the index of the first point in the rows (i, i + 1], for each row i.
     row, col, t
         float64 (n,): positions on the turned grid, and across the lines in cells; columns count the left border.
@@ -39,7 +39,7 @@ class StripPoints(NamedTuple):
         float32 (n,), output: metres by which the highest ray height towards the sun exceeds the point's.
     """
 
-    begins: np.ndarray
+    row_starts: np.ndarray
     row: np.ndarray
     col: np.ndarray
     t: np.ndarray
@@ -70,16 +70,16 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
     """Return the points whose t lies in [``start``, ``stop``), sorted by the rows (i, i + 1] that contain them.
 
     ``interval`` (n,) holds i for each point. The result is the index of each selected point in the input, and the fields of
-    ``StripPoints`` from ``begins`` to ``ray_height``. The returned columns count the left border, the input columns do not.
+    ``StripPoints`` from ``row_starts`` to ``ray_height``. The returned columns count the left border, the input columns do not.
     """
-    begins = np.empty(rows + 1, np.int64)
-    begins[:] = 0
+    row_starts = np.empty(rows + 1, np.int64)
+    row_starts[:] = 0
     for n in range(t.size):
         if start <= t[n] < stop:
-            begins[interval[n] + 1] += 1
+            row_starts[interval[n] + 1] += 1
     for i in range(rows):
-        begins[i + 1] += begins[i]
-    filled, count = begins[:-1].copy(), begins[rows]
+        row_starts[i + 1] += row_starts[i]
+    filled, count = row_starts[:-1].copy(), row_starts[rows]
     number = np.empty(count, np.int64)
     strip_row, strip_col, strip_t, strip_ray_height = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     for n in range(t.size):
@@ -87,7 +87,7 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
             k = filled[interval[n]]
             filled[interval[n]] += 1
             number[k], strip_row[k], strip_col[k], strip_t[k], strip_ray_height[k] = n, row[n], col[n] + 1.0, t[n], ray_height[n]
-    return number, begins, strip_row, strip_col, strip_t, strip_ray_height
+    return number, row_starts, strip_row, strip_col, strip_t, strip_ray_height
 
 
 @compiled
@@ -106,22 +106,22 @@ def evaluate_points(turned_grid, strip, i, points):
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, _ = strip
-    begins, row, col, t, points_ray_height, rounding, lit, above_m = points
-    first, last = begins[i], begins[i + 1]
+    row_starts, row, col, t, points_ray_height, rounding, lit, above_m = points
+    first, last = row_starts[i], row_starts[i + 1]
     cols = ray_height.shape[1]
     above, below = ray_height[i], ray_height[i + 1]
     column_of_t_above, column_of_t_below, t_of_column_above = (
-        cubic_of(column_of_t, i),
-        cubic_of(column_of_t, i + 1),
-        cubic_of(t_of_column, i),
+        row_cubic(column_of_t, i),
+        row_cubic(column_of_t, i + 1),
+        row_cubic(t_of_column, i),
     )
     for n in range(first, last):
         end, ray_t = row[n] - i, t[n]
-        x = snap_to_column(cubic(column_of_t_above, ray_t))
-        s = snap_to_column(cubic(column_of_t_below, ray_t)) - x
+        x = snap_to_column(evaluate_cubic(column_of_t_above, ray_t))
+        s = snap_to_column(evaluate_cubic(column_of_t_below, ray_t)) - x
         if np.isnan(points_ray_height[n]):  # on the ground: use the column, to stay over its own triangle
             x = snap_to_column(col[n] - s * end)
-            ray_t = cubic(t_of_column_above, x)
+            ray_t = evaluate_cubic(t_of_column_above, x)
         c = int(np.floor(x))
         f = x - c
         line_position = snap_to_column(ray_t * lines)
@@ -135,28 +135,28 @@ def evaluate_points(turned_grid, strip, i, points):
         if np.isnan(point_ray_height):
             point_ray_height = ground_at(above, below, c, f + s * end, end, is_cut_nw_se, i)
         if 0 <= c and c + 1 < cols:
-            highest = _raise_level(highest, above[c], above[c + 1], f)
+            highest = _max_with_segment(highest, above[c], above[c + 1], f)
             if is_cut(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
-                highest = _raise_level(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
+                highest = _max_with_segment(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
             if f + s <= 1.0:
                 if is_cut(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
-                    highest = _raise_level(highest, above[c], below[c + 1], f / (1.0 - s))
+                    highest = _max_with_segment(highest, above[c], below[c + 1], f / (1.0 - s))
             elif (1.0 - f) / s < end:
-                highest = _raise_level(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
+                highest = _max_with_segment(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
                 if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
-                    highest = _raise_level(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
+                    highest = _max_with_segment(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
         above_m[n] = highest - point_ray_height
         lit[n] = not highest > point_ray_height + rounding
 
 
 @internal
-def cubic_of(rows, i):
+def row_cubic(rows, i):
     """Return the coefficients (4,) of row ``i``'s cubic as a tuple."""
     return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
 
 
 @internal
-def cubic(p, x):
+def evaluate_cubic(p, x):
     """Return the value of a cubic (4,), constant term first, at ``x``."""
     return p[0] + x * (p[1] + x * (p[2] + x * p[3]))
 
@@ -169,7 +169,7 @@ def snap_to_column(x):
 
 
 @internal
-def _raise_level(highest, a, b, share):
+def _max_with_segment(highest, a, b, share):
     """Return the maximum of ``highest`` and the value at ``share`` of the way from ``a`` to ``b``.
 
     If the value is NaN (no ground), return ``highest``.

@@ -176,7 +176,7 @@ def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     space = light.from_earth(point + height_m * up)
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
     towards = np.array([per_col[0], -per_row[0]])  # in this direction light space's right coordinate is constant
-    towards *= np.sign(light.towards_sun_m(towards[0] * per_row + towards[1] * per_col)) or 1.0
+    towards *= np.sign(light.horizontal_sunward_m(towards[0] * per_row + towards[1] * per_col)) or 1.0
     orientation = orientation_towards(*towards)
     column_right_m = (per_row if orientation.swapped else per_col)[0]
     return SunRays(
@@ -221,7 +221,7 @@ class GroundWindow:
         The ray heights on the turned grid, and the positions of its lines.
     towards_m
         float32, turned and with borders: metres of the nodes towards the sun; empty unless the sun is a disc.
-    begin
+    first_ground_row
         First turned row that may hold ground.
     """
 
@@ -231,7 +231,7 @@ class GroundWindow:
     shape: tuple[int, int]
     turned_grid: TurnedGrid
     towards_m: np.ndarray
-    begin: int = 0
+    first_ground_row: int = 0
 
     def tilted(self, angle: float) -> TurnedGrid:
         """Return the turned grid for a sun that is higher by ``angle``, radians. Angles other than 0 need ``towards_m``."""
@@ -343,8 +343,8 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
     rows, cols = max(row for row, _ in ends) - row0, max(col for _, col in ends) - col0
 
     spans = [rays.turned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
-    begin = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
-    filled_rows = (0, None) if soft or detail else (begin, max(end for (_, end), _ in spans))  # no other row is read
+    first_ground_row = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
+    filled_rows = (0, None) if soft or detail else (first_ground_row, max(end for (_, end), _ in spans))  # no other row is read
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
         with_border, inside = bordered(
@@ -357,7 +357,7 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
 
     turned_grid = TurnedGrid(turned(rays.write_ray_heights), *rays.window_cubics(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
     towards_m = turned(rays.write_towards) if soft else NO_RAY_HEIGHTS
-    return GroundWindow(detail, row0, col0, (rows, cols), turned_grid, towards_m, begin)
+    return GroundWindow(detail, row0, col0, (rows, cols), turned_grid, towards_m, first_ground_row)
 
 
 @compiled

@@ -36,7 +36,7 @@ import numpy as np
 from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.sweep.columns import column_sweep
-from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, RAYS_BEND_REASON, GridOrientation, SweepPoints, state_after, sweep_nodes
+from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, RAYS_BEND_REASON, GridOrientation, SweepPoints, sweep_nodes, sweep_to_state
 from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT
 from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_view, grounds_of_block, rays_at
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
@@ -56,10 +56,10 @@ from skugga.terrain.scene import Scene
 PASSES = ("sweep",)
 
 RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
-"""float32 rounding of a ray height, as a share of the largest ray height. Ground shades a point only if it exceeds it by more."""
+"""float32 rounding of a ray height, as a share of the largest one. Ground that exceeds a ray by less casts no shadow."""
 
 SUN_DISC_STRIPS = 16
-"""Horizontal strips of the sun's disc for its penumbra."""
+"""Number of horizontal strips into which the sun's disc is cut for penumbrae."""
 
 MIN_LINES = 2
 """Minimum number of lines per column of a supersampled grid, in which the columns of one pixel share the pixel's lines."""
@@ -103,8 +103,8 @@ def fill(
     UnsupportedError
         The sun's rays bend too much across the view.
     """
-    (sweep_pass,) = log.named(light, kinds, PASSES)
-    with log.run(sweep_pass) as record:
+    (sweep_pass,) = log.pass_names(light, kinds, PASSES)
+    with log.record_pass(sweep_pass) as record:
         if not buffer.valid.any():
             return np.ones(buffer.valid.shape, np.float32)
         soft = settings.filter == "sun"
@@ -114,7 +114,7 @@ def fill(
             )
         rays, grounds = _grounds(buffer, scene, casters, soft)
         targets = _targets_of_buffer(rays, grounds[-1], buffer)
-        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
+        log.keep_layer("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft))
         if not soft:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
@@ -139,7 +139,7 @@ def _fill_columns(
     def shadow_height_m() -> np.ndarray:
         return buffer.height_m + sweep.above_m(0.0, True, CORES).astype(np.float32)
 
-    log.keep("shadow-height", light, shadow_height_m)
+    log.keep_layer("shadow-height", light, shadow_height_m)
     record.bytes = max(record.bytes, sweep.nbytes)
     return visibility / np.float32(len(angles))
 
@@ -159,14 +159,14 @@ def fill_nodes(
     sun, so does the triangle that the node's ray crosses. That triangle rises above the ray, so the sweep finds it as a caster.
     Parameters and errors are those of ``fill``.
     """
-    (sweep_pass,) = log.named(light, kinds, PASSES)
-    with log.run(sweep_pass) as record:
+    (sweep_pass,) = log.pass_names(light, kinds, PASSES)
+    with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
         grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
         targets = _targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
-        log.keep("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
+        log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
         return rays.orientation.restored_copy(lit, targets.window)
 
@@ -275,7 +275,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *view.centre_node)
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.casting, casters.patches, soft, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft, casters.culled)
     assert buffer.ground is not None
     rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]
@@ -352,7 +352,9 @@ def _sweep_grounds(
     entry, detail = None, 0
     for coarse in coarser:
         level_t_range = targets.t_range[0] / 2**coarse.detail, targets.t_range[1] / 2**coarse.detail
-        entry = state_after(coarse.tilted(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.begin)
+        entry = sweep_to_state(
+            coarse.tilted(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.first_ground_row
+        )
         detail = coarse.detail
     turned_grid = ground.tilted(angle)
     points_ray_height_m = (
@@ -366,8 +368,9 @@ def _sweep_grounds(
         RAY_HEIGHT_ROUNDING * _max_abs_ray_height_m(turned_grid.ray_height, targets),
     )
     return sweep_nodes(
-        turned_grid, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES, ground.begin
-    )
+        turned_grid, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES,
+        ground.first_ground_row,
+    )  # fmt: skip
 
 
 def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
@@ -385,7 +388,7 @@ def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
 
 
 def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float) -> np.ndarray:
-    """Return which of a buffer's points see the sun, if it is higher by ``angle`` in radians: bool (rows, cols)."""
+    """Return which of a buffer's points see a sun that is higher than the scene's sun by ``angle``, radians: bool (rows, cols)."""
     lit, points_lit, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.nodes.shape, np.bool_)
     if targets.nodes.any():
@@ -422,15 +425,15 @@ def _work(task: Workload, settings: SweepSettings) -> Work:
 
 
 def _ground_nodes(task: Workload) -> float:
-    """Return the number of nodes of a perspective view's whole ground; half of its triangles where it is unknown."""
+    """Return the number of nodes of a perspective view's whole ground; half the number of its triangles if it is unknown."""
     relief = task.caster_facts("relief")
     return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
 
-def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
+def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
     yield SweepSettings()
     yield SweepSettings(lines=4)
-    if grid == "full":
+    if calibration_extent == "full":
         yield SweepSettings(filter="sun")
 
 
@@ -449,7 +452,7 @@ FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
 
 ALGORITHM = Algorithm(
     name="sweep",
-    about="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
+    description="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
     plural="sweep",
     fill=fill,
     ignores_idle_casters=lambda settings: True,

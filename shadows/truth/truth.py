@@ -100,8 +100,8 @@ def fill(
 
     If ``light_samples`` is more than 1, the light is an area. Visibility is then the mean over that many stratified points of it.
     """
-    (rays_pass,) = log.named(light, kinds, PASSES)
-    with log.run(rays_pass):
+    (rays_pass,) = log.pass_names(light, kinds, PASSES)
+    with log.record_pass(rays_pass):
         rays = ray_scene(buffer, scene, casters, kinds)
         return area_visibility(buffer, scene, light, rays, settings.light_samples)
 
@@ -221,11 +221,11 @@ def coverage_truth(
     bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
     rng = np.random.default_rng(0)
     rays = rays or ray_scene(buffer, scene, casters, ALL_KINDS)
-    dark_everywhere = light == SUN and not scene.sun_is_up
+    is_dark_everywhere = light == SUN and not scene.sun_is_up
     side = int(round(samples**0.5))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
         i, j = np.unravel_index(candidates[rng.integers(first, last)], shape)
-        if dark_everywhere:
+        if is_dark_everywhere:
             out[i, j] = 1.0
             continue
         fine_view = buffer.view.part(i * block_px, j * block_px, block_px, block_px).finer(side)
@@ -403,18 +403,18 @@ def _resolve(request: SettingsRequest) -> ResolvedSettings:
 
 
 def _work(task: Workload, settings: TruthSettings) -> Work:
-    rays = task.facing * settings.light_samples
+    rays = task.facing_pixels * settings.light_samples
     return {"truth": {"blocks": 1.0, "seen": task.visible_pixels, "rays": rays, "triangles": task.all_triangles}}
 
 
-def _calibration_settings(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
-    if grid == "full":
+def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
+    if calibration_extent == "full":
         yield TruthSettings()
 
 
 ALGORITHM = Algorithm(
     name="truth",
-    about="ray tracing, the reference for comparisons; too slow for pictures",
+    description="ray tracing, the reference for comparisons; too slow for pictures",
     plural="truth",
     fill=fill,
     passes=PASSES,

@@ -66,13 +66,13 @@ def max_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) ->
     is_used = np.zeros(len(vertices), bool)
     is_used[silhouette.edges[:, 0]] = True  # each vertex of a closed boundary starts an edge
     edges = (np.cumsum(is_used, dtype=np.int32) - np.int32(1))[silhouette.edges]
-    begin = vertices[is_used].astype(np.float64)
+    start_vertices = vertices[is_used].astype(np.float64)
     if light[3] == 0.0:
-        projected, pole_count = _project_along_sun(begin, light[:3]), 0
+        projected, pole_count = _project_along_sun(start_vertices, light[:3]), 0
     else:
-        axes = _axes_towards(begin.mean(axis=0) - light[:3])
+        axes = _axes_towards(start_vertices.mean(axis=0) - light[:3])
         projected, pole_count = (
-            (begin - light[:3]) @ axes.T,
+            (start_vertices - light[:3]) @ axes.T,
             _caps_at_lower_pole((vertices - light[:3]) @ axes[:2].T, silhouette.caps),
         )
     max_winding = _max_winding(projected, edges, silhouette.multiplicity)

@@ -40,16 +40,16 @@ def fill(
     """
     if settings.filter == "sun":
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
-    silhouettes_pass, stencil_pass = log.named(light, kinds, PASSES)
+    silhouettes_pass, stencil_pass = log.pass_names(light, kinds, PASSES)
     light_frame = np.array(scene.light_position(light, buffer.frame))
-    with log.run(silhouettes_pass) as record:
+    with log.record_pass(silhouettes_pass) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
-    log.keep("silhouettes", light, visible_silhouettes, buffer, scene, volumes)
-    log.keep("volumes", light, faces_in_front, buffer, scene, volumes)
-    with log.run(stencil_pass) as record:
+    log.keep_layer("silhouettes", light, visible_silhouettes, buffer, scene, volumes)
+    log.keep_layer("volumes", light, faces_in_front, buffer, scene, volumes)
+    with log.record_pass(stencil_pass) as record:
         receiver_mask = buffer.valid & ~attached(buffer, scene, light)
         counts = count(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
-    log.keep("stencil", light, counts.copy)
+    log.keep_layer("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
 
 
@@ -81,7 +81,7 @@ VOLUME_CACHES = (
 
 ALGORITHM = Algorithm(
     name="shadow_volume",
-    about="shadow volumes, counted in the stencil: exact to the pixel",
+    description="shadow volumes, counted in the stencil: exact to the pixel",
     plural="shadow volumes",
     fill=fill,
     passes=PASSES,

@@ -134,7 +134,7 @@ def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
     if buffer.columns is not None:
         return has_gaps(np.isfinite(buffer.columns.window.height_m))
     if buffer.surface is not None:
-        return has_gaps(np.isfinite(buffer.surface.casting.position_frame_m[..., 2]))
+        return has_gaps(np.isfinite(buffer.surface.with_rim.position_frame_m[..., 2]))
     return _has_gaps(ground_nodes(scene).height_m)
 
 
@@ -165,13 +165,13 @@ class _Structure:
         The edges of the mesh.
     rule
         int8 (m,): the rule of each triangle.
-    part_of_vertex
+    caster_of_vertex
         int32 (n,): the caster of each vertex.
     """
 
     edges: Edges
     rule: np.ndarray
-    part_of_vertex: np.ndarray
+    caster_of_vertex: np.ndarray
 
 
 @cached("scene", 1024 * MIB)
@@ -195,7 +195,7 @@ def _structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | N
 
 def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
     structure = _structure(vertices, triangles, ground_rule)
-    edges, part, rule = structure.edges, structure.part_of_vertex, structure.rule
+    edges, part, rule = structure.edges, structure.caster_of_vertex, structure.rule
     order = np.argsort(part, kind="stable")
     first = np.flatnonzero(np.diff(part[order], prepend=-1))
     # Invalid nodes of the ground are NaN, and belong to no triangle.
@@ -234,16 +234,18 @@ def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
     if not len(outline.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))
-    part_of_vertex = np.zeros(len(vertices), np.int32)
-    return [_volumes(vertices, outline, light, part_of_vertex, valid_position.min(axis=0)[None], valid_position.max(axis=0)[None])]
+    caster_of_vertex = np.zeros(len(vertices), np.int32)
+    return [
+        _volumes(vertices, outline, light, caster_of_vertex, valid_position.min(axis=0)[None], valid_position.max(axis=0)[None])
+    ]
 
 
 def _volumes(
-    vertices: np.ndarray, outline: Silhouette, light: np.ndarray, part_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
+    vertices: np.ndarray, outline: Silhouette, light: np.ndarray, caster_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Volumes:
     """Return the volumes of the near caps and along the edges of a silhouette.
 
-    The side at an edge (a, b) has the corners b and a and their images at infinity. ``part_of_vertex`` (n,) is the caster of each
+    The side at an edge (a, b) has the corners b and a and their images at infinity. ``caster_of_vertex`` (n,) is the caster of each
     vertex; ``low`` and ``high`` are the casters' bounds.
     """
     used_vertices, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
@@ -261,7 +263,7 @@ def _volumes(
         far = np.column_stack([points - light[:3], np.zeros(count)])
         sides = np.concatenate([np.column_stack([b, a, a + count]), np.column_stack([b, a + count, b + count])])
         faces = np.concatenate([sides, caps, caps[:, ::-1] + count])
-    part = part_of_vertex[used_vertices][faces[:, 0] % count] if count else np.zeros(0, np.int32)
+    part = caster_of_vertex[used_vertices][faces[:, 0] % count] if count else np.zeros(0, np.int32)
     return Volumes(
         np.concatenate([near, far]).astype(np.float32),
         faces.astype(np.int32),

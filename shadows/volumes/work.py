@@ -68,10 +68,17 @@ def stencil_counts(task: Workload, settings: StencilSettings, marked_share: floa
     layers = sides * task.facts.volume_layers if task.caster_facts("meshes") else 0.0
     counts = {"blocks": 1.0, "pixels": task.pixels}
     if marked_share is None:
-        counts |= {"faces drawn": sides * faces_drawn, "facing": task.facing, "layers": task.facing * np.sqrt(np.log1p(layers))}
+        counts |= {
+            "faces drawn": sides * faces_drawn,
+            "facing": task.facing_pixels,
+            "layers": task.facing_pixels * np.sqrt(np.log1p(layers)),
+        }
     else:
         layer_cost = np.log1p(MARKED_LAYERS * layers * marked_share)
-        counts |= {"faces beside marks": sides * faces_drawn * marked_share**0.25, "layers beside marks": task.facing * layer_cost}
+        counts |= {
+            "faces beside marks": sides * faces_drawn * marked_share**0.25,
+            "layers beside marks": task.facing_pixels * layer_cost,
+        }
     if task.in_map:
         parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
         relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.caster_facts("relief") else 0.0

@@ -37,9 +37,9 @@ from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.extremes import widen
+from skugga.terrain.ground.extremes import update_ranges
 from skugga.terrain.ground.grid_key import grid_key
-from skugga.terrain.ground.surface import RefinedWindow, Surface, refined_row
+from skugga.terrain.ground.surface import RefinedWindow, Surface, refine_row
 from skugga.terrain.scene import Scene
 
 SUN_RADIUS_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
@@ -288,7 +288,7 @@ def _light_space_bounds(
     point, up = (_part_corners(values, parts) for values in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
     ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
     in_light = scene.light.from_earth(ends)
-    in_light = np.concatenate([in_light, scene.light.towards_sun_m(in_light)[..., None]], axis=-1)
+    in_light = np.concatenate([in_light, scene.light.horizontal_sunward_m(in_light)[..., None]], axis=-1)
     in_light[..., 1] = in_light[0 if ground_at == "lowest" else 1, ..., 1]
     bulge = 0.0  # twice the maximum rise of the earth above the plane of four corners
     if not scene.world.flat:
@@ -367,7 +367,7 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
     """Write the result of ``_read_patches`` to ``out`` (n, m, 11). A part is ``quads`` quads wide.
 
     ``height_m`` holds the heights of the patches' nodes, with ``halo`` more nodes on each side. If ``refined``, it holds the nodes
-    of a grid with half as many nodes per side, from which ``refined_row`` interpolates. ``row0`` and ``col0`` are then 1 where the
+    of a grid with half as many nodes per side, from which ``refine_row`` interpolates. ``row0`` and ``col0`` are then 1 where the
     first row or column of the patches' nodes lies between two of the coarser grid, else 0.
     """
     cols = len(out) * PARTS_PER_SIDE * quads + 1
@@ -379,7 +379,7 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
         for i in range(len(band)):
             row = down * quads + i
             if refined:
-                refined_row(height_m, row0 + row, col0, band[i])
+                refine_row(height_m, row0 + row, col0, band[i])
             else:
                 for j in range(band.shape[1]):
                     band[i, j] = height_m[row, j]
@@ -387,7 +387,7 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
         nodes = band[halo : halo + quads + 1]
         bounds[0], bounds[1] = np.inf, -np.inf
         for i in range(quads + 1):
-            widen(nodes[i, halo : halo + cols], bounds[0], bounds[1])
+            update_ranges(nodes[i, halo : halo + cols], bounds[0], bounds[1])
         _gather_rises(nodes, halo, rise_extremes)
         for number in range(cols // quads):
             left = number * quads
@@ -436,10 +436,10 @@ def _gather_rises(height_m, halo, rise_extremes):
     for i in range(rows):
         row_m = height_m[i, halo : halo + cols]
         _differences(row_m[1:], row_m[:-1], next_right)
-        widen(next_right, rise_extremes[1, : cols - 1], rise_extremes[0, : cols - 1])
+        update_ranges(next_right, rise_extremes[1, : cols - 1], rise_extremes[0, : cols - 1])
         if i > 0:
             _differences(row_m, height_m[i - 1, halo : halo + cols], down)
-            widen(down, rise_extremes[3], rise_extremes[2])
+            update_ranges(down, rise_extremes[3], rise_extremes[2])
             _fmax(right, next_right, max_right)
             _fmin(right, next_right, min_right)
             _fmax(down[:-1], down[1:], max_down)

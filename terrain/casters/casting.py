@@ -42,10 +42,10 @@ def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds:
     if buffer.surface is None:
         return
     assert isinstance(buffer.view, MapView)
-    yield buffer.surface.casting.sheet
+    yield buffer.surface.with_rim.sheet
     for patch in casters.casting:
         surface = scene.surface(buffer.view.grid.coarser(patch.lod))
-        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).casting.sheet
+        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).with_rim.sheet
 
 
 def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> list[Mesh]:
@@ -84,7 +84,7 @@ def occluding_trees(
 
 
 @cached("scene", 64 * MIB)
-def closed_casters(objects: SceneObjects) -> np.ndarray:
+def closed_caster_mask(objects: SceneObjects) -> np.ndarray:
     """Return the mask (m,) of the casting meshes' triangles that belong to a closed body whose faces point outwards."""
     placement = objects.placement
     casting = () if placement is None else placement.casting

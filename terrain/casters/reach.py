@@ -53,7 +53,7 @@ FULL_DETAIL_NODES = 4096
 detail, and so on.
 """
 
-NODES_PER_CELL, MIN_DETAIL_NODES = 16, 2 * PATCH_QUADS
+MAX_FULL_DETAIL_NODES_PER_CELL, MIN_FULL_DETAIL_NODES = 16, 2 * PATCH_QUADS
 """Number of grid nodes per side of a raster cell above which full detail ends sooner, and the minimum distance in nodes at which it
 ends. The distance falls in proportion to the number of nodes per cell. Nodes that are denser than cells only repeat the raster's
 bilinear surface. Without this rule maps with pixels of centimetres would read millions of patches.
@@ -293,7 +293,7 @@ def _sunward_extent_m(scene: Scene, buffer: Receivers, can_shade: np.ndarray) ->
     assert scene.light is not None
     if not can_shade.any():
         return 0.0
-    towards = scene.light.towards_sun_m(_overview_in_light(scene)[0][can_shade])
+    towards = scene.light.horizontal_sunward_m(_overview_in_light(scene)[0][can_shade])
     return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
 
 
@@ -471,8 +471,8 @@ def _shading_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...]
 def _full_detail_nodes(scene: Scene, grid: Grid) -> int:
     """Return the distance from a block, in nodes, within which casters are read on the block's own grid."""
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
-    share = NODES_PER_CELL * scene.surface(grid).step_m / cell_m
-    return int(np.clip(FULL_DETAIL_NODES * share, MIN_DETAIL_NODES, FULL_DETAIL_NODES))
+    share = MAX_FULL_DETAIL_NODES_PER_CELL * scene.surface(grid).step_m / cell_m
+    return int(np.clip(FULL_DETAIL_NODES * share, MIN_FULL_DETAIL_NODES, FULL_DETAIL_NODES))
 
 
 def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[Patch]:
@@ -517,9 +517,9 @@ def _inside(row: int, col: int, quads: int, row0: int, col0: int, rows: int, col
 
 
 def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
-    """Return the maximum of ``LightSpace.towards_sun_m`` over a buffer's receivers, metres: the edge nearest to the sun."""
+    """Return the maximum of ``LightSpace.horizontal_sunward_m`` over a buffer's receivers, metres: the edge nearest to the sun."""
     rotation, translation = light.from_frame(buffer.frame)
-    row, offset = light.towards_sun_m(rotation.T), light.towards_sun_m(translation)
+    row, offset = light.horizontal_sunward_m(rotation.T), light.horizontal_sunward_m(translation)
     _, high = light_bounds(buffer.position_frame_m, buffer.valid, np.tile(row, (3, 1)), np.full(3, offset))
     return float(high[0])
 

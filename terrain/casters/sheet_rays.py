@@ -147,8 +147,8 @@ def _build(pyramids, number, position, centre, axes):
 
 
 @internal
-def _fill(box, index, a0, a1, b0, b1, d1):
-    box[index, 0], box[index, 1], box[index, 2], box[index, 3], box[index, 4] = a0, a1, b0, b1, d1
+def _fill(box, box_index, a0, a1, b0, b1, d1):
+    box[box_index, 0], box[box_index, 1], box[box_index, 2], box[box_index, 3], box[box_index, 4] = a0, a1, b0, b1, d1
 
 
 @compiled
@@ -191,9 +191,15 @@ def _hits_sheet(pyramids, number, a, b, d, stack):
 
 
 @internal
-def _may_hit_box(box, index, a, b, d):
+def _may_hit_box(box, box_index, a, b, d):
     """Return whether a ray from (a, b, d), in the rotated axes, may meet geometry in a box."""
-    return box[index, 2] <= b and b <= box[index, 3] and box[index, 0] <= a and a <= box[index, 1] and box[index, 4] > d
+    return (
+        box[box_index, 2] <= b
+        and b <= box[box_index, 3]
+        and box[box_index, 0] <= a
+        and a <= box[box_index, 1]
+        and box[box_index, 4] > d
+    )
 
 
 @internal

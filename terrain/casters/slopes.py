@@ -106,7 +106,7 @@ def slope_support(world: World, elevation: Elevation, grid: Grid) -> SlopeSuppor
             window, rotation = surface.window(row, col, rows, cols, frame), world.anchor_from_frame(frame)[0]
             _extend_support(window.sheet.normals_frame.reshape(-1, 3), rotation, directions, visible)
             if window.rim is not None:
-                _extend_support(window.casting.sheet.normals_frame.reshape(-1, 3), rotation, directions, casting)
+                _extend_support(window.with_rim.sheet.normals_frame.reshape(-1, 3), rotation, directions, casting)
             if np.isposinf(visible).any() or np.isposinf(casting).any():
                 return None
     if not np.isfinite(visible).all():

@@ -211,8 +211,8 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
     """
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
-    rows = np.stack([rotation[0], scene.light.towards_sun_m(rotation.T)])
-    offsets = np.array([translation[0], scene.light.towards_sun_m(translation)])
+    rows = np.stack([rotation[0], scene.light.horizontal_sunward_m(rotation.T)])
+    offsets = np.array([translation[0], scene.light.horizontal_sunward_m(translation)])
     in_light, slack = coarse_view.points_frame_m @ rows.T + offsets, _sample_radius_m(scene, view, coarse_view)[:, None]
     low, high = (
         ((in_light - slack).min(axis=0), (in_light + slack).max(axis=0))

@@ -108,7 +108,7 @@ class Effect:
 
     Attributes
     ----------
-    about
+    description
         Description in a few words.
     judge
         Predicate that decides from the descriptor (all facts of a scene and a view) whether a scene needs the effect.
@@ -128,7 +128,7 @@ class Effect:
         without these facts.
     """
 
-    about: str
+    description: str
     judge: Callable[[Descriptor], Verdict]
     facts: Callable[[Scene, MapView | PerspectiveView, CoarseView | None], dict[str, Fact]] | None = None
     stage: Stage | None = None

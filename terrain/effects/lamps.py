@@ -21,7 +21,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from skugga.terrain.lights import CONE_FADE_SHARE, Lamp
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import LEAF_GLOW, daylight_of, exposure_of, night_sky_share
+from skugga.terrain.shading import LEAF_TRANSLUCENCY, daylight_of, exposure_of, night_sky_share
 from skugga.terrain.shading_loops import MIN_SKY_FACTOR, dusk_of
 from skugga.terrain.srgb import srgb_of_linear
 
@@ -157,11 +157,11 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
             if lamp.kind == "spot"
             else (-2.0, -1.5)
         )
-        _add_lamp_light(lamplight, buffer.shading_inputs, visibility, position, axis, color, outer, inner, LEAF_GLOW)
+        _add_lamp_light(lamplight, buffer.shading_inputs, visibility, position, axis, color, outer, inner, LEAF_TRANSLUCENCY)
 
 
 @compiled
-def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, inner, glow):
+def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, inner, translucency):
     valid, kind, position, _, normal = shading_inputs
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
@@ -170,11 +170,13 @@ def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, i
             distance = np.sqrt(x * x + y * y + z * z)
             if not valid[i, j] or distance == 0.0 or visibility[i, j] == 0.0:
                 continue
-            leaf = glow if kind[i, j] == FOREST else 0.0
+            translucent_share = translucency if kind[i, j] == FOREST else 0.0
             incidence_cosine = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / distance
             cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / distance
             rim = min(max((cosine - outer) / (inner - outer), 0.0), 1.0)
-            share = (leaf + (1.0 - leaf) * incidence_cosine) * rim * visibility[i, j] / (distance * distance)
+            share = (
+                (translucent_share + (1.0 - translucent_share) * incidence_cosine) * rim * visibility[i, j] / (distance * distance)
+            )
             for k in range(3):
                 out[i, j, k] += color[k] * share
 

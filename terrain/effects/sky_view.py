@@ -27,7 +27,14 @@ from skugga.terrain.ground.sky_view_factor import SkyView, mip_pair, sky_occlusi
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.ground.visible_cells import block_slices, visible_cells
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import daylight_of, look_of, max_sky_factor, night_sky_share, sky_lit_albedo, srgb_encoded
+from skugga.terrain.shading import (
+    daylight_of,
+    max_slope_sky_factor,
+    night_sky_share,
+    shading_parameters,
+    sky_lit_albedo,
+    srgb_encoded,
+)
 from skugga.terrain.shading_loops import dusk_of
 from skugga.terrain.style import tint_table
 
@@ -72,26 +79,26 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     low, high = scene.height_range_m
     if high <= low:
         return {"hidden": 0.0, "steps": 0.0}
-    baked = sky_view(scene.elevation, scene.world)
+    hidden_sky = sky_view(scene.elevation, scene.world)
     if isinstance(view, MapView):
-        hidden = _max_hidden_in_map(scene, view, baked)
+        hidden = _max_hidden_in_map(scene, view, hidden_sky)
     else:
-        hidden = 0.0 if coarse_view is None else _max_hidden_in_view(baked, coarse_view)
+        hidden = 0.0 if coarse_view is None else _max_hidden_in_view(hidden_sky, coarse_view)
     return {"hidden": hidden, "steps": float(max_darkening_steps(max_sky_lit_color(scene, view), hidden))}
 
 
-def _max_hidden_in_map(scene: Scene, view: MapView, baked: SkyView) -> float:
+def _max_hidden_in_map(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:
     """Return the maximum share of the sky that ground hides from a map's ground.
 
-    It is the maximum over all nodes that the map's pixels are interpolated from. ``baked`` holds the hidden shares at nodes.
+    It is the maximum over all nodes that the map's pixels are interpolated from. ``hidden_sky`` holds the hidden shares at nodes.
     """
-    cells, (means, table) = visible_cells(scene.elevation, view), baked.means
+    cells, (means, table) = visible_cells(scene.elevation, view), hidden_sky.means
     if cells is None:
         return 0.0
-    fractional_level = _pyramid_position(scene, view, baked)
+    fractional_level = _pyramid_position(scene, view, hidden_sky)
     number = min(int(fractional_level), len(table) - 1)
     level_values, margin = _pyramid_values(means, table, number), MARGIN_NODES if fractional_level > 0.0 else 1
-    return float(level_values[block_slices(cells, 2 ** (baked.lod + number), level_values.shape, margin)].max())
+    return float(level_values[block_slices(cells, 2 ** (hidden_sky.lod + number), level_values.shape, margin)].max())
 
 
 def max_darkening_steps(light: float, hidden_share: float) -> int:
@@ -111,15 +118,15 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     level = scene.loaded.level
     plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
     tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
-    albedo = sky_lit_albedo(tints, look_of(scene, view)).max(axis=0) if plain else np.ones(3)
+    albedo = sky_lit_albedo(tints, shading_parameters(scene, view)).max(axis=0) if plain else np.ones(3)
     night = night_sky_share(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
-    return float((albedo * daylight_of(scene).sky).max()) * max_sky_factor(scene) * (night + (1.0 - night) * day)
+    return float((albedo * daylight_of(scene).sky).max()) * max_slope_sky_factor(scene) * (night + (1.0 - night) * day)
 
 
-def _pyramid_position(scene: Scene, view: MapView, baked: SkyView) -> float:
+def _pyramid_position(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:
     """Return the fractional level of the pyramid of hidden shares at which nodes are as far apart as a map's pixels; 0 or more."""
-    return max(float(np.log2(map_pixel_m(scene.world, view) / baked.node_m)), 0.0)
+    return max(float(np.log2(map_pixel_m(scene.world, view) / hidden_sky.node_m)), 0.0)
 
 
 def _pyramid_values(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
@@ -131,7 +138,7 @@ def _pyramid_values(values: np.ndarray, table: np.ndarray, number: int) -> np.nd
     return values[begin : begin + rows * cols].reshape(rows, cols)
 
 
-def _max_hidden_in_view(baked: SkyView, coarse_view: CoarseView) -> float:
+def _max_hidden_in_view(hidden_sky: SkyView, coarse_view: CoarseView) -> float:
     """Return the maximum share of the sky that ground hides from the visible ground of a perspective view.
 
     Round each point of the coarse view the maximum is searched within the distance to the neighbouring points.
@@ -139,14 +146,14 @@ def _max_hidden_in_view(baked: SkyView, coarse_view: CoarseView) -> float:
     buffer = coarse_view.buffer
     if not buffer.valid.any():
         return 0.0
-    nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
+    nodes = sky_view_nodes(hidden_sky, buffer.frame, buffer.position_frame_m, buffer.height_m)
     radius = np.zeros(buffer.valid.shape)
     for axis in (0, 1):
         spacing = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
         previous_spacing, next_spacing = (np.insert(spacing, position, np.nan, axis=axis) for position in (0, spacing.shape[axis]))
         # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
         radius = np.fmax(radius, np.fmin(previous_spacing, next_spacing))
-    highest, table = baked.highest
+    highest, table = hidden_sky.highest
     has_node = buffer.valid & np.isfinite(nodes[..., 0])
     return float(_max_around_nodes(highest, table, nodes[has_node], radius[has_node]))
 
@@ -183,13 +190,13 @@ def _cache_key(block: ShadingBlock) -> tuple[object, ...]:
 def _sky_view_factors(block: ShadingBlock) -> np.ndarray:
     """Return the sky-view factor of each pixel (rows, cols), float64. It does not depend on the sun."""
     buffer, scene = block.buffer, block.scene
-    baked = sky_view(scene.elevation, scene.world)
+    hidden_sky = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
-    nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
+    nodes = sky_view_nodes(hidden_sky, buffer.frame, buffer.position_frame_m, buffer.height_m)
     out = np.ones(buffer.valid.shape)
     run_in_chunks(
-        len(out), _write_factors, out, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m,
-        width_m / baked.node_m
+        len(out), _write_factors, out, nodes, buffer.position_frame_m, *hidden_sky.means, eye, tangent / hidden_sky.node_m,
+        width_m / hidden_sky.node_m
     )  # fmt: skip
     return out
 

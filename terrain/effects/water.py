@@ -41,8 +41,8 @@ from skugga.terrain.shading import (
     WATER_TOLERANCE_M,
     daylight_of,
     exposure_of,
-    look_of,
     night_sky_share,
+    shading_parameters,
     sky_lit_albedo,
     srgb_encoded,
     water_in,
@@ -223,7 +223,7 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     sky = light.sky * (night + (1.0 - night) * dusk_of(sine))
     draped = scene.loaded.level.terrain.imagery is not None
     water_albedo = np.array(scene.style.water)
-    darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, look_of(scene, view)), water_albedo)
+    darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, shading_parameters(scene, view)), water_albedo)
     dark, bright = MIN_SKY_VIEW * sky * darkest, (sky + light.sun * max(sine, 0.0) + _lamplight(scene)) * brightest
     bright = np.array([shoulder(channel) for channel in bright])
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, ANGLES))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.casting import closed_casters
+from skugga.terrain.casters.casting import closed_caster_mask
 from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
 from skugga.terrain.facts.fact_types import CasterFacts
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
@@ -78,7 +78,7 @@ def _mesh_facts(objects: SceneObjects) -> CasterFacts:
     assert objects.placement is not None
     casting = objects.placement.casting
     sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])
-    closed = closed_casters(objects)
+    closed = closed_caster_mask(objects)
     return CasterFacts(
         kind="meshes", count=len(casting), triangles=len(closed), closed_share=float(closed.mean()) if len(closed) else 0.0,
         height_m=float(np.median(sizes[:, 2])), width_m=float(np.median(sizes[:, :2].max(axis=1))),

@@ -141,7 +141,7 @@ def first_leaf_hits(
 
 
 @compiled
-def _trace_first_hits(grid, pictures, start, direction, length, nearest):
+def _trace_first_hits(grid, pictures, start, direction, length, min_distance):
     low, cell, top, first, tree, disc = grid
     base, shape, yaw_cos_sin, variant, leaf_mask = pictures
     rows, cols = top.shape
@@ -153,7 +153,7 @@ def _trace_first_hits(grid, pictures, start, direction, length, nearest):
         from_x, from_y = start[n, 0] - low[0], start[n, 1] - low[1]
         x, y = from_x / cell, from_y / cell
         vx, vy = dx / cell, dy / cell
-        entry_distance, end = nearest, length[n]
+        entry_distance, end = min_distance, length[n]
         for k in range(2):
             at, v, size = (x, vx, cols) if k == 0 else (y, vy, rows)
             if abs(v) < 1e-15:
@@ -190,7 +190,7 @@ def _trace_first_hits(grid, pictures, start, direction, length, nearest):
                         if towards == 0.0:
                             continue
                         s = -plane_distance / towards
-                        if not (nearest < s < min(distance[n], length[n])):
+                        if not (min_distance < s < min(distance[n], length[n])):
                             continue
                         qx, qy, qz = px + s * dx, py + s * dy, pz + s * dz
                         local_x, local_y = cosine * qx + sine * qy, cosine * qy - sine * qx

@@ -43,7 +43,7 @@ class Bvh:
         For an inner node i its first child; the second is ``first[i] + 1``. For a leaf its first triangle.
     count
         Number of triangles of a leaf; 0 for an inner node.
-    corner, side_a, side_b
+    corner, edge_a, edge_b
         One corner and the two sides from it of each triangle (m, 3), in the order of the leaves.
     """
 
@@ -54,8 +54,8 @@ class Bvh:
     first: np.ndarray
     count: np.ndarray
     corner: np.ndarray
-    side_a: np.ndarray
-    side_b: np.ndarray
+    edge_a: np.ndarray
+    edge_b: np.ndarray
 
 
 def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
@@ -87,7 +87,7 @@ def first_mesh_hits(
     tree = _caster_bvh(objects)
     start = frame.directions_to_earth(start_frame_m) + (frame.origin_earth_m - tree.origin_earth_m)
     distance_m, triangle = _find_hits(tree, start, frame.directions_to_earth(direction_frame), length_m, True)
-    normal = frame.directions_from_earth(np.cross(tree.side_a[triangle], tree.side_b[triangle]))
+    normal = frame.directions_from_earth(np.cross(tree.edge_a[triangle], tree.edge_b[triangle]))
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     return distance_m, np.where(np.einsum("ij,ij->i", normal, direction_frame)[:, None] > 0.0, -normal, normal)
 
@@ -98,7 +98,7 @@ def _find_hits(
     """Return the distance (...) along each ray to the nearest or to any hit, infinite without one, and its triangle (...)."""
     start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
     boxes = tree.low, tree.high, tree.first, tree.count
-    hits = _trace(*boxes, tree.corner, tree.side_a, tree.side_b, start, directions, np.ravel(length_m), find_nearest)
+    hits = _trace(*boxes, tree.corner, tree.edge_a, tree.edge_b, start, directions, np.ravel(length_m), find_nearest)
     return hits[0].reshape(np.shape(length_m)), hits[1].reshape(np.shape(length_m))
 
 
@@ -186,7 +186,7 @@ def _build_bvh(box_low, box_high, leaf, bins):
 
 
 @compiled
-def _trace(low, high, first, count, corner, side_a, side_b, start, direction, length, find_nearest):
+def _trace(low, high, first, count, corner, edge_a, edge_b, start, direction, length, find_nearest):
     hit_distance, hit_triangle = np.full(len(start), np.inf), np.zeros(len(start), np.int64)
     stack = np.empty(256, np.int64)
     for n in range(len(start)):
@@ -212,8 +212,8 @@ def _trace(low, high, first, count, corner, side_a, side_b, start, direction, le
                 stack_size += 2
                 continue
             for t in range(first[node], first[node] + count[node]):
-                ax, ay, az = side_a[t, 0], side_a[t, 1], side_a[t, 2]
-                bx, by, bz = side_b[t, 0], side_b[t, 1], side_b[t, 2]
+                ax, ay, az = edge_a[t, 0], edge_a[t, 1], edge_a[t, 2]
+                bx, by, bz = edge_b[t, 0], edge_b[t, 1], edge_b[t, 2]
                 px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
                 det = ax * px + ay * py + az * pz
                 if det == 0.0:

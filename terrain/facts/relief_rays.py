@@ -138,7 +138,7 @@ def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndar
 
 
 @compiled
-def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
+def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, min_distance_cells):
     rows, cols = heights.shape
     out = np.empty(row.shape, np.bool_)
     for i in range(row.shape[0]):
@@ -148,7 +148,7 @@ def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d
             if not (max_rate > 1e-12):  # vertical, or NaN outside of the CRS
                 continue
             step = 1.0 / max_rate
-            t = nearest * step
+            t = min_distance_cells * step
             while t < length[i, n]:
                 r, c = row[i, n] + t * d_row[i, n], col[i, n] + t * d_col[i, n]
                 h = height[i, n] + t * (rise[i, n] + bend[i, n] * t)

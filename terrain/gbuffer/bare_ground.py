@@ -29,7 +29,7 @@ from skugga.terrain.ground.sky_view_factor import (
     sky_occlusion_row,
     square_corners,
 )
-from skugga.terrain.ground.surface import Surface, at_height, between_columns, between_rows, map_pixel_m
+from skugga.terrain.ground.surface import Surface, add_heights, interpolate_columns, interpolate_row_between, map_pixel_m
 from skugga.terrain.scene import Scene
 
 
@@ -118,7 +118,10 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     row0, col0 = row0 + window[0].start, col0 + window[1].start
     exact, first_row, first_col = surface.exact_verticals(row0, col0, height.shape[0], height.shape[1], frame)
     exact_rows = np.stack(
-        [between_columns(np.ascontiguousarray(exact[..., k]), first_col, surface.stride, col0, height.shape[1]) for k in range(6)]
+        [
+            interpolate_columns(np.ascontiguousarray(exact[..., k]), first_col, surface.stride, col0, height.shape[1])
+            for k in range(6)
+        ]
     )
     normal, up, share, window_valid, is_complete = _smooth_ground(
         exact_rows, first_row, surface.stride, row0, height, node_valid, reach,
@@ -309,9 +312,9 @@ def _points_of_row(exact_rows, first_row, stride, row, height, out):
     m = exact_row - first_row
     feet, slopes = np.empty(height.size), np.empty(height.size)
     for k in range(3):
-        between_rows(exact_rows[k], m, weights, feet)
-        between_rows(exact_rows[k + 3], m, weights, slopes)
-        at_height(feet, slopes, height, out[k])
+        interpolate_row_between(exact_rows[k], m, weights, feet)
+        interpolate_row_between(exact_rows[k + 3], m, weights, slopes)
+        add_heights(feet, slopes, height, out[k])
 
 
 @internal

@@ -70,7 +70,7 @@ class GeometryBuffer:
         int32 (rows, cols, 3), for a map's ground only: row and column of the triangle's quad in ``surface``, then 0 for the
         triangle on the quad's north side or 1 for the other one. Where several triangles share the point, it is the first of them.
     surface
-        In maps of smooth ground: the nodes that the buffer was computed from. Its ``casting`` is the ground that casts shadows,
+        In maps of smooth ground: the nodes that the buffer was computed from. Its ``with_rim`` is the ground that casts shadows,
         which includes the rim (ground for one node beyond the raster). ``None`` in perspective and for columns.
     columns
         In maps of ground as upright columns: the columns, and the column in each pixel. The visible columns also cast the shadows.

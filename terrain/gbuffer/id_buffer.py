@@ -167,7 +167,7 @@ def _draw_trees(
     program = gl.program(
         shader("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"), shader("terrain/gbuffer/visible_tree.frag")
     )
-    texture = gl.layers(foliage().mip_levels)
+    texture = gl.srgb_texture_array(foliage().mip_levels)
     texture.use(0)
     tree_uniforms = {"foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": instances.curvature, "first": first}
     set_uniforms(program, {**uniforms, **tree_uniforms})

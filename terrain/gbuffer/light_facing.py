@@ -103,7 +103,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         facing = facing._replace(lift_frame=buffer.normal_frame.copy())
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
-        sheet, points = surface.casting.sheet, buffer.position_frame_m
+        sheet, points = surface.with_rim.sheet, buffer.position_frame_m
         nodes, centre = sheet.position_frame_m, surface.centre_frame_m
         _write_facing_facets(nodes, sheet.normals_frame, sheet.is_cut_nw_se, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:

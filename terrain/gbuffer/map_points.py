@@ -16,12 +16,12 @@ EDGE_TOLERANCE = 1e-6
 
 
 @compiled
-def map_points(position, height, node_valid, is_cut_nw_se, faces, smooth_normals, row, col, pixel_mask):
+def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth_normals, row, col, pixel_mask):
     """Return the arrays of a ``GeometryBuffer`` for pixels at fractional rows and columns of a sheet of nodes.
 
     The results are valid mask, points, heights, normals, smooth normals, creases and triangles. A pixel that ``pixel_mask`` selects
     shows a surface if it lies on a triangle and the nearest node is valid. Half-way between nodes one valid node of the nearest
-    ones suffices. ``faces`` (rows, cols, 2, 3) are the triangles' normals.
+    ones suffices. ``facet_normals`` (rows, cols, 2, 3) are the triangles' normals.
     """
     rows, cols = row.size, col.size
     valid = np.empty((rows, cols), np.bool_)
@@ -36,7 +36,7 @@ def map_points(position, height, node_valid, is_cut_nw_se, faces, smooth_normals
                 point[i, j, k], normal[i, j, k], shading_normal[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
             if not (pixel_mask[i, j] and _is_nearest_shown(node_valid, row[i], col[j])):
                 continue
-            count = facets_at(faces, is_cut_nw_se, row[i], col[j], facets)
+            count = facets_at(facet_normals, is_cut_nw_se, row[i], col[j], facets)
             if count == 0:
                 continue
             valid[i, j] = True
@@ -49,14 +49,14 @@ def map_points(position, height, node_valid, is_cut_nw_se, faces, smooth_normals
                 point[i, j, k] = o + u * (position[r + a0, c + a1, k] - o) + v * (position[r + b0, c + b1, k] - o)
             h = np.float64(height[r + o0, c + o1])
             point_height[i, j] = h + u * (height[r + a0, c + a1] - h) + v * (height[r + b0, c + b1] - h)
-            _mean_normal(faces, facets, count, normal[i, j])
-            crease[i, j] = crease_at(faces, is_cut_nw_se, row[i], col[j], normal[i, j])
+            _mean_normal(facet_normals, facets, count, normal[i, j])
+            crease[i, j] = crease_at(facet_normals, is_cut_nw_se, row[i], col[j], normal[i, j])
             _smooth_normal(smooth_normals, row[i], col[j], normal[i, j], shading_normal[i, j])
     return valid, point, point_height, normal, shading_normal, crease, triangle
 
 
 @compiled
-def map_lifts(position, is_cut_nw_se, faces, smooth_normals, centre, row, col, point, triangle, reach):
+def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, centre, row, col, point, triangle, reach):
     """Return the height of the smooth ground above each point of ``map_points``, float32 (rows, cols), metres.
 
     The smooth ground is estimated from the tangent planes at the corners of the point's facet (``skugga.terrain.gbuffer.lift``).
@@ -74,7 +74,7 @@ def map_lifts(position, is_cut_nw_se, faces, smooth_normals, centre, row, col, p
             if r < 0:
                 continue
             up_at(point[i, j], centre, up)
-            face = faces[r, c, half]
+            face = facet_normals[r, c, half]
             if reach > 1:
                 lift = 0.0
                 for k in range(4):
@@ -118,12 +118,12 @@ def _interpolate(values, row, col, out):
 
 
 @internal
-def facets_at(faces, is_cut_nw_se, row, col, facets):
+def facets_at(facet_normals, is_cut_nw_se, row, col, facets):
     """Write the facets that a position on a sheet lies on to ``facets`` (8, 3), and return their number.
 
-    A facet is stored as row and column of its quad, and 0 for the triangle on the quad's north side or 1 for the other. ``faces``
-    (rows, cols, 2, 3) holds the facets' normals, NaN if a corner is missing. Facets of the quad south-east of the position come
-    first.
+    A facet is stored as row and column of its quad, and 0 for the triangle on the quad's north side or 1 for the other.
+    ``facet_normals`` (rows, cols, 2, 3) holds the facets' normals, NaN if a corner is missing. Facets of the quad south-east of the
+    position come first.
     """
     r0, c0 = int(np.floor(row + EDGE_TOLERANCE)), int(np.floor(col + EDGE_TOLERANCE))
     fr0, fc0 = row - r0, col - c0
@@ -136,7 +136,7 @@ def facets_at(faces, is_cut_nw_se, row, col, facets):
         for half in range(2):
             side_distance = fc - fr if is_cut_nw_se[r, c] else 1.0 - fr - fc  # from the diagonal towards the north side
             if (side_distance >= -EDGE_TOLERANCE if half == 0 else side_distance <= EDGE_TOLERANCE) and np.isfinite(
-                faces[r, c, half, 2]
+                facet_normals[r, c, half, 2]
             ):
                 facets[count, 0], facets[count, 1], facets[count, 2] = r, c, half
                 count += 1
@@ -144,24 +144,24 @@ def facets_at(faces, is_cut_nw_se, row, col, facets):
 
 
 @internal
-def crease_at(faces, is_cut_nw_se, row, col, normal):
+def crease_at(facet_normals, is_cut_nw_se, row, col, normal):
     """Return the largest distance between a unit normal (3,) and the unit normals of the facets round the nearest node.
 
     ``row`` and ``col`` are a position on the sheet. Half-way between nodes, the facets round each of the nearest nodes count.
     """
     first_r, last_r, first_c, last_c = _nearest(row, col)
-    widest = _crease_round(faces, is_cut_nw_se, first_r, first_c, normal)
+    widest = _crease_round(facet_normals, is_cut_nw_se, first_r, first_c, normal)
     if last_r > first_r:
-        widest = max(widest, _crease_round(faces, is_cut_nw_se, last_r, first_c, normal))
+        widest = max(widest, _crease_round(facet_normals, is_cut_nw_se, last_r, first_c, normal))
     if last_c > first_c:
-        widest = max(widest, _crease_round(faces, is_cut_nw_se, first_r, last_c, normal))
+        widest = max(widest, _crease_round(facet_normals, is_cut_nw_se, first_r, last_c, normal))
     if last_r > first_r and last_c > first_c:
-        widest = max(widest, _crease_round(faces, is_cut_nw_se, last_r, last_c, normal))
+        widest = max(widest, _crease_round(facet_normals, is_cut_nw_se, last_r, last_c, normal))
     return widest
 
 
 @internal
-def _crease_round(faces, is_cut_nw_se, near_r, near_c, normal):
+def _crease_round(facet_normals, is_cut_nw_se, near_r, near_c, normal):
     """Return the largest distance between a unit normal (3,) and the unit normals of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
@@ -173,7 +173,7 @@ def _crease_round(faces, is_cut_nw_se, near_r, near_c, normal):
             continue
         squared_distance = 0.0
         for m in range(3):
-            squared_distance += (faces[r, c, half, m] - normal[m]) ** 2
+            squared_distance += (facet_normals[r, c, half, m] - normal[m]) ** 2
         if squared_distance > widest:  # False for a missing facet, whose normal is NaN
             widest = squared_distance
     return np.sqrt(widest)
@@ -226,18 +226,18 @@ def _is_same_quad(facets, first, second):
 
 
 @internal
-def _mean_normal(faces, facets, count, out):
+def _mean_normal(facet_normals, facets, count, out):
     """Write the mean unit normal (3,) of ``count`` facets.
 
     Two facets of one quad have half the weight each, so that the diagonal along which a plane quad is cut does not matter.
     """
     if count == 1:
         for k in range(3):
-            out[k] = faces[facets[0, 0], facets[0, 1], facets[0, 2], k]
+            out[k] = facet_normals[facets[0, 0], facets[0, 1], facets[0, 2], k]
         return
     x, y, z = 0.0, 0.0, 0.0
     for n in range(count):
-        face = faces[facets[n, 0], facets[n, 1], facets[n, 2]]
+        face = facet_normals[facets[n, 0], facets[n, 1], facets[n, 2]]
         paired = (n > 0 and _is_same_quad(facets, n, n - 1)) or (n + 1 < count and _is_same_quad(facets, n, n + 1))
         weight = 0.5 if paired else 1.0
         x, y, z = x + weight * face[0], y + weight * face[1], z + weight * face[2]

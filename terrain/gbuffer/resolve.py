@@ -132,14 +132,14 @@ class SolidsInMap(NamedTuple):
     ----------
     position_frame_m
         (n, 3), the vertices in the frame, metres.
-    px
+    col_row_height
         (n, 3), the vertices' columns and rows in the map, in pixels, and their heights, metres.
     faces
         The meshes' triangles.
     """
 
     position_frame_m: np.ndarray
-    px: np.ndarray
+    col_row_height: np.ndarray
     faces: Faces
 
 
@@ -160,14 +160,14 @@ class TreesInMap(NamedTuple):
     ----------
     base_frame_m, shape, yaw_cos_sin, curvature
         As in ``skugga.terrain.gbuffer.tree_instances.TreeInstances``.
-    px
+    col_row_height
         (n, 3), columns and rows of the trees' feet in the map, in pixels, and their heights, metres.
     px_from_m
         (2, 2), the map's pixels per metre along the frame's first two axes.
     """
 
     base_frame_m: np.ndarray
-    px: np.ndarray
+    col_row_height: np.ndarray
     shape: np.ndarray
     yaw_cos_sin: np.ndarray
     curvature: float

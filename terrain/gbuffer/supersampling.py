@@ -146,9 +146,9 @@ def _uniform_weights(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
     return step, np.bincount(halves[first:] // 2).astype(np.int64)
 
 
-def largest_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarray:
+def max_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarray:
     """Return the maximum of the values at the nodes that each pixel covers, (rows, cols). Values must be 0 or more."""
-    return _largest(values, *_sides_in(view, nodes))
+    return _max_values(values, *_sides_in(view, nodes))
 
 
 def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
@@ -271,7 +271,7 @@ def _sum_along(values, weights, out):
 
 
 @compiled
-def _largest(values, row, col):
+def _max_values(values, row, col):
     rows, cols = row.size - 1, col.size - 1
     out = np.zeros((rows, cols), values.dtype)
     for i in range(rows):

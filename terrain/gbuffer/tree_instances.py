@@ -28,7 +28,7 @@ FULL_STAND_TREE_PX = 6.8
 FULL_STAND_CROWN_PX = 1.5
 """Diameter of a crown, in pixels, above which a map decimates no trees."""
 
-MIN_DRAWN_SHARE = 1.0 / 16.0
+MIN_DRAWN_TREE_SHARE = 1.0 / 16.0
 """Lower bound of the share of trees that is drawn."""
 
 QUAD_TRIANGLES = np.array([[4 * quad + a, 4 * quad + b, 4 * quad + c] for quad in range(3) for a, b, c in ((0, 1, 2), (0, 2, 3))])
@@ -187,7 +187,7 @@ def _write_relative_sizes(first, last, base, eye, height_px, out):
 
 
 def _drawn_share(size: np.ndarray) -> np.ndarray:
-    return np.clip(size.astype(np.float64) ** 2, MIN_DRAWN_SHARE, 1.0)
+    return np.clip(size.astype(np.float64) ** 2, MIN_DRAWN_TREE_SHARE, 1.0)
 
 
 @internal

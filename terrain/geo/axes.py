@@ -53,7 +53,7 @@ class Axes:
         x, y = (second, first) if self.swapped else (first, second)
         return np.asarray(x) * self.x_scale, np.asarray(y) * self.y_scale
 
-    def stored(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def gdal_coordinates(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return GDAL's first and second coordinates of x (east) and y (north)."""
         x, y = np.asarray(x) / self.x_scale, np.asarray(y) / self.y_scale
         return (y, x) if self.swapped else (x, y)
@@ -62,9 +62,9 @@ class Axes:
         """Return (west, south, east, north) of bounds in GDAL's coordinates: both minima, then both maxima."""
         return _ordered(*self.xy(np.array(bounds[::2]), np.array(bounds[1::2])))
 
-    def bounds_stored(self, bounds: Bounds) -> Bounds:
+    def gdal_bounds(self, bounds: Bounds) -> Bounds:
         """Return bounds in GDAL's coordinates, both minima, then both maxima, of (west, south, east, north)."""
-        return _ordered(*self.stored(np.array(bounds[::2]), np.array(bounds[1::2])))
+        return _ordered(*self.gdal_coordinates(np.array(bounds[::2]), np.array(bounds[1::2])))
 
 
 def _ordered(first: np.ndarray, second: np.ndarray) -> Bounds:

@@ -75,8 +75,8 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     start, end = _zone_ends(day, first_min, last_min, clock)
     minutes = (end - start) / timedelta(minutes=1)
     if minutes <= 0.0:
-        readings = f"{clock_text(first_min)}-{clock_text(last_min)}"
-        raise InputError("window", readings, f"times that occur in {clock} on {day.isoformat()}, whose clocks skip these")
+        window_text = f"{clock_text(first_min)}-{clock_text(last_min)}"
+        raise InputError("window", window_text, f"times that occur in {clock} on {day.isoformat()}, whose clocks skip these")
     before, after = _offset_min(start, clock), _offset_min(end - timedelta(seconds=1), clock)
     midnight = datetime.combine(day, time(), UTC)
     clock_min = (start - midnight) / timedelta(minutes=1) + before
@@ -107,13 +107,13 @@ def parse_window(text: str) -> tuple[float, float]:
 
 
 def windows_between(
-    world: World, first: date, last: date, every_days: int, readings: tuple[float, float], clock: Clock
+    world: World, first: date, last: date, every_days: int, clock_times_min: tuple[float, float], clock: Clock
 ) -> list[DailyWindow]:
     """Return the windows of the dates from ``first`` to ``last``, every ``every_days`` days.
 
-    ``readings`` are the clock times at which each window starts and ends, in minutes from midnight. The clock's calendar must have
-    the first and the last date. Dates between them are omitted if the clock skips their whole window. Raises ``InputError``, also
-    for ground that is not on the earth.
+    ``clock_times_min`` are the clock times at which each window starts and ends, in minutes from midnight. The clock's calendar
+    must have the first and the last date. Dates between them are omitted if the clock skips their whole window. Raises
+    ``InputError``, also for ground that is not on the earth.
     """
     days = dates_of(first, last, every_days)
     if len(days) > MAX_DATES:
@@ -124,8 +124,8 @@ def windows_between(
     if not isinstance(clock, str):
         for name, day in (("date", first), ("to", last)):
             day_bounds(day, clock, name)
-        days = [day for day in days if day == first or _has_window(day, *readings, clock)]
-    return [daily_window(day, *readings, clock, world) for day in days]
+        days = [day for day in days if day == first or _has_window(day, *clock_times_min, clock)]
+    return [daily_window(day, *clock_times_min, clock, world) for day in days]
 
 
 def clock_text(minutes: float) -> str:

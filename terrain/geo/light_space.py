@@ -43,7 +43,7 @@ class LightSpace:
         """Return the light-space points (..., 3) of earth-fixed points."""
         return (point_earth - self.origin_earth_m) @ self.light_from_earth.T
 
-    def towards_sun_m(self, point_light: np.ndarray) -> np.ndarray:
+    def horizontal_sunward_m(self, point_light: np.ndarray) -> np.ndarray:
         """Return how far light-space points (..., 3) lie towards the sun in the anchor's horizontal plane, in metres."""
         altitude = np.radians(self.altitude_deg)
         return -np.cos(altitude) * point_light[..., 2] - np.sin(altitude) * point_light[..., 1]

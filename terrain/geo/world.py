@@ -62,13 +62,13 @@ class AxesTransformer:
 
     def transform(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[Any, Any]:
         """Transform x and y from the source CRS to the target CRS. Points outside of the target's area become infinite."""
-        first, second = self._stored.transform(*self._source.stored(x, y))
+        first, second = self._stored.transform(*self._source.gdal_coordinates(x, y))
         return self._target.xy(first, second)
 
     def transform_bounds(self, left: float, bottom: float, right: float, top: float, densify_pts: int = 21) -> Bounds:
         """Transform bounds (west, south, east, north) from the source CRS to the target CRS, as ``pyproj`` does."""
-        stored = self._source.bounds_stored((left, bottom, right, top))
-        return self._target.bounds_xy(self._stored.transform_bounds(*stored, densify_pts=densify_pts))
+        source_bounds = self._source.gdal_bounds((left, bottom, right, top))
+        return self._target.bounds_xy(self._stored.transform_bounds(*source_bounds, densify_pts=densify_pts))
 
 
 @cached("process", 8 * MIB, key=_identity_key, size_of=lambda _: TRANSFORMER_BYTES)

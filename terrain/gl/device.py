@@ -240,33 +240,33 @@ class Device:
         texture.write(np.ascontiguousarray(depths, np.float32), alignment=4)
         target.use()
 
-    def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
-        """Return an sRGB texture array with the mip levels ``levels``.
+    def srgb_texture_array(self, mip_levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
+        """Return an sRGB texture array with the mip levels ``mip_levels``.
 
         Each mip level is uint8 (layers, side, side, 4) and has half the side of the previous one. Samplers decode sRGB to linear
-        colours. A texture is cached as long as ``levels[0]`` lives.
+        colours. A texture is cached as long as ``mip_levels[0]`` lives.
         """
         from OpenGL import GL
 
         self.require_current()
-        texture = self._layers.get(levels[0])
+        texture = self._layers.get(mip_levels[0])
         if isinstance(texture, Missing):
-            count, side = levels[0].shape[:2]
+            count, side = mip_levels[0].shape[:2]
             texture = self.ctx.texture_array((side, side, count), 4)
             GL.glBindTexture(_TEXTURE_2D_ARRAY, texture.glo)
             GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
-            for level, data in enumerate(levels):
+            for level, data in enumerate(mip_levels):
                 size = data.shape[1]
                 GL.glTexImage3D(
                     _TEXTURE_2D_ARRAY, level, GL.GL_SRGB8_ALPHA8, size, size, count, 0, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE,
                     np.ascontiguousarray(data),
                 )  # fmt: skip
-            GL.glTexParameteri(_TEXTURE_2D_ARRAY, GL.GL_TEXTURE_MAX_LEVEL, len(levels) - 1)
+            GL.glTexParameteri(_TEXTURE_2D_ARRAY, GL.GL_TEXTURE_MAX_LEVEL, len(mip_levels) - 1)
             GL.glBindTexture(_TEXTURE_2D_ARRAY, 0)
             texture.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
             texture.repeat_x = texture.repeat_y = False
-            self.check("layers")
-            self._layers.put(levels[0], value=texture)
+            self.check("srgb_texture_array")
+            self._layers.put(mip_levels[0], value=texture)
         return texture
 
     def render(
@@ -279,16 +279,18 @@ class Device:
         array.render(mode, vertices, first=first, instances=instances)
         record_draw(array.program.extra)
 
-    def draw_triangles(self, program: moderngl.Program, vertices: np.ndarray, triangles: np.ndarray, first: int = 0) -> int:
+    def draw_triangles(
+        self, program: moderngl.Program, vertices: np.ndarray, triangles: np.ndarray, first_primitive: int = 0
+    ) -> int:
         """Draw triangles, indices (m, 3) of vertices (n, k) float32 (attribute ``position``), and return their number m.
 
-        ``first`` is the number of triangles in earlier draws, for programs that have a uniform of this name.
+        ``first_primitive`` is the number of triangles in earlier draws, for programs that have a uniform ``first``.
         """
         self.require_current()
         if not len(triangles):
             return 0
         if "first" in program:
-            program["first"] = first
+            program["first"] = first_primitive
         with self.uploaded_mesh(program, vertices, triangles) as array:
             self.render(array)
         return len(triangles)

@@ -130,7 +130,7 @@ class Stencil:
         GL.glStencilMask(0xFF)
 
     @contextmanager
-    def once_pass(self, target: moderngl.Framebuffer, stencil_value: int, clip_distances: int = 0) -> Iterator[None]:
+    def increment_once_pass(self, target: moderngl.Framebuffer, stencil_value: int, clip_distances: int = 0) -> Iterator[None]:
         """Set the state of a pass that increments the stencil once where it is ``stencil_value``, without depth test.
 
         Further fragments of a pixel do not increment its stencil again. ``clip_distances`` is the number of clip distances that the

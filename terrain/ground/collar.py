@@ -140,7 +140,7 @@ def detect_collar(elevation: Elevation) -> Collar | None:
     factor = 2**elevation.overview.lod
     shape = max(elevation.rows // factor, 1), max(elevation.cols // factor, 1)
     all_cells = slice(0, elevation.rows), slice(0, elevation.cols)
-    overview_cells = _StoredCells(*elevation.stored(*all_cells, shape))
+    overview_cells = _StoredCells(*elevation.stored_values(*all_cells, shape))
     unit_m = elevation.metres_per_stored_unit
     for value, region in _candidates(overview_cells):
         rim_steps, inner_steps = _height_steps(overview_cells.values, region.cells, region.ground, value)
@@ -235,7 +235,7 @@ def _full_resolution_steps(elevation: Elevation, region: _Region, value: np.gene
             slice(max(int(row) - 1, 0) * factor, min((int(row) + 2) * factor, elevation.rows)),
             slice(max(int(col) - 1, 0) * factor, min((int(col) + 2) * factor, elevation.cols)),
         )
-        values, has_height = elevation.stored(*window)
+        values, has_height = elevation.stored_values(*window)
         cells = has_height & (values == value)
         steps = _height_steps(values, cells, has_height & ~cells, value)
         rim_steps.append(steps[0])
@@ -257,4 +257,4 @@ def _strips(elevation: Elevation) -> Iterator[_StoredCells]:
         ((False, False, True, False), slice(0, rows), slice(0, strip_cols), (along_col, strip_cols)),
         ((False, False, False, True), slice(0, rows), slice(cols - strip_cols, cols), (along_col, strip_cols)),
     ):
-        yield _StoredCells(*elevation.stored(row, col, shape), ends)
+        yield _StoredCells(*elevation.stored_values(row, col, shape), ends)

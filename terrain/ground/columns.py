@@ -205,11 +205,11 @@ def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loca
     row0, col0 = int(np.floor(row[0])), int(np.floor(col[0]))
     shape = int(np.ceil(row[-1])) - row0 + 1, int(np.ceil(col[-1])) - col0 + 1
     exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, *shape, stride)
-    cell = surface.cells_of(x, y)
+    cell = surface.cells_at(x, y)
     if cell is None:
         stride = 1
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, *shape, stride)
-        cell = surface.cells_of(x, y, everywhere=True)
+        cell = surface.cells_at(x, y, everywhere=True)
         assert cell is not None
     cells = _interpolate_at(np.stack(cell, axis=-1), exact_row, exact_col, stride, row, col)
     columns = Columns(surface.world, surface.elevation, surface.lod)

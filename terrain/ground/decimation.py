@@ -119,17 +119,19 @@ def decimate(
     if errors.triangles == 0:
         return DecimatedMesh(np.zeros((0, 2), np.int32), np.zeros((0, 3), np.int32), float(tolerance))
     row, col, up = (float(v) for v in eye_row_col_m)
-    limit, nearest_m = _limits_from_own_error(errors.error_m, errors.height_m, errors.spacing_m, row, col, up, float(near_m))
-    _bend_near_eye(limit, errors.error_m, row, col, nearest_m)
-    _split_under_eye(limit, errors.height_m, row, col, up, errors.spacing_m, float(near_m))
-    _propagate(limit)
+    removal_tolerance, nearest_m = _tolerances_from_own_error(
+        errors.error_m, errors.height_m, errors.spacing_m, row, col, up, float(near_m)
+    )
+    _bend_near_eye(removal_tolerance, errors.error_m, row, col, nearest_m)
+    _split_under_eye(removal_tolerance, errors.height_m, row, col, up, errors.spacing_m, float(near_m))
+    _propagate(removal_tolerance)
     tolerance = float(tolerance)
-    triangles = errors.triangles - _count_saved(limit, errors.bisected, tolerance)
+    triangles = errors.triangles - _count_saved(removal_tolerance, errors.bisected, tolerance)
     if triangles > max_triangles:
-        raised = _tolerance_that_saves(limit, errors.bisected, errors.triangles - max_triangles)
+        raised = _tolerance_that_saves(removal_tolerance, errors.bisected, errors.triangles - max_triangles)
         tolerance = max(tolerance, float(raised))
-        triangles = errors.triangles - _count_saved(limit, errors.bisected, tolerance)
-    nodes, corners = _bisect(limit, errors.height_m, tolerance, triangles)
+        triangles = errors.triangles - _count_saved(removal_tolerance, errors.bisected, tolerance)
+    nodes, corners = _bisect(removal_tolerance, errors.height_m, tolerance, triangles)
     return DecimatedMesh(nodes, corners, tolerance)
 
 
@@ -234,13 +236,13 @@ def _smallest_triangles(height):
 
 
 @compiled
-def _limits_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
-    """Return each node's limit (rows, cols) float32, in radians, and the eye's distance to the nearest node, metres.
+def _tolerances_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
+    """Return each node's removal tolerance (rows, cols) float32, in radians, and the eye's distance to the nearest node, metres.
 
-    A node's limit is its error over its distance to the eye. At smaller tolerances the node is needed for its own error.
+    A node can be removed at its removal tolerance or a larger one. Here it is the node's error over its distance to the eye.
     """
     rows, cols = height.shape
-    limit = np.empty((rows, cols), np.float32)
+    removal_tolerance = np.empty((rows, cols), np.float32)
     nearest = np.inf
     for row in range(rows):
         south2 = ((row - eye_row) * spacing_m) ** 2
@@ -249,18 +251,18 @@ def _limits_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, ne
             distance2 = south2 + east * east + (up * up if np.isfinite(up) else 0.0)
             distance2 = max(distance2, near_m * near_m)
             nearest = min(nearest, distance2)
-            limit[row, col] = error[row, col] / np.sqrt(distance2)
-    return limit, np.sqrt(nearest)
+            removal_tolerance[row, col] = error[row, col] / np.sqrt(distance2)
+    return removal_tolerance, np.sqrt(nearest)
 
 
 @compiled
-def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
-    """Raise the limits of nodes whose errors change the ground nearest to the eye, which may be far nearer than the nodes.
+def _bend_near_eye(removal_tolerance, error, eye_row, eye_col, nearest_m):
+    """Raise the removal tolerances of nodes whose errors change the ground nearest to the eye, which may be far nearer.
 
     Omitting a node changes the triangles that it bisects like a tent: most at the node, and not at all at their other edges. If the
     eye is over the tent, the change just below the eye may subtend a larger angle than the change at the node.
     """
-    rows, cols = limit.shape
+    rows, cols = removal_tolerance.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
     step = 1
     while step < max(rows, cols) - 1:
@@ -272,18 +274,18 @@ def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
                 south, east = abs(eye_row - row), abs(eye_col - col)
                 tent = 1.0 - (south + east if down or right else max(south, east)) / step
                 if tent > 0.0:
-                    limit[row, col] = max(limit[row, col], np.float32(error[row, col] * tent / nearest_m))
+                    removal_tolerance[row, col] = max(removal_tolerance[row, col], np.float32(error[row, col] * tent / nearest_m))
         step *= 2
 
 
 @compiled
-def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
-    """Require the nodes that halve overlong triangles under or next to the eye, by setting their limits to infinity.
+def _split_under_eye(removal_tolerance, height, eye_row, eye_col, eye_m, spacing_m, near_m):
+    """Require the nodes that halve overlong triangles under or next to the eye: set their removal tolerances to infinity.
 
     ``MAX_LENGTH_UNDER_EYE`` bounds the length of these triangles. "Next to" means within 1/32 of a triangle's leg. This includes
     all triangles that meet in a node right under the eye.
     """
-    rows, cols = limit.shape
+    rows, cols = removal_tolerance.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
     ground_m = height[int(round(eye_row)), int(round(eye_col))]
     if not np.isfinite(ground_m):
@@ -293,12 +295,12 @@ def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
     while step < max(rows, cols) - 1:
         if 2 * step * spacing_m > largest_m:
             for south, east in ((1, 2), (2, 1), (1, -2), (2, -1), (-1, 2), (-2, 1), (-1, -2), (-2, -1)):
-                _require_over(limit, eye_row + south * step / 32.0, eye_col + east * step / 32.0, step)
+                _require_over(removal_tolerance, eye_row + south * step / 32.0, eye_col + east * step / 32.0, step)
         step *= 2
 
 
 @internal
-def _require_over(limit, at_row, at_col, step):
+def _require_over(removal_tolerance, at_row, at_col, step):
     """Require the nodes of one ``step`` that halve a triangle which contains a position."""
     middle_row = int(np.floor(at_row)) // (2 * step) * 2 * step + step
     middle_col = int(np.floor(at_col)) // (2 * step) * 2 * step + step
@@ -306,59 +308,63 @@ def _require_over(limit, at_row, at_col, step):
         row, col = middle_row + down, middle_col + right
         south, east = abs(at_row - row), abs(at_col - col)
         over = (south + east if down or right else max(south, east)) < step
-        if over and 0 <= row < limit.shape[0] and 0 <= col < limit.shape[1]:
-            limit[row, col] = np.float32(np.inf)
+        if over and 0 <= row < removal_tolerance.shape[0] and 0 <= col < removal_tolerance.shape[1]:
+            removal_tolerance[row, col] = np.float32(np.inf)
 
 
 @compiled
-def _propagate(limit):
-    """Raise the limit of each node to that of the nodes whose parent it is, from the smallest triangles to the largest."""
-    rows, cols = limit.shape
+def _propagate(removal_tolerance):
+    """Raise each node's removal tolerance to that of the nodes whose parent it is, from the smallest triangles to the largest."""
+    rows, cols = removal_tolerance.shape
     step = 1
     while step < max(rows, cols) - 1:
         half = step // 2
         for row in range(0, rows if half else 0, step):
             for col in range(step * (1 - row // step % 2), cols, 2 * step):
-                north = max(_limit_at(limit, row - half, col - half), _limit_at(limit, row - half, col + half))
-                south = max(_limit_at(limit, row + half, col - half), _limit_at(limit, row + half, col + half))
-                limit[row, col] = max(limit[row, col], north, south)
+                north = max(
+                    _value_at(removal_tolerance, row - half, col - half), _value_at(removal_tolerance, row - half, col + half)
+                )
+                south = max(
+                    _value_at(removal_tolerance, row + half, col - half), _value_at(removal_tolerance, row + half, col + half)
+                )
+                removal_tolerance[row, col] = max(removal_tolerance[row, col], north, south)
         for row in range(step, rows, 2 * step):
             for col in range(step, cols, 2 * step):
-                north_south = max(limit[row - step, col], _limit_at(limit, row + step, col))
-                west_east = max(limit[row, col - step], _limit_at(limit, row, col + step))
-                limit[row, col] = max(limit[row, col], north_south, west_east)
+                north_south = max(removal_tolerance[row - step, col], _value_at(removal_tolerance, row + step, col))
+                west_east = max(removal_tolerance[row, col - step], _value_at(removal_tolerance, row, col + step))
+                removal_tolerance[row, col] = max(removal_tolerance[row, col], north_south, west_east)
         step *= 2
 
 
 @internal
-def _limit_at(limit, row, col):
-    inside = 0 <= row < limit.shape[0] and 0 <= col < limit.shape[1]
-    return limit[row, col] if inside else np.float32(0.0)
+def _value_at(values, row, col):
+    inside = 0 <= row < values.shape[0] and 0 <= col < values.shape[1]
+    return values[row, col] if inside else np.float32(0.0)
 
 
 @compiled
-def _count_saved(limit, bisected, tolerance):
+def _count_saved(removal_tolerance, bisected, tolerance):
     """Return the number of triangles that a tolerance saves: one for each triangle with data everywhere that is not bisected."""
     saved = 0
-    for row in range(limit.shape[0]):
-        for col in range(limit.shape[1]):
-            saved += bisected[row, col] if limit[row, col] <= tolerance else 0
+    for row in range(removal_tolerance.shape[0]):
+        for col in range(removal_tolerance.shape[1]):
+            saved += bisected[row, col] if removal_tolerance[row, col] <= tolerance else 0
     return saved
 
 
 @compiled
-def _tolerance_that_saves(limit, bisected, triangles):
+def _tolerance_that_saves(removal_tolerance, bisected, triangles):
     """Return the smallest tolerance that saves at least ``triangles`` triangles, or else the one that saves most.
 
-    A radix selection finds it, by the upper and then by the lower 16 bits of the limits. Positive floats have the same order as
-    their bits.
+    A radix selection finds it, by the upper and then by the lower 16 bits of the removal tolerances. Positive floats have the same
+    order as their bits.
     """
     half, mask = np.uint32(16), np.uint32(0xFFFF)
-    bits, bisected = limit.ravel().view(np.uint32), bisected.ravel()
+    bits, bisected = removal_tolerance.ravel().view(np.uint32), bisected.ravel()
     counts = np.zeros(1 << 16, np.int64)
     for n in range(bits.size):
         counts[bits[n] >> half] += bisected[n]
-    saved = np.cumsum(counts[:0x7F80])  # limits from 0x7F80 on are infinite
+    saved = np.cumsum(counts[:0x7F80])  # removal tolerances from 0x7F80 on are infinite
     triangles = min(triangles, saved[-1])
     upper = np.searchsorted(saved, triangles)
     counts[:] = 0
@@ -370,11 +376,11 @@ def _tolerance_that_saves(limit, bisected, triangles):
 
 
 @compiled
-def _bisect(limit, height, tolerance, count):
+def _bisect(removal_tolerance, height, tolerance, count):
     """Return the nodes (n, 2) and triangles (count, 3) of the mesh for a tolerance.
 
-    Traverses the triangles depth first, from the two of the whole square. Halves a triangle if the limit of the node that bisects
-    it exceeds the tolerance.
+    Traverses the triangles depth first, from the two of the whole square. Halves a triangle if the removal tolerance of the
+    node that bisects it exceeds the tolerance.
     """
     rows, cols = height.shape
     side = 1
@@ -396,7 +402,7 @@ def _bisect(limit, height, tolerance, count):
             continue
         smallest = (br + cr) % 2 == 1 or (bc + cc) % 2 == 1
         mr, mc = (br + cr) // 2, (bc + cc) // 2
-        if not smallest and (exceeds_grid or limit[mr, mc] > tolerance):
+        if not smallest and (exceeds_grid or removal_tolerance[mr, mc] > tolerance):
             stack[top], stack[top + 1] = (mr, mc, ar, ac, br, bc), (mr, mc, cr, cc, ar, ac)
             top += 2
         elif not exceeds_grid and np.isfinite(height[ar, ac]) and np.isfinite(height[br, bc]) and np.isfinite(height[cr, cc]):

@@ -145,7 +145,7 @@ class Elevation:
         self._cell_from_crs = ~self._transform
         x_cell = abs(self._transform.a)
         self._wrap_period = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
-        self._resampling, self._is_settled, self.undeclared_nodata = Resampling.nearest, False, UndeclaredNodata()
+        self._resampling, self._is_resampling_chosen, self.undeclared_nodata = Resampling.nearest, False, UndeclaredNodata()
         self.overview = self._read_overview()
         if not np.isfinite(self.overview.heights_m).any():
             if not self.undeclared_nodata.implausible_count:
@@ -187,14 +187,14 @@ class Elevation:
         """Bytes held in memory: the overview. Everything else is read on demand."""
         return bytes_of(self.overview)
 
-    def stored(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def stored_values(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of a window's cells as stored in the file, and a mask of the cells that hold heights.
 
         A ``shape`` smaller than the window decimates the cells by nearest neighbour.
         """
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
-        stored, _, is_nodata, plausible = self._cells(window, shape, Resampling.nearest)
-        return stored, plausible & ~is_nodata
+        stored_values, _, is_nodata, plausible = self._cells(window, shape, Resampling.nearest)
+        return stored_values, plausible & ~is_nodata
 
     @property
     def metres_per_stored_unit(self) -> float:
@@ -432,9 +432,9 @@ class Elevation:
             col0 * factor, row0 * factor, min(col1 * factor, self.cols) - col0 * factor,
             min(row1 * factor, self.rows) - row0 * factor,
         )  # fmt: skip
-        stored, height_m, is_nodata, plausible = self._cells(window, (row1 - row0, col1 - col0), self._resampling)
-        if not self._is_settled:
-            self.undeclared_nodata.add(stored, height_m, is_nodata, plausible)
+        stored_values, height_m, is_nodata, plausible = self._cells(window, (row1 - row0, col1 - col0), self._resampling)
+        if not self._is_resampling_chosen:
+            self.undeclared_nodata.add(stored_values, height_m, is_nodata, plausible)
         height_m[is_nodata | ~plausible] = np.nan
         return height_m.astype(np.float32)
 
@@ -485,13 +485,13 @@ class Elevation:
             fine_high_m=fine_maxima_m
         )  # fmt: skip
 
-    def _settle_resampling(self) -> None:
+    def _choose_resampling(self) -> None:
         """Read averages of cells from now on, unless the cells read so far contain an undeclared sentinel.
 
         Until then, the nearest cells are read. A sentinel is a value that stands for missing data and would spoil averages.
         """
         self._resampling = Resampling.nearest if self.undeclared_nodata.has_implausible else Resampling.average
-        self._is_settled = True
+        self._is_resampling_chosen = True
 
 
 def plausible_m(crs: CRS) -> tuple[float, float]:
@@ -527,5 +527,5 @@ class _GroundReader:
     def read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
         return self.of._read_inside(lod, row0, row1, col0, col1)
 
-    def settle(self) -> None:
-        self.of._settle_resampling()
+    def choose_resampling(self) -> None:
+        self.of._choose_resampling()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.compiled import compiled, internal
-from skugga.terrain.ground.extremes import widen
+from skugga.terrain.ground.extremes import update_ranges
 
 
 @compiled
@@ -21,8 +21,8 @@ def to_lod(row, col, factor, rows, cols):
     ends[0], ends[1], ends[2], ends[3] = np.inf, -np.inf, np.inf, -np.inf
     for i in range(row.shape[0]):
         _row_at_lod(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
-        widen(out_row[i], ends[0], ends[1])
-        widen(out_col[i], ends[2], ends[3])
+        update_ranges(out_row[i], ends[0], ends[1])
+        update_ranges(out_col[i], ends[2], ends[3])
     bounds = np.empty((2, 2))
     for axis in range(2):
         bounds[axis, 0], bounds[axis, 1] = np.inf, -np.inf

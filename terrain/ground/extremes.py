@@ -6,7 +6,7 @@ from skugga.terrain.compiled import internal
 
 
 @internal
-def widen(values, low, high):
+def update_ranges(values, low, high):
     """Extend the range of each element, from ``low`` to ``high``, so that it includes the element of ``values``.
 
     NaN changes no range. All arrays have the same length. The loop compiles to vector instructions: comparisons with NaN are false.

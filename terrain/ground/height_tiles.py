@@ -15,7 +15,7 @@ from skugga.terrain.ground.grid_key import grid_key
 TILE_NODES = 512
 """Side of a tile in nodes, half a block's. Tiles start at multiples of it, counted from the grid's origin."""
 
-RIM_NODES = 8
+TILE_MARGIN_NODES = 8
 """Width in nodes of the margin that is read round each tile.
 
 A map block with a small margin thus needs only the tiles within the block.
@@ -53,11 +53,11 @@ def tiled_heights(
     height, valid = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
     for row, top, bottom in _tile_ranges(row0, rows):
         for col, left, right in _tile_ranges(col0, cols):
-            first_row, first_col = row * TILE_NODES - RIM_NODES, col * TILE_NODES - RIM_NODES
+            first_row, first_col = row * TILE_NODES - TILE_MARGIN_NODES, col * TILE_NODES - TILE_MARGIN_NODES
             target = slice(top - row0, bottom - row0), slice(left - col0, right - col0)
             tile = _tiles.get(owner, row, col)
             if isinstance(tile, Missing):
-                values = read(first_row, first_col, TILE_NODES + 2 * RIM_NODES, TILE_NODES + 2 * RIM_NODES)
+                values = read(first_row, first_col, TILE_NODES + 2 * TILE_MARGIN_NODES, TILE_NODES + 2 * TILE_MARGIN_NODES)
                 tile = values if np.isfinite(values[0]).any() else None
                 _tiles.put(owner, row, col, value=tile)
             if tile is None:
@@ -76,6 +76,6 @@ def _tile_ranges(first: int, count: int) -> list[tuple[int, int, int]]:
     Each tile is its number and the range [start, stop) of the nodes that are copied from it.
     """
     end = first + count
-    low = (first + RIM_NODES) // TILE_NODES
-    high = max((end - 1 - RIM_NODES) // TILE_NODES, low)
+    low = (first + TILE_MARGIN_NODES) // TILE_NODES
+    high = max((end - 1 - TILE_MARGIN_NODES) // TILE_NODES, low)
     return [(n, first if n == low else n * TILE_NODES, end if n == high else (n + 1) * TILE_NODES) for n in range(low, high + 1)]

@@ -80,11 +80,11 @@ class LodReader(Protocol):
     def read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
         """Return the heights, metres, of the cells in rows [row0, row1) and columns [col0, col1), NaN in holes.
 
-        Before ``settle`` these are the heights of single raster cells, after it averages.
+        Before ``choose_resampling`` these are the heights of single raster cells, after it averages.
         """
         ...
 
-    def settle(self) -> None:
+    def choose_resampling(self) -> None:
         """Read averages from now on, unless the cells read so far have sentinels that would spoil them.
 
         A sentinel is a value that stands for missing data.
@@ -128,16 +128,17 @@ def check_overviews(source: str, rows: int, cols: int, factors: Sequence[int]) -
 
 
 def read_overview(ground: LodReader, rows: int, cols: int) -> Overview:
-    """Return the overview of a raster's ground without water. Calls ``LodReader.settle``, so later reads may be means."""
+    """Return the overview of a raster's ground without water. Calls ``LodReader.choose_resampling``, so later reads may be means.
+    """
     lod = overview_lod(rows, cols)
     shape = ground.lod_shape(lod)
     if lod == 0:
         heights_m = ground.read(lod, 0, shape[0], 0, shape[1])
-        ground.settle()
+        ground.choose_resampling()
         return Overview(heights_m, heights_m, lod, _lowest(heights_m))
     if rows * cols > MAX_EXACT_MAXIMA_CELLS:
         ground.read(lod, 0, shape[0], 0, shape[1])  # single cells, to find undeclared sentinels
-        ground.settle()
+        ground.choose_resampling()
         fine_lod = max(_finest_lod(rows, cols, lod, MAX_FINE_CELLS), min(FINE_LOD, lod))
         fine_maxima_m, lowest_m = _estimated_maxima(
             ground, fine_lod, _finest_lod(rows, cols, fine_lod, MAX_EXACT_MAXIMA_CELLS), lod
@@ -146,7 +147,7 @@ def read_overview(ground: LodReader, rows: int, cols: int) -> Overview:
         means = ground.read(lod, 0, shape[0], 0, shape[1])
         return Overview(means, high, lod, lowest_m, *((fine_maxima_m, fine_lod) if fine_lod < lod else ()))
     high, lowest_m = _exact_maxima(ground, lod, rows, cols)
-    ground.settle()
+    ground.choose_resampling()
     return Overview(ground.read(lod, 0, shape[0], 0, shape[1]), high, lod, lowest_m)
 
 

@@ -80,12 +80,12 @@ class RefinedWindow:
     @cached_property
     def height_m(self) -> np.ndarray:
         """Heights (rows, cols) float32, metres."""
-        return _refined(self.coarser.height_m, self.row0 % 2, self.col0 % 2, *self.shape)
+        return _refine(self.coarser.height_m, self.row0 % 2, self.col0 % 2, *self.shape)
 
     @cached_property
     def valid(self) -> np.ndarray:
         """Valid mask (rows, cols)."""
-        return _refined_valid(self.coarser.valid, self.row0 % 2, self.col0 % 2, *self.shape)
+        return _refine_valid(self.coarser.valid, self.row0 % 2, self.col0 % 2, *self.shape)
 
 
 NodeHeights = HeightWindow | RefinedWindow
@@ -120,7 +120,7 @@ class SurfaceWindow(HeightWindow):
         return Sheet(self.position_frame_m, self.is_cut_nw_se)
 
     @cached_property
-    def casting(self) -> SurfaceWindow:
+    def with_rim(self) -> SurfaceWindow:
         """The ground that casts shadows: this window with its rim nodes.
 
         Visible quads are cut along the same diagonals as in ``sheet``, so that no triangle shades its own points.
@@ -290,19 +290,19 @@ class Surface:
             height, valid, is_rim = coarser._heights_and_rim(*window)
             refined = row0 % 2, col0 % 2, rows, cols
             if is_rim is None:
-                return _refined(height, *refined), _refined_valid(valid, *refined), None
-            with_rim = _refined(height, *refined)
+                return _refine(height, *refined), _refine_valid(valid, *refined), None
+            with_rim = _refine(height, *refined)
             height[is_rim] = np.nan
-            visible = _refined(height, *refined)
+            visible = _refine(height, *refined)
             is_refined_rim = np.isfinite(with_rim) & ~np.isfinite(visible)
-            return np.where(is_refined_rim, with_rim, visible), _refined_valid(valid, *refined), is_refined_rim
+            return np.where(is_refined_rim, with_rim, visible), _refine_valid(valid, *refined), is_refined_rim
         stride, padded_window = self.stride, (row0 - 1, col0 - 1, rows + 2, cols + 2)
         exact_rows, exact_cols, x, y = self.exact_nodes(*padded_window, stride)
-        cell = self.cells_of(x, y)
+        cell = self.cells_at(x, y)
         if cell is None:  # longitudes jump within the window, so the mapping is not smooth enough to interpolate
             stride = 1
             exact_rows, exact_cols, x, y = self.exact_nodes(*padded_window, stride)
-            cell = self.cells_of(x, y, everywhere=True)
+            cell = self.cells_at(x, y, everywhere=True)
             assert cell is not None
         exact = np.stack(cell, axis=-1)
         if self.elevation.surface == "blocks" or self.elevation.covers_cells(self.lod, *cell):
@@ -324,7 +324,7 @@ class Surface:
         x, y = np.meshgrid(self.grid.x(col), self.grid.y(row))
         return first_row, first_col, x, y
 
-    def cells_of(self, x: np.ndarray, y: np.ndarray, everywhere: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
+    def cells_at(self, x: np.ndarray, y: np.ndarray, everywhere: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the (fractional) rows and columns in the raster of coordinates in the grid's CRS.
 
         Returns ``None`` if longitudes jump between neighbouring coordinates, so that interpolation would fail. With ``everywhere``
@@ -379,7 +379,7 @@ def map_pixel_m(world: World, view: MapView) -> float:
 
 
 @compiled
-def _refined(height, row0, col0, rows, cols):
+def _refine(height, row0, col0, rows, cols):
     """Return heights (rows, cols) float32 on the refined grid, which has twice as many nodes per side.
 
     Its nodes are those of the coarser grid, the centres of their quads, and the midpoints of the quads' sides. ``row0`` and
@@ -388,12 +388,12 @@ def _refined(height, row0, col0, rows, cols):
     """
     out = np.empty((rows, cols), np.float32)
     for i in range(rows):
-        refined_row(height, row0 + i, col0, out[i])
+        refine_row(height, row0 + i, col0, out[i])
     return out
 
 
 @internal
-def refined_row(height, row, col0, out):
+def refine_row(height, row, col0, out):
     """Fill ``out`` with the heights of row ``row`` of the refined grid, from its column ``col0`` (0 or 1) on.
 
     ``height`` has the heights of the coarser grid. The loops compile to vector instructions.
@@ -431,19 +431,19 @@ def _quad_middle(west, east, south_west, south_east):
 
 
 @compiled
-def _refined_valid(valid, row0, col0, rows, cols):
-    """Return the valid mask (rows, cols) of the nodes of ``_refined``.
+def _refine_valid(valid, row0, col0, rows, cols):
+    """Return the valid mask (rows, cols) of the nodes of ``_refine``.
 
     A midpoint of a side is valid if both ends of the side are, a centre if both ends of one of its quad's diagonals are.
     """
     out = np.empty((rows, cols), np.bool_)
     for i in range(rows):
-        _refined_row_valid(valid[(row0 + i) // 2], valid[(row0 + i + 1) // 2], col0, out[i])
+        _refine_valid_row(valid[(row0 + i) // 2], valid[(row0 + i + 1) // 2], col0, out[i])
     return out
 
 
 @internal
-def _refined_row_valid(above, below, col0, out):
+def _refine_valid_row(above, below, col0, out):
     if col0 == 1:
         out[0] = (above[0] & below[1]) | (above[1] & below[0])
     pairs = (out.size - col0) // 2
@@ -537,13 +537,13 @@ def _write_axis_coordinates(
             _interpolate_row(foot, m, share, feet)
             _interpolate_row(per_metre, m, share, slopes)
             if refined:
-                refined_row(height, row0 % 2 + top + i, col0 % 2, refined_heights)
+                refine_row(height, row0 % 2 + top + i, col0 % 2, refined_heights)
             heights, row_tops = refined_heights if refined else height[top + i], tops[i]
             for first in range(col0 // stride * stride, col0 + cols, stride):
                 n = first // stride - first_col
                 begin, end = max(first, col0) - first, min(first + stride, col0 + cols) - first
                 at = first + begin - col0
-                _write_tops(feet, slopes, n - 1, weights, begin, heights, at, row_tops, end - begin)
+                _write_node_coordinates(feet, slopes, n - 1, weights, begin, heights, at, row_tops, end - begin)
                 if begin == 0:  # an exact column: zero weights must not carry a neighbour's NaN
                     row_tops[at] = feet[n] + np.float64(heights[at]) * slopes[n]
         if abs(right) == 1:
@@ -584,7 +584,7 @@ def _interpolate_between(values, n, weights, first, out):
 
 
 @internal
-def _write_tops(feet, slopes, n, weights, first, height, at, out, count):
+def _write_node_coordinates(feet, slopes, n, weights, first, height, at, out, count):
     """Write the coordinates of ``count`` nodes of a row, at their heights, between the exact columns ``n`` + 1 and ``n`` + 2.
 
     The first node is the ``first``-th after exact column ``n`` + 1, in column ``at`` of the window.
@@ -600,7 +600,7 @@ def _write_tops(feet, slopes, n, weights, first, height, at, out, count):
 
 
 @compiled
-def between_columns(exact, first_col, stride, col0, cols):
+def interpolate_columns(exact, first_col, stride, col0, cols):
     """Return values (m, cols) of ``cols`` columns from ``col0`` on, interpolated by cubics from those of exact columns (m, n)."""
     out = np.empty((exact.shape[0], cols))
     for j in range(cols):
@@ -616,7 +616,7 @@ def between_columns(exact, first_col, stride, col0, cols):
 
 
 @internal
-def between_rows(exact, m, share, out):
+def interpolate_row_between(exact, m, share, out):
     """Interpolate a row (cols,) by cubics, at the fraction ``share`` of the way from exact row ``m`` to the next exact row."""
     current = exact[m]
     if share == 0.0:  # an exact row
@@ -630,7 +630,7 @@ def between_rows(exact, m, share, out):
 
 
 @internal
-def at_height(foot, slope, height, out):
+def add_heights(foot, slope, height, out):
     """Compute coordinates (cols,) of nodes at their heights from those at height 0 and their change per metre of height."""
     for j in range(height.size):
         out[j] = foot[j] + np.float64(height[j]) * slope[j]

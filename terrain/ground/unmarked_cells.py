@@ -60,20 +60,20 @@ class UndeclaredNodata:
     _near_counts: Counter[float] = field(default_factory=Counter)
     _implausible_value: float = np.nan
 
-    def add(self, stored: np.ndarray, height_m: np.ndarray, is_nodata: np.ndarray, plausible: np.ndarray) -> None:
+    def add(self, stored_values: np.ndarray, height_m: np.ndarray, is_nodata: np.ndarray, plausible: np.ndarray) -> None:
         """Count cells, given as stored values, heights in metres, and two masks: declared empty, and plausible as heights."""
-        self.cells += stored.size
+        self.cells += stored_values.size
         has_height = plausible & ~is_nodata
         if not (is_nodata | plausible).all():
             self.has_implausible = True
-            self._add_implausible(stored, height_m, ~is_nodata & ~plausible & np.isfinite(height_m))
+            self._add_implausible(stored_values, height_m, ~is_nodata & ~plausible & np.isfinite(height_m))
         if has_height.any():
-            heights = stored if has_height.all() else stored[has_height]
+            heights = stored_values if has_height.all() else stored_values[has_height]
             for end in {float(heights.min()), float(heights.max())} & set(SENTINELS):
-                self._add_sentinel(end, stored, height_m, has_height)
+                self._add_sentinel(end, stored_values, height_m, has_height)
 
-    def _add_implausible(self, stored: np.ndarray, height_m: np.ndarray, is_implausible: np.ndarray) -> None:
-        values = stored[is_implausible]
+    def _add_implausible(self, stored_values: np.ndarray, height_m: np.ndarray, is_implausible: np.ndarray) -> None:
+        values = stored_values[is_implausible]
         is_sentinel = np.isin(values, SENTINELS) | (np.abs(values.astype(np.float64)) >= MIN_SENTINEL)
         for value, count in zip(*np.unique(values[is_sentinel], return_counts=True), strict=True):
             self._implausible_sentinels[float(value)] += int(count)
@@ -83,8 +83,8 @@ class UndeclaredNodata:
             self.low_m, self.high_m = min(self.low_m, float(others_m.min())), max(self.high_m, float(others_m.max()))
             self._implausible_value = float(values[~is_sentinel][0])
 
-    def _add_sentinel(self, value: float, stored: np.ndarray, height_m: np.ndarray, has_height: np.ndarray) -> None:
-        is_sentinel = has_height & (stored == value)
+    def _add_sentinel(self, value: float, stored_values: np.ndarray, height_m: np.ndarray, has_height: np.ndarray) -> None:
+        is_sentinel = has_height & (stored_values == value)
         others_m = height_m[has_height & ~is_sentinel]
         self._plausible_sentinels[value] += int(is_sentinel.sum())
         if others_m.size:

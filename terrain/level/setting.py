@@ -52,7 +52,7 @@ class Setting:
     ----------
     name
         Name of the field.
-    about
+    description
         Description in a sentence.
     type
         Type of the values, with their limits.
@@ -61,7 +61,7 @@ class Setting:
     """
 
     name: str
-    about: str
+    description: str
     type: Any
     examples: tuple[Any, ...] = ()
 

@@ -17,7 +17,7 @@ GIANT_HEIGHT_M = 80.0
 TREE_HEIGHT_M, SHRUB_HEIGHT_M = 2.0, 0.5
 """Minimum heights of trees, and of hedges and vines, if the level sets no minimum."""
 
-LOW_SHARE = 0.5
+MIN_SHRUB_SHARE = 0.5
 """Share of shrubs among the cells with trees or shrubs above which a canopy counts as mostly shrubs.
 
 Undergrowth of trees has a smaller share.
@@ -82,7 +82,7 @@ class HeightClassShares:
     @property
     def is_mostly_shrubs(self) -> bool:
         """Whether the canopy is mostly shrubs, not only undergrowth of trees."""
-        return self.shrub_share > LOW_SHARE * (self.shrub_share + self.tree_share)
+        return self.shrub_share > MIN_SHRUB_SHARE * (self.shrub_share + self.tree_share)
 
     def omission_text(self, min_height_m: float) -> str:
         """Return a text that lists the shares of cells without trees."""

@@ -213,8 +213,8 @@ def _branches(model: WhorledTree, rng: np.random.Generator) -> _Branches:
 def _points_on_branches(model: WhorledTree, branches: _Branches, i: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) on branches ``i`` at parameters ``t`` in [0, 1]."""
     rise = branches.slope[i] * t + branches.crown_depth[i] * (model.upturn * t**4 - model.sag * t**1.6)
-    level = branches.direction[i] * t[:, None]
-    return branches.foot[i] + branches.length[i, None] * (level + np.outer(rise, (0.0, 0.0, 1.0)))
+    horizontal_offset = branches.direction[i] * t[:, None]
+    return branches.foot[i] + branches.length[i, None] * (horizontal_offset + np.outer(rise, (0.0, 0.0, 1.0)))
 
 
 def _boughs(model: WhorledTree, branches: _Branches) -> Strokes:

@@ -94,8 +94,8 @@ def test_work_without_a_thread_is_never_run(monkeypatch: pytest.MonkeyPatch):
 
 def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPatch):
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: pool.ready)
-        pids = set(pool.pids)
+        await wait_until(lambda: pool.is_ready)
+        pids = set(pool.ready_pids)
         pool._threads.shutdown(wait=False)
         with monkeypatch.context() as patch:
             patch.setattr(pool, "_threads", ThreadPoolExecutor(2))
@@ -105,7 +105,7 @@ def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPa
                 with no_threads(monkeypatch), pytest.raises(ExhaustedError):
                     await pool.run(block(number))
             assert (await pool.run(block(0))).tiles
-        assert pool.pids == pids and pool.counters.started == 1
+        assert pool.ready_pids == pids and pool.counters.started == 1
 
     run_with_pool(scenario)
 
@@ -139,15 +139,15 @@ def test_failed_compilation_is_retried_later(monkeypatch: pytest.MonkeyPatch):
     async def scenario() -> None:
         compiling = BackgroundCompile(1, lambda preparing: None)
         with no_threads(monkeypatch):
-            compiling.begin(7)
+            compiling.start_if_needed(7)
             await wait_until(lambda: not compiling.is_running)
-        compiling.begin(7)
+        compiling.start_if_needed(7)
         assert not compiling.is_running, "not at once"
         monkeypatch.setattr(compiling, "_not_before_s", 0.0)
-        compiling.begin(7)
+        compiling.start_if_needed(7)
         await wait_until(lambda: not compiling.is_running)
         assert compiled.is_set()
-        compiling.begin(7)
+        compiling.start_if_needed(7)
         assert not compiling.is_running, "once done it is done"
         await compiling.close()
 

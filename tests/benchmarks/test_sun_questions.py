@@ -39,13 +39,13 @@ def test_suncalc_gives_whitebox_s_share_on_level_ground():
     """
     azimuth, altitude = suncalc(9.0, 46.95353, 10.0)
     number = np.rint(azimuth / 2.0)
-    day = dark = 0
+    sample_count = night_count = 0
     for bin_number in np.unique(number):
         inside = np.flatnonzero(number == bin_number)
         up = int((altitude[inside] >= -0.5).sum())
         middle = inside[np.argmin(np.abs(azimuth[inside] - 2.0 * bin_number))]
-        day, dark = day + up, dark + (up if altitude[middle] < 0.0 else 0)
-    assert 1.0 - dark / day == pytest.approx(12.126666 / 12.15, abs=2e-4)
+        sample_count, night_count = sample_count + up, night_count + (up if altitude[middle] < 0.0 else 0)
+    assert 1.0 - night_count / sample_count == pytest.approx(12.126666 / 12.15, abs=2e-4)
 
 
 def test_the_sun_of_r_sun_culminates_in_the_south_at_noon():

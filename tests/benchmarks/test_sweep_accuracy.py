@@ -23,8 +23,8 @@ def test_nodes_that_depend_on_the_cut_are_not_decidable():
     reach = 4  # the nodes lie 7.1, 21.2, 35.4, 49.5 and 63.6 m behind the ridge, whose shadow is 3 m / tan(3 degrees) = 57.2 m long
     shadow_nodes = np.array([(12, 11)]) - np.arange(5)[:, None]
     assert not truth.lit[*shadow_nodes[:reach].T].any() and truth.lit[*shadow_nodes[reach]]
-    assert truth.drawn[*shadow_nodes[:reach].T].all() and not truth.decidable[*shadow_nodes[:reach].T].any()
-    assert not (truth.decidable & ~truth.drawn).any()
+    assert truth.certain[*shadow_nodes[:reach].T].all() and not truth.certain_for_any_cut[*shadow_nodes[:reach].T].any()
+    assert not (truth.certain_for_any_cut & ~truth.certain).any()
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 113.0])
@@ -33,6 +33,6 @@ def test_the_sweep_is_compared_with_the_drawn_surface(azimuth):
     raster = Raster("mountains", height, np.ones(height.shape, bool), (CELL_M, CELL_M))
     (figures,) = measure(raster, [(azimuth, 10.0)], 8)
     truth = GridRays(height, raster.cell_m).truth(azimuth, 10.0)
-    assert figures.cells == truth.drawn.sum() > truth.decidable.sum()
-    assert figures.undecided == pytest.approx(1.0 - truth.drawn.mean())
+    assert figures.cells == truth.certain.sum() > truth.certain_for_any_cut.sum()
+    assert figures.undecided == pytest.approx(1.0 - truth.certain.mean())
     assert figures.undecided < 1e-3 and figures.wrong < 5e-4 and 0.1 < figures.shadow < 0.9

@@ -87,7 +87,7 @@ def test_maplibre_shows_an_archive_by_its_tilejson(maplibre: MapClient, service:
     pixels = maplibre.pixels()
     assert pixels.std() > 10, "it shows something"
     assert difference(pixels, CORNER.tiles(service)).max() == 0
-    assert archive_service.service.pool.pids == set()
+    assert archive_service.service.pool.ready_pids == set()
 
 
 def test_pmtiles_protocol_reads_a_plain_file(maplibre: MapClient, service: Client, archive: Path):

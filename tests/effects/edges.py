@@ -115,7 +115,9 @@ class EffectComparison:
         assert not ran_without
         reason = next(item.reason for item in (*plan.effects, *plan.left_out) if item.name == effect)
         excess = max(_neighbourhood_excess(with_effect, without_effect), _neighbourhood_excess(without_effect, with_effect))
-        return EffectChange(case.name, effect in plan.runs, reason, ran, int(np.abs(with_effect - without_effect).max()), excess)
+        return EffectChange(
+            case.name, effect in plan.effect_names, reason, ran, int(np.abs(with_effect - without_effect).max()), excess
+        )
 
     @staticmethod
     def _picture(scene: Scene, effect: str, override: str) -> tuple[np.ndarray, bool]:
@@ -124,7 +126,7 @@ class EffectComparison:
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
         view = scene.view("view")
         frame = render_frame(replace(scene, loaded=loaded), view, make_plan(describe(scene, view, "view"), forced))
-        return frame.color.astype(np.int32), effect in frame.plan.runs
+        return frame.color.astype(np.int32), effect in frame.plan.effect_names
 
 
 def _neighbourhood_excess(picture: np.ndarray, other: np.ndarray) -> int:
@@ -188,10 +190,10 @@ def alpha_test() -> Iterator[Case]:
 def soft_edges() -> Iterator[Case]:
     post = [{"source": "post.obj", "at": [0.0, -20.0]}]
     for altitude in (80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0):
-        for half_m in (10.0, 40.0):
-            bounds = [-half_m, -20.0 - half_m, half_m, half_m - 20.0]
+        for half_width_m in (10.0, 40.0):
+            bounds = [-half_width_m, -20.0 - half_width_m, half_width_m, half_width_m - 20.0]
             keys = ground("floor", 180.0, altitude, meshes=post, shadows={"algorithm": "shadow_map"})  # volumes have sharp edges
-            yield Case(f"post {altitude} degrees, {half_m} m", keys, {**MAP, "bounds": bounds})
+            yield Case(f"post {altitude} degrees, {half_width_m} m", keys, {**MAP, "bounds": bounds})
 
 
 def outside_casters() -> Iterator[Case]:

@@ -40,7 +40,7 @@ def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_s
     scene = make_scene(raster, 90.0, 40.0)
     view = scene.view(size=(40, 40))
     plan = make_plan(describe(scene, view), scene.loaded.level)
-    assert "dust" in plan.runs and "dust" in plan.passes
+    assert "dust" in plan.effect_names and "dust" in plan.passes
     frame = render_frame(scene, view, plan)
     assert "dust" in frame.effects
     yellow = frame.color[..., 0].astype(int) - frame.color[..., 2] > 60
@@ -64,7 +64,7 @@ def test_an_effect_that_is_left_out_is_not_run(gl, dust, write_raster, make_scen
     def fail(albedo: np.ndarray, block: ShadingBlock) -> None:
         raise AssertionError("run though left out")
 
-    monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.about, effect.judge, effect.facts, "albedo", fail))
+    monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.description, effect.judge, effect.facts, "albedo", fail))
     view = scene.view(size=(32, 32))
     plan = make_plan(describe(scene, view), scene.loaded.level)
     assert next(item.reason for item in plan.left_out if item.name == "dust") == "the highest ground is at 12 m"

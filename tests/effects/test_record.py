@@ -55,18 +55,18 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
         frame = render_level_view(scene, name)
         plan, records = frame.plan, {record.name: record for record in frame.passes}
         assert list(records) == plan.passes, name
-        assert frame.effects == plan.runs, (name, plan.left_out)
-        assert plan.runs.isdisjoint(effect.name for effect in plan.left_out)
+        assert frame.effects == plan.effect_names, (name, plan.left_out)
+        assert plan.effect_names.isdisjoint(effect.name for effect in plan.left_out)
         assert all(item.reason for item in (*plan.effects, *plan.left_out))
         shadows = [record for key, record in records.items() if "/" in key]
         assert all(record.draws > 0 or record.loops for record in shadows if not record.name.endswith(WITHOUT_OPENGL)), name
         depth = [record for record in shadows if record.name.endswith("depth map")]
-        if "alpha_test" not in plan.runs:
+        if "alpha_test" not in plan.effect_names:
             assert not any(record.textures for record in depth), (name, depth)
         words = {word for record in shadows for label in record.programs for word in label.split()}
         assert "shadows/maps/sun_disc.frag" not in words
         for key in ("snow", "clouds", "sky_view", "lamps", "water", "haze", "outside_casters", "refraction"):
-            assert (key in records) == (key in plan.runs)
+            assert (key in records) == (key in plan.effect_names)
 
 
 def test_the_sun_filter_of_a_level_uses_the_disc_program(gl, scene_of):

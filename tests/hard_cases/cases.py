@@ -164,8 +164,10 @@ class Trial:
     def render_view(self, scene: Scene, view: View | None = None, light: str | None = None, **settings: Any) -> RenderedView:
         """Draw a view (of one block) with this trial's algorithm.
 
-        ``settings`` are those of a level's ``shadows``, besides the algorithm. While the sun shines, the algorithm runs even if the
-        plan finds no casters: its output must show that there are none. Raises ``UnsupportedError`` if the algorithm cannot serve the view.
+        ``settings`` are those of a level's ``shadows``, besides the algorithm. While the sun shines, the algorithm runs even if
+        the plan finds no casters: its output must show that there are none.
+
+        Raises ``UnsupportedError`` if the algorithm cannot serve the view.
         """
         view = view or scene.view()
         level = scene.loaded.level
@@ -175,7 +177,7 @@ class Trial:
         light = light or scene.light_names[0]
         buffer = geometry_buffer(scene, view)
         casters, log = find_casters(scene, buffer), PassLog()
-        visibility = fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log)
+        visibility = fill_steps(plan.steps_under(light), buffer, scene, casters, plan.effect_names, log)
         visibility[attached(buffer, scene, light)] = 0.0
         visibility[~buffer.valid] = np.nan
         return RenderedView(scene, view, plan, light, buffer, casters, visibility, log)

@@ -59,7 +59,9 @@ def with_changed_settings(rendered: RenderedView, change: SettingsChange) -> Ren
     }
     plan = rendered.plan.model_copy(update={"settings": settings})
     log = PassLog()
-    visibility = fill_steps(plan.steps_under(rendered.light), rendered.buffer, rendered.scene, rendered.casters, plan.runs, log)
+    visibility = fill_steps(
+        plan.steps_under(rendered.light), rendered.buffer, rendered.scene, rendered.casters, plan.effect_names, log
+    )
     visibility[attached(rendered.buffer, rendered.scene, rendered.light)] = 0.0
     visibility[~rendered.buffer.valid] = np.nan
     return replace(rendered, plan=plan, visibility=visibility, log=log)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
+from benchmarks.symmetry import SIDES, azimuth_of, inverse_transformed, transformed
 from skugga.shadows.attached import attached
 from skugga.shadows.truth.metrics import MetricCoverage
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
@@ -171,7 +171,7 @@ def test_eight_symmetries(trial: Trial) -> dict[str, float]:
     for ground, (azimuth, altitude) in suns.items():
         heights = grounds(80 if trial.thorough else 32)[ground]
         shadows = [
-            moved_back(column_shadow(trial, moved(heights, side), (azimuth_of(azimuth, side), altitude)), side)
+            inverse_transformed(column_shadow(trial, transformed(heights, side), (azimuth_of(azimuth, side), altitude)), side)
             for side in (SIDES if trial.thorough else (SIDES[0], SIDES[1], SIDES[6]))
         ]
         assert 0.02 < shadows[0].mean() < 0.98

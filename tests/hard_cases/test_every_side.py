@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
+from benchmarks.symmetry import SIDES, azimuth_of, inverse_transformed, transformed
 from skugga.shadows.attached import attached
 from skugga.shadows.truth.metrics import MetricCoverage
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
@@ -76,7 +76,9 @@ def test_eight_symmetries(trial: Trial) -> dict[str, float]:
         for name, pixels in (("at nodes", cells), ("between nodes", cells * 3 // 2)):
             exact = name == "at nodes" and trial.algorithm in ("sweep", "truth")
             shadows = [
-                moved_back(raster_shadow(trial, moved(heights, side), (azimuth_of(azimuth, side), altitude), pixels), side)
+                inverse_transformed(
+                    raster_shadow(trial, transformed(heights, side), (azimuth_of(azimuth, side), altitude), pixels), side
+                )
                 for side in (SIDES if trial.thorough else (SIDES[0], SIDES[1], SIDES[6]))
             ]
             assert 0.02 < shadows[0].mean() < 0.98

@@ -193,7 +193,7 @@ def undecimated_stands() -> Iterator[None]:
     cache_clearers = tree_instances.tree_instances_in_perspective.cache.clear, tree_instances.tree_instances_in_map.cache.clear
     [clear_cache() for clear_cache in cache_clearers]
     try:
-        with patch.object(tree_instances, "MIN_DRAWN_SHARE", 1.0):
+        with patch.object(tree_instances, "MIN_DRAWN_TREE_SHARE", 1.0):
             yield
     finally:
         [clear_cache() for clear_cache in cache_clearers]

@@ -277,7 +277,7 @@ def _worse(worst: dict[str, float], figures: dict[str, float]) -> None:
     "grounds, places, suns and eyes drawn at random", _BOUNDS,
     algorithms=ALGORITHMS,
 )  # fmt: skip
-def test_any_situation(trial: Trial) -> dict[str, float]:
+def test_random_situations(trial: Trial) -> dict[str, float]:
     """The same situations each time; ``tests.hard_cases.hunt`` draws others."""
     worst: dict[str, float] = {}
 

@@ -161,16 +161,16 @@ COMMENTED_SHADOWS_IN_BRACES = {
 }
 
 
-@pytest.mark.parametrize("first", [PIN_LIST, {**PIN_SETTINGS, **PIN_LIST}])
+@pytest.mark.parametrize("first_keys", [PIN_LIST, {**PIN_SETTINGS, **PIN_LIST}])
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
 @pytest.mark.parametrize("name", [*COMMENTED_SHADOWS, *COMMENTED_SHADOWS_IN_BRACES])
-def test_pinned_text_keeps_user_comments_in_replaced_values(name, line_end, first):
+def test_pinned_text_keeps_user_comments_in_replaced_values(name, line_end, first_keys):
     text = (
         f"{HEAD}shadows:\n{COMMENTED_SHADOWS[name]}" if name in COMMENTED_SHADOWS else HEAD + COMMENTED_SHADOWS_IN_BRACES[name]
     ).replace("\n", line_end)
     comments = re.findall(r"#[^\r\n]*", re.sub(r"""(["'])[^"'].*?\1""", "", text))
     assert len(comments) >= 3
-    for chosen in (first, {"pins": []}, PIN_SETTINGS, PIN_LIST, {"pins": PIN_LIST["pins"][::-1]}):
+    for chosen in (first_keys, {"pins": []}, PIN_SETTINGS, PIN_LIST, {"pins": PIN_LIST["pins"][::-1]}):
         text = pinned_text(text, chosen, PIN_REASONS)
         assert text is not None and pinned_text(text, chosen, PIN_REASONS) == text
         assert [text.count(comment) for comment in comments] == [1] * len(comments)

@@ -378,7 +378,7 @@ def test_predict_chooses_per_light_and_adds_times():
     }
 
 
-def test_predict_rejects_with_the_expectation_as_reason():
+def test_predict_gives_expected_error_as_reason_of_rejection():
     plan = plan_view(make_descriptor(), max_error=0.01)
     reasons = {item.name: item.reason for item in plan.rejected}
     assert reasons["planar"].startswith("expected at best: an error of 25 %, 24 % more than 1.0 %")

@@ -164,7 +164,11 @@ def test_replanner_resolves_settings_for_the_present_view(scene, descriptor, lev
     closer = describe(scene, near_view, "eye")
     replanned, fresh_plan = replanner.plan(closer, level), make_plan(closer, level, choices=choices)
     assert choices_from_plan(replanned) == choices
-    assert (replanned.settings, replanned.passes, replanned.runs) == (fresh_plan.settings, fresh_plan.passes, fresh_plan.runs)
+    assert (replanned.settings, replanned.passes, replanned.effect_names) == (
+        fresh_plan.settings,
+        fresh_plan.passes,
+        fresh_plan.effect_names,
+    )
     assert replanned.settings != first.settings
 
 

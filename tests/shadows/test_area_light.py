@@ -167,7 +167,7 @@ def test_plan_and_records_name_light_points(gl, tmp_path):
     reasons = {reason.name: reason.reason for reason in plan.reasons}
     assert str(MAX_POINTS) in reasons["filter sun"] and str(MAX_POINTS) in reasons["spot: filter sun"]
     frame = render_frame(scene, view, plan)
-    assert "soft_edges" in plan.runs and "soft_edges" in executed_effects(frame.passes)
+    assert "soft_edges" in plan.effect_names and "soft_edges" in executed_effects(frame.passes)
     points = {(record.name.split("/")[0], record.name.split(": ")[-1]): record.light_points for record in frame.passes}
     assert points["sun", "stencil"] == points["spot", "depth map"] == MAX_POINTS
     hard = render_frame(scene, view, plan_of(scene, view, algorithm="shadow_volume", filter=1))

@@ -119,10 +119,10 @@ def test_block_casters_record_what_a_block_omits(gl, monkeypatch):
     plan = plan_of(scene, view)
     frame = render_frame(scene, view, plan)
     records = {record.name: record for record in frame.passes}
-    assert list(records) == plan.passes and "cast_shadows" in plan.runs
+    assert list(records) == plan.passes and "cast_shadows" in plan.effect_names
     assert records["outside_casters"].note == NOTHING_OUTSIDE and records["outside_casters"].is_left_out
     assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].is_left_out
-    assert frame.effects == plan.runs - {"cast_shadows", "outside_casters"}
+    assert frame.effects == plan.effect_names - {"cast_shadows", "outside_casters"}
     assert executed_effects(drawn_fast(scene, view, plan).passes) == frame.effects
     with omissions_disabled(monkeypatch):
-        assert render_frame(scene, view, plan).effects == plan.runs
+        assert render_frame(scene, view, plan).effects == plan.effect_names

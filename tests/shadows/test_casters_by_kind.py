@@ -110,8 +110,9 @@ def test_kinds_with_one_algorithm_share_passes(gl, village):
     frame = render_points(village, view, algorithm=names, map_size=512)
     assert frame.plan.algorithm == {SUN: names} and Plan.model_validate_json(frame.plan.model_dump_json()) == frame.plan
     assert [name for name in frame.plan.passes if "/" in name] == [
-        *PassLog.named(SUN, ("relief", "forest"), ("rays",)), *PassLog.named(SUN, ("meshes",), ("depth map", "visibility")),
-    ]  # fmt: skip
+        *PassLog.pass_names(SUN, ("relief", "forest"), ("rays",)),
+        *PassLog.pass_names(SUN, ("meshes",), ("depth map", "visibility")),
+    ]
     parts = [
         render_points(village, view, algorithm={**names, "meshes": "none"}, map_size=512).visibility,
         render_points(village, view, algorithm=single_kind_override("shadow_map", "meshes"), map_size=512).visibility,

@@ -121,7 +121,7 @@ def test_reach_without_casters_reports_missing_ground(gl, write_raster, make_sce
     scene = make_scene(raster, 180.0, 40.0, views={"eye": view_spec})
     view = scene.view("eye")
     frame = render_points(scene, view)
-    assert not frame.plan.casts
+    assert not frame.plan.casts_shadows
     assert frame.reach.clipped and frame.reach.used_m < frame.reach.needed_m
     full_reach = find_reach(scene, geometry_buffer(scene, view))
     assert frame.reach.needed_m == pytest.approx(full_reach.needed_m, rel=0.02)

@@ -78,12 +78,16 @@ def test_pass_log_creates_only_requested_layers(gl, scene, monkeypatch):
     """A layer that nobody requests costs nothing: its picture is not even read back."""
     created = []
     log = PassLog()
-    log.keep("stencil", SUN, created.append, 1)
-    assert created == [] and log.take() == {}
+    log.keep_layer("stencil", SUN, created.append, 1)
+    assert created == [] and log.take_layers() == {}
     log = PassLog(requested_layers=frozenset({"stencil"}))
-    log.keep("stencil", SUN, np.full, (2, 2), 7)
-    log.keep("shadow-map", SUN, created.append, 1)
-    assert created == [] and [array.tolist() for array in log.take()["stencil", SUN]] == [[[7, 7], [7, 7]]] and log.take() == {}
+    log.keep_layer("stencil", SUN, np.full, (2, 2), 7)
+    log.keep_layer("shadow-map", SUN, created.append, 1)
+    assert (
+        created == []
+        and [array.tolist() for array in log.take_layers()["stencil", SUN]] == [[[7, 7], [7, 7]]]
+        and log.take_layers() == {}
+    )
     reads = []
     original = Device.read
     monkeypatch.setattr(
@@ -118,7 +122,7 @@ def test_layer_collector_places_blocks():
     target, source = (slice(1, 3), slice(2, 5)), (slice(0, 2), slice(1, 4))
     block = np.arange(20, dtype=np.uint8).reshape(5, 4)
     collector.add({("stencil", SUN): [block], ("shadow-height", SUN): [block.astype(np.float32)]}, target, source)
-    layers = collector.whole
+    layers = collector.assembled
     np.testing.assert_array_equal(layers["stencil"][SUN][target], block[source])
     assert layers["stencil"][SUN].sum() == block[source].sum() and layers["stencil"][SUN].dtype == np.uint8
     assert np.isnan(layers["shadow-height"][SUN]).sum() == 20 - 6

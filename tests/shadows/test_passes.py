@@ -80,7 +80,7 @@ def test_pass_record_counts_draws_within_the_pass():
     """Programs are in the order of their first use, textures in alphabetical order, both without repetition."""
     log = PassLog()
     record_draw(TREE_PROGRAM)
-    with log.run("map") as record:
+    with log.record_pass("map") as record:
         for program in (LOOKUP_PROGRAM, GROUND_PROGRAM, LOOKUP_PROGRAM, GROUND_PROGRAM, TREE_PROGRAM):
             record_draw(program)
     record_draw(TREE_PROGRAM)
@@ -92,10 +92,10 @@ def test_pass_record_counts_draws_within_the_pass():
 def test_pass_record_adds_up_over_repeated_runs():
     log = PassLog()
     for programs in ((GROUND_PROGRAM,), (), (TREE_PROGRAM, GROUND_PROGRAM), (LOOKUP_PROGRAM, TREE_PROGRAM)):
-        with log.run("map"):
+        with log.record_pass("map"):
             for program in programs:
                 record_draw(program)
-    with log.run("rays"):
+    with log.record_pass("rays"):
         pass
     map_record, rays = log.records.values()
     assert (map_record.draws, map_record.programs) == (5, ("ground", "trees", "look-up"))
@@ -105,9 +105,9 @@ def test_pass_record_adds_up_over_repeated_runs():
 
 def test_pass_record_of_nested_passes_counts_in_both():
     log = PassLog()
-    with log.run("outer"):
+    with log.record_pass("outer"):
         record_draw(GROUND_PROGRAM)
-        with log.run("inner"):
+        with log.record_pass("inner"):
             record_draw(TREE_PROGRAM)
         record_draw(GROUND_PROGRAM)
     assert [(record.draws, record.programs) for record in log.records.values()] == [(3, ("ground", "trees")), (1, ("trees",))]
@@ -115,7 +115,7 @@ def test_pass_record_of_nested_passes_counts_in_both():
 
 def test_pass_record_of_a_failed_pass_keeps_its_draws():
     log = PassLog()
-    with pytest.raises(ZeroDivisionError), log.run("map"):
+    with pytest.raises(ZeroDivisionError), log.record_pass("map"):
         record_draw(GROUND_PROGRAM)
         _ = 1 / 0
     record_draw(GROUND_PROGRAM)
@@ -124,7 +124,7 @@ def test_pass_record_of_a_failed_pass_keeps_its_draws():
 
 def test_pass_record_ignores_other_threads():
     log = PassLog()
-    with log.run("rays"):
+    with log.record_pass("rays"):
         thread = threading.Thread(target=record_draw, args=(GROUND_PROGRAM,))
         thread.start()
         thread.join()

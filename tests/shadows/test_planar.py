@@ -171,7 +171,7 @@ def test_planar_trees_and_boxes_cast_from_every_light(gl, build, kind, light):
     assert {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
     error_share, shadow_share = ground_errors(scene, view, frame.visibility, light)
     assert error_share <= 1e-3 and shadow_share > 0.02
-    assert PassLog.named(light, ("relief", "meshes", "forest"), planar.PASSES) == [n for n in frame.plan.passes if "/" in n]
+    assert PassLog.pass_names(light, ("relief", "meshes", "forest"), planar.PASSES) == [n for n in frame.plan.passes if "/" in n]
 
 
 @pytest.mark.parametrize("light", LIGHTS)

@@ -144,7 +144,7 @@ def test_each_caster_kind_casts_its_own_shadow(gl, build):
         algorithm = {other: "shadow_map" if other == kind else "none" for other in all_kinds}
         frame = render_points(scene, view, algorithm=algorithm, map_size=4096, filter=1)
         assert frame.plan.algorithm[SUN] == algorithm
-        assert [name for name in frame.plan.passes if name.startswith("sun/")] == PassLog.named(
+        assert [name for name in frame.plan.passes if name.startswith("sun/")] == PassLog.pass_names(
             SUN, (kind,), ("depth map", "visibility")
         )
         masks[kind] = frame.visibility < 0.5

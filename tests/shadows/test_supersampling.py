@@ -13,7 +13,7 @@ from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame
 from skugga.shadows.supersampling import _lit_points, lit_nodes, supersampling
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.supersampling import covered_nodes, largest_in_pixels, means_in_pixels, subdivision_level, subpixel_grid
+from skugga.terrain.gbuffer.supersampling import covered_nodes, max_in_pixels, means_in_pixels, subdivision_level, subpixel_grid
 from skugga.terrain.geo.grid import Grid, MapView, tile_grid
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -212,7 +212,7 @@ def test_means_in_pixels_ignore_invalid_nodes():
     values[:, :2] = 1.0
     valid[:, 1:4], valid[:, 8:] = False, False
     np.testing.assert_array_equal(means_in_pixels(view, nodes, values, valid), [[1.0, 0.0, np.nan]])
-    np.testing.assert_array_equal(largest_in_pixels(view, nodes, (2 * values).astype(np.uint8)), [[2, 0, 0]])
+    np.testing.assert_array_equal(max_in_pixels(view, nodes, (2 * values).astype(np.uint8)), [[2, 0, 0]])
 
 
 def test_supersampling_at_night_is_dark(ridges):

@@ -170,9 +170,9 @@ def test_visibilities_of_lights_are_independent(gl, floor, make_scene, post_mesh
         visibility = frames[0].visibilities[light]
         assert 0.01 < (visibility < 0.5).mean() < 0.4
         np.testing.assert_array_equal(visibility, other.visibilities[light])
-    sun_only = (frames[0].visibilities["lamp"] == 0) & (frames[0].visibilities[SUN] == 1)
-    lamp_too = (frames[0].visibilities["lamp"] == 1) & (frames[0].visibilities[SUN] == 1)
-    assert frames[0].color[lamp_too].mean() > frames[0].color[sun_only].mean()
+    lit_by_sun_only = (frames[0].visibilities["lamp"] == 0) & (frames[0].visibilities[SUN] == 1)
+    lit_by_sun_and_lamp = (frames[0].visibilities["lamp"] == 1) & (frames[0].visibilities[SUN] == 1)
+    assert frames[0].color[lit_by_sun_and_lamp].mean() > frames[0].color[lit_by_sun_only].mean()
 
 
 def test_frame_under_another_light(gl, floor, make_scene, post_mesh):

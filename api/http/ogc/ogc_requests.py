@@ -77,7 +77,7 @@ def styles_of(layer: str) -> dict[str, str]:
 
     The level's own style comes first, as ``default``. Layers of data have no other style.
     """
-    named_styles = {style.name: style.about for style in STYLES.values()} if PRODUCTS[layer].is_display else {}
+    named_styles = {style.name: style.description for style in STYLES.values()} if PRODUCTS[layer].is_display else {}
     return {DEFAULT_STYLE: "Default", **named_styles}
 
 
@@ -188,7 +188,7 @@ def exception_answer(
     headers = {"Cache-Control": "no-store"}
     if report.retry_after_s is not None:
         headers["Retry-After"] = str(report.retry_after_s)
-    name = getattr(error, "name", None) if report.public is None else None
+    name = getattr(error, "name", None) if report.public_message is None else None
     code = codes.get((name or "").upper(), codes[""] if name is None else codes["*"])
     if isinstance(error, InputError) and error.value is MISSING_VALUE:
         code = codes["missing"]

@@ -32,7 +32,7 @@ from skugga.api.http.ogc.wms_capabilities import (
 )
 from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, example_query, exception_docs, file_docs, ogc_parameters
 from skugga.api.http.parameters import DEFAULT_STYLE
-from skugga.api.http.points.point_answers import resolve_day
+from skugga.api.http.points.point_answers import resolve_current_time
 from skugga.api.http.points.point_documents import Rows, report_features, report_page, report_rows, report_text
 from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.served_levels import ServedLevel
@@ -132,7 +132,7 @@ async def _answer(request: Request, service: Service, level: str | None) -> Resp
 
 
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
-    levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
+    levels = await run_in_threadpool(service.levels.current_levels) if level is None else [await service.level(level)]
     if level is not None and (off_earth_reason := levels[0].world.off_earth_reason) is not None:
         raise UnsupportedError("level", level, f"{off_earth_reason}, so the level has no map on earth")
     levels_on_earth = [served_level for served_level in levels if served_level.world.off_earth_reason is None]
@@ -205,7 +205,7 @@ async def _feature_info(request: Request, service: Service, parameters: KeyValue
         remark, is_json = "this pixel shows no place on earth", media_type == "application/json"
         text = report_features(None, {"remark": remark}) if is_json else _info_text([("Remark", remark)], media_type)
         return Response(text, headers={"Cache-Control": "no-store"}, media_type=media_type)
-    point, fresh_s = resolve_day(PointQuery(lon=lon, lat=lat, date=day), sun)
+    point, max_age_s = resolve_current_time(PointQuery(lon=lon, lat=lat, date=day), sun)
     job = PointJob(level=level.key, query=point, request=PictureRequest(sun=sun))
 
     def write_info(body: bytes) -> bytes:
@@ -214,7 +214,7 @@ async def _feature_info(request: Request, service: Service, parameters: KeyValue
             return report_features((report["lon"], report["lat"]), report).encode()
         return _info_text(report_rows(report), media_type).encode()
 
-    return await job_answer(request, service, job, level.name, "info", media_type, fresh_s, write_info)
+    return await job_answer(request, service, job, level.name, "info", media_type, max_age_s, write_info)
 
 
 def _info_text(rows: Rows, media_type: str) -> str:

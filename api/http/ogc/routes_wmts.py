@@ -150,7 +150,7 @@ async def _tile_by_keys(request: Request, service: Service, parameters: KeyValue
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
     """Return the capabilities document of a level (``None``: of all levels), or an error as an XML exception."""
     try:
-        levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
+        levels = await run_in_threadpool(service.levels.current_levels) if level is None else [await service.level(level)]
         levels_on_earth = [served_level for served_level in levels if served_level.zooms]
         if level is not None and not levels_on_earth:
             reason = levels[0].world.off_earth_reason or "the level lies outside of all tile matrix sets"

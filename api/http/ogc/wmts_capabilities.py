@@ -131,7 +131,7 @@ def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
 
 def layer_abstract(layer: str) -> str:
     """Return the description of a layer for capabilities: one sentence of plain text."""
-    description = PRODUCTS[layer].about.replace("`", "")
+    description = PRODUCTS[layer].description.replace("`", "")
     return f"{description[:1].upper()}{description[1:]}."
 
 

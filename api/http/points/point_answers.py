@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import Request
 
-from skugga.api.http.answers import REQUESTED_SUN_FRESH_S
+from skugga.api.http.answers import REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.request_times import current_quarter_hour
 from skugga.api.http.state.service import Service
 from skugga.api.point.values import PointQuery
@@ -12,14 +12,14 @@ from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
 from skugga.terrain.level.parts import SunSpec
 
 
-def resolve_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
+def resolve_current_time(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
     """Return a query that does not depend on the clock, and the seconds for which its answer stays fresh.
 
     A query without a date and without a sun is about today. Its field ``now`` becomes the begin of the current quarter of an hour,
     and its answer stays fresh until the next quarter.
     """
     if sun is not None or point.date is not None:
-        return point, REQUESTED_SUN_FRESH_S
+        return point, REQUESTED_SUN_MAX_AGE_S
     begin, left_s = current_quarter_hour()
     return point.model_copy(update={"now": begin}), left_s
 

@@ -13,7 +13,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_INTEGER
 from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, file_docs, problem_docs
 from skugga.api.http.parameters import TimeQuery, allow_only
-from skugga.api.http.points.point_answers import resolve_day, run_point_job
+from skugga.api.http.points.point_answers import resolve_current_time, run_point_job
 from skugga.api.http.request_times import PLAIN_DATE, PLAIN_TIME, request_sun
 from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.service import Service, ServiceDep
@@ -166,7 +166,7 @@ async def horizon_of_point(
         str | None,
         Query(
             description="; ".join(
-                f"`{horizon_format.name}` (.{horizon_format.suffix}): {horizon_format.about}"
+                f"`{horizon_format.name}` (.{horizon_format.suffix}): {horizon_format.description}"
                 for horizon_format in HORIZON_FORMATS.values()
             ),
             examples=["pvlib"],
@@ -250,9 +250,9 @@ async def _run_point_query(
 ) -> Response:
     served_level = await service.level(level)
     sun = request_sun(request, time, None, None, service.settings.time_grain_s)
-    point, fresh_s = resolve_day(point, sun)
+    point, max_age_s = resolve_current_time(point, sun)
     job = PointJob(level=served_level.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
-    return await job_answer(request, service, job, level, "point", media_type, fresh_s)
+    return await job_answer(request, service, job, level, "point", media_type, max_age_s)
 
 
 def _picture_request(time: datetime | None) -> PictureRequest:

@@ -32,13 +32,13 @@ class BoundedHeaders(HttpToolsProtocol):
             return  # data after the end of a request in the same packet is not counted
         self._head_bytes += len(data)
         if self._head_bytes > MAX_HEAD_BYTES:
-            self._refuse(problem_of(431))
+            self._send_problem_and_close(problem_of(431))
 
     def send_400_response(self, msg: str) -> None:
         """Answer an invalid request with a problem document of status 400, and close the connection."""
-        self._refuse(problem_of(400))
+        self._send_problem_and_close(problem_of(400))
 
-    def _refuse(self, problem: Problem) -> None:
+    def _send_problem_and_close(self, problem: Problem) -> None:
         answer = problem_response(problem, {"Connection": "close"})
         head = [f"HTTP/1.1 {problem.status} {problem.title}".encode(), *(b": ".join(header) for header in answer.raw_headers)]
         self.transport.write(b"\r\n".join([*head, b"", bytes(answer.body)]))

@@ -54,7 +54,7 @@ class _WaitState:
     Attributes
     ----------
     progress : tuple
-        The value of ``_state_of``, which changes as the client makes progress.
+        The value of ``_client_progress``, which changes as the client makes progress.
     since_s : float
         Time of its last change in seconds, by the event loop's clock.
     """
@@ -81,7 +81,7 @@ class BoundedListener:
 
     Attributes
     ----------
-    refused : int
+    closed_count : int
         Number of connections that the listener has evicted or reaped.
     """
 
@@ -94,7 +94,7 @@ class BoundedListener:
         client_timeout_s: float,
     ) -> None:
         self.sockets = (listening_socket,)
-        self.refused = 0
+        self.closed_count = 0
         self._listening_socket, self._make_protocol = listening_socket, make_protocol
         self._connections, self._limit, self._client_timeout_s = connections, limit, client_timeout_s
         self._connecting: set[asyncio.Task[Any]] = set()
@@ -189,18 +189,18 @@ class BoundedListener:
             if connection not in self._connections:
                 del self._waiting[connection]
         for connection in self._connections:
-            progress, state = _state_of(connection), self._waiting.get(connection)
+            progress, state = _client_progress(connection), self._waiting.get(connection)
             if state is None or state.progress != progress:
                 self._waiting[connection] = _WaitState(progress, now_s)
 
     def _close_connection(self, connection: HttpConnection) -> None:
-        self.refused += 1
+        self.closed_count += 1
         self._connections.discard(connection)
         self._waiting.pop(connection, None)
         connection.transport.abort()
 
 
-def _state_of(connection: HttpConnection) -> tuple[object, ...]:
+def _client_progress(connection: HttpConnection) -> tuple[object, ...]:
     """Return a value that changes when a client completes its headers or body, or reads some of its answer.
 
     Partial headers and a partial body do not change it.

@@ -46,16 +46,16 @@ async def readyz(service: ServiceDep) -> JSONResponse:
     preparing: dict[str, Any] | None = None
     if pool.preparing is not None:
         preparing = {**asdict(pool.preparing), "elapsed_s": round(time.monotonic() - pool.preparing_since, 1)}
-    if service.can_render and not pool.ready:
+    if service.can_render and not pool.is_ready:
         raise NotReadyError("No render process is ready. If this lasts, see the service's log.", preparing)
     return JSONResponse(
         {
             "status": "ready",
             "renderer": pool.renderer,
-            "workers": len(pool.pids),
+            "workers": len(pool.ready_pids),
             "queued": pool.queued,
             "calibration": pool.idle_calibration.state,
-            "probes_waiting": pool.idle_probes.waiting,
+            "probes_waiting": pool.idle_probes.requested_count,
             "preparing": preparing,
         },
         headers=_UNCACHED,

@@ -136,7 +136,7 @@ class Server(uvicorn.Server):
         log.info(
             "SIGUSR1: %d connections, %d requests, %d jobs queued, %d jobs running, %d animations pending, render processes %s",
             len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running,
-            self._service.animations.active_count, sorted(pool.pids),
+            self._service.animations.active_count, sorted(pool.ready_pids),
         )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ async def job_answer(
     level: str,
     subject: str,
     media_type: str,
-    fresh_s: int,
+    max_age_s: int,
     write_body: Callable[[bytes], bytes] = lambda body: body,
 ) -> Response:
     """Run a job of a level and return its response, or 304 if the client's copy is current.
@@ -30,7 +30,7 @@ async def job_answer(
         The kind of answer, such as ``map``. It is part of the entity tag.
     media_type
         Media type of the body.
-    fresh_s
+    max_age_s
         Maximum freshness lifetime of the answer in seconds.
     write_body
         Function that converts the job's bytes to the response body.
@@ -43,7 +43,7 @@ async def job_answer(
     parts = job.level.version, level, subject, job.model_dump(exclude={"level"}, exclude_none=True), media_type
     is_picture = not isinstance(job, PointJob)
     render_versions = (service.pool.renderer, service.pool.plan_version(job.level)) if is_picture else ()
-    seconds = service.fresh_s(request, fresh_s) if is_picture else freshness_s(request, fresh_s)
+    seconds = service.max_age_s(request, max_age_s) if is_picture else freshness_s(request, max_age_s)
     sun_time_headers = time_headers(request) if isinstance(job, PointJob) or job.request.product_record.when == "sun" else {}
     headers = cache_headers(entity_tag(*render_versions, *parts), seconds) | sun_time_headers
     if is_fresh(request, headers["ETag"]):

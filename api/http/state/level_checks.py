@@ -39,7 +39,7 @@ class _Check(Generic[Value]):
 
 
 @dataclass
-class LevelCheck(Generic[Value]):
+class FileCheck(Generic[Value]):
     """A value read from files, such as a level, that a check keeps up to date.
 
     Attributes
@@ -78,7 +78,7 @@ class LevelCheck(Generic[Value]):
         The last finished check must have succeeded. Also, it must be recent (``fresh_s``), or the present check must hang, which
         means that it runs for longer than ``wait_s``.
         """
-        return self.value if self.error is None and (self._is_fresh() or self._hangs()) else None
+        return self.value if self.error is None and (self._is_fresh() or self._is_overdue()) else None
 
     def expire(self) -> None:
         """Mark the value as not fresh, so that its next use runs a check."""
@@ -170,6 +170,6 @@ class LevelCheck(Generic[Value]):
     def _is_fresh(self) -> bool:
         return time.monotonic() - self._checked_s < self.fresh_s
 
-    def _hangs(self) -> bool:
+    def _is_overdue(self) -> bool:
         running = self._running
         return running is not None and not running.future.done() and time.monotonic() - running.began_s > self.wait_s

@@ -51,7 +51,7 @@ class ServiceMetrics:
             registry=self.registry,
         )
         self.registry.register(_ServiceCollector(pool, tiles, animations))
-        pool.on_drawn = self.record_passes
+        pool.on_picture_finished = self.record_passes
 
     def record_passes(self, picture: BlockTiles | Snapshot) -> None:
         """Record the milliseconds of each render pass of a block or snapshot, and whether its caster reach was clipped."""
@@ -82,18 +82,18 @@ class _ServiceCollector(Collector):
 
     def collect(self) -> Iterable[Metric]:
         pool, counters, tiles = self._pool, self._pool.counters, self._tiles
-        yield GaugeMetricFamily("skugga_ready", "Whether a render process is ready.", float(pool.ready))
+        yield GaugeMetricFamily("skugga_ready", "Whether a render process is ready.", float(pool.is_ready))
         yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs in the queue.", pool.queued)
         yield GaugeMetricFamily("skugga_jobs_running", "Jobs in render processes.", pool.running)
         jobs = CounterMetricFamily("skugga_jobs", "Jobs by how they ended.", labels=("outcome",))
         for outcome in ("answered", "failed", "abandoned", "refused", "expired", "timed_out", "retried"):
             jobs.add_metric([outcome], getattr(counters, outcome))
         yield jobs
-        yield GaugeMetricFamily("skugga_render_processes", "Render processes that are ready.", len(pool.pids))
+        yield GaugeMetricFamily("skugga_render_processes", "Render processes that are ready.", len(pool.ready_pids))
         yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", counters.started)
         memory = GaugeMetricFamily("skugga_process_memory_bytes", "Resident memory.", labels=("process",))
         memory.add_metric(["service"], resident_bytes())
-        for number, pid in enumerate(sorted(pool.pids)):
+        for number, pid in enumerate(sorted(pool.ready_pids)):
             memory.add_metric([f"render {number}"], resident_bytes(pid))
         yield memory
         yield GaugeMetricFamily("skugga_open_descriptors", "File descriptors of the service's process.", open_descriptors())

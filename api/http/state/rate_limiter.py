@@ -26,7 +26,7 @@ CLIENT_BYTES = 32 * 1024
 class _Client:
     tokens: float
     refilled_s: float
-    suns: dict[Hashable, None] = field(default_factory=dict)
+    recent_suns: dict[Hashable, None] = field(default_factory=dict)
     """The client's recent suns, the most recent last."""
 
 
@@ -54,16 +54,16 @@ class RateLimiter:
         client.refilled_s = now_s
         if isinstance(cached, Missing):
             self._clients.put(key, value=client)
-        if sun in client.suns:
-            client.suns[sun] = client.suns.pop(sun)
+        if sun in client.recent_suns:
+            client.recent_suns[sun] = client.recent_suns.pop(sun)
             return
         if client.tokens < 1.0:
             wait_s = int((1.0 - client.tokens) * 60.0 / self._per_minute) + 1
             raise RateLimitError(f"Too many new suns. The limit is {self._per_minute} a minute for one client.", wait_s)
         client.tokens -= 1.0
-        client.suns[sun] = None
-        while len(client.suns) > MAX_RECENT_SUNS:
-            client.suns.pop(next(iter(client.suns)))
+        client.recent_suns[sun] = None
+        while len(client.recent_suns) > MAX_RECENT_SUNS:
+            client.recent_suns.pop(next(iter(client.recent_suns)))
 
 
 def network_of(address: str) -> str:

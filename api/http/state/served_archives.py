@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, urlencode
 
 from skugga.api.errors import ArchiveError, NotServedError
 from skugga.api.http.state.archive_file import ArchiveFile, has_changed
-from skugga.api.http.state.level_checks import LevelCheck
+from skugga.api.http.state.level_checks import FileCheck
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.products import PRODUCTS
 from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
@@ -35,32 +35,32 @@ class LevelArchives:
     ----------
     files : dict of Path to ArchiveFile
         The archives by path.
-    by_kind : dict of TileKind to ArchiveFile
+    by_tile_kind : dict of TileKind to ArchiveFile
         The first archive of each kind of tile.
     version : str
         The versions of all archives in one text, for entity tags.
     """
 
     files: dict[Path, ArchiveFile]
-    by_kind: dict[TileKind, ArchiveFile]
+    by_tile_kind: dict[TileKind, ArchiveFile]
     version: str
 
     @classmethod
     def of(cls, files: dict[Path, ArchiveFile]) -> LevelArchives:
         """Return the archives of a level. If several have the same kind of tile, the first one is used."""
-        by_kind: dict[TileKind, ArchiveFile] = {}
+        by_tile_kind: dict[TileKind, ArchiveFile] = {}
         for archive in files.values():
             metadata = archive.skugga_metadata
             layer, format, tms, query = (str(metadata.get(key, "")) for key in ("layer", "format", "tms", "query"))
             if layer in PRODUCTS and PRODUCTS[layer].when == "none":
                 query = ""  # heights do not depend on light
             if format == archive.format:
-                by_kind.setdefault((layer, format, tms, with_utc_time(query)), archive)
-        return cls(files, by_kind, " ".join(archive.version for archive in files.values()))
+                by_tile_kind.setdefault((layer, format, tms, with_utc_time(query)), archive)
+        return cls(files, by_tile_kind, " ".join(archive.version for archive in files.values()))
 
     def archive_of(self, layer: str, format: str, tms: str, query: str, zoom: int) -> ArchiveFile | None:
         """Return the archive with a kind of tile at a zoom, or ``None``. ``query`` is the canonical query string of the request."""
-        archive = self.by_kind.get((layer, format, tms, with_utc_time(query))) if self.by_kind else None
+        archive = self.by_tile_kind.get((layer, format, tms, with_utc_time(query))) if self.by_tile_kind else None
         return archive if archive is not None and zoom in archive.zooms else None
 
 
@@ -83,22 +83,22 @@ NO_ARCHIVES = LevelArchives.of({})
 class ServedArchives:
     """The archives with their own addresses, by name, and the archives of levels.
 
-    An archive that changes on disk is reopened at its next use. ``fresh_s`` and ``wait_s`` are those of ``LevelCheck``. The
+    An archive that changes on disk is reopened at its next use. ``fresh_s`` and ``wait_s`` are those of ``FileCheck``. The
     constructor opens the archives of ``paths``, so it must not run in the thread of the event loop. It raises ``ArchiveError`` for
     an unusable archive, and ``InputError`` for two archives of one name.
     """
 
     def __init__(self, paths: Sequence[Path], fresh_s: float = 0.0, wait_s: float = 60.0) -> None:
         self._fresh_s, self._wait_s = fresh_s, wait_s
-        self._named: dict[str, LevelCheck[ArchiveFile]] = {}
-        self._level_entries: dict[str, tuple[tuple[Path, ...], LevelCheck[LevelArchives]]] = {}
+        self._named: dict[str, FileCheck[ArchiveFile]] = {}
+        self._level_entries: dict[str, tuple[tuple[Path, ...], FileCheck[LevelArchives]]] = {}
         self._logged_errors: dict[Path, str] = {}
         for path in paths:
             name = printable(path.stem)
             if name in self._named:
                 raise InputError("LEVEL", Problem(f"'{path}' and another file are both an archive '{name}'"), "Rename one of them")
             archive = ArchiveFile(path)
-            self._named[name] = LevelCheck(name, archive, partial(self._check_file, name), fresh_s, wait_s, "archive")
+            self._named[name] = FileCheck(name, archive, partial(self._check_file, name), fresh_s, wait_s, "archive")
 
     def names(self) -> list[str]:
         """Return the names of the archives with their own addresses."""
@@ -137,12 +137,12 @@ class ServedArchives:
         for _, level_check in self._level_entries.values():
             level_check.expire()
 
-    def _check_of(self, level: ServedLevel) -> LevelCheck[LevelArchives]:
+    def _check_of(self, level: ServedLevel) -> FileCheck[LevelArchives]:
         paths = level.loaded.archives
         entry = self._level_entries.get(level.name)
         if entry is None or entry[0] != paths:
             check = partial(self._check_level_archives, level.name)
-            entry = paths, LevelCheck(level.name, NO_ARCHIVES, check, self._fresh_s, self._wait_s, "archives of level")
+            entry = paths, FileCheck(level.name, NO_ARCHIVES, check, self._fresh_s, self._wait_s, "archives of level")
             self._level_entries[level.name] = entry
         return entry[1]
 

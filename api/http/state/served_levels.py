@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from skugga.api.errors import NotServedError
 from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
-from skugga.api.http.state.level_checks import LevelCheck
+from skugga.api.http.state.level_checks import FileCheck
 from skugga.api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS, VIEW_PRODUCTS
 from skugga.api.workers.jobs import LevelKey
@@ -173,7 +173,7 @@ class ServedLevel:
             "products": [
                 {
                     "name": name,
-                    "about": PRODUCTS[name].about,
+                    "about": PRODUCTS[name].description,
                     "when": PRODUCTS[name].when,
                     "legend": bool(PRODUCTS[name].color_scale),
                 }
@@ -191,7 +191,7 @@ class ServedLevel:
 class ServedLevels:
     """The levels of ``sources`` and of all level files of a ``folder``, by name.
 
-    A level whose files change on disk is reloaded at its next use (``fresh_s`` and ``wait_s``: as in ``LevelCheck``).
+    A level whose files change on disk is reloaded at its next use (``fresh_s`` and ``wait_s``: as in ``FileCheck``).
     ``read_folder`` adds and removes levels of the folder. The data of a level must lie in the folder, in the folder of its source,
     or in one of ``data_roots``. Remote data (URLs) are allowed if ``remote_sources`` is set. Methods that read files must not run
     in the thread of the event loop.
@@ -215,15 +215,15 @@ class ServedLevels:
     ) -> None:
         self._remote_sources, self._fresh_s, self._wait_s = remote_sources, fresh_s, wait_s
         self._folder, self._data_roots = folder, tuple(data_roots)
-        self._checks: dict[str, LevelCheck[ServedLevel]] = {}
+        self._checks: dict[str, FileCheck[ServedLevel]] = {}
         self._reading = threading.Lock()
         for source in map(LevelSource.of, sources):
-            check = self._checked(source, [file.parent for file in _named_files(source)])
+            check = self._make_check(source, [file.parent for file in _named_files(source)])
             if check.name in self._checks:
                 fault = Problem(f"'{source.path}' and another file are both a level '{check.name}'")
                 raise InputError("LEVEL", fault, "Rename one of them, or give NAME=FILE")
             self._checks[check.name] = check
-        self._named = dict(self._checks)
+        self._source_checks = dict(self._checks)
         self.read_folder()
 
     def read_folder(self) -> None:
@@ -235,12 +235,12 @@ class ServedLevels:
         if self._folder is None:
             return
         with self._reading:
-            before, checks = self._checks, dict(self._named)
+            before, checks = self._checks, dict(self._source_checks)
             for name, path in _level_files(self._folder, checks).items():
                 check = before.get(name)
                 if check is None or check.value.origin.path != path:
                     try:
-                        check = self._checked(LevelSource(path=path), [self._folder])
+                        check = self._make_check(LevelSource(path=path), [self._folder])
                     except SkuggaError as error:
                         log.error("level file %s is left out: %s", path, error)
                         continue
@@ -263,9 +263,9 @@ class ServedLevels:
         """Return whether the level file at ``path`` is served. Reads no file."""
         return any(check.value.loaded.path == path for check in self._checks.values())
 
-    def _checked(self, source: LevelSource, roots: Iterable[Path]) -> LevelCheck[ServedLevel]:
+    def _make_check(self, source: LevelSource, roots: Iterable[Path]) -> FileCheck[ServedLevel]:
         level = self._read(source.model_copy(update={"roots": (*roots, *self._data_roots)}))
-        return LevelCheck(level.name, level, partial(self._check_files, level.name), self._fresh_s, self._wait_s)
+        return FileCheck(level.name, level, partial(self._check_files, level.name), self._fresh_s, self._wait_s)
 
     async def current(self, name: str) -> ServedLevel:
         """Return the present version of a level, or its last one if reading takes too long. Files are read in another thread.
@@ -274,7 +274,7 @@ class ServedLevels:
         """
         return await self._check(name).current()
 
-    def get(self, name: str) -> ServedLevel:
+    def reload_if_changed(self, name: str) -> ServedLevel:
         """Read a level in this thread if it has changed, and return it, without a time limit. Raises the errors of ``current``."""
         return self._check(name).check_now()
 
@@ -289,7 +289,7 @@ class ServedLevels:
 
     def cached_source_levels(self) -> list[ServedLevel]:
         """Return the levels of ``sources``, without those of the folder, as they were last read. Reads no file."""
-        return [check.value for check in self._named.values()]
+        return [check.value for check in self._source_checks.values()]
 
     def names(self) -> list[str]:
         """Return the levels' names."""
@@ -300,7 +300,7 @@ class ServedLevels:
         for check in self._checks.values():
             check.expire()
 
-    def all(self) -> list[ServedLevel]:
+    def current_levels(self) -> list[ServedLevel]:
         """Return the present version of all levels. Levels that can no longer be read are logged and left out."""
         levels = []
         for name, check in self._checks.items():
@@ -310,7 +310,7 @@ class ServedLevels:
                 log.error("level %s: %s", name, error)
         return levels
 
-    def _check(self, name: str) -> LevelCheck[ServedLevel]:
+    def _check(self, name: str) -> FileCheck[ServedLevel]:
         checks = self._checks
         if name not in checks:
             raise NotServedError("level", f"level: {name[:60]!r} is not served. Levels: {', '.join(checks)}.")
@@ -344,7 +344,7 @@ class ServedLevels:
         stamps = file_stamps(files)  # before reading: the next check then sees changes made meanwhile
         scene = build_scene(loaded.without_sun)
         try:
-            return _served(loaded, origin, scene, files, stamps)
+            return _served_level_of(loaded, origin, scene, files, stamps)
         finally:
             scene.close()
 
@@ -387,7 +387,7 @@ def algorithm_names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
     return {name for kinds in expand_override(algorithm, override_lights(algorithm)).values() for name in kinds.values()}
 
 
-def _served(
+def _served_level_of(
     loaded: LoadedLevel, origin: LevelSource, scene: Scene, files: tuple[Path, ...], stamps: tuple[Stamp, ...]
 ) -> ServedLevel:
     world, data_bounds, zooms = scene.world, None, {}

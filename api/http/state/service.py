@@ -14,7 +14,7 @@ from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_job
 from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import NotServedError
-from skugga.api.http.answers import METADATA_FRESH_S, ExpectedTime
+from skugga.api.http.answers import METADATA_MAX_AGE_S, ExpectedTime
 from skugga.api.http.request_times import freshness_s
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
@@ -22,7 +22,7 @@ from skugga.api.http.state.rate_limiter import RateLimiter, network_of
 from skugga.api.http.state.served_archives import ServedArchives
 from skugga.api.http.state.served_levels import ServedLevel, ServedLevels
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import DescribedPlanJob, FilmChecked, Job, Result
+from skugga.api.workers.jobs import DescribedPlanJob, FilmCheckResult, Job, Result
 from skugga.api.workers.pool import Pool
 from skugga.terrain.errors import LevelError, SkuggaError, SourceError
 
@@ -54,16 +54,16 @@ class Service:
         """Whether the service has render processes. A service of archives alone has none."""
         return bool(self.levels.names()) or self.settings.levels is not None
 
-    def fresh_s(self, request: Request, default_s: int) -> int:
+    def max_age_s(self, request: Request, default_s: int) -> int:
         """Return the freshness lifetime of a picture in seconds.
 
         It is ``default_s``, or a minute at most while a calibration of the device or a probe of a level is pending. These
         measurements may change plans (choices of algorithms), and clients must not combine pictures of different plans for long.
         """
-        is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.waiting
-        return freshness_s(request, min(default_s, METADATA_FRESH_S) if is_plan_pending else default_s)
+        is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.requested_count
+        return freshness_s(request, min(default_s, METADATA_MAX_AGE_S) if is_plan_pending else default_s)
 
-    def expected_frame_s(self, order: FilmOrder, checked: FilmChecked) -> float:
+    def expected_frame_s(self, order: FilmOrder, checked: FilmCheckResult) -> float:
         """Return the expected seconds of one frame of a film: by its plan if predicted, else as ``ExpectedTimes`` has it."""
         return self.pool.expected_s(frame_job(order, 0)) if checked.frame_ms is None else checked.frame_ms / 1000.0
 
@@ -121,7 +121,7 @@ def service_of(request: Request) -> Service:
     return request.app.state.service
 
 
-async def get_service(request: Request) -> Service:
+async def service_dependency(request: Request) -> Service:
     """Return the service (a FastAPI dependency).
 
     It is asynchronous because FastAPI calls other functions in a thread, and a machine under load may have no thread left.
@@ -129,7 +129,7 @@ async def get_service(request: Request) -> Service:
     return service_of(request)
 
 
-ServiceDep = Annotated[Service, Depends(get_service)]
+ServiceDep = Annotated[Service, Depends(service_dependency)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:

@@ -24,7 +24,7 @@ async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | 
         raise
 
 
-def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *request_parts: object, **extra_headers: str) -> EncodedTile:
+def archived_tile(body: bytes, archive: ArchiveFile, max_age_s: int, *request_parts: object, **extra_headers: str) -> EncodedTile:
     """Return a tile of an archive with its response headers and ``extra_headers``.
 
     Its entity tag depends only on the tile's bytes and on ``request_parts``. So the tag stays the same if the archive is replaced
@@ -32,5 +32,5 @@ def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *request_part
     """
     tag = entity_tag("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *request_parts)
     return EncodedTile(
-        body, {**cache_headers(tag, fresh_s), "Server-Timing": "archive;desc=read", **extra_headers}, archive.media_type
+        body, {**cache_headers(tag, max_age_s), "Server-Timing": "archive;desc=read", **extra_headers}, archive.media_type
     )

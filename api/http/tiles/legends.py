@@ -6,7 +6,7 @@ from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
-from skugga.api.http.answers import REQUESTED_SUN_FRESH_S, cache_headers, entity_tag, is_fresh
+from skugga.api.http.answers import REQUESTED_SUN_MAX_AGE_S, cache_headers, entity_tag, is_fresh
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.products import products_with
 from skugga.api.request import ProductRequest
@@ -22,9 +22,9 @@ async def legend_answer(
     """
     color_scale = product_request.product_record.color_scale
     if color_scale is None:
-        with_legends = ", ".join(products_with(lambda product: product.color_scale))
-        raise InputError(parameter, product_request.product, f"a layer with a legend ({with_legends})")
-    headers = cache_headers(entity_tag("legend", format, served_level.version, product_request.query()), REQUESTED_SUN_FRESH_S)
+        layers_with_legends = ", ".join(products_with(lambda product: product.color_scale))
+        raise InputError(parameter, product_request.product, f"a layer with a legend ({layers_with_legends})")
+    headers = cache_headers(entity_tag("legend", format, served_level.version, product_request.query()), REQUESTED_SUN_MAX_AGE_S)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     scale = await run_in_threadpool(color_scale, product_request.options, served_level.world)

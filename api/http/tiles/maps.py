@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fastapi import Request, Response
 
 from skugga.api.encoding import check_format
-from skugga.api.http.answers import DEFAULT_SUN_FRESH_S, REQUESTED_SUN_FRESH_S
+from skugga.api.http.answers import DEFAULT_SUN_MAX_AGE_S, REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.parameters import check_pixels
 from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.served_levels import ServedLevel
@@ -67,8 +67,8 @@ async def map_answer(request: Request, service: Service, level: ServedLevel, que
         level=level.key, bounds=query.bounds, crs=crs, size=query.size, format=query.format, background=query.background,
         request=product_request,
     )  # fmt: skip
-    fresh_s = DEFAULT_SUN_FRESH_S if product.when == "sun" and product_request.sun is None else REQUESTED_SUN_FRESH_S
-    return await job_answer(request, service, job, level.name, "map", MEDIA_TYPES[query.format], fresh_s)
+    max_age_s = DEFAULT_SUN_MAX_AGE_S if product.when == "sun" and product_request.sun is None else REQUESTED_SUN_MAX_AGE_S
+    return await job_answer(request, service, job, level.name, "map", MEDIA_TYPES[query.format], max_age_s)
 
 
 def _check_pixel_shape(bounds: MapBounds, size: tuple[int, int]) -> None:

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES
 from skugga.api.errors import ArchiveError, NotServedError
-from skugga.api.http.answers import DEFAULT_SUN_FRESH_S, JSON_MEDIA, base_url, cache_headers, entity_tag, json_answer
+from skugga.api.http.answers import DEFAULT_SUN_MAX_AGE_S, JSON_MEDIA, base_url, cache_headers, entity_tag, json_answer
 from skugga.api.http.openapi_parts import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
 from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.served_archives import archive_summary
@@ -91,5 +91,5 @@ async def archive_tile(
     if body is None:
         if service.settings.empty_tile == "404":
             raise NotServedError("x", f"x: {archive} has no tile {x}, {y} at zoom {z}.")
-        return Response(status_code=204, headers=cache_headers(entity_tag(archive_file.version, z, x, y), DEFAULT_SUN_FRESH_S))
-    return archived_tile(body, archive_file, DEFAULT_SUN_FRESH_S).answer(request)
+        return Response(status_code=204, headers=cache_headers(entity_tag(archive_file.version, z, x, y), DEFAULT_SUN_MAX_AGE_S))
+    return archived_tile(body, archive_file, DEFAULT_SUN_MAX_AGE_S).answer(request)

@@ -11,8 +11,8 @@ from starlette.concurrency import run_in_threadpool
 from skugga.api.encoding import ARRAY_FORMATS, check_format
 from skugga.api.errors import ArchiveError, NotServedError
 from skugga.api.http.answers import (
-    DEFAULT_SUN_FRESH_S,
-    REQUESTED_SUN_FRESH_S,
+    DEFAULT_SUN_MAX_AGE_S,
+    REQUESTED_SUN_MAX_AGE_S,
     cache_headers,
     entity_tag,
     is_fresh,
@@ -73,7 +73,7 @@ async def tile_answer(
     check_format(product, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
     is_empty = shows_no_data(matrix_set, *zxy, level.data_bounds)
-    max_fresh_s = DEFAULT_SUN_FRESH_S if product.when != "days" and product_request.sun is None else REQUESTED_SUN_FRESH_S
+    default_max_age_s = DEFAULT_SUN_MAX_AGE_S if product.when != "days" and product_request.sun is None else REQUESTED_SUN_MAX_AGE_S
     render_versions: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
     archives = await service.archives.archives_of_level(level)
     archive = (
@@ -85,8 +85,8 @@ async def tile_answer(
         with suppress(ArchiveError):  # already logged; the tile is rendered instead
             body = await read_tile(archive, *zxy)
             if body is not None:
-                fresh_s, request_parts = service.fresh_s(request, max_fresh_s), (name, zxy, product_request.query())
-                encoded_tile = archived_tile(body, archive, fresh_s, *request_parts, **time_headers(request))
+                max_age_s, request_parts = service.max_age_s(request, default_max_age_s), (name, zxy, product_request.query())
+                encoded_tile = archived_tile(body, archive, max_age_s, *request_parts, **time_headers(request))
                 service.tiles.put(request, encoded_tile, name, (level.version, *render_versions, archives.version))
                 return encoded_tile.answer(request)
             is_empty = True
@@ -97,7 +97,9 @@ async def tile_answer(
     if archive is not None and is_empty:
         tag_parts += (archive.version,)  # without this archive the tile would be rendered, and may have data
     sun_time_headers = time_headers(request)
-    headers = cache_headers(entity_tag(*render_versions, *tag_parts), service.fresh_s(request, max_fresh_s)) | sun_time_headers
+    headers = (
+        cache_headers(entity_tag(*render_versions, *tag_parts), service.max_age_s(request, default_max_age_s)) | sun_time_headers
+    )
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if is_empty:
@@ -125,10 +127,10 @@ async def tile_answer(
     assert isinstance(block, BlockTiles)
     render_versions = block.renderer, block.plan_version
     tag = entity_tag(*render_versions, *tag_parts)
-    fresh_s = service.fresh_s(request, max_fresh_s)  # computed again: a pending probe shortens the lifetime
+    max_age_s = service.max_age_s(request, default_max_age_s)  # computed again: a pending probe shortens the lifetime
     sent_headers, cached_headers = (
-        cache_headers(tag, fresh_s) | sun_time_headers | render_headers(block, "block", is_cached, block.encode_ms)
-        for is_cached in (is_cached or not block.drawn, True)
+        cache_headers(tag, max_age_s) | sun_time_headers | render_headers(block, "block", is_cached, block.encode_ms)
+        for is_cached in (is_cached or not block.is_newly_drawn, True)
     )  # fmt: skip
     tile = EncodedTile(block.tiles[position], cached_headers, MEDIA_TYPES[format])
     service.tiles.put(request, tile, name, (level.version, *render_versions, archives.version))

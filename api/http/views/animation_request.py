@@ -74,7 +74,7 @@ class _AnimationFields(_FromModel):
 _SETTINGS = settings_of(Shadows, "pictures")
 
 _SHADOW_FIELDS: dict[str, Any] = {
-    setting.name: (setting.type | None, Field(default=None, description=setting.about, examples=[setting.example]))
+    setting.name: (setting.type | None, Field(default=None, description=setting.description, examples=[setting.example]))
     for setting in _SETTINGS
 }
 

@@ -95,12 +95,12 @@ def state_answer(status: int, state: AnimationState, settings: Settings) -> Resp
     """
     headers = {"Cache-Control": "no-store", "Location": state.links[0].href}
     if state.seconds_left is not None:
-        headers["Retry-After"] = str(retry_s(state.seconds_left, settings))
+        headers["Retry-After"] = str(poll_after_s(state.seconds_left, settings))
     excluded = {"problem"} if state.problem is None else None
     return JSONResponse(state.model_dump(mode="json", by_alias=True, exclude=excluded), status, headers)
 
 
-def retry_s(seconds_left: float, settings: Settings) -> int:
+def poll_after_s(seconds_left: float, settings: Settings) -> int:
     """Return the whole seconds after which a client should poll again: the expected time left, at least 1.
 
     It is at most a third of ``animation_abandoned_s``, the time after which an animation that no client polls is dismissed.
@@ -119,7 +119,7 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
         raise NotServedError("animation", f"This animation was dismissed. {animation.message or ''}".strip())
     if animation.film is None:
         message = f"{animation.frames_done} of {animation.order.span.frames} frames of this animation are drawn."
-        raise UnfinishedError(message, retry_s(animations.seconds_left(animation), settings))
+        raise UnfinishedError(message, poll_after_s(animations.seconds_left(animation), settings))
     nbytes = animation.film.nbytes
     headers = {
         "ETag": entity_tag("animation", animation.id), "Accept-Ranges": "bytes",

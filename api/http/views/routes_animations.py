@@ -13,7 +13,7 @@ from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.http.views.animation_request import AnimationRequest, error_in_body, film_order
 from skugga.api.http.views.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
-from skugga.api.workers.jobs import FilmChecked, FilmCheckJob
+from skugga.api.workers.jobs import FilmCheckJob, FilmCheckResult
 from skugga.terrain.errors import InputError
 
 router = APIRouter(tags=["animations"])
@@ -67,7 +67,7 @@ async def ask_for_animation(
             checked = await service.run_job(request, check)
         except InputError as error:
             raise error_in_body(error, order) from None
-        assert isinstance(checked, FilmChecked)
+        assert isinstance(checked, FilmCheckResult)
         animation = service.animations.request(order, service.expected_frame_s(order, checked))
     return _state_response(request, service, animation, 200 if animation.ended else 202)
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from skugga.api.http.answers import DEFAULT_SUN_FRESH_S, REQUESTED_SUN_FRESH_S
+from skugga.api.http.answers import DEFAULT_SUN_MAX_AGE_S, REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.numbers import PLAIN_DECIMAL
 from skugga.api.http.openapi_parts import LevelPath, example_query, file_docs
 from skugga.api.http.parameters import (
@@ -34,7 +34,7 @@ router = APIRouter(
     tags=["snapshots"], responses=PICTURE_DOCS | file_docs("The picture.", MEDIA_TYPES.values()), default_response_class=Response
 )
 
-REQUEST_VIEW_NAME = "made"
+REQUEST_VIEW_NAME = "request"
 """Name of a view that the query defines, instead of a view of the level. Plans and jobs contain it."""
 
 SINGLE_LIGHT_LAYERS = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
@@ -105,5 +105,5 @@ async def snapshot(
         light=None if product.is_display else light, seconds=seconds,
         request=ProductRequest(product=layer, **dict(picture_request)),
     )  # fmt: skip
-    fresh_s = DEFAULT_SUN_FRESH_S if picture_request.sun is None else REQUESTED_SUN_FRESH_S
-    return await job_answer(request, service, job, level, "snapshot", MEDIA_TYPES[format], fresh_s)
+    max_age_s = DEFAULT_SUN_MAX_AGE_S if picture_request.sun is None else REQUESTED_SUN_MAX_AGE_S
+    return await job_answer(request, service, job, level, "snapshot", MEDIA_TYPES[format], max_age_s)

@@ -31,7 +31,7 @@ class ScatterPoint:
 
     Attributes
     ----------
-    row
+    row_index
         Index of the row.
     figures
         Its measured figures.
@@ -39,7 +39,7 @@ class ScatterPoint:
         Position, pixels.
     """
 
-    row: int
+    row_index: int
     figures: RowFigures
     x: float
     y: float
@@ -177,8 +177,8 @@ def _mark(point: ScatterPoint, comparison: Comparison) -> str:
         tag("title", escape(tooltip)),
         tag("circle", cx=f"{point.x:.1f}", cy=f"{point.y:.1f}", r=11, class_="halo"),
         mark_svg(mark_of(algorithm_family(figures, comparison.light)), point.x, point.y, 7.0 if figures["pareto"] else 5.2),
-        href=f"#row-{point.row}",
-        data_row=point.row,
+        href=f"#row-{point.row_index}",
+        data_row=point.row_index,
         aria_label=tooltip,
         class_="point front" if figures["pareto"] else "point",
     )

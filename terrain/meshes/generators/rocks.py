@@ -11,7 +11,7 @@ RING_POSES = ((0.0, 0.0, 0.0), (34.0, 15.0, 77.0), (-8.0, 40.0, 140.0), (-37.0, 
 """East and north in metres, and rotation in degrees, of each ring."""
 
 SLOTS, RADIUS_M = 14, 9.0
-FALLEN, UNROOFED = (4, 10), 7
+FALLEN_UPRIGHT_SLOTS, FALLEN_LINTEL_SLOT = (4, 10), 7
 """Numbers of the places in a ring: those with fallen uprights, outside the circle, and one whose lintel lies inside."""
 
 TRILITHONS_DEG, TRILITHON_RADIUS_M, HALF_SPAN_DEG = (45.0, 135.0, 225.0), 4.6, 18.5
@@ -42,16 +42,16 @@ def _ring() -> list[Body]:
     chord = RADIUS_M * np.cos(np.pi / SLOTS)
     stones = []
     for i in range(SLOTS):
-        if i in FALLEN:
+        if i in FALLEN_UPRIGHT_SLOTS:
             stones.append(
                 _on_circle(transformed(_upright_stone(LYING_M, LINTEL_CELLS, i), yaw_deg=35.0), RADIUS_M + 3.6, i * slot + 11.0)
             )
         else:
             stones.append(_on_circle(_upright_stone(UPRIGHT_M, UPRIGHT_CELLS, i), RADIUS_M, i * slot))
-        if not {i, (i + 1) % SLOTS} & set(FALLEN) and i != UNROOFED:
+        if not {i, (i + 1) % SLOTS} & set(FALLEN_UPRIGHT_SLOTS) and i != FALLEN_LINTEL_SLOT:
             stones.append(_on_circle(_lintel(UPRIGHT_M[2], SLOTS + i), chord, (i + 0.5) * slot))
-    fallen_lintel = transformed(_upright_stone(LYING_M, LINTEL_CELLS, UNROOFED + SLOTS), yaw_deg=-50.0)
-    stones.append(_on_circle(fallen_lintel, RADIUS_M - 3.0, (UNROOFED + 2.5) * slot))
+    fallen_lintel = transformed(_upright_stone(LYING_M, LINTEL_CELLS, FALLEN_LINTEL_SLOT + SLOTS), yaw_deg=-50.0)
+    stones.append(_on_circle(fallen_lintel, RADIUS_M - 3.0, (FALLEN_LINTEL_SLOT + 2.5) * slot))
     for seed, middle in enumerate(TRILITHONS_DEG, start=100):
         for side in (-1, 1):
             upright = _upright_stone(TALL_M, UPRIGHT_CELLS, seed + 10 * side)

@@ -19,7 +19,7 @@ from skugga.api.animations.drawing import FRAME_TRIES, frame_renderer
 from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import NotServedError, RetryLaterError, StorageError, WorkerStartError, error_report_of
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import FilmPicture, FrameJob, LevelKey, PlanHandover
+from skugga.api.workers.jobs import FilmPicture, FilmPlanState, FrameJob, LevelKey
 from skugga.selector.film_request import FilmSpan
 from skugga.terrain.errors import BusyError, InputError, RenderError
 from tests.api.workers.test_pool import TIMEOUT_S, wait_until
@@ -405,7 +405,7 @@ class FlakyPool:
         self.jobs.append(job.number)
         if len(self.jobs) <= self.failures:
             raise WorkerStartError("a render process ended while it warmed up")
-        return FilmPicture(np.full((2, 3, 3), job.number, np.uint8), PlanHandover(None))
+        return FilmPicture(np.full((2, 3, 3), job.number, np.uint8), FilmPlanState(None))
 
 
 @pytest.mark.parametrize(("failures", "drawn"), [(0, FRAMES), (FRAME_TRIES - 1, FRAMES), (FRAME_TRIES, 0)])

@@ -118,10 +118,10 @@ def test_every_command_warns_of_a_canopy_without_trees(gl, run, site):
 
 def test_the_service_and_its_workers_accept_the_options(site):
     levels = ServedLevels([full_level_source(site)])
-    level = levels.get("dem")
+    level = levels.reload_if_changed("dem")
     assert level.loaded.level.forest and level.summary()["warnings"] == []
     assert build_scene(load_level(level.key)).objects.kinds == ("relief", "meshes", "forest")
-    other = ServedLevels([LevelSource(path=site / "dem.tif")]).get("dem")
+    other = ServedLevels([LevelSource(path=site / "dem.tif")]).reload_if_changed("dem")
     assert other.version != level.version
 
 
@@ -139,7 +139,7 @@ def test_a_collar_of_zeros_is_reported_and_nodata_fixes_it(gl, run, site, caplog
             mask = dataset.read(1)[3:-3, :-3]  # a picture's outermost pixels may be half outside
             assert (mask[:, :30] == MASK_NO_SURFACE).all() and (mask[:, 31:] != MASK_NO_SURFACE).all()
     assert "warning" in run("validate", raster)[1] and "warning" not in run("validate", raster, "--nodata", "0")[1]
-    (warned,) = ServedLevels([Path(raster)]).get("cut").summary()["warnings"]
+    (warned,) = ServedLevels([Path(raster)]).reload_if_changed("cut").summary()["warnings"]
     assert "nodata: 0" in warned and "cut.tif" not in warned and warned in caplog.text
 
 

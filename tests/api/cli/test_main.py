@@ -280,7 +280,7 @@ def test_the_installed_command_runs():
 
 
 def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypatch):
-    monkeypatch.setattr("skugga.selector.measure.compare.ROW_REPEATS", 1)
+    monkeypatch.setattr("skugga.selector.measure.compare.TIMING_REPEATS", 1)
     rows_file, folder = tmp_path / "rows.json", tmp_path / "errors"
     status, out, err = run("compare", "jacksboro", *SMALL_MAP_OPTIONS, "--json", str(rows_file), "-o", str(folder))
     assert (status, err) == (0, "")

@@ -51,15 +51,15 @@ def write_yard(folder: Path, name: str = "yard", **keys) -> Path:
 
 
 @pytest.fixture(scope="module")
-def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def yard_level(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_yard(tmp_path_factory.mktemp("yard"))
 
 
 @pytest.fixture(scope="module")
-def yard_client(yard: Path) -> Iterator[Client]:
-    """Run a service with one real render process over ``yard`` and over ``cellar``, whose only light is the lamp."""
-    cellar = write_yard(yard.parent, "cellar", sun="none", views={**LEVEL["views"], "map": {"kind": "map", "size": [90, 70]}})
-    with running(create_app(Settings(workers=1), [yard, cellar])) as client:
+def yard_client(yard_level: Path) -> Iterator[Client]:
+    """Run a service with one real render process over ``yard_level`` and over ``cellar``, whose only light is the lamp."""
+    cellar = write_yard(yard_level.parent, "cellar", sun="none", views={**LEVEL["views"], "map": {"kind": "map", "size": [90, 70]}})
+    with running(create_app(Settings(workers=1), [yard_level, cellar])) as client:
         yield client
 
 
@@ -83,7 +83,7 @@ def test_formats_and_layers_have_their_image_modes(yard_client: Client, format: 
 
 
 @pytest.mark.parametrize("view", ["across", "map"])
-def test_a_snapshot_equals_one_drawn_in_this_process(yard_client: Client, yard: Path, view: str):
+def test_a_snapshot_equals_one_drawn_in_this_process(yard_client: Client, yard_level: Path, view: str):
     size = None if view == "across" else (64, 48)
     parameters = {"view": view, "azimuth": 200, "altitude": 30, "map_size": 512, "depth_bits": 24, "filter": 2, "seconds": 1.5}
     overrides = {"map_size": 512, "depth_bits": 24, "filter": 2}
@@ -91,7 +91,7 @@ def test_a_snapshot_equals_one_drawn_in_this_process(yard_client: Client, yard: 
 
     def here(layer: str, light: str | None = None) -> np.ndarray:
         request = ProductRequest(product=layer, sun=sun)
-        return snapshot(yard, view, request, overrides, size, seconds=1.5, light=light).computed.array
+        return snapshot(yard_level, view, request, overrides, size, seconds=1.5, light=light).computed.array
 
     parameters |= {} if size is None else {"size": "64x48"}
     for layer, format in (("color", "png"), ("color", "webp"), ("color", "jpg"), ("shadow", "png"), ("mask", "webp")):
@@ -343,7 +343,7 @@ def test_a_view_that_cannot_be_drawn_is_logged_at_start(tmp_path: Path, caplog: 
     """The service still serves the level. The log names the view at once."""
     outside = {"kind": "perspective", "eye": [5000, 0, 10], "target": [0, 0, 0]}
     levels = ServedLevels([write_yard(tmp_path, views={**LEVEL["views"], "outside": outside})])
-    assert levels.get("yard").view_sizes == {
+    assert levels.reload_if_changed("yard").view_sizes == {
         "map": (1024, 1024),
         "across": (WIDTH, HEIGHT),
         "low": (WIDTH, HEIGHT),
@@ -358,7 +358,7 @@ def test_a_changed_forest_changes_the_entity_tag(tmp_path: Path):
     forest_file.write_text(json.dumps({"type": "FeatureCollection", "features": [tree]}), encoding="utf-8")
     path = write_yard(tmp_path, forest=[{"source": forest_file.name, "height": "h"}])
     with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
-        while not client.service.pool.ready:
+        while not client.service.pool.is_ready:
             client.get("/readyz")
         address = f"{YARD}.png?view=across"
         before = entity_tag(client, address)

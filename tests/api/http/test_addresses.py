@@ -78,7 +78,7 @@ def test_rasters_of_one_file_name_need_explicit_names(tmp_path: Path):
         ServedLevels([first, second])
     levels = ServedLevels([first, _named_level_source(f"other={second}", NO_OPTIONS)])
     assert levels.names() == ["dem", "other"]
-    assert levels.get("other").key.name == "other" and levels.get("dem").key.name is None
+    assert levels.reload_if_changed("other").key.name == "other" and levels.reload_if_changed("dem").key.name is None
 
 
 @pytest.mark.parametrize("text", ["=dem.tif", "a/b=dem.tif", "ü=dem.tif", ".=dem.tif"])

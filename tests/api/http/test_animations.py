@@ -271,7 +271,7 @@ def test_frame_of_a_killed_worker_is_drawn_again(gated_service):
     service.open()
     service.job_started()
     service.job_started()
-    os.kill(*client.service.pool.pids, signal.SIGKILL)
+    os.kill(*client.service.pool.ready_pids, signal.SIGKILL)
     service.job_started()
     service.open(2)
     state = wait_for_end(client, answer)

@@ -205,7 +205,7 @@ def test_equal_archived_tiles_keep_their_own_headers(serve, tmp_path: Path):
         write_tiles(tmp_path / f"{name}.pmtiles", {(ZOOM, X, Y): tile_of(1)}, query=query)
     moments = [None, "2024-06-21T18:00:00+02:00", "2024-06-21T16:00:00+00:00"]
     with serve({"archive": ["a.pmtiles", "b.pmtiles"]}, tile_cache_bytes=2**20, level_check_s=60.0) as client:
-        while not client.service.pool.ready:  # answers depend on the renderer, too
+        while not client.service.pool.is_ready:  # answers depend on the renderer, too
             client.get("/readyz")
         for repeats in range(2):
             before = client.service.tiles.hits
@@ -256,7 +256,7 @@ def test_archives_alone_need_no_render_worker(serve, tmp_path: Path):
     tiles = {(z, x, y): tile_of(100 * z + 10 * x + y) for z in (2, 3) for x in range(3) for y in range(3)}
     path = write_tiles(tmp_path / "sun & shade.pmtiles", tiles, layer="terrarium")
     with serve(None, [path]) as client:
-        assert client.get("/readyz").status_code == 200 and client.service.pool.pids == set()
+        assert client.get("/readyz").status_code == 200 and client.service.pool.ready_pids == set()
         assert client.get("/levels").json() == []
         (facts,) = client.get("/archives").json()
         assert facts == {

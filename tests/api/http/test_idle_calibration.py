@@ -46,7 +46,7 @@ def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
         def make(measure, target=fake_workers.planning, **settings) -> Client:
             service_settings = Settings(**{"workers": 1, "calibrate_when_idle": True, **settings})
             client = stack.enter_context(running(create_app(service_settings, [hills_level], target, measure)))
-            wait_until(lambda: client.service.pool.ready)
+            wait_until(lambda: client.service.pool.is_ready)
             return client
 
         yield make
@@ -110,8 +110,8 @@ def test_saved_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path):
 def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     pool = client.service.pool
-    wait_until(lambda: (tmp_path / "begun").exists() and pool.idle.pid is not None)
-    pid, versions = pool.idle.pid, []
+    wait_until(lambda: (tmp_path / "begun").exists() and pool.idle_work.pid is not None)
+    pid, versions = pool.idle_work.pid, []
     assert pid is not None
     for took_s in (2.0, 3.0):
         save_profile(fake_calibrations.profile(took_s=took_s))
@@ -161,7 +161,7 @@ def test_calibration_timeout_fails(serve: Serve, tmp_path: Path, monkeypatch, ca
     monkeypatch.setattr(idle_work, "JOB_TIMEOUT_S", 0.2)
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     wait_until(lambda: state(client) == "failed")
-    assert log_count(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle.pid is None
+    assert log_count(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle_work.pid is None
 
 
 def test_setting_disables_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
@@ -181,7 +181,7 @@ def test_worker_without_a_device_is_not_calibrated(serve: Serve, tmp_path: Path)
 
 def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"))
-    idle = client.service.pool.idle
+    idle = client.service.pool.idle_work
     wait_until(lambda: idle.pid is not None and not idle.paused)
     monkeypatch.setattr(idle_work, "QUIET_S", TIMEOUT_S)
     answer = client.get(TILE)
@@ -204,7 +204,7 @@ def test_shutdown_leaves_no_process_or_file(hills_level: Path, tmp_path: Path, m
     app = create_app(Settings(workers=1, calibrate_when_idle=True), [hills_level], fake_workers.planning, measure)
     with running(app) as client:
         wait_until(lambda: (tmp_path / "begun").exists() and "\n" in (tmp_path / "begun").read_text())
-        pid, temporary_file = client.service.pool.idle.pid, Path((tmp_path / "begun").read_text().strip())
+        pid, temporary_file = client.service.pool.idle_work.pid, Path((tmp_path / "begun").read_text().strip())
         assert pid is not None and alive(pid) and temporary_file.exists()
         if paused:
             monkeypatch.setattr(idle_work, "QUIET_S", 3600.0)  # so that it stays paused

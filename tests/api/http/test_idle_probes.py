@@ -35,7 +35,7 @@ def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
         def make(probe=fake_probes.probe_two_scales, **settings) -> Client:
             service_settings = Settings(**{"workers": 1, "probe_when_idle": True, **settings})
             client = stack.enter_context(running(create_app(service_settings, [hills_level], fake_workers.planning, probe=probe)))
-            wait_until(lambda: client.service.pool.ready and client.service.pool.plan_version(None) != "")
+            wait_until(lambda: client.service.pool.is_ready and client.service.pool.plan_version(None) != "")
             return client
 
         yield make

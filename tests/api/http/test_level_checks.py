@@ -14,7 +14,7 @@ import pytest
 from skugga.api.http.ogc import routes_wms
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state import level_checks
-from skugga.api.http.state.level_checks import LevelCheck
+from skugga.api.http.state.level_checks import FileCheck
 from skugga.api.settings import Settings
 from skugga.terrain.errors import LevelError
 from tests.api.conftest import CORNER, ZOOM, running, write_level
@@ -35,8 +35,8 @@ class GatedCheck:
         return self.outcome
 
 
-def check(gated_check: GatedCheck, fresh_s: float = 0.0, wait_s: float = 0.2) -> LevelCheck:
-    return LevelCheck("level", "old", gated_check, fresh_s, wait_s)
+def check(gated_check: GatedCheck, fresh_s: float = 0.0, wait_s: float = 0.2) -> FileCheck:
+    return FileCheck("level", "old", gated_check, fresh_s, wait_s)
 
 
 def test_hanging_check_returns_the_old_level():
@@ -174,7 +174,7 @@ def test_raster_replaced_by_a_pipe_blocks_no_other_level(tmp_path: Path):
     good_level, slow_level = write_level(tmp_path, "good"), write_level(tmp_path, "slow")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=2.0)
     with running(create_app(settings, [good_level, slow_level], fake_workers.obedient)) as client:
-        while not client.service.pool.ready:
+        while not client.service.pool.is_ready:
             client.get("/readyz")
         assert client.get(tile("slow")).status_code == client.get(tile("good")).status_code == 200
         raster = slow_level.with_suffix(".tif")

@@ -81,13 +81,13 @@ def test_missing_folder_is_an_input_error(tmp_path: Path):
 
 def test_read_folder_again_updates_the_list(folder: Path, caplog: pytest.LogCaptureFixture):
     levels = ServedLevels([], folder=folder)
-    hills = levels.get("hills")
+    hills = levels.reload_if_changed("hills")
     remove(folder, "moor")
     write_level(folder, "fen")
     (folder / "broken.yaml").write_text("version: 7", encoding="utf-8")
     assert levels.names() == ["hills", "moor"], "not before it is told to"
     levels.read_folder_again()
-    assert levels.names() == ["fen", "hills"] and levels.get("hills") is hills
+    assert levels.names() == ["fen", "hills"] and levels.reload_if_changed("hills") is hills
     assert "broken.yaml is left out" in caplog.text
     write_level(folder, "broken")
     levels.read_folder_again()
@@ -111,9 +111,9 @@ def test_level_broken_after_start_stays_listed(folder: Path):
     (folder / "moor.yaml").write_text("version: 7", encoding="utf-8")
     levels.read_folder_again()
     with pytest.raises(LevelError):
-        levels.get("moor")
+        levels.reload_if_changed("moor")
     write_level(folder, "moor")
-    assert levels.get("moor").name == "moor"
+    assert levels.reload_if_changed("moor").name == "moor"
 
 
 def test_clients_see_added_and_removed_levels(folder: Path):

@@ -112,7 +112,7 @@ def test_level_texts_are_escaped_in_markup(tmp_path):
         capabilities = client.get("/levels/odd%20%26%20name/WMTSCapabilities.xml")
         assert "odd%20%26%20name" in ElementTree.tostring(ElementTree.fromstring(capabilities.content), encoding="unicode")
         assert ElementTree.fromstring(client.get("/levels/odd%20%26%20name.qlr").content).tag == "qlr"
-        served_level = client.service.levels.get("odd & name")
+        served_level = client.service.levels.reload_if_changed("odd & name")
         assert "https://maps.example/levels/odd%20%26%20name/wms" in level_page(served_level, "https://maps.example")
 
 

@@ -53,7 +53,7 @@ def problems_table() -> str:
     """Return the table of all kinds of problems."""
     rows = ["| status | `code` | what | `Retry-After` |", "| --- | --- | --- | --- |"]
     for kind in problem_kinds():
-        rows.append(f"| {kind.status} | `{kind.code}` | {kind.about} | {kind.retry_after_s or '-'} |")
+        rows.append(f"| {kind.status} | `{kind.code}` | {kind.description} | {kind.retry_after_s or '-'} |")
     return "\n".join(rows)
 
 

@@ -144,7 +144,11 @@ def test_posted_descriptor_excludes_sun_and_view(client: Client, facts: dict, qu
 )
 def test_invalid_facts_are_refused_by_name(client: Client, facts: dict, changes: dict, parameter: str):
     problem = check_problem(client.post("/plan", json={**facts, **changes}), 422, "invalid_parameter", parameter)
-    remedies = {"facts.clouds.taken": "missing. Give a value.", "facts.rain": "unknown key. Omit it.", "level": "unknown key. Omit it."}
+    remedies = {
+        "facts.clouds.taken": "missing. Give a value.",
+        "facts.rain": "unknown key. Omit it.",
+        "level": "unknown key. Omit it.",
+    }
     assert parameter in problem["detail"] and remedies.get(parameter, "Allowed: ") in problem["detail"]
 
 
@@ -294,7 +298,7 @@ def calibrated(pipe, config) -> None:
 
 def tag(client: Client) -> str:
     client.post("/plan", content=b"{}")
-    while not client.service.pool.ready:
+    while not client.service.pool.is_ready:
         client.get("/readyz")
     answer: httpx.Response = client.get("/levels/hills/snapshot.png", headers={"If-None-Match": "*"})
     assert answer.status_code == 304

@@ -37,20 +37,20 @@ def raise_ground(level: Path, metres: float) -> None:
 
 def test_bundled_levels_can_be_served():
     levels = ServedLevels(bundled_levels())
-    assert [level.name for level in levels.all()] == [path.stem for path in bundled_levels()]
-    assert all(bool(level.zooms) != level.world.flat for level in levels.all())
+    assert [level.name for level in levels.current_levels()] == [path.stem for path in bundled_levels()]
+    assert all(bool(level.zooms) != level.world.flat for level in levels.current_levels())
 
 
 def test_equal_files_have_equal_versions(path: Path):
-    assert ServedLevels([path]).get("hills").version == ServedLevels([path]).get("hills").version
+    assert ServedLevels([path]).reload_if_changed("hills").version == ServedLevels([path]).reload_if_changed("hills").version
 
 
 def test_changed_raster_changes_the_version(path: Path):
     levels = ServedLevels([path])
-    before = levels.get("hills")
-    assert levels.get("hills") is before
+    before = levels.reload_if_changed("hills")
+    assert levels.reload_if_changed("hills") is before
     raise_ground(path, 100)
-    assert levels.get("hills").version != before.version
+    assert levels.reload_if_changed("hills").version != before.version
 
 
 def test_changed_raster_in_a_nested_vrt_changes_the_version(path: Path):
@@ -61,37 +61,37 @@ def test_changed_raster_in_a_nested_vrt_changes_the_version(path: Path):
     level = json.loads(path.read_text())
     path.write_text(json.dumps({**level, "terrain": {"source": outer.name}}), encoding="utf-8")
     levels = ServedLevels([path])
-    before = levels.get("hills")
+    before = levels.reload_if_changed("hills")
     raise_ground(path, 100)
-    assert levels.get("hills").version != before.version
+    assert levels.reload_if_changed("hills").version != before.version
 
 
 @pytest.mark.parametrize("ending", [".tif.aux.xml", ".tif.ovr", ".tfw", ".tif.msk"])
 def test_new_sidecar_file_changes_the_version(path: Path, ending: str):
     levels = ServedLevels([path])
-    before = levels.get("hills").version
+    before = levels.reload_if_changed("hills").version
     sidecar = path.with_name(f"hills{ending}")
     sidecar.write_text("<PAMDataset/>" if ending.endswith("xml") else "", encoding="utf-8")
-    assert levels.get("hills").version != before
+    assert levels.reload_if_changed("hills").version != before
 
 
 def test_replaced_raster_of_equal_time_and_size_is_noticed(path: Path):
     levels, raster = ServedLevels([path]), path.with_suffix(".tif")
-    before, status = levels.get("hills").version, raster.stat()
+    before, status = levels.reload_if_changed("hills").version, raster.stat()
     other = raster.with_suffix(".new")
     other.write_bytes(raster.read_bytes())
     os.utime(other, ns=(status.st_mtime_ns, status.st_mtime_ns))
     other.replace(raster)
     assert (raster.stat().st_mtime_ns, raster.stat().st_size) == (status.st_mtime_ns, status.st_size)
-    assert levels.get("hills").version != before
+    assert levels.reload_if_changed("hills").version != before
 
 
 def test_changed_level_file_is_read_again(path: Path):
     levels = ServedLevels([path])
-    before = levels.get("hills").version
+    before = levels.reload_if_changed("hills").version
     path.write_text(json.dumps({**json.loads(path.read_text()), "title": "Other hills"}), encoding="utf-8")
-    assert levels.get("hills").version != before
-    assert levels.get("hills").summary()["title"] == "Other hills"
+    assert levels.reload_if_changed("hills").version != before
+    assert levels.reload_if_changed("hills").summary()["title"] == "Other hills"
 
 
 def test_broken_level_fails_until_it_is_repaired(path: Path):
@@ -100,15 +100,15 @@ def test_broken_level_fails_until_it_is_repaired(path: Path):
     path.write_text("version: 7", encoding="utf-8")
     for _ in range(2):
         with pytest.raises(LevelError):
-            levels.get("hills")
-    assert levels.all() == []
+            levels.reload_if_changed("hills")
+    assert levels.current_levels() == []
     path.write_text(text, encoding="utf-8")
-    assert levels.get("hills").name == "hills"
+    assert levels.reload_if_changed("hills").name == "hills"
 
 
 def test_unknown_level_error_lists_the_known_ones(path: Path):
     with pytest.raises(NotFoundError, match="hills"):
-        ServedLevels([path]).get("mountains")
+        ServedLevels([path]).reload_if_changed("mountains")
 
 
 def level_of_wrong_version(folder: Path) -> Path:
@@ -167,14 +167,14 @@ def test_unservable_pin_is_one_error_that_names_it(tmp_path: Path, pin: dict, wo
     levels, text = ServedLevels([level]), json.loads(level.read_text())
     first = {"view": "map", "sun_altitude_deg": [5, 20], "map_size": 512}
     write_level(tmp_path, "hills", shadows={"pins": [first, {"view": "map", **pin}]})
-    for look in (lambda: ServedLevels([level]), lambda: levels.get("hills")):  # on load, and on a later check
+    for look in (lambda: ServedLevels([level]), lambda: levels.reload_if_changed("hills")):  # on load, and on a later check
         with pytest.raises(LevelError) as caught:
             look()
         message = str(caught.value)
         assert f"{level}: shadows.pins.1{words[0]}" in message and all(word in message for word in words) and "\n" not in message
         assert exit_status(caught.value) == 2
     level.write_text(json.dumps({**text, "shadows": {"pins": [first]}}))
-    assert levels.get("hills").loaded.level.shadows.pins[0].map_size == 512
+    assert levels.reload_if_changed("hills").loaded.level.shadows.pins[0].map_size == 512
 
 
 def test_pin_unsupported_in_its_view_is_reported(tmp_path: Path):

@@ -28,7 +28,9 @@ def pixels(client: Client, address: str = f"{SNAPSHOT}.png", **parameters: str) 
 def test_requested_view_equals_a_view_of_the_level(client: Client, folder: Path):
     """The same numbers in a level file draw the same picture."""
     camera = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0], "fov": 40}
-    color = snapshot(write_level(folder, "viewed", views={"made": camera}), "made", ProductRequest(), {}, (96, 64)).computed.array
+    color = snapshot(
+        write_level(folder, "viewed", views={"request": camera}), "request", ProductRequest(), {}, (96, 64)
+    ).computed.array
     requested_pixels = pixels(client, eye=EYE, target=TARGET, fov="40")
     assert np.array_equal(requested_pixels, color[..., :3]) and len(np.unique(requested_pixels.reshape(-1, 3), axis=0)) > 100, (
         "it is not blank"

@@ -14,7 +14,7 @@ from PIL import Image
 from skugga.api.compute import compute
 from skugga.api.encoding import encode
 from skugga.api.http.server.app import create_app
-from skugga.api.http.state.level_checks import LevelCheck
+from skugga.api.http.state.level_checks import FileCheck
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
 from skugga.api.request import ProductRequest
 from skugga.api.settings import Settings
@@ -285,7 +285,7 @@ def test_opaque_color_tile_has_no_alpha(client: Client, hills_level):
 def test_cached_tile_bypasses_the_application(client: Client, monkeypatch):
     query = {"azimuth": 201.5, "altitude": 33.0}
     first = client.get(TILE, params=query)
-    monkeypatch.setattr(LevelCheck, "_is_fresh", lambda check: True)  # as if its files had just been checked
+    monkeypatch.setattr(FileCheck, "_is_fresh", lambda check: True)  # as if its files had just been checked
     monkeypatch.setattr(type(client.service.levels), "current", None)  # every request for a level fails
     cached_response, head = client.get(TILE, params=query), client.head(TILE, params=query)
     assert cached_response.content == first.content and "block;desc=kept" in cached_response.headers["server-timing"]

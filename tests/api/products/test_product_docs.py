@@ -89,7 +89,7 @@ def test_the_pages_example_has_colours_for_its_numbers(slope, make_scene, write_
 def test_product_records_are_consistent(name: str):
     """No field of a record contradicts another."""
     product = PRODUCTS[name]
-    assert product.about or not product.map_formats, "what HTTP serves is described"
+    assert product.description or not product.map_formats, "what HTTP serves is described"
     assert not product.is_picture or product.dtype == "uint8"
     assert product.options.UNSERVED.keys() <= product.options.model_fields.keys()
     empty = product.empty_array(3, 5)

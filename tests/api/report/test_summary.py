@@ -168,7 +168,7 @@ def test_soft_edges_are_reported_if_another_row_is_best() -> None:
         (20.0, False, "Better than the default, sweep, in no more time is hybrid."),
     ],
 )
-def test_the_default_is_compared_with_the_front(ms: float, soft_front: bool, words: str) -> None:
+def test_default_algorithm_is_compared_with_pareto_front(ms: float, soft_front: bool, words: str) -> None:
     default = figures("sweep", ms, 0.03, pareto_soft=soft_front)
     sentences = [
         text for text in format_summary(comparison(default, figures("hybrid", 10.0, 0.01), default="sweep")) if "default" in text

@@ -48,7 +48,7 @@ class InProcessRunner:
         self._queue: deque[Task] = deque()
         self.drawn: list[Task] = []
 
-    def free(self) -> Sequence[int]:
+    def free_lanes(self) -> Sequence[int]:
         return [0] * (2 - len(self._queue))
 
     def submit(self, task: Task, lane: int) -> None:

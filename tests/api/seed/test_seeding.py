@@ -116,8 +116,8 @@ def test_an_interrupted_run_resumes(run: Run, tmp_path: Path):
     assert not run.output.exists()
     result, drawn_tasks = run()
     complete_run = Run(run.level, tmp_path / "whole.pmtiles", ZOOMS)
-    all_drawn = complete_run()[1]
-    assert len(drawn_tasks) == len(all_drawn) - 3
+    tasks_of_full_run = complete_run()[1]
+    assert len(drawn_tasks) == len(tasks_of_full_run) - 3
     assert run.output.read_bytes() == complete_run.output.read_bytes()
 
 
@@ -204,12 +204,12 @@ def test_a_level_that_changes_during_a_run_is_an_error(run: Run, tmp_path: Path)
 
 
 def test_an_output_has_the_requested_zooms(run: Run):
-    all_drawn = run()[1]
+    tasks_of_full_run = run()[1]
     run.zooms = 12, 13
     assert run()[1] == []
     assert {place[0] for place in tiles_of(run.output)} == {12, 13}
     run.zooms = ZOOMS
-    assert run()[1] == [] and len(all_drawn) > 4, "what was drawn for other zooms is kept"
+    assert run()[1] == [] and len(tasks_of_full_run) > 4, "what was drawn for other zooms is kept"
     assert {place[0] for place in tiles_of(run.output)} == {11, 12, 13, 14}
 
 

@@ -16,13 +16,13 @@ from skugga.api.workers.jobs import (
     BlockJob,
     BlockTiles,
     Failure,
-    FilmChecked,
     FilmCheckJob,
+    FilmCheckResult,
     FilmPicture,
+    FilmPlanState,
     FrameJob,
     Ping,
     PlanAnswer,
-    PlanHandover,
     PlanJob,
     Pong,
     Preparing,
@@ -131,7 +131,7 @@ def filming(
             continue
         if isinstance(job, FilmCheckJob):
             failure = Failure.of(InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground"))
-            pipe.send(failure if job.view == "refuse" else FilmChecked(1500.0))
+            pipe.send(failure if job.view == "refuse" else FilmCheckResult(1500.0))
             continue
         if job_started is not None:
             job_started.release()
@@ -143,8 +143,8 @@ def filming(
         order = dict(orders).get(job.number)
         if order == "crash":
             os._exit(9)
-        planned = 1 if job.previous_plans is None else job.previous_plans.state + 1
-        picture = FilmPicture(np.full((FILM_ROWS, FILM_COLS, 3), planned, np.uint8), PlanHandover(planned))  # type: ignore[arg-type]
+        planned = 1 if job.previous_plan_state is None else job.previous_plan_state.state + 1
+        picture = FilmPicture(np.full((FILM_ROWS, FILM_COLS, 3), planned, np.uint8), FilmPlanState(planned))  # type: ignore[arg-type]
         pipe.send(picture if order is None else _answer(order))
 
 

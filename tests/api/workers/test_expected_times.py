@@ -22,8 +22,12 @@ def test_every_kind_of_job_has_an_initial_estimate():
 
 def test_map_times_scale_with_pixels_and_differ_by_product():
     times = ExpectedTimes()
-    assert times.of(map_job(2000)) == 4 * times.of(map_job(1000)) == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
-    times.learn(map_job(1000), 0.2)
-    assert abs(times.of(map_job(2000)) - 0.8) < 1e-9
+    assert (
+        times.expected_s(map_job(2000))
+        == 4 * times.expected_s(map_job(1000))
+        == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
+    )
+    times.add_duration(map_job(1000), 0.2)
+    assert abs(times.expected_s(map_job(2000)) - 0.8) < 1e-9
     sun_hours_job = map_job(1000, request=sun_hours_of(date="2024-03-21"))
-    assert times.of(sun_hours_job) == INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
+    assert times.expected_s(sun_hours_job) == INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX

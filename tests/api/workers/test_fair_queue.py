@@ -79,11 +79,11 @@ class Crowd:
             elif event_kind == "done":
                 running = None
                 self.queue.discard(event_target)
-                self.queue.learn(event_target.job, self.job_seconds(event_target.job))
+                self.queue.add_duration(event_target.job, self.job_seconds(event_target.job))
                 self.answered[event_target.client] += 1
                 self.spent_s[event_target.client] += self.job_seconds(event_target.job)
                 later(now_s, "ask", event_target.client)
-            if running is None and (running := self.queue.take(now_s)) is not None:
+            if running is None and (running := self.queue.start_next(now_s)) is not None:
                 self.waited_s[running.client].append(now_s - running.arrived_s)
                 later(now_s + self.job_seconds(running.job), "done", running)
         return self
@@ -133,12 +133,12 @@ def test_a_greedy_client_does_not_slow_normal_ones():
 def test_the_queued_work_of_a_client_is_bounded_in_seconds():
     queue = JobQueue(1)
     for n in range(100):
-        queue.learn(snapshot(n), 0.01)
+        queue.add_duration(snapshot(n), 0.01)
     for n in range(100):
         check_admission(queue, snapshot(n), "one", 0.0, SETTINGS)
         queue.put(pending(snapshot(n), "one"))
     heavy = PlanJob(level=LEVEL, view="map")
-    queue.learn(heavy, 30.0)
+    queue.add_duration(heavy, 30.0)
     with pytest.raises(RetryLaterError, match="this one would add 30.0 s") as error_info:
         check_admission(queue, heavy, "one", 0.0, SETTINGS)
     assert error_info.value.retry_after_s == 1
@@ -147,7 +147,7 @@ def test_the_queued_work_of_a_client_is_bounded_in_seconds():
 
 def test_a_screenful_is_admitted_however_long_it_takes():
     queue = JobQueue(1)
-    queue.learn(block(0), 5.0)
+    queue.add_duration(block(0), 5.0)
     for n in range(SCREENFUL):
         check_admission(queue, block(n), "one", 0.0, SETTINGS)
         queue.put(pending(block(n), "one"))
@@ -166,7 +166,7 @@ def test_small_maps_count_as_tiles(side: int, is_one: bool):
 
 def test_the_expected_wait_depends_on_the_client_s_own_queue():
     queue = JobQueue(1)
-    queue.learn(block(0), 1.0)
+    queue.add_duration(block(0), 1.0)
     for n in range(10):
         queue.put(pending(block(n), "greedy"))
     assert queue.wait_s(block(99), "greedy", 0.0) == pytest.approx(10.0)
@@ -178,17 +178,17 @@ def test_the_expected_wait_uses_the_times_of_the_job_s_kind():
     for n in range(2):
         queue.put(pending(block(n), "one"))
     assert queue.wait_s(block(9), "one", 0.0) == pytest.approx(1.0), "two first guesses"
-    queue.learn(block(0), 4.0)
+    queue.add_duration(block(0), 4.0)
     assert queue.wait_s(block(9), "one", 0.0) == pytest.approx(8.0)
 
 
 def test_layers_have_separate_expected_times():
     queue = JobQueue(1)
     mask = block(0).model_copy(update={"request": ProductRequest(product="mask"), "format": "tif", "tiles": 2})
-    queue.learn(block(0), 0.1)
-    assert queue.expected.of(mask) == pytest.approx(0.1), "as its kind"
-    queue.learn(mask, 3.0)
-    assert (queue.expected.of(mask), queue.expected.of(block(0))) == pytest.approx((3.0, 0.1))
+    queue.add_duration(block(0), 0.1)
+    assert queue.expected_times.expected_s(mask) == pytest.approx(0.1), "as its kind"
+    queue.add_duration(mask, 3.0)
+    assert (queue.expected_times.expected_s(mask), queue.expected_times.expected_s(block(0))) == pytest.approx((3.0, 0.1))
 
 
 def test_retry_after_is_whole_and_at_most_two_minutes():

@@ -97,7 +97,7 @@ def test_a_block_of_a_killed_process_is_retried(gated):
     with ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(client.get, tile())
         wait_begun()
-        os.kill(*client.service.pool.pids, signal.SIGKILL)
+        os.kill(*client.service.pool.ready_pids, signal.SIGKILL)
         wait_begun()
         release()
         assert drawing.result().status_code == 200, "another process has begun it again"

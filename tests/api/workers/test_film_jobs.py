@@ -22,7 +22,7 @@ from skugga.api.request import PictureRequest
 from skugga.api.workers import film_jobs
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import BACKGROUND_PENALTY_S, JobQueue, PendingJob
-from skugga.api.workers.jobs import FilmPicture, FrameJob, PlanHandover
+from skugga.api.workers.jobs import FilmPicture, FilmPlanState, FrameJob
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.pool import Pool
 from skugga.selector.film import film_frames, frame_moments
@@ -39,8 +39,8 @@ from tests.api.workers.test_pool import LEVEL, TIMEOUT_S, block, order, run_with
 SPAN = FilmSpan(10, 60.0)
 
 
-def frame(number: int = 0, before: PlanHandover | None = None) -> FrameJob:
-    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, previous_plans=before)
+def frame(number: int = 0, before: FilmPlanState | None = None) -> FrameJob:
+    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, previous_plan_state=before)
 
 
 def pending(job: Any, arrived_s: float) -> PendingJob:
@@ -54,7 +54,7 @@ def test_pictures_go_before_earlier_frames():
         queue.put(job)
     taken_jobs = []
     for _ in range(3):
-        taken_jobs.append(queue.take(20.0))
+        taken_jobs.append(queue.start_next(20.0))
         queue.discard(taken_jobs[-1])  # type: ignore[arg-type]
     assert taken_jobs == [tile, plan, first]
 
@@ -64,19 +64,19 @@ def test_a_frame_is_not_starved_by_a_steady_load():
     first, late = pending(frame(), 0.0), pending(block(1), BACKGROUND_PENALTY_S + 30.0)
     queue.put(first)
     queue.put(late)
-    assert queue.take(BACKGROUND_PENALTY_S + 30.0) is first
+    assert queue.start_next(BACKGROUND_PENALTY_S + 30.0) is first
 
 
 def test_frames_leave_one_process_for_pictures():
     queue = JobQueue(3, ExpectedTimes())
-    queue.expected.learn(frame(), 0.001)
+    queue.expected_times.add_duration(frame(), 0.001)
     for number in range(3):
         queue.put(pending(frame(number), 0.0))
-    assert [queue.take(0.0) is not None for _ in range(3)] == [True, True, False]
-    queue.expected.learn(block(0), 0.1)
+    assert [queue.start_next(0.0) is not None for _ in range(3)] == [True, True, False]
+    queue.expected_times.add_duration(block(0), 0.1)
     tile = pending(block(1), 1.0)
     queue.put(tile)
-    assert queue.take(1.0) is tile
+    assert queue.start_next(1.0) is tile
 
 
 def test_waiting_frames_do_not_count_as_queued_pictures():
@@ -156,9 +156,9 @@ def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
         gate.open()
         first = await pool.run(frame(0))
         await gate.job_started()
-        drawing = asyncio.create_task(pool.run(frame(1, first.next_plans)))  # type: ignore[union-attr]
+        drawing = asyncio.create_task(pool.run(frame(1, first.next_plan_state)))  # type: ignore[union-attr]
         await gate.job_started()
-        os.kill(*pool.pids, signal.SIGKILL)
+        os.kill(*pool.ready_pids, signal.SIGKILL)
         await gate.job_started()
         gate.open()
         second = await drawing
@@ -233,19 +233,19 @@ def test_single_frames_equal_those_of_the_film(
         and expected_frames[0].plan.headline != expected_frames[-1].plan.headline
     )
 
-    before: PlanHandover | None = None
+    before: FilmPlanState | None = None
     for number, expected in enumerate(expected_frames):
         monkeypatch.setattr(film_jobs, "plan_function_in_service", lambda *_, number=number: plans(number))
-        job = FrameJob(level=level, span=request.span, view="eye", number=number, previous_plans=before)
+        job = FrameJob(level=level, span=request.span, view="eye", number=number, previous_plan_state=before)
         picture = pickle.loads(pickle.dumps(film_jobs.film_picture(pickle.loads(pickle.dumps(job)), scene, PlanBasis())))
         assert np.array_equal(picture.color, expected.color), number
-        before = picture.next_plans
+        before = picture.next_plan_state
     scene.close()
 
 
 def test_equal_frames_differ_by_their_plan_handover():
     assert frame(0) == frame(0) and hash(frame(0)) == hash(frame(0))
-    handover, other_handover = PlanHandover(1), PlanHandover(1)  # type: ignore[arg-type]
+    handover, other_handover = FilmPlanState(1), FilmPlanState(1)  # type: ignore[arg-type]
     assert frame(1, handover) == frame(1, handover) != frame(1, other_handover), "plans that were made apart are others"
     request = PictureRequest(sun=SunSpec(azimuth=100, altitude=30))
     assert frame(0).model_copy(update={"request": request}) != frame(0)

@@ -36,7 +36,12 @@ def test_plan_versions_depend_on_profile_and_probes():
     assert probed.version_of(OTHER_LEVEL) == basis.version_of(OTHER_LEVEL) == probed.version_of(None)
     versions = {
         plan_basis.version_of(LEVEL)
-        for plan_basis in (basis, probed, basis.with_probed({LEVEL.version: "fine"}), PlanBasis(probed=probed.probed))
+        for plan_basis in (
+            basis,
+            probed,
+            basis.with_probed({LEVEL.version: "fine"}),
+            PlanBasis(probes_json_by_version=probed.probes_json_by_version),
+        )
     }
     assert len(versions) == 4
     both_probed = probed.with_probed({OTHER_LEVEL.version: "fine"})
@@ -57,7 +62,7 @@ def test_all_processes_adopt_a_new_basis():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: len(pool.pids) == 3)
+        await wait_until(lambda: len(pool.ready_pids) == 3)
         for first, basis in enumerate([None, PlanBasis(profile()), PlanBasis(profile(took_s=2.0))]):
             pool.basis = basis or pool.basis
             # one job at a time for each process
@@ -125,11 +130,11 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
             pool.basis = pool.basis.with_probed({LEVEL.version: str(version)})
 
         assert plan_version_of(await pool.run(block(1))) == ""
-        pool.idle.add(IdleJob(os.getenv, (), note, failures.append))  # fails: it needs an argument
-        pool.idle.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
-        pool.idle.add(IdleJob(abs, (-5,), note, failures.append))
+        pool.idle_work.add(IdleJob(os.getenv, (), note, failures.append))  # fails: it needs an argument
+        pool.idle_work.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
+        pool.idle_work.add(IdleJob(abs, (-5,), note, failures.append))
         await wait_until(lambda: pool.plan_version(LEVEL) != "")
-        assert pool.basis is not None and pool.basis.probed == {LEVEL.version: "5"}
+        assert pool.basis is not None and pool.basis.probes_json_by_version == {LEVEL.version: "5"}
         assert pool.plan_version(OTHER_LEVEL) == ""
         assert plan_version_of(await pool.run(block(1))) == pool.plan_version(LEVEL)
         assert plan_version_of(await pool.run(block(1).model_copy(update={"level": OTHER_LEVEL}))) == ""
@@ -151,9 +156,9 @@ def test_idle_work_waits_until_nothing_is_drawn(monkeypatch: pytest.MonkeyPatch)
 
         running = asyncio.create_task(pool.run(block(1)))
         await gate.job_started()
-        pool.idle.add(IdleJob(abs, (-5,), note, pytest.fail))
+        pool.idle_work.add(IdleJob(abs, (-5,), note, pytest.fail))
         await asyncio.sleep(0.3)
-        assert pool.idle.pid is None and not finished.is_set()
+        assert pool.idle_work.pid is None and not finished.is_set()
         gate.open()
         await running
         await finished.wait()

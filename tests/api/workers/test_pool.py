@@ -39,10 +39,10 @@ def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_worke
         pool.open()
         try:
             await asyncio.wait_for(scenario(pool), TIMEOUT_S)
-            return set(pool.pids)
+            return set(pool.ready_pids)
         finally:
             await pool.close()
-            assert not pool.pids
+            assert not pool.ready_pids
 
     for pid in asyncio.run(run()):
         assert not alive(pid)
@@ -83,7 +83,7 @@ def test_a_pool_answers_a_plan_job():
         answer = await pool.run(order("map"))
         assert isinstance(answer, PlanAnswer)
         assert answer.plan_json == '{"view": "map"}'
-        assert pool.ready
+        assert pool.is_ready
         assert pool.renderer == fake_workers.RENDERER
 
     run_with_pool(scenario)
@@ -97,10 +97,10 @@ def test_compilation_before_readiness_is_reported(caplog: pytest.LogCaptureFixtu
         assert pool.preparing == Preparing("starting a render process")
         pool.open()
         await wait_until(lambda: pool.preparing == Preparing("compiling loops for map tiles", 3, 9))
-        assert not pool.ready
+        assert not pool.is_ready
         may_finish.release()
         await asyncio.wait_for(pool.wait_for_first_process(), TIMEOUT_S)
-        assert pool.ready and pool.preparing is None
+        assert pool.is_ready and pool.preparing is None
         await pool.close()
 
     with caplog.at_level("INFO", "skugga"):
@@ -136,11 +136,11 @@ def test_missing_loops_are_compiled_in_the_background(monkeypatch: pytest.Monkey
         pool = Pool(Settings(workers=2), functools.partial(fake_workers.compiling, missing=7))
         pool.open()
         await wait_until(lambda: pool.preparing == Preparing("compiling loops for points", 5, 7))
-        assert pool.ready and pool.compiling.is_running
+        assert pool.is_ready and pool.background_compile.is_running
         assert isinstance(await pool.run(block(1)), BlockTiles), "nobody waits for it"
-        assert not pool.idle._is_idle(), "what is measured while the machine is idle waits"
+        assert not pool.idle_work._is_idle(), "what is measured while the machine is idle waits"
         finished.set()
-        await wait_until(lambda: pool.preparing is None and not pool.compiling.is_running)
+        await wait_until(lambda: pool.preparing is None and not pool.background_compile.is_running)
         await pool.close()
 
     asyncio.run(run())
@@ -152,8 +152,8 @@ def test_a_stopping_service_ends_background_compilation(monkeypatch: pytest.Monk
     async def run() -> int:
         pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, missing=7))
         pool.open()
-        await wait_until(lambda: pool.compiling._farm is not None)
-        farm = pool.compiling._farm
+        await wait_until(lambda: pool.background_compile._compile_process is not None)
+        farm = pool.background_compile._compile_process
         assert farm is not None
         await asyncio.wait_for(pool.close(), TIMEOUT_S)
         return farm.returncode
@@ -163,10 +163,10 @@ def test_a_stopping_service_ends_background_compilation(monkeypatch: pytest.Monk
 
 def test_other_workers_start_when_the_first_is_ready():
     async def scenario(pool: Pool) -> None:
-        assert not pool.pids
+        assert not pool.ready_pids
         await pool.wait_for_first_process()
-        assert len(pool.pids) == 1
-        await wait_until(lambda: len(pool.pids) == 3)
+        assert len(pool.ready_pids) == 1
+        await wait_until(lambda: len(pool.ready_pids) == 3)
 
     run_with_pool(scenario, workers=3)
 
@@ -301,11 +301,11 @@ def test_an_error_affects_only_its_own_job(view: str, error: type[Exception]):
 def test_a_job_over_its_time_limit_ends_its_process():
     async def scenario(pool: Pool) -> None:
         await pool.run(order("map"))
-        (pid,) = pool.pids
+        (pid,) = pool.ready_pids
         with pytest.raises(RenderTimeoutError):
             await pool.run(order("hang"))
         assert isinstance(await pool.run(order("map")), PlanAnswer)
-        assert pid not in pool.pids
+        assert pid not in pool.ready_pids
         assert not alive(pid)
 
     run_with_pool(scenario, render_timeout_s=0.5)
@@ -318,7 +318,7 @@ def test_a_job_of_a_killed_process_is_retried():
         running_job = asyncio.create_task(pool.run(order("first")))
         await gate.job_started()
         queued = asyncio.create_task(pool.run(order("second")))
-        os.kill(*pool.pids, signal.SIGKILL)
+        os.kill(*pool.ready_pids, signal.SIGKILL)
         gate.open(2)
         assert isinstance(await running_job, PlanAnswer), "it is begun again by another process"
         assert isinstance(await queued, PlanAnswer)
@@ -329,10 +329,10 @@ def test_a_job_of_a_killed_process_is_retried():
 
 def test_a_process_killed_while_idle_is_replaced():
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: pool.ready)
-        (pid,) = pool.pids
+        await wait_until(lambda: pool.is_ready)
+        (pid,) = pool.ready_pids
         os.kill(pid, signal.SIGKILL)
-        await wait_until(lambda: pool.ready and pid not in pool.pids)
+        await wait_until(lambda: pool.is_ready and pid not in pool.ready_pids)
         assert isinstance(await pool.run(order("map")), PlanAnswer)
 
     run_with_pool(scenario)
@@ -354,7 +354,7 @@ def test_a_pool_that_cannot_start_raises_for_all_jobs(target, error):
             await pool.run(order("waits for the first start"))
         with pytest.raises(error):
             await pool.run(order("comes later"))
-        assert not pool.ready
+        assert not pool.is_ready
 
     run_with_pool(scenario, target)
 
@@ -375,7 +375,7 @@ def test_closing_fails_running_and_queued_jobs():
         await gate.job_started()
         queued = asyncio.create_task(pool.run(order("second")))
         await wait_until(lambda: pool.queued == 1)
-        (pid,) = pool.pids
+        (pid,) = pool.ready_pids
         await pool.close()
         for task in (running_job, queued):
             with pytest.raises(BusyError):

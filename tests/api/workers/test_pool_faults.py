@@ -54,10 +54,10 @@ def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.Monkey
     monkeypatch.setattr(piped_process, "get_context", context)
 
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: pool.ready)
-        started_counts.extend(pool.pids)
-        os.kill(*pool.pids, signal.SIGKILL)
-        await wait_until(lambda: not failures_left[0] and pool.ready and set(started_counts) != pool.pids)
+        await wait_until(lambda: pool.is_ready)
+        started_counts.extend(pool.ready_pids)
+        os.kill(*pool.ready_pids, signal.SIGKILL)
+        await wait_until(lambda: not failures_left[0] and pool.is_ready and set(started_counts) != pool.ready_pids)
         assert pool.is_healthy
         assert isinstance(await pool.run(order("map")), PlanAnswer)
 
@@ -66,9 +66,9 @@ def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.Monkey
 
 def test_an_ended_worker_slot_is_reported():
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: pool.ready)
+        await wait_until(lambda: pool.is_ready)
         assert pool.is_healthy
-        pool._slots[0].cancel()
+        pool._supervisor_tasks[0].cancel()
         await wait_until(lambda: not pool.is_healthy)
 
     run_with_pool(scenario)
@@ -79,12 +79,12 @@ def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(pool_module, "HEARTBEAT_TIMEOUT_S", 0.2)
 
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: pool.ready)
-        (pid,) = pool.pids
+        await wait_until(lambda: pool.is_ready)
+        (pid,) = pool.ready_pids
         os.kill(pid, signal.SIGSTOP)
-        await wait_until(lambda: is_stopped(pid) or pid not in pool.pids)
-        assert not pool.ready or pid not in pool.pids
-        await wait_until(lambda: pool.ready and pid not in pool.pids)
+        await wait_until(lambda: is_stopped(pid) or pid not in pool.ready_pids)
+        assert not pool.is_ready or pid not in pool.ready_pids
+        await wait_until(lambda: pool.is_ready and pid not in pool.ready_pids)
         assert isinstance(await pool.run(order("map")), PlanAnswer)
 
     run_with_pool(scenario)
@@ -97,7 +97,7 @@ def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
     async def scenario(pool: Pool) -> None:
         running_job = asyncio.create_task(pool.run(order("map")))
         await gate.job_started()
-        os.kill(*pool.pids, signal.SIGSTOP)
+        os.kill(*pool.ready_pids, signal.SIGSTOP)
         await gate.job_started()
         gate.open(2)
         assert isinstance(await running_job, PlanAnswer)
@@ -110,7 +110,7 @@ def test_a_queued_job_times_out():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        pool._queue.expected.learn(order("first"), 0.01)
+        pool._queue.expected_times.add_duration(order("first"), 0.01)
         running_job = asyncio.create_task(pool.run(order("first")))
         await gate.job_started()
         with pytest.raises(RetryLaterError, match=r"limit of 0.3 s") as caught:
@@ -127,8 +127,8 @@ def test_a_job_with_too_long_an_expected_wait_is_refused():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        pool._queue.expected.learn(block(0), 30.0)
-        await wait_until(lambda: pool.ready)
+        pool._queue.expected_times.add_duration(block(0), 30.0)
+        await wait_until(lambda: pool.is_ready)
         running_job = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
         waiting = asyncio.create_task(pool.run(order("waits"), "other"))
@@ -189,48 +189,48 @@ def pending(job, arrived_s: float) -> PendingJob:
 
 def test_light_jobs_pass_heavy_ones_for_a_limited_time():
     queue = JobQueue(1, ExpectedTimes())
-    queue.expected.learn(view(), 30.0)
-    queue.expected.learn(block(0), 0.1)
+    queue.expected_times.add_duration(view(), 30.0)
+    queue.expected_times.add_duration(block(0), 0.1)
     heavy, light, later_job = pending(view(), 0.0), pending(block(1), 10.0), pending(block(2), 31.0)
     for job in (heavy, light, later_job):
         queue.put(job)
-    assert [queue.take(40.0) for _ in range(1)] == [light]
+    assert [queue.start_next(40.0) for _ in range(1)] == [light]
     queue.discard(light)
-    assert queue.take(40.0) is heavy
+    assert queue.start_next(40.0) is heavy
 
 
 def test_one_process_is_reserved_for_light_jobs():
     queue = JobQueue(3, ExpectedTimes())
-    queue.expected.learn(block(0), 0.1)
+    queue.expected_times.add_duration(block(0), 0.1)
     slow_jobs = [view((640 + n, 480)) for n in range(4)]
     for job in slow_jobs:
         queue.put(pending(job, 0.0))
-    taken_jobs = [queue.take(0.0) for _ in range(3)]
+    taken_jobs = [queue.start_next(0.0) for _ in range(3)]
     assert [taken_job is not None for taken_job in taken_jobs] == [True, True, False]
     queue.put(pending(block(1), 5.0))
-    light = queue.take(5.0)
+    light = queue.start_next(5.0)
     assert light is not None and isinstance(light.job, BlockJob)
-    assert queue.take(5.0) is None
+    assert queue.start_next(5.0) is None
     queue.discard(taken_jobs[0])  # type: ignore[arg-type]
-    assert queue.take(5.0) is not None
+    assert queue.start_next(5.0) is not None
 
 
 def test_a_single_process_does_heavy_jobs_too():
     queue = JobQueue(1, ExpectedTimes())
     queue.put(pending(view(), 0.0))
-    assert queue.take(0.0) is not None
+    assert queue.start_next(0.0) is not None
 
 
 def test_expected_times_follow_measurements():
     expected = ExpectedTimes()
     assert not expected.is_light(block(0))
-    expected.learn(block(0), 1.0)
-    assert expected.is_light(block(1)) and expected.of(block(1)) == 1.0
-    expected.learn(block(1), 2.0)
-    assert expected.of(block(2)) == pytest.approx(1.3)
-    assert expected.of(block(2).model_copy(update={"level": OTHER_LEVEL})) == 0.5, "another level is another matter"
-    expected.learn(view((1280, 1024)), 4.0)
-    assert expected.of(view((2560, 2048))) == pytest.approx(16.0), "a snapshot takes as long as it has pixels"
+    expected.add_duration(block(0), 1.0)
+    assert expected.is_light(block(1)) and expected.expected_s(block(1)) == 1.0
+    expected.add_duration(block(1), 2.0)
+    assert expected.expected_s(block(2)) == pytest.approx(1.3)
+    assert expected.expected_s(block(2).model_copy(update={"level": OTHER_LEVEL})) == 0.5, "another level is another matter"
+    expected.add_duration(view((1280, 1024)), 4.0)
+    assert expected.expected_s(view((2560, 2048))) == pytest.approx(16.0), "a snapshot takes as long as it has pixels"
 
 
 def test_the_breaker_closes_after_pauses_that_double():
@@ -300,10 +300,10 @@ def _is_alive(pid: int) -> bool:
 
 def test_a_fake_process_answers_pings():
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: pool.ready)
-        (pid,) = pool.pids
+        await wait_until(lambda: pool.is_ready)
+        (pid,) = pool.ready_pids
         await asyncio.sleep(0.3)
-        assert pool.pids == {pid}
+        assert pool.ready_pids == {pid}
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool_module, "HEARTBEAT_INTERVAL_S", 0.05)

@@ -213,8 +213,10 @@ def test_interior_errors_count_if_a_clean_row_meets_the_target():
     view_with_goal, view_without_goal = (view | {"rows": view["rows"] | {"leaky": leaky}} for view in (QUICK, NOTHING))
     every = instances_of([view_with_goal, SLOW, view_without_goal], [THREE_PERCENT])
     best = choices_of("quick", "slow", "slow")
-    assert score_choices(every, choices_of("leaky", "slow", "slow"), best).unclean == pytest.approx(1.0 / 3.0)
-    assert score_choices(every, choices_of("quick", "slow", "leaky"), best).unclean == 0.0  # no other row meets the target
+    assert score_choices(every, choices_of("leaky", "slow", "slow"), best).needless_interior_error_share == pytest.approx(1.0 / 3.0)
+    assert (
+        score_choices(every, choices_of("quick", "slow", "leaky"), best).needless_interior_error_share == 0.0
+    )  # no other row meets the target
 
 
 @pytest.mark.parametrize(("slow_ms", "closed"), [(11.8, None), (12.4, 1.0)])

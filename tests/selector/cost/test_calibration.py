@@ -112,7 +112,7 @@ def test_calibrate_profiles_the_device_that_draws(gl, monkeypatch):
     """Calibrate on one small level. The profile names the device, and its rates explain the times of every algorithm that ran."""
 
     def yield_smallest_view(folder):
-        yield replace(next(view for view in calibration_views(folder) if view.name == "few_balls_small"), grid="few")
+        yield replace(next(view for view in calibration_views(folder) if view.name == "few_balls_small"), calibration_extent="few")
 
     monkeypatch.setattr(calibration, "calibration_views", yield_smallest_view)
     monkeypatch.setattr(calibration, "TIMING_ROUNDS", 2)

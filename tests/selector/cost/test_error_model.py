@@ -21,7 +21,7 @@ from skugga.selector.cost.error_model import (
     error_groups,
     expected_errors,
     packaged_model,
-    smoothed_ladder,
+    smoothed_differing_shares,
     step_castings,
     texel_px_of,
 )
@@ -247,9 +247,9 @@ def test_error_group_of_a_sweep_over_decimated_ground():
     assert packaged_model().floor[DECIMATED] > packaged_model().floor["sweep"]
 
 
-def test_smoothed_ladder_spreads_a_single_hit():
-    assert smoothed_ladder(PROPORTIONAL_SHARES) == pytest.approx(PROPORTIONAL_SHARES)
-    one_hit = smoothed_ladder((0.0, 0.0, 0.0, 0.007, 0.0, 0.0, 0.0, 0.0))
+def test_smoothed_differing_shares_spreads_one_sample():
+    assert smoothed_differing_shares(PROPORTIONAL_SHARES) == pytest.approx(PROPORTIONAL_SHARES)
+    one_hit = smoothed_differing_shares((0.0, 0.0, 0.0, 0.007, 0.0, 0.0, 0.0, 0.0))
     # Texels of 0.5, 1 and 2 pixels sum to 3.5 pixels, which share 0.007: a five-hundredth a pixel.
     assert one_hit == pytest.approx((0.0, 0.001, 0.001, 0.001, 0.0, 0.0, 0.0, 0.0))
 
@@ -259,8 +259,8 @@ SHARES = st.integers(0, 10**9).map(lambda count: count / 1e9)
 
 
 @given(st.lists(SHARES, min_size=len(TEXEL_SIZES_PX), max_size=len(TEXEL_SIZES_PX)))
-def test_smoothed_ladder_stays_between_pooled_shares(differs):
-    smoothed = smoothed_ladder(tuple(differs))
+def test_smoothed_differing_shares_stays_between_pooled_shares(differs):
+    smoothed = smoothed_differing_shares(tuple(differs))
     assert all(0.0 <= value <= 1.0 for value in smoothed) and smoothed[-1] == pytest.approx(differs[-1])
     shares_per_pixel = [share / px for share, px in zip(differs, TEXEL_SIZES_PX, strict=True)]
     for k, (share, px) in enumerate(zip(smoothed, TEXEL_SIZES_PX, strict=True)):

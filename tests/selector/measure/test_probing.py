@@ -165,7 +165,7 @@ def test_expected_gain_of_known_candidates_is_the_time_saved():
     candidates = [Candidate(100.0, 0.001, 100.0, 0.001), Candidate(60.0, 0.001, 60.0, 0.001)]
     options = options_of(candidates)
     for index, candidate in enumerate(candidates):
-        options = options.after(
+        options = options.with_observations(
             [
                 ErrorMeasurement(candidate.error, candidate.error, candidate.error, 0.0, 0.0, 0.0, 1000).to_observation(
                     f"c{index}", candidate.ms

@@ -48,7 +48,7 @@ def test_plan_gives_reasons_for_chosen_and_omitted_effects(scene):
 def test_plan_gives_reasons_for_map_settings(scene):
     plan = plan_of(scene, scene.view(), algorithm="shadow_map")
     assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter", "bias", "fit"}
-    assert "soft_edges" in plan.runs
+    assert "soft_edges" in plan.effect_names
 
 
 def test_plan_gives_reasons_for_rejected_algorithms(scene):
@@ -57,7 +57,8 @@ def test_plan_gives_reasons_for_rejected_algorithms(scene):
     assert reasons["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refusals["map"]
     assert reasons["shadow_volume"] == f"sweep was preferred: {reasons['sun/relief: sweep']}"
     assert (
-        reasons["truth"] == ALGORITHMS["truth"].about and reasons["none"] == "the view has casters and light, so shadows are drawn"
+        reasons["truth"] == ALGORITHMS["truth"].description
+        and reasons["none"] == "the view has casters and light, so shadows are drawn"
     )
     choices = {"sun": Choice("mine", {"relief": "hybrid"}, reason={"relief": "it is mine"})}
     rejected_reasons = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
@@ -83,7 +84,7 @@ def test_plan_at_night_has_no_shadows_and_says_so(scene):
     plan = plan_of(night, night.view())
     assert plan.algorithm == {"sun": {"relief": "none"}} and plan.settings == {}
     assert "night" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
-    assert not plan.runs & {"cast_shadows", "alpha_test", "soft_edges", "outside_casters", "clouds"}
+    assert not plan.effect_names & {"cast_shadows", "alpha_test", "soft_edges", "outside_casters", "clouds"}
     assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "none"]
 
 
@@ -167,7 +168,7 @@ def test_render_rejects_a_skipped_pass(gl, scene, monkeypatch):
     import numpy as np
 
     def skip_depth_pass(buffer, scene, light, kinds, casters, settings, log):
-        with log.run(log.named(light, kinds, shadow_map.PASSES)[1]):
+        with log.record_pass(log.pass_names(light, kinds, shadow_map.PASSES)[1]):
             return np.ones(buffer.valid.shape, np.float32)
 
     monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill=skip_depth_pass))

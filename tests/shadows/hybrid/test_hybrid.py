@@ -136,7 +136,7 @@ def test_hybrid_records_marked_pixels_and_tiles(gl, tmp_path):
     view_points = shadow_case(build_mesh_scene(tmp_path, [BODIES["one through another"]], 200, 35, **SHADOW_SIDE_VIEWS))
     log = PassLog(requested_layers=frozenset({"silhouettes", "stencil"}))
     view_points.volume_visibility("conservative", log)
-    layers = log.take()
+    layers = log.take_layers()
     marks, counts = layers["silhouettes", "sun"][0], layers["stencil", "sun"][0]
     record = stencil_record(log)
     assert set(np.unique(marks)) == {0, 255} and record.marked == (marks == 255).sum() > 50

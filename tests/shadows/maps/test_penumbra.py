@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, minimum_filter
 
 from skugga.shadows.area_light import sun_disc
 from skugga.shadows.attached import attached
-from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, MAX_HALF_DISC_TEXELS, samples_before_edges
+from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, MAX_HALF_DISC_TEXELS, disc_samples_before_edges
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.resolve import MESHES
@@ -127,7 +127,9 @@ def test_disc_samples_are_the_rays_of_truth():
     rays = sun_disc(np.array([0.0, -1.0, 0.0]), DISC_SAMPLES)
     disc_radius = np.hypot(rays[:, 0], rays[:, 2]) / -rays[:, 1] / DISC_TANGENT
     angle = np.arange(DISC_SAMPLES) * np.pi * (3.0 - 5.0**0.5)
-    for bits, coordinate in zip(samples_before_edges(), (disc_radius * np.cos(angle), disc_radius * np.sin(angle)), strict=True):
+    for bits, coordinate in zip(
+        disc_samples_before_edges(), (disc_radius * np.cos(angle), disc_radius * np.sin(angle)), strict=True
+    ):
         assert bits.shape == (EDGE_STEPS + 1, 4) and bits.dtype == np.uint32
         for number in (0, 13, 64, 100, EDGE_STEPS):
             set_bits = [bool(bits[number, k // 32] >> np.uint32(k % 32) & np.uint32(1)) for k in range(DISC_SAMPLES)]

@@ -52,7 +52,7 @@ def test_sun_day_over_level_ground_is_the_astronomical_day(surroundings_at):
     assert day.direct_h == pytest.approx(day.daylight_h, abs=0.003) and day.masked_h < 0.003
     _, noon, _ = apparent_position(day.noon, place.lon_deg, place.lat_deg)
     assert noon == pytest.approx(day.noon_altitude_deg, abs=0.01)
-    assert day.remark is None and len(day.sunlit) == 1 and day.sunlit[0].after is None
+    assert day.remark is None and len(day.sunlit) == 1 and day.sunlit[0].occluder_before is None
 
 
 def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(surroundings_at):
@@ -66,7 +66,7 @@ def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(surroundings_at):
     assert day.last_sun.timestamp() == pytest.approx(last, abs=15)
     assert day.direct_h == pytest.approx(lit.sum() * 10 / 3600, abs=0.02)
     assert day.masked_h > 1.0 and day.first_sun > day.sunrise and day.last_sun < day.sunset
-    caster = day.sunlit[0].after
+    caster = day.sunlit[0].occluder_before
     assert caster.kind == "relief" and 1000 < caster.distance_m < 4500 and caster.height_m > 100
     assert sum(interval.hours for interval in day.sunlit) == pytest.approx(day.direct_h, abs=0.002)
     assert sampled_sun_hours(surroundings, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)

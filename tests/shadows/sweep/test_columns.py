@@ -50,7 +50,7 @@ def test_sweep_of_a_city_on_the_globe_matches_rays(tmp_path: Path, cell: Any, cr
     rays = ray_scene(buffer, scene, casters, ALL_KINDS)
     log = PassLog(requested_layers=frozenset({"shadow-height"}))
     lit = sweep_visibility(buffer, scene, log) > 0.5
-    ((shadow_m,),) = log.take().values()
+    ((shadow_m,),) = log.take_layers().values()
     above_m = shadow_m - buffer.height_m
     certain = (above_m == 0.0) | (above_m > rays.offset_m)  # where rays do not start above the shadow
     assert certain.mean() > 0.999 and 0.02 < lit.mean() < 0.98
@@ -97,7 +97,7 @@ def test_sweep_of_columns_disc_and_shadow_height(tmp_path: Path):
     middle = np.arange(64) + 0.5
     shadow_m = np.where((middle > 24.0) & (middle < 54.6), 30.6 - (middle - 24.0), np.where(middle < 20.0, 0.0, heights[0]))
     assert (lit[10] < 0.5).tolist() == ((middle > 24.0) & (middle < 54.6)).tolist()
-    ((height_m,),) = log.take().values()
+    ((height_m,),) = log.take_layers().values()
     np.testing.assert_allclose(height_m[10], shadow_m, atol=1e-3)
     soft = sweep_visibility(buffer, scene, filter="sun")
     edge = np.abs(middle - 54.6) < 0.3

@@ -16,11 +16,11 @@ from skugga.shadows.sweep.grid import (
     NO_RAY_HEIGHTS,
     LineState,
     flat_grid,
-    no_peaks,
+    initial_peaks,
     position_cubics,
-    state_after,
     sunlit,
     sweep_nodes,
+    sweep_to_state,
     turned_linear_values,
 )
 from skugga.shadows.sweep.horizon import horizon_deg
@@ -204,7 +204,7 @@ def test_sweep_rows_continue_across_windows():
     results = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
         line_max, lit = np.full((4, 300), NO_GROUND_RAY_HEIGHT, np.float32), np.ones((n, columns), np.bool_)
-        strip = Strip(4, -60, line_max, no_peaks(4, 300))
+        strip = Strip(4, -60, line_max, initial_peaks(4, 300))
         for first, last in zip(borders, borders[1:], strict=False):
             sweep_rows(sheet, strip, first, last, NO_RAY_HEIGHTS, lit, no_points(n))
         results.append((line_max, lit))
@@ -219,7 +219,7 @@ def test_sweep_state_carries_the_shadow_of_earlier_ground():
     assert (~lit[60:90]).any()
     first_grid, second_grid = turned_grid(heights[:61], 3.0, 20.0), turned_grid(heights[60:], 3.0, 20.0)
     shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels count from each window's corner
-    state = state_after(first_grid, 4, (-30.0, 120.0))
+    state = sweep_to_state(first_grid, 4, (-30.0, 120.0))
     line_max = np.where(state.line_max > NO_GROUND_RAY_HEIGHT / 2, state.line_max - np.float32(shift), NO_GROUND_RAY_HEIGHT)
     shifted_state = LineState(state.first_cell, line_max.astype(np.float32))
     t0 = 60 * np.tan(np.radians(3.0))

@@ -156,13 +156,13 @@ def comparison(scene) -> Iterator[Comparison]:
     """Return every row measured once: times do not matter here."""
     x, y = scene.view().centre
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skugga.selector.measure.compare.ROW_REPEATS", 0)
+        patch.setattr("skugga.selector.measure.compare.TIMING_REPEATS", 0)
         yield compare(scene, scene.view(bounds=(x - 2000, y - 2000, x + 2000, y + 2000), size=(125, 125)))
 
 
 def test_noise_floor_is_far_below_the_errors(gl, comparison, baseline):
     assert comparison.noise_floor < baseline.wrong_cast / 3
-    assert 0.0 < comparison.surface < 0.1
+    assert 0.0 < comparison.simplification_share < 0.1
 
 
 def test_sun_disc_has_the_suns_size_and_centre():

@@ -105,7 +105,7 @@ def test_a_map_finer_than_its_raster_reads_few_patches(gl, write_raster, make_sc
         len(casters(scene, close_view)[1].patches),
         render(scene, wide_view, algorithm="shadow_map", filter=1, map_size=1024),
     )
-    monkeypatch.setattr("skugga.terrain.casters.reach.NODES_PER_CELL", 1e9)
+    monkeypatch.setattr("skugga.terrain.casters.reach.MAX_FULL_DETAIL_NODES_PER_CELL", 1e9)
     full_detail = (
         len(casters(scene, close_view)[1].patches),
         render(scene, wide_view, algorithm="shadow_map", filter=1, map_size=1024),

@@ -37,10 +37,10 @@ def eye_view(north_m: float, height_m: float) -> dict:
 def test_a_tree_too_small_to_be_drawn_needs_no_alpha_test(gl, make_tree_scene):
     scene = make_tree_scene()
     wide_view, close_view = (scene.view(bounds=(-m, -m, m, m), size=(64, 64)) for m in (900.0, 30.0))
-    assert "alpha_test" in make_plan(describe(scene, close_view), scene.loaded.level).runs
+    assert "alpha_test" in make_plan(describe(scene, close_view), scene.loaded.level).effect_names
     plan = make_plan(describe(scene, wide_view), scene.loaded.level)
     assert "no tree is large enough to be drawn" in {item.reason for item in plan.left_out}
-    assert plan.runs.isdisjoint({"alpha_test", "cast_shadows"})
+    assert plan.effect_names.isdisjoint({"alpha_test", "cast_shadows"})
 
 
 @pytest.mark.parametrize("pixel_m", [0.2, 1.0, 2.0, 5.0, 20.0, 60.0])
@@ -59,7 +59,7 @@ def test_a_view_without_drawn_trees_is_described(gl, make_tree_scene, lights: di
     scene = make_tree_scene(lights=lights, views={"eye": eye_view(10.0, height_m)})
     view = scene.view("eye")
     frame = render_frame(scene, view, make_plan(describe(scene, view, "eye"), scene.loaded.level))
-    assert frame.effects == frame.plan.runs
+    assert frame.effects == frame.plan.effect_names
     assert ("alpha_test" in frame.effects) <= (height_m < 1000.0)
 
 
@@ -67,4 +67,4 @@ def test_a_window_without_tree_shade_records_its_plan(gl, make_tree_scene):
     scene = make_tree_scene()
     view = scene.view(bounds=(700.0, 700.0, 760.0, 760.0), size=(64, 64))
     frame = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level))
-    assert "alpha_test" in frame.plan.runs and frame.effects == frame.plan.runs
+    assert "alpha_test" in frame.plan.effect_names and frame.effects == frame.plan.effect_names

@@ -191,7 +191,7 @@ def test_clouds_are_called_for_only_where_they_show(make_cloudy_scene) -> None:
             for effect_switch in ("on", "off")
         )
         difference = np.abs(with_clouds - without_clouds).max()
-        if "clouds" in plan_of(later_scene, view).runs:
+        if "clouds" in plan_of(later_scene, view).effect_names:
             run_count, invisible_count = run_count + 1, invisible_count + (difference == 0)
         else:
             assert difference <= 1
@@ -207,7 +207,7 @@ def test_clouds_left_out_under_a_low_sun_do_not_show(make_scene, write_raster, a
     with_clouds, without_clouds = (
         render_frame(scene, view, plan_of(scene, view, effect_switch)).color.astype(int) for effect_switch in ("on", "off")
     )
-    if "clouds" not in plan_of(scene, view).runs:
+    if "clouds" not in plan_of(scene, view).effect_names:
         assert np.abs(with_clouds - without_clouds).max() <= 1
 
 

@@ -59,7 +59,7 @@ def casting_facets(buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
     Every facet is tested against every point.
     """
     assert buffer.surface is not None
-    sheet = buffer.surface.casting.sheet
+    sheet = buffer.surface.with_rim.sheet
     o, a, b = sheet.position_frame_m.reshape(-1, 3)[sheet.triangles].transpose(1, 0, 2)
     offset = buffer.position_frame_m[:, :, None] - o
     (ax, ay, _), (bx, by, _) = (a - o).T, (b - o).T

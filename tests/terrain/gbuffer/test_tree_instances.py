@@ -221,7 +221,7 @@ def test_drawn_share_in_perspective_follows_the_distance(floor, make_wooded_scen
     view = camera_at(scene, (0, -380, 30), (0, 0, 0), 50.0, (160, 100))
     trees, instances = scene.objects.trees, instances_of(scene, view)
     eye_distance_m = np.linalg.norm(trees.base_earth_m - view.eye_earth_m, axis=1)
-    share = np.clip((5.0 * view.focal_px / eye_distance_m / module.FULL_STAND_TREE_PX) ** 2, module.MIN_DRAWN_SHARE, 1.0)
+    share = np.clip((5.0 * view.focal_px / eye_distance_m / module.FULL_STAND_TREE_PX) ** 2, module.MIN_DRAWN_TREE_SHARE, 1.0)
     np.testing.assert_array_equal(instances.number, np.flatnonzero(trees.rank < share))
     assert share.max() == 1.0 and share.min() < 0.2
     scale = 1 / np.sqrt(share[instances.number])
@@ -253,7 +253,7 @@ def test_drawn_share_in_a_map_follows_the_pixel_size(floor, make_wooded_scene):
     rng = np.random.default_rng(8)
     scene = make_wooded_scene(floor, rng.uniform(-390, 390, (8000, 2)), height=6.0, crown=4.0)
     frame = scene.world.frame_near(scene.elevation.crs, 0.0, 0.0)
-    for pixel_m, share in ((0.5, 1.0), (4.0, (4.0 / 6.0) ** 2), (8.0, (4.0 / 12.0) ** 2), (100.0, module.MIN_DRAWN_SHARE)):
+    for pixel_m, share in ((0.5, 1.0), (4.0, (4.0 / 6.0) ** 2), (8.0, (4.0 / 12.0) ** 2), (100.0, module.MIN_DRAWN_TREE_SHARE)):
         instances = tree_instances_in_map(scene.objects, frame, pixel_m)
         assert instances is not None and len(instances) / 8000 == pytest.approx(share, abs=0.002)
         np.testing.assert_allclose(instances.shape[:, 0], 2.0 / np.sqrt(share), rtol=1e-5)
@@ -287,7 +287,7 @@ def test_a_thinned_stand_keeps_its_shade(gl, floor, make_scene, tmp_path, monkey
     monkeypatch.setattr(module, "FULL_STAND_TREE_PX", 1e6)
     full_shares, thinned_shares = [], []
     for min_share, shares in ((1.0, full_shares), (0.25, thinned_shares)):
-        monkeypatch.setattr(module, "MIN_DRAWN_SHARE", min_share)
+        monkeypatch.setattr(module, "MIN_DRAWN_TREE_SHARE", min_share)
         scene = make_scene(floor, 200.0, altitude, forest=[spec])
         for eye in ((0, -900, 500), (700, 600, 500), (-300, 100, 900)):
             view = camera_at(scene, eye, (0, 0, 0), 20.0, (160, 120))

@@ -102,7 +102,7 @@ def test_towards_sun_m_is_measured_along_the_ground():
     sun = sun_of(SunSpec(azimuth=90, altitude=30), world)
     light = light_space(world, sun)
     east = world.anchor_earth_m + world.earth_from_anchor @ np.array([1000.0, 500.0, 0.0])
-    assert light.towards_sun_m(light.from_earth(east)) == pytest.approx(1000.0, abs=1e-6)
+    assert light.horizontal_sunward_m(light.from_earth(east)) == pytest.approx(1000.0, abs=1e-6)
 
 
 def test_direction_enu_at_the_compass_points():

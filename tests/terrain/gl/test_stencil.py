@@ -101,7 +101,7 @@ def test_only_marked_pixels_count(gl, target, number):
 def test_each_pixel_counts_once(gl, target):
     """A pixel that holds the requested count is incremented once, whatever the depth and however often it is drawn."""
     for previous_count, next_count in ((1, 0), (0, 1), (0, 1), (1, 2)):
-        with gl.stencil.once_pass(target, previous_count):
+        with gl.stencil.increment_once_pass(target, previous_count):
             draw(gl, [square(0.1), square(0.9, AWAY), square(0.1)])
         assert (gl.stencil.read(target) == next_count).all()
 
@@ -153,7 +153,7 @@ def shadow_map_depths(gl) -> list[np.ndarray]:
 
 PASSES = [
     ("depth_pass", {}), ("depth_pass", {"overwrite": True}), ("mark_pass", {}),
-    ("once_pass", {"stencil_value": 0, "clip_distances": 2}),
+    ("increment_once_pass", {"stencil_value": 0, "clip_distances": 2}),
     *(("count_pass", {"counting": way, "side": side, "marked_only": marked})
       for way in ("z_pass", "z_fail", "faces", "seen") for side in ("both", "front", "back") for marked in (False, True)),
 ]  # fmt: skip

@@ -11,7 +11,7 @@ from scipy.ndimage import binary_dilation
 
 from skugga.terrain.geo.grid import Grid
 from skugga.terrain.ground.columns import Columns
-from skugga.terrain.ground.height_tiles import RIM_NODES, TILE_NODES, _tile_ranges
+from skugga.terrain.ground.height_tiles import TILE_MARGIN_NODES, TILE_NODES, _tile_ranges
 from skugga.terrain.ground.surface import HeightWindow, RefinedWindow
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
@@ -22,7 +22,7 @@ from tests.rasters import ENGINEERING, write_geotiff
 def test_tile_ranges_contain_every_node_once(first, count):
     given_nodes: list[int] = []
     for tile, start, stop in _tile_ranges(first, count):
-        assert tile * TILE_NODES - RIM_NODES <= start < stop <= (tile + 1) * TILE_NODES + RIM_NODES
+        assert tile * TILE_NODES - TILE_MARGIN_NODES <= start < stop <= (tile + 1) * TILE_NODES + TILE_MARGIN_NODES
         given_nodes += range(start, stop)
     assert given_nodes == list(range(first, first + count))
 
@@ -43,7 +43,7 @@ def mercator_grid(scene, step: float) -> Grid:
 
 
 def test_block_and_its_rim_need_only_its_own_tiles():
-    assert [tile for tile, _, _ in _tile_ranges(-RIM_NODES, 2 * TILE_NODES + 2 * RIM_NODES)] == [0, 1]
+    assert [tile for tile, _, _ in _tile_ranges(-TILE_MARGIN_NODES, 2 * TILE_NODES + 2 * TILE_MARGIN_NODES)] == [0, 1]
 
 
 @pytest.mark.parametrize("window", [(-40, -90, 70, 200), (500, -530, 30, 60), (-520, 505, 20, 20), (900, 900, 10, 10)])
@@ -137,12 +137,12 @@ def test_rim_casts_but_is_not_shown(write_raster, make_scene, finer):
     window = surface.window(*extent, scene.world.frame_near(scene.map_crs, 0.0, 0.0))
     for actual, expected in (
         (window.height_m, visible_window.height_m),
-        (window.casting.height_m[is_valid], window.height_m[is_valid]),
+        (window.with_rim.height_m[is_valid], window.height_m[is_valid]),
     ):
         np.testing.assert_array_equal(actual, expected)
-    assert np.isfinite(window.casting.position_frame_m[..., 2]).sum() == np.isfinite(casting_window.height_m).sum()
+    assert np.isfinite(window.with_rim.position_frame_m[..., 2]).sum() == np.isfinite(casting_window.height_m).sum()
     complete = np.isfinite(window.sheet.normals_frame[..., 0])
-    np.testing.assert_array_equal(window.casting.sheet.normals_frame[complete], window.sheet.normals_frame[complete])
+    np.testing.assert_array_equal(window.with_rim.sheet.normals_frame[complete], window.sheet.normals_frame[complete])
 
 
 @given(st.floats(-0.49, 0.49), st.floats(-0.49, 0.49), st.sampled_from([0.4, 1.0, 1.4, 3.0]))

@@ -144,7 +144,7 @@ def test_depths_in_feet_with_a_hole_equal_those_in_metres(tmp_path):
     assert (mask[5:9, 5:9] == 128).all()
 
 
-def test_level_overrides_the_direction(tmp_path):
+def test_level_overrides_direction_of_vertical_axis(tmp_path):
     depths = seamount_depths()
     mask = shadow_mask(write_with_depth(tmp_path / "depths.tif", depths, f"{UTM}+5715"))
     np.testing.assert_array_equal(mask, shadow_mask(write_with_depth(tmp_path / "plain.tif", depths, UTM), positive="down"))

@@ -189,7 +189,7 @@ def test_worker_checks_data_roots_too(level_folder: Path, lead_out: Callable[[Pa
 )
 def test_data_roots_allow_other_folders(level_folder: Path, lead_out: Callable[[Path], None]):
     lead_out(level_folder)
-    level = ServedLevels([level_folder / "level.yaml"], data_roots=[level_folder.parent / "outside"]).get("level")
+    level = ServedLevels([level_folder / "level.yaml"], data_roots=[level_folder.parent / "outside"]).reload_if_changed("level")
     assert level.key.roots is not None and level_folder.parent / "outside" in level.key.roots
 
 

@@ -142,7 +142,7 @@ def test_path_moves_all_bodies_and_their_casters(scene_of):
     assert len(after.caster_triangles) == 12
 
 
-def test_first_second_of_a_path_equals_the_static_model(scene_of):
+def test_path_at_second_zero_equals_static_model(scene_of):
     """A level whose mesh is set in motion keeps its picture at the first second, bit for bit."""
     static_scene = scene_of(FLOOR_TERRAIN, {"source": "arrow.ply", "at": [20.1, 10.7], "motion": {"spin": 30}})
     keys = [{"seconds": 0, "position": [20.1, 10.7]}, {"seconds": 7, "position": [0, 0, 9]}]
