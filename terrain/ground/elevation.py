@@ -38,7 +38,7 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_ear
 from skugga.terrain.ground.georeference import checked_crs
 from skugga.terrain.ground.open_raster import impossible_nodata, open_height_raster
 from skugga.terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
-from skugga.terrain.ground.unmarked_cells import UndeclaredNodata
+from skugga.terrain.ground.undeclared_nodata import UndeclaredNodata
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.gdal_guard import cap_caches

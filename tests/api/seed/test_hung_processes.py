@@ -67,10 +67,10 @@ def attempt_counts(run: Run) -> list[int]:
 @pytest.mark.long
 def test_a_stopped_process_is_replaced_and_its_task_drawn(run: Run, tmp_path: Path):
     pool = StoppingPool(times=1)
-    first = pool.ready_pids
+    first = pool.pids
     seed_with_pool(run, pool, min_limit_s=LIMIT_S)
     assert pool.left == 0 and attempt_counts(run) == [1]
-    assert pool.ready_pids != first and not Path(f"/proc/{first[0]}").exists()
+    assert pool.pids != first and not Path(f"/proc/{first[0]}").exists()
     undisturbed_run = Run(run.level, tmp_path / "whole.pmtiles", run.zooms)
     undisturbed_run()
     assert run.output.read_bytes() == undisturbed_run.output.read_bytes()
@@ -113,8 +113,8 @@ def test_processes_that_hang_at_the_start_end_the_run(monkeypatch: pytest.Monkey
         pool.begin(RunSpec.model_construct(), "nowhere")
         with pytest.raises(GraphicsError, match=f"{MAX_FAILED_STARTS} render processes in a row ended or did not answer"):
             for _ in range(2 * MAX_FAILED_STARTS):
-                os.kill(pool.ready_pids[0], signal.SIGSTOP)
-                stopped_pids += pool.ready_pids
+                os.kill(pool.pids[0], signal.SIGSTOP)
+                stopped_pids += pool.pids
                 assert pool.wait(1.0) == []
     finally:
         pool.close()

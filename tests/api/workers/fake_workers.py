@@ -104,7 +104,7 @@ def planning(
             version = basis.version_of(job.level)
             unprobed_class = None if basis.device is None or basis.probes_of(job.level).classes else UNPROBED
             tiles = dict.fromkeys(TILE_POSITIONS, version.encode())
-            pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed=unprobed_class))
+            pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed_class=unprobed_class))
 
 
 def filming(
