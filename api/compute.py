@@ -29,7 +29,6 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, windows_of
-from skugga.terrain.level.level import override_text
 from skugga.terrain.scene import Scene
 
 ViewT = TypeVar("ViewT", bound=MapView | PerspectiveView)
@@ -207,6 +206,25 @@ def _cropped(array: np.ndarray, pixels: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
+class PlannedRequest:
+    """A request with all that is decided before its raster is computed.
+
+    Attributes
+    ----------
+    request
+        The request.
+    scene
+        The scene with the request's sun and look.
+    plan
+        The plan of all blocks; ``None`` if the product needs no picture.
+    """
+
+    request: ProductRequest
+    scene: Scene
+    plan: Plan | None
+
+
+@dataclass(frozen=True, eq=False)
 class RasterPart:
     """A part of a raster.
 
@@ -226,18 +244,12 @@ class RasterPart:
     array: np.ndarray
 
 
-def raster_parts(
-    scene: Scene,
-    raster: RasterView,
-    requests: Sequence[ProductRequest],
-    overrides: dict[str, Any] | None = None,
-    on_step: OnBlock | None = None,
-) -> Iterator[RasterPart]:
-    """Return an iterator over the parts of a raster, for each of several requests for one product.
+def plan_requests(
+    scene: Scene, raster: RasterView, requests: Sequence[ProductRequest], overrides: dict[str, Any]
+) -> list[PlannedRequest]:
+    """Return several requests for one product with their plans, which are made for the middle block of a raster.
 
-    Only one block is in memory at a time. The parts of one block follow each other, one for each request. Work that is independent
-    of the sun is thus done once for each block. ``overrides`` replace settings of the level's ``shadows``. Raises ``SkuggaError``
-    immediately if a request is wrong.
+    ``overrides`` replace settings of the level's ``shadows``. Raises ``SkuggaError`` if a request is wrong.
     """
     product, view = requests[0].product_record, raster.view
     check_view(product, view)
@@ -245,31 +257,40 @@ def raster_parts(
         if product.when == "sun" and scene.sun is None and request.sun is None:
             raise InputError.missing("time", "The level has no sun. Give a time, or an azimuth and an altitude")
     scenes = [request.applied_to(scene) for request in requests]
-    blocks, plans = _blocks(scene, view, product), _plans(scenes, view, product, overrides or {})
-    total = sum(product.step_count(request.options) for request in requests) * len(blocks)
+    plans = _plans(scenes, view, product, overrides)
+    return [PlannedRequest(*parts) for parts in zip(requests, scenes, plans, strict=True)]
 
-    def parts() -> Iterator[RasterPart]:
-        done = 0
 
-        def step() -> None:
-            nonlocal done
-            done += 1
-            if on_step is not None:
-                on_step(done, total)
+def raster_parts(
+    scene: Scene, raster: RasterView, planned_requests: Sequence[PlannedRequest], on_step: OnBlock | None = None
+) -> Iterator[RasterPart]:
+    """Yield the parts of a raster, for each of several planned requests for one product. Raises ``SkuggaError``.
 
-        for block, row, col in blocks:
-            window, block_window = windows_of(view, block, row, col)
-            for number, (request, lit_scene, plan) in enumerate(zip(requests, scenes, plans, strict=True)):
-                if plan is None:
-                    array = _compute_block(lit_scene, block, product, request.options, step)
-                else:
-                    array = _picture_block(lit_scene, block, product, request.options, plan)
-                yield RasterPart(number, *raster.in_raster_order_at(window[0].start, window[1].start, array[block_window]))
-                if product.when != "days":
-                    step()
-            trim_bare_ground_cache(1)
+    Only one block is in memory at a time. The parts of one block follow each other, one for each request. Work that is independent
+    of the sun is thus done once for each block.
+    """
+    product, view = planned_requests[0].request.product_record, raster.view
+    blocks = _blocks(scene, view, product)
+    total = sum(product.step_count(planned_request.request.options) for planned_request in planned_requests) * len(blocks)
+    done = 0
 
-    return parts()
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if on_step is not None:
+            on_step(done, total)
+
+    for block, row, col in blocks:
+        window, block_window = windows_of(view, block, row, col)
+        for number, planned_request in enumerate(planned_requests):
+            if planned_request.plan is None:
+                array = _compute_block(planned_request.scene, block, product, planned_request.request.options, step)
+            else:
+                array = _picture_block(planned_request.scene, block, product, planned_request.request.options, planned_request.plan)
+            yield RasterPart(number, *raster.in_raster_order_at(window[0].start, window[1].start, array[block_window]))
+            if product.when != "days":
+                step()
+        trim_bare_ground_cache(1)
 
 
 def _plans(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
@@ -293,10 +314,10 @@ def write_rasters(
     """Write a raster file for each of several requests, and optionally contours of the first raster.
 
     ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the errors
-    of ``raster_parts``, and ``OSError``.
+    of ``plan_requests`` and ``raster_parts``, and ``OSError``.
     """
-    parts, product = raster_parts(scene, raster, requests, overrides, on_step), requests[0].product_record
-    metadata = [raster_metadata(request.applied_to(scene), request, overrides or {}) for request in requests]
+    planned_requests, product = plan_requests(scene, raster, requests, overrides or {}), requests[0].product_record
+    metadata = [raster_metadata(planned_request, overrides or {}) for planned_request in planned_requests]
     with ExitStack() as stack:
         files: list[RasterFile] = [
             stack.enter_context(
@@ -312,29 +333,30 @@ def write_rasters(
                     file_metadata,
                 )  # fmt: skip
             )
-            for path, request, file_metadata in zip(paths, requests, metadata, strict=True)
+            for path, file_metadata in zip(paths, metadata, strict=True)
         ]
-        for part in parts:
+        for part in raster_parts(scene, raster, planned_requests, on_step):
             files[part.request].write(part.row, part.col, part.array)
     if contours is not None:
         write_contours(paths[0], contours[1], contours[0])
 
 
 def raster_array(scene: Scene, raster: RasterView, request: ProductRequest, overrides: dict[str, Any] | None = None) -> np.ndarray:
-    """Return a raster as one array (rows, cols) or (rows, cols, bands). Raises the errors of ``raster_parts``."""
-    parts = raster_parts(scene, raster, [request], overrides)
+    """Return a raster as one array (rows, cols) or (rows, cols, bands). Raises the errors of ``write_rasters``."""
+    planned_requests = plan_requests(scene, raster, [request], overrides or {})
     out = request.product_record.empty_array(*raster.shape, scene.height_range_m[0])
-    for part in parts:
+    for part in raster_parts(scene, raster, planned_requests):
         rows, cols = part.array.shape[:2]
         out[part.row : part.row + rows, part.col : part.col + cols] = part.array
     return out
 
 
-def raster_metadata(scene: Scene, request: ProductRequest, overrides: dict[str, Any]) -> RasterMetadata:
-    """Return a raster's metadata: the product, the level, the options or the sun, and the requested shadow settings.
+def raster_metadata(planned_request: PlannedRequest, overrides: dict[str, Any]) -> RasterMetadata:
+    """Return a raster's metadata: the product, the level, the options or the sun, the algorithms and the requested settings.
 
-    The sun's angles are those at the centre of the level.
+    The sun's angles are those at the centre of the level. The algorithms are those of the plan.
     """
+    request, scene, plan = planned_request.request, planned_request.scene, planned_request.plan
     product, sun = request.product_record, scene.sun
     description, unit = product.description_and_unit(request.options)
     tags = {"layer": product.name, "level": scene.loaded.name, **product.tags(request.options, scene)}
@@ -344,7 +366,9 @@ def raster_metadata(scene: Scene, request: ProductRequest, overrides: dict[str, 
                 "time": "" if sun.time is None else sun.time.isoformat(),
                 "sun_azimuth_deg": f"{sun.azimuth_deg:.4f}", "sun_altitude_deg": f"{sun.altitude_deg:.4f}",
             }  # fmt: skip
-        requested = {name: value for name, value in overrides.items() if value is not None}
-        algorithm = requested.pop("algorithm", scene.loaded.level.shadows.algorithm)
-        tags |= {"algorithm": override_text(algorithm), **{f"shadows_{name}": str(value) for name, value in requested.items()}}
+        requested = {name: value for name, value in overrides.items() if value is not None and name != "algorithm"}
+        tags |= {
+            "algorithm": "" if plan is None else plan.headline,
+            **{f"shadows_{name}": str(value) for name, value in requested.items()},
+        }
     return RasterMetadata(f"{product.name}: {description}", product.band_names(request.options), unit, tags)

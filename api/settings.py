@@ -12,6 +12,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.gl.egl_devices import AUTO_DEVICE, read_setting
+from skugga.terrain.level.level_errors import allowed_phrase
 
 MAX_DEFAULT_WORKERS = 4
 """Default number of render processes, at most. With a software rasteriser each takes about 1.5 GB."""
@@ -170,8 +171,7 @@ def load_settings(**overrides: Any) -> Settings:
         detail = error.errors()[0]
         field = str(detail["loc"][0])
         name = field if field in overrides else f"SKUGGA_{field.upper()}"
-        allowed = detail["msg"].removeprefix("Input should be ")
-        allowed = allowed[:1].lower() + allowed[1:]
+        allowed = allowed_phrase(detail)
         if field in _SECRETS:
             raise InputError(name, Problem("the value is not allowed"), f"Allowed: {allowed}") from None
         raise InputError(name, detail["input"], allowed) from None

@@ -31,7 +31,7 @@ GroundKind = Literal["level", "uneven"]
 """``level``: the ground is one plane, in a flat world without relief. ``uneven``: any other ground."""
 
 RayKind = Literal["bent rays"]
-"""``bent rays``: the area drawn at once is so wide that the sun's rays are not straight lines in it."""
+"""``bent rays``: the sun's rays are no straight lines in the area drawn at once, which is too wide or lies near a pole."""
 
 ExtentKind = Literal["area light"]
 """``area light``: the light is shown as a disc or a ball, with penumbrae."""

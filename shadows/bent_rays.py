@@ -17,9 +17,19 @@ across 1,000 km at 65, in windows of 1,024 nodes a side.
 """
 
 
+MAX_ROW_WIDTH_RATIO = 2.3
+"""Largest ratio of the widths of two rows of nodes across which the sun's rays count as straight lines.
+
+In windows of 2,050 x 2,050 nodes near a pole of a map in degrees, the cubics of the algorithm ``sweep`` fit up to a ratio of 2.38.
+"""
+
+
 def rays_bend(descriptor: Descriptor) -> bool:
-    """Return whether the area drawn at once is too wide for straight rays; False where its extent is unknown."""
-    return (sun_extent_m(descriptor) or 0.0) > MAX_STRAIGHT_M
+    """Return whether the area drawn at once is too wide, or its rows are too uneven, for straight rays.
+
+    Where the extent of the area is unknown, only the rows count.
+    """
+    return (sun_extent_m(descriptor) or 0.0) > MAX_STRAIGHT_M or descriptor.row_width_ratio > MAX_ROW_WIDTH_RATIO
 
 
 def sun_extent_m(descriptor: Descriptor) -> float | None:

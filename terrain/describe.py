@@ -20,6 +20,7 @@ from skugga.terrain.facts.coarse_view import CoarseView, coarse_view_of
 from skugga.terrain.facts.descriptor import Descriptor, join_bands
 from skugga.terrain.facts.fact_types import Band, Fact, LampFacts
 from skugga.terrain.facts.light_facts import MIN_DISTANCE_M, ViewProbes, facts_of_lights
+from skugga.terrain.facts.row_widths import row_width_ratio
 from skugga.terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
 from skugga.terrain.gbuffer.supersampling import PixelSampling, ground_pixels, subdivision_level, supersampled_view
@@ -105,6 +106,7 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
         "view_kind": "map", "pixel_m": pixel_m, "node_m": node_m, "block_relief_m": relief_m,
         "receivers_light_m": _receivers_light_m(scene, view, relief_m),
         "bend_px": bend_px(scene, view.grid, view.row_step, view.col_step),
+        "row_width_ratio": row_width_ratio(scene, view.grid, view),
     }  # fmt: skip
 
 
@@ -130,6 +132,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
         "view_kind": "perspective", "pixel_m": median_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
         "pixel": view.pixel, "bands": bands, "seen_share": float(coarse_view.buffer.valid.mean()),
         "block_relief_m": float(np.ptp(coarse_view.height_m)) if len(points) else 0.0, "receivers_light_m": extent,
+        "row_width_ratio": row_width_ratio(scene, grid),
     }  # fmt: skip
 
 

@@ -28,6 +28,7 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.climate import ColorRamp, climate_srgb, ramp_srgb
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import Level
+from skugga.terrain.level.level_errors import allowed_phrase
 from skugga.terrain.level.parts import StyleSpec
 from skugga.terrain.srgb import linear_of_srgb
 
@@ -167,7 +168,7 @@ def style_spec(level_style: StyleSpec, name: str | None, slope_exaggeration: flo
     except ValidationError as error:
         detail = error.errors()[0]
         key = str(detail["loc"][0])
-        allowed = ", ".join(("auto", *STYLES)) if key == "name" else detail["msg"].removeprefix("Input should be ")
+        allowed = ", ".join(("auto", *STYLES)) if key == "name" else allowed_phrase(detail)
         raise InputError("style" if key == "name" else key, changes[key], allowed) from None
 
 

@@ -30,6 +30,7 @@ from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.clock import parse_clock, parse_date
 from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_errors import allowed_phrase
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -175,7 +176,7 @@ def _point_query(options: PointOptions, lon: float, lat: float) -> PointQuery:
         return PointQuery(lon=lon, lat=lat, height=options.height, date=day, clock=options.clock, year=options.year)
     except ValidationError as error:
         detail = error.errors()[0]
-        raise InputError(f"--{detail['loc'][0]}", detail.get("input"), detail["msg"].removeprefix("Input should be ")) from None
+        raise InputError(f"--{detail['loc'][0]}", detail.get("input"), allowed_phrase(detail)) from None
 
 
 def _read_pair(text: str) -> tuple[float, float]:

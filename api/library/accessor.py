@@ -21,14 +21,14 @@ import xarray
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from skugga.api.library.caller_warnings import warn_caller
 from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, checked
 from skugga.api.library.grids import grid_of_heights
-from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, open_level
+from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_source
 from skugga.api.library.upright_grid import UprightGrid, upright_grid
 from skugga.api.raster_file import TILE_CELLS
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
+from skugga.terrain.level.level_source import LevelSource
 
 MAX_OVERVIEW_CELLS = 512
 """Smallest size of the longer side of an overview of a temporary raster."""
@@ -141,7 +141,6 @@ class SkuggaAccessor:
             For a wrong argument, and for an array that is not a grid of heights.
         """
         with upright_grid(self._array).level() as level:
-            _warn_of_heights(level)
             profile = level.horizon(x, y, height=height, crs=level.crs)
         return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
@@ -150,18 +149,11 @@ class SkuggaAccessor:
         grid = upright_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
-                _warn_of_heights(level)
                 values: Any = compute_array(level)
         else:
             values = _compute_by_chunk(grid, compute_array, dtype)
         answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
         return answer.isel(grid.flips).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
-
-
-def _warn_of_heights(level: OpenLevel) -> None:
-    """Issue the level's warnings about its heights, such as an undeclared nodata value."""
-    for text in level.warnings:
-        warn_caller(f"{ARRAY_NAME}: {text}")
 
 
 class _StagedRaster:
@@ -201,8 +193,8 @@ class _StagedRaster:
         """Return the raster as an open level. Each thread gets a level of its own."""
         opened: OpenLevel | None = getattr(self._levels, "opened", None)
         if opened is None:
-            opened = self._levels.opened = open_level(self.path, units="m", positive="up")  # as for arrays in memory
-            _warn_of_heights(opened)
+            source = LevelSource(path=self.path, units="m", positive="up")  # as for arrays in memory
+            opened = self._levels.opened = level_of_source(source, ARRAY_NAME)
         return opened
 
 

@@ -31,7 +31,7 @@ def shadow(
         Heights (rows, cols) in metres, row 0 in the north. Nodes are without ground if they are masked, not finite, or beyond a
         million metres.
     cell_m
-        The side of a cell in metres, more than 0, or its (row, column) sides.
+        The side of a cell, 1e-6 to 1e6 metres, or its (row, column) sides.
     azimuth_deg, altitude_deg
         The direction of the sun: clockwise from north, and above the horizon. At or below the horizon all ground is in shadow.
     lines

@@ -10,7 +10,7 @@ import functools
 import inspect
 import operator
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from pyproj.exceptions import CRSError
 from skugga.terrain.errors import InputError, Problem, SkuggaError
 from skugga.terrain.geo.clock import parse_date
 from skugga.terrain.level.level import Shadows
+from skugga.terrain.level.level_errors import allowed_phrase
 from skugga.terrain.level.parts import ALLOWED_TIMES
 
 ParametersT = ParamSpec("ParametersT")
@@ -32,10 +33,6 @@ CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
 
 SHADOWS_PARAMETER = "shadows"
 """Name of the parameter ``**shadows``, which takes the keys of a level's ``shadows``."""
-
-
-ALLOWED_PHRASES = {"path_type": "a path", "string_type": "a text"}
-"""Phrases of allowed values by pydantic's error types, for errors whose text is not meant for users."""
 
 
 def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, ResultT]:
@@ -83,12 +80,7 @@ def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str
     if isinstance(cause, SkuggaError):
         raise cause from None
     name = name or ".".join(str(part) for part in detail["loc"])
-    allowed = "; ".join(
-        dict.fromkeys(
-            ALLOWED_PHRASES.get(error_detail["type"], error_detail["msg"].removeprefix("Input should be "))
-            for error_detail in error.errors()
-        )
-    )
+    allowed = "; ".join(dict.fromkeys(map(allowed_phrase, error.errors())))
     raise InputError(name, values.get(name, detail["input"]), allowed) from None
 
 
@@ -103,10 +95,25 @@ def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
             )
 
 
+UNITS_WITHOUT_DAY = ("Y", "M", "W")
+"""Units of datetime64 that name no day."""
+
+UNITS_WITHOUT_TIME = (*UNITS_WITHOUT_DAY, "D")
+"""Units of datetime64 that name no time of day."""
+
+
+def _datetime64(value: Any, wrong_units: Collection[str]) -> np.ndarray | None:
+    """Return a datetime64 as an array without dimensions; ``None`` for other values, for NaT and in one of the wrong units."""
+    if getattr(getattr(value, "dtype", None), "kind", "") != "M" or np.ndim(value) != 0:
+        return None
+    moment = np.asarray(value)
+    return None if np.isnat(moment) or np.datetime_data(moment.dtype)[0] in wrong_units else moment
+
+
 def _moment(value: Any) -> str:
-    kind = getattr(getattr(value, "dtype", None), "kind", "")
-    if kind == "M" and np.ndim(value) == 0 and not np.isnat(np.asarray(value)):
-        return f"{np.datetime_as_string(np.asarray(value).astype('datetime64[s]'))}Z"
+    moment = _datetime64(value, UNITS_WITHOUT_TIME)
+    if moment is not None:
+        return f"{np.datetime_as_string(moment.astype('datetime64[s]'))}Z"
     if isinstance(value, datetime.datetime):
         return value.isoformat()
     if not isinstance(value, str):
@@ -115,11 +122,11 @@ def _moment(value: Any) -> str:
 
 
 def _day(value: Any) -> datetime.date:
-    kind = getattr(getattr(value, "dtype", None), "kind", "")
-    if kind == "M" and np.ndim(value) == 0 and not np.isnat(np.asarray(value)):
-        value = str(np.asarray(value).astype("datetime64[D]"))
+    moment = _datetime64(value, UNITS_WITHOUT_DAY)
+    if moment is not None:
+        value = str(moment.astype("datetime64[D]"))
     if isinstance(value, datetime.datetime):
-        return value.date()
+        value = value.isoformat()[:10]  # NaT of pandas is a datetime, without a date but with this text
     if isinstance(value, datetime.date):
         return value
     if not isinstance(value, str):
@@ -190,7 +197,9 @@ def _sides(value: Any) -> tuple[float, float]:
         sides = np.empty(0)
     if sides.shape not in ((), (2,)) or not ((sides >= MIN_CELL_M) & (sides <= MAX_CELL_M)).all():
         raise PydanticCustomError(
-            "cell", "metres, more than 0: the side of a cell, or (row side, column side), such as (abs(transform.e), transform.a)"
+            "cell",
+            "{least} to {most} metres: the side of a cell, or (row side, column side), such as (abs(transform.e), transform.a)",
+            {"least": f"{MIN_CELL_M:f}", "most": f"{MAX_CELL_M:,.0f}"},
         )
     down, right = np.broadcast_to(sides, (2,))
     return float(down), float(right)
@@ -202,7 +211,7 @@ MAX_PICTURE_PX = 16384
 """Largest side of a picture, as for ``--size``."""
 
 Time = Annotated[datetime.datetime | np.datetime64 | str, PlainValidator(_moment)]
-"""A time with an offset from UTC, or datetime64 in UTC. The function receives ISO 8601 text."""
+"""A time with an offset from UTC, or datetime64 in UTC with a time of day. The function receives ISO 8601 text."""
 
 Date = Annotated[datetime.date | str, PlainValidator(_day)]
 """A date. The function receives a ``datetime.date``."""

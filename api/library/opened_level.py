@@ -90,6 +90,7 @@ class OpenLevel:
         self._own_raster = raster_view(scene)
         self._tile_service: TileService | None = None
         self._folder: TemporaryDirectory[str] | None = None
+        self._has_warned_of_objects = False
 
     @property
     def _scene(self) -> Scene:
@@ -184,6 +185,7 @@ class OpenLevel:
         """
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration).at_second(seconds)
         product, rendered_view = product_named(layer), scene.view(view, bounds, _crs_text(crs), size)
+        self._warn_of_objects()
         plan = plan_for(scene, rendered_view, view, product, shadows)
         return compute(scene, rendered_view, ProductRequest(product=layer), plan).array
 
@@ -243,6 +245,7 @@ class OpenLevel:
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration)
         request = FilmRequest(span, view, camera_path, size, bounds, _crs_text(crs), shadows)
         moments = frame_moments(scene, request)
+        self._warn_of_objects()
         replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, shadows))
         return (frame.color for frame in film_frames(scene, request, moments, replanner))
 
@@ -453,6 +456,7 @@ class OpenLevel:
         """
         scene = self._scene.with_sun(_sun(time, None, None))
         query = PointQuery(lon=lon, lat=lat, height=height, date=cast("datetime.date | None", date), clock=clock, year=year)
+        self._warn_of_objects()
         return point_report(scene, query, crs)
 
     @checked
@@ -475,6 +479,7 @@ class OpenLevel:
             For a wrong argument.
         """
         query = PointQuery(lon=lon, lat=lat, height=height)
+        self._warn_of_objects()
         return horizon_profile(point_surroundings(self._scene, query, crs))
 
     @checked
@@ -530,6 +535,7 @@ class OpenLevel:
         """Compute a raster for a request. ``grid`` holds bounds, CRS, resolution, raster file and slices of cells."""
         product = request.product_record
         raster = self._raster(*grid, np.dtype(product.dtype).itemsize * product.bands)
+        self._warn_of_objects()
         return raster_array(self._scene, raster, request, shadows)
 
     def _raster(
@@ -556,6 +562,13 @@ class OpenLevel:
             raster = self._own_raster.cells(top, left, bottom - top, right - left)
         check_memory("cells" if resolution is None else "resolution", *raster.shape, bytes_per_cell, PART_REMEDY)
         return raster
+
+    def _warn_of_objects(self) -> None:
+        """Issue the warnings about objects once, before the first result. The files of the objects are then read."""
+        if not self._has_warned_of_objects:
+            texts, self._has_warned_of_objects = self._scene.objects.warnings, True
+            for text in texts:
+                warn_caller(text)
 
     def _service(self) -> TileService:
         if self._tile_service is None:
@@ -598,6 +611,9 @@ def open_level(
 ) -> OpenLevel:
     """Open a level: a bundled level, a level file, or a raster of heights.
 
+    Ground that looks wrong, for example an undeclared nodata value, causes a ``UserWarning``. So do files of trees and buildings
+    that look wrong, at the first result.
+
     Parameters
     ----------
     source
@@ -625,12 +641,12 @@ def open_level(
     """
     vertical_axis = {"units": parse_units("units", units), "positive": parse_positive("positive", positive)}
     level = LevelSource(path=find_level(str(source)), canopy=canopy, buildings=buildings, nodata=nodata, **vertical_axis)
-    return OpenLevel(build_scene(load_level(level)))
+    return level_of_source(level)
 
 
 @checked
 def open_heights(height_m: Heights, transform: Transform, crs: AnyCrs) -> OpenLevel:
-    """Open an array of heights as a level.
+    """Open an array of heights as a level. Heights that look wrong cause a ``UserWarning``.
 
     Parameters
     ----------
@@ -655,7 +671,7 @@ def open_heights(height_m: Heights, transform: Transform, crs: AnyCrs) -> OpenLe
 
 
 def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLevel:
-    """Open a grid of heights in metres (``grid_of_heights``) as a level. Raises ``InputError``."""
+    """Open a grid of heights in metres (``grid_of_heights``) as a level and issue the ground's warnings. Raises ``InputError``."""
     memory_file = MemoryFile(filename="heights.tif")
     try:
         with warnings.catch_warnings():
@@ -667,7 +683,7 @@ def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLe
                 dataset.write(heights, 1)
         # Heights are metres and grow upwards, whatever the vertical axis of the CRS says.
         source = LevelSource(path=Path(memory_file.name), units="m", positive="up")
-        return OpenLevel(build_scene(load_level(source)), memory_file)
+        return level_of_source(source, ARRAY_NAME, memory_file)
     except InputError as error:
         memory_file.close()
         error.name = error.name.replace(memory_file.name, ARRAY_NAME)
@@ -676,6 +692,14 @@ def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLe
     except BaseException:
         memory_file.close()
         raise
+
+
+def level_of_source(source: LevelSource, ground_name: str | None = None, memory_file: MemoryFile | None = None) -> OpenLevel:
+    """Open a level and issue the warnings about its ground under a name; ``None`` for that of its raster. Raises ``InputError``."""
+    level = OpenLevel(build_scene(load_level(source)), memory_file)
+    for text in level.warnings:
+        warn_caller(f"{ground_name or level._scene.elevation.name}: {text}")
+    return level
 
 
 def _crs_text(crs: CRS | None) -> str | None:

@@ -18,11 +18,15 @@ from skugga.api.library.grids import GRID_BYTES, grid_of_heights
 from skugga.api.library.memory import check_memory
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_heights
 from skugga.terrain.errors import ArrayError, InputError, Problem, SourceError
-from skugga.terrain.ground.vertical import VerticalAxis, axis_of_band
+from skugga.terrain.ground.vertical import VerticalAxis, axis_of_band, positive_word
+from skugga.terrain.level.level_source import parse_positive
 from skugga.terrain.level.parts import METRES_PER_UNIT
 
 MAX_UNEVEN_CELLS = 0.1
 """Tolerance of evenly spaced coordinates, in cells. Coordinates in float32 are rounded."""
+
+NODATA_ATTRIBUTES = "_FillValue", "missing_value", "fill_value", "nodata", "nodatavals"
+"""Attributes in which rioxarray finds the nodata value, the first of them that is there."""
 
 CHUNKS_REMEDY = "Use fewer cells, or chunks: da.chunk({'y': 2048, 'x': 2048}), rioxarray.open_rasterio(FILE, chunks=2048)"
 
@@ -64,7 +68,7 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     ArrayError
         If the array is not a grid of real numbers.
     InputError
-        If the array is not georeferenced, or its cells are not evenly spaced.
+        If the array is not georeferenced, its cells are not evenly spaced, or an attribute is wrong.
     """
     if array.ndim != 2:
         remedy = "Reduce them to two, y and x, by da.squeeze() or da.isel(...)"
@@ -80,6 +84,7 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
             Problem(f"its dimensions are {array.dims}"),
             "Name them y and x by da.rename(...) or da.rio.set_spatial_dims(...)",
         ) from None
+    nodata = _nodata(array)  # transposed arrays lose that of ``rio.set_nodata``
     array = array.transpose(y_dim, x_dim)
     if array.chunks is None:
         rows, cols = array.shape
@@ -94,20 +99,39 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     upright = array.isel(flips)
     y0, dy = _edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flips)
     x0, dx = _edge_and_step(upright, x_dim, declared.c, declared.a, x_dim in flips)
-    return UprightGrid(_heights(upright, crs), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
+    return UprightGrid(_heights(upright, crs, nodata), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
 
 
-def _heights(array: xarray.DataArray, crs: CRS) -> xarray.DataArray:
+def _nodata(array: xarray.DataArray) -> float | None:
+    """Return an array's nodata value, or ``None``. Raises ``InputError`` if it declares several."""
+    try:
+        nodata: float | None = array.rio.nodata
+    except (ValueError, OverflowError):  # the array's type cannot hold the value, so no cell has it
+        return None
+    except TypeError:  # the value is a list
+        values = [("_FillValue", array.encoding.get("_FillValue")), *((name, array.attrs.get(name)) for name in NODATA_ATTRIBUTES)]
+        return next((_number_in(name, value) for name, value in values if value is not None), None)
+    return nodata
+
+
+def _number_in(name: str, value: object) -> float:
+    """Return the number of an attribute, which may be a list of it alone. Raises ``InputError``."""
+    try:
+        (number,) = np.unique(np.asarray(value, np.float64))
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{ARRAY_NAME}: {name}", value, "one number") from None
+    return float(number)
+
+
+def _heights(array: xarray.DataArray, crs: CRS, nodata: float | None) -> xarray.DataArray:
     """Return heights in metres upwards, NaN for nodata. A dask array stays lazy. Raises ``InputError``."""
     heights = array.astype(np.promote_types(array.dtype, np.float32))
-    try:
-        nodata = array.rio.nodata
-    except (ValueError, OverflowError):  # the array's type cannot hold the value, so no cell has it
-        nodata = None
     if nodata is not None and not np.isnan(nodata):
         with np.errstate(over="ignore", invalid="ignore"):
             heights = heights.where(array != (array.dtype.type(nodata) if array.dtype.kind == "f" else nodata))
-    scale, offset = (float(array.attrs.get(name, usual)) for name, usual in (("scale_factor", 1.0), ("add_offset", 0.0)))
+    scale, offset = (
+        _number_in(name, array.attrs.get(name, default)) for name, default in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
     if (scale, offset) != (1.0, 0.0):
         heights = heights * scale + offset
     unit_m = _axis(array, crs).scale
@@ -115,9 +139,9 @@ def _heights(array: xarray.DataArray, crs: CRS) -> xarray.DataArray:
 
 
 def _axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
-    unit = array.attrs.get("units")
+    unit, positive = array.attrs.get("units"), parse_positive(f"{ARRAY_NAME}: positive", positive_word(array.attrs))
     try:
-        return axis_of_band(ARRAY_NAME, unit if isinstance(unit, str) else "", array.attrs, crs)
+        return axis_of_band(ARRAY_NAME, unit if isinstance(unit, str) else "", array.attrs, crs, positive=positive)
     except SourceError:
         raise InputError(f"{ARRAY_NAME}: units", unit, f"{', '.join(METRES_PER_UNIT)}, or their long names") from None
 
@@ -145,9 +169,14 @@ def _declared_transform(array: xarray.DataArray) -> Affine:
         transform = Affine.identity()
     if np.isfinite(tuple(transform)).all() and (transform.b or transform.d):
         raise InputError(ARRAY_NAME, Problem("its grid is rotated"), "Align its rows with x by da.rio.reproject(da.rio.crs)")
-    if transform.is_identity and any(dim not in array.coords or array.sizes[dim] < 2 for dim in array.dims):
-        remedy = "Give coordinates y and x, or a geotransform by da.rio.write_transform(...)"
-        raise InputError(ARRAY_NAME, Problem("its cells have no coordinates"), remedy)
+    if transform.is_identity:
+        for dim in array.dims:
+            if dim not in array.coords:
+                remedy = "Give coordinates y and x, or a geotransform by da.rio.write_transform(...)"
+                raise InputError(ARRAY_NAME, Problem("its cells have no coordinates"), remedy)
+            if array.sizes[dim] < 2:
+                problem = Problem("one coordinate gives no cell size")
+                raise InputError(f"{ARRAY_NAME}: {dim}", problem, "Use at least 2 x 2 cells")
     return transform
 
 

@@ -61,7 +61,7 @@ def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
         lon, lat = (None, None) if scene.world.flat else (query.lon, query.lat)
         return PointReport(
             level=scene.loaded.name, lon=lon, lat=lat, elevation_m=None, height_m=query.height, now=None, day=None, year=None,
-            remark=f"no ground here: {error.allowed}",
+            remark=f"no ground here. Use {error.allowed}",
         )  # fmt: skip
 
 

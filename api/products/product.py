@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from skugga.shadows.passes import PassLayer
 from skugga.shadows.picture import Needs
 from skugga.terrain.errors import InputError, Problem
+from skugga.terrain.level.level_errors import allowed_phrase
 
 if TYPE_CHECKING:
     from skugga.api.color_scale import ColorScale
@@ -38,13 +39,6 @@ PICTURE_FORMATS: tuple[PictureFormat, ...] = ("png", "webp", "jpg")
 
 HeightEncoding = Literal["mapbox", "terrarium"]
 """Encodings of heights in colours, by MapLibre's names."""
-
-ALLOWED = {
-    "float_parsing": "a number", "int_parsing": "a whole number", "int_from_float": "a whole number",
-    "date_parsing": "a date, such as 2024-03-21", "date_from_datetime_parsing": "a date, such as 2024-03-21",
-    "date_from_datetime_inexact": "a date, such as 2024-03-21",
-}  # fmt: skip
-"""Phrases of allowed values, by pydantic's error types."""
 
 NEEDS_FRAME: Needs = frozenset({"frame", "reach"})
 NEEDS_NOTHING: Needs = frozenset()
@@ -288,8 +282,7 @@ class Product:
                 option_names = ", ".join(self.options.model_fields)
                 remedy = f"Use one of {option_names}" if option_names else "Omit it"
                 raise InputError(name, Problem(f"{self.name} has no such option"), remedy) from None
-            allowed = ALLOWED.get(first["type"], first["msg"].removeprefix("Input should be "))
-            raise InputError(name, first["input"], allowed) from None
+            raise InputError(name, first["input"], allowed_phrase(first)) from None
 
     def empty_array(self, rows: int, cols: int, lowest_m: float = 0.0) -> np.ndarray:
         """Return the array of a map without data."""

@@ -28,11 +28,11 @@ LATTICE_SIZE = 17
 MAX_BEND_CELLS = 0.1
 """Tolerance in cells for the distance of the lines from their fitted cubics."""
 
-RAYS_BEND_REASON = "the view is so wide that the sun's rays bend across it; shadow_map can draw it"
+RAYS_BEND_REASON = "the sun's rays bend across the view; shadow_map can draw it"
 
 
 def bent_rays_error(crs_name: str) -> UnsupportedError:
-    """Return the error for a view that is so wide that the sun's rays bend across it. The message names the CRS."""
+    """Return the error for a view across which the sun's rays bend. The message names the CRS."""
     return UnsupportedError("algorithm", "sweep", f"in the CRS '{crs_name}' {RAYS_BEND_REASON}")
 
 

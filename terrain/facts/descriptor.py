@@ -65,6 +65,8 @@ class Descriptor(Facts):
       without a sun.
     - ``bands``: the surfaces that a perspective view shows under the sun, by distance.
     - ``bend_px``: maximum deviation of a map from the affine cameras that draw it, pixels (``skugga.terrain.casters.clip_space``).
+    - ``row_width_ratio``: largest ratio of the widths, across the sun's rays, of two rows of nodes that are drawn at once
+      (``skugga.terrain.facts.row_widths``). It is large near a pole of a map in degrees.
     - ``tallest_m``: maximum height of any object above its ground, metres.
     - ``moves``: whether casters, lamps or clouds move with time.
     - ``weather``: visibility, cloud cover and snow.
@@ -100,6 +102,7 @@ class Descriptor(Facts):
     receivers_light_m: tuple[AtLeastZero, AtLeastZero, AtLeastZero] | None
     bands: tuple[Band, ...] = ()
     bend_px: AtLeastZero = 0.0
+    row_width_ratio: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.0
     tallest_m: AtLeastZero = 0.0
     moves: bool = False
     weather: Weather = Weather()

@@ -39,6 +39,8 @@ MAX_CROSSINGS = 200_000
 
 _EDGE_BATCH = 64
 
+_TABLE_REMEDY = "Use columns lon and lat in degrees, or a format with a CRS such as GeoPackage"
+
 _POINT, _POLYGON = 0, 3  # shapely's type ids
 
 
@@ -47,6 +49,15 @@ SINGLE_LAYER_SUFFIXES = (".geojson", ".shp", ".fgb")
 
 INSPECTED_FEATURES, MAX_INSPECTED_LAYERS = 100, 100
 """Number of features that show a layer's kinds of geometry, and the maximum number of layers that are inspected."""
+
+TABLE_SUFFIXES = (".csv", ".tsv", ".psv")
+"""Suffixes of GDAL's driver for text tables."""
+
+TABLE_COORDINATES = (
+    (("lon", "longitude", "lng", "long"), ("lat", "latitude"), "EPSG:4326"),
+    (("x", "easting"), ("y", "northing"), None),
+)
+"""Columns of a text table that hold points: the names of x, those of y, and the CRS. Case does not matter."""
 
 HOLE_OUTSIDE_MESSAGE = "Hole lies outside shell"
 """Start of GEOS's message for a polygon with a hole outside of it. The hole's coordinates follow."""
@@ -167,8 +178,11 @@ def read_features(
 ) -> Features:
     """Read a layer of a vector file into ``crs``, with x before y.
 
-    Attributes that are times become text in ISO 8601. If ``crs`` is an engineering CRS, files without a CRS or in another
-    engineering CRS with the same unit count as files in ``crs``.
+    Attributes that are times become text in ISO 8601, booleans the text "true" or "false". Points of a text table come from the
+    columns ``TABLE_COORDINATES``, unless the table has a column WKT.
+
+    If ``crs`` is an engineering CRS, files without a CRS or in another engineering CRS with the same unit count as files in
+    ``crs``.
 
     Parameters
     ----------
@@ -197,11 +211,13 @@ def read_features(
         list(dict.fromkeys([*attributes, *optional_attributes])),
         0 if layer is None or layer.name is None else layer.name,
     )
+    is_table = source.lower().endswith(TABLE_SUFFIXES)
+    options, table_crs = _table_coordinates(attribute_names(source, layer_name)) if is_table else ({}, None)
     try:
         with _without_warnings():
             # Attributes are not checked first, since any query reads a large GeoJSON from end to end.
             meta, fid, wkb, columns = pyogrio.raw.read(
-                source, layer=layer_name, columns=names, force_2d=True, return_fids=True, datetime_as_string=True
+                source, layer=layer_name, columns=names, force_2d=True, return_fids=True, datetime_as_string=True, **options
             )
             geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object), on_invalid="ignore")
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException, ValueError) as error:
@@ -212,7 +228,10 @@ def read_features(
             available = attribute_names(source, layer_name)
             remedy = f"Use one of {', '.join(available)}" if available else "Use a file with attributes"
             raise SourceError(source, f"no attribute '{name}'", remedy)
-    values = dict(zip(meta["fields"], columns, strict=True))
+    values = {
+        name: _boolean_texts(column) if kind == "bool" else column
+        for name, kind, column in zip(meta["fields"], meta["dtypes"], columns, strict=True)
+    }
     features = Features(source, geometry, values, np.arange(1, len(geometry) + 1), len(geometry), fid)
     missing = shapely.is_missing(geometry)
     for row in np.flatnonzero(missing):
@@ -220,8 +239,10 @@ def read_features(
             raise SourceError(source, f"{features.label(row)}: {_damage(wkb[row])}", "Use undamaged geometries")
     geometry[missing] = shapely.Point()
     if shapely.is_empty(geometry).all():
-        raise SourceError(source, "no feature with a geometry", "Use points or polygons")
-    file_crs = _crs(source, meta["crs"], crs)
+        problem = "no feature with a geometry" if len(fid) else "no features"
+        raise SourceError(source, problem, _TABLE_REMEDY if is_table else "Use points or polygons")
+    # A column WKT goes before the other columns, and then the geometry type is unknown.
+    file_crs = _crs(source, meta["crs"] or (table_crs if meta["geometry_type"] == "Point" else None), crs)
     axes = axes_of(file_crs)
     if not axes.are_standard:
         geometry[:] = shapely.transform(geometry, axes.xy, interleaved=False)
@@ -236,6 +257,20 @@ def read_features(
     if not len(nonempty):
         raise SourceError(source, "only polygons without an area", "Use points or polygons with an area")
     return features[nonempty]
+
+
+def _table_coordinates(names: Sequence[str]) -> tuple[dict[str, str], str | None]:
+    """Return GDAL's options for reading points from the columns ``names`` of a text table, and the CRS of the points."""
+    for x_names, y_names, crs in TABLE_COORDINATES:
+        x, y = ([name for name in names if name.strip().lower() in recognised] for recognised in (x_names, y_names))
+        if x and y:
+            return {"X_POSSIBLE_NAMES": x[0], "Y_POSSIBLE_NAMES": y[0]}, crs
+    return {}, None
+
+
+def _boolean_texts(values: np.ndarray) -> np.ndarray:
+    """Return booleans as texts, object (n,). Missing values are ``None``."""
+    return np.array([None if value != value else "true" if value else "false" for value in values.tolist()], object)
 
 
 def attribute_names(source: str, layer: str | int = 0) -> tuple[str, ...]:
@@ -299,7 +334,8 @@ def _crs(source: str, text: str | None, target: CRS) -> CRS:
     if target.is_engineering:
         return target
     hint = " (its .prj file is missing)" if source.lower().endswith(".shp") else ""
-    raise SourceError(source, f"no coordinate reference system{hint}", "Use a vector file with a CRS")
+    remedy = _TABLE_REMEDY if source.lower().endswith(TABLE_SUFFIXES) else "Use a vector file with a CRS"
+    raise SourceError(source, f"no coordinate reference system{hint}", remedy)
 
 
 def _projected(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:

@@ -128,7 +128,9 @@ def check_overviews(source: str, rows: int, cols: int, factors: Sequence[int]) -
 
 
 def read_overview(ground: LodReader, rows: int, cols: int) -> Overview:
-    """Return the overview of a raster's ground without water. Calls ``LodReader.choose_resampling``, so later reads may be means.
+    """Return the overview of a raster's ground without water.
+
+    Calls ``LodReader.choose_resampling``, so later reads may be means.
     """
     lod = overview_lod(rows, cols)
     shape = ground.lod_shape(lod)

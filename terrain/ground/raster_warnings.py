@@ -21,10 +21,15 @@ def raster_warnings(elevation: Elevation) -> tuple[str, ...]:
         *(() if collar is None else (collar.warning,)),
         *elevation.undeclared_nodata.warnings(vertical, None if collar is None else collar.value),
         *((_nodata_warning(elevation),) if elevation.impossible_nodata else ()),
-        *((_overviews_warning(elevation),) if elevation.lacks_overviews else ()),
+        *((_overviews_warning(elevation),) if elevation.lacks_overviews and not is_in_memory(elevation.name) else ()),
         *((FEET_WARNING,) if in_feet and vertical.unit_from is None else ()),
         *((_units_warning(elevation),) if vertical.conflicting_unit else ()),
     )
+
+
+def is_in_memory(source: str) -> bool:
+    """Return whether a raster is a file in memory, which commands cannot reach."""
+    return source.startswith("/vsimem/")
 
 
 def _overviews_warning(elevation: Elevation) -> str:

@@ -94,7 +94,7 @@ def vertical_axis(
 ) -> VerticalAxis:
     """Return the vertical axis of an open raster's first band; ``units`` and ``positive`` are a level file's settings.
 
-    Raises ``SourceError`` for an unknown unit of the band.
+    Raises ``SourceError`` for an unknown unit or direction of the band.
     """
     try:
         crs = None if dataset.crs is None else CRS.from_user_input(dataset.crs.to_wkt())
@@ -113,7 +113,7 @@ def axis_of_band(
 ) -> VerticalAxis:
     """Return the vertical axis of a band from its unit in words (``""`` for none), its CF tags and its CRS.
 
-    ``units`` and ``positive`` are a level file's settings. Raises ``SourceError`` for an unknown unit.
+    ``units`` and ``positive`` are a level file's settings. Raises ``SourceError`` for an unknown unit or direction.
     """
     of_crs = _axis_of_crs(crs)
     from_setting = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
@@ -125,7 +125,7 @@ def axis_of_band(
     directions: list[tuple[Positive | None, str | None]]
     directions = [
         (positive, "by terrain.positive"),
-        (_positive_of_band(tags), "by its band"),
+        (_positive_of_band(source, tags) if positive is None else None, "by its band"),
         (of_crs.positive, of_crs.source_text),
     ]
     direction, positive_from = next(
@@ -208,8 +208,17 @@ def _unit_name(unit_m: float) -> str:
     )
 
 
-def _positive_of_band(tags: Mapping[str, object]) -> Positive | None:
-    tag = str(tags.get("positive", "")).strip().lower()
-    if tag in ("up", "down"):
-        return "down" if tag == "down" else "up"
+def positive_word(tags: Mapping[str, object]) -> str | None:
+    """Return the word of the CF tag ``positive`` in lower case; ``None`` if it is missing or empty."""
+    word = tags.get("positive")
+    return None if word is None else str(word).strip().lower() or None
+
+
+def _positive_of_band(source: str, tags: Mapping[str, object]) -> Positive | None:
+    word = positive_word(tags)
+    if word in ("up", "down"):
+        return "down" if word == "down" else "up"
+    if word is not None:
+        advice = f"If its numbers are heights, {remedy('positive', 'up')}; if they are depths, down"
+        raise SourceError(source, f"the direction {word} of its band is unknown", advice)
     return "down" if str(tags.get("standard_name", "")).startswith(_DEPTH_NAMES) else None

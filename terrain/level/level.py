@@ -19,7 +19,7 @@ from skugga.terrain.errors import InputError, LevelError, Problem, printable
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from skugga.terrain.level.data_files import special_file_kind
 from skugga.terrain.level.data_roots import DataRoots
-from skugga.terrain.level.level_errors import UNKNOWN_KEY, level_error
+from skugga.terrain.level.level_errors import UNKNOWN_KEY, allowed_phrase, level_error
 from skugga.terrain.level.level_source import LEVEL_KEYS_BY_OPTION, LevelSource
 from skugga.terrain.level.level_text import MAX_CHARACTERS, parse_level_text
 from skugga.terrain.level.linked_files import is_remote, linked_files
@@ -420,8 +420,8 @@ def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
                 details[0]["ctx"]["key"], Problem("unknown setting"), f"Use one of {details[0]['ctx']['known']}"
             ) from None
         name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"
-        messages = (detail["msg"].removeprefix("Input should be ") for detail in details if detail["loc"][:1] == (name,))
-        allowed = " or ".join(dict.fromkeys(messages))
+        phrases = (allowed_phrase(detail) for detail in details if detail["loc"][:1] == (name,))
+        allowed = " or ".join(dict.fromkeys(phrases))
         raise InputError(name, changes.get(name), allowed) from None
 
 
@@ -455,7 +455,7 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
     except ValidationError as error:
         detail = error.errors()[0]
         name = str(detail["loc"][0]) if detail["loc"] else "time"
-        allowed = ALLOWED_ANGLES.get(name, detail["msg"].removeprefix("Input should be "))
+        allowed = ALLOWED_ANGLES.get(name, allowed_phrase(detail))
         raise InputError(name, time if name == "time" else angles[name], allowed) from None
 
 

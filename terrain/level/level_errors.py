@@ -19,11 +19,20 @@ UNKNOWN_KEY = "unknown_key"
 _LEVEL_ERROR_KEYS = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
 """Types of errors that validators of the whole ``Level`` raise, each with the keys of the wrong value in the file."""
 
+_PHRASES_BY_TYPE = {
+    "float_parsing": "a number", "int_parsing": "a whole number", "int_from_float": "a whole number",
+    "date_parsing": "a date, such as 2024-03-21", "date_from_datetime_parsing": "a date, such as 2024-03-21",
+    "date_from_datetime_inexact": "a date, such as 2024-03-21", "path_type": "a path", "string_type": "a text",
+}  # fmt: skip
+"""Phrases of allowed values by pydantic's types of errors, where its messages are not meant for users."""
+
 _PHRASES = (
     (r"(?:List|Tuple) should have (at (?:least|most) \d+ items?) after validation, not .*", r"a list of \1"),
     (r"String should have (at (?:least|most) \d+ characters?)", r"a string of \1"),
     (r"String should match pattern (.*)", r"a string that matches \1"),
     (r"Input should be a valid (?:list|tuple)", "a list"),
+    (r"Input should be a valid dictionary(?: or instance of [A-Za-z]+)?", "a mapping of keys"),
+    (r"Input should be (.*)", r"\1"),
 )
 """Patterns of pydantic's messages, each with the phrase of allowed values that replaces the message."""
 
@@ -86,16 +95,18 @@ def _key_error(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError
         return LevelError(location, last["input"], f"a list of {items + 1} items")
     if first["type"] == "missing":
         return LevelError.missing(location, "This key is required")
-    allowed = " or ".join(dict.fromkeys(_phrase(error["msg"]) for error in errors))
-    allowed = re.sub("a valid dictionary( or instance of [A-Za-z]+)?", "a mapping of keys", allowed)
-    return LevelError(location, first["input"], allowed.replace("input should be ", ""))
+    return LevelError(location, first["input"], " or ".join(dict.fromkeys(map(allowed_phrase, errors))))
 
 
-def _phrase(message: str) -> str:
-    """Return a message of pydantic as a phrase of allowed values, such as ``a list of at least 2 items``."""
-    for pattern, phrase in _PHRASES:
+def allowed_phrase(error: ErrorDetails) -> str:
+    """Return an error of pydantic as a phrase of allowed values, such as ``a list of at least 2 items``."""
+    if (phrase := _PHRASES_BY_TYPE.get(error["type"])) is not None:
+        return phrase
+    message = error["msg"]
+    for pattern, template in _PHRASES:
         if match := re.fullmatch(pattern, message):
-            return match.expand(phrase)
+            message = match.expand(template)
+            break
     return message[:1].lower() + message[1:]
 
 

@@ -26,12 +26,13 @@ from skugga.terrain.geo.vectors import Features, VectorLayer, attribute_names, c
 from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.geolocate import bounds_text
+from skugga.terrain.ground.length_attributes import matching_attribute
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import MeshSpec, RoofForm
 from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_triangles
 from skugga.terrain.meshes.body import Body, PlacedBody, srgb_albedo
-from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes, matching_attribute
+from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes
 from skugga.terrain.meshes.roofs import roof_over
 
 FOOTING_M = 0.5
@@ -142,7 +143,7 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
     assert spec.source is not None
     source = loaded.resolve(spec.source)
     layer = vector_layer(source, (_POLYGON_DIMENSIONS,), spec.layer, lambda names: bool(height_attributes(names)))
-    tops, bases = _height_attributes(spec, key_path, source, layer)
+    tops, bases = _height_attributes(spec, key_path, source, layer, elevation.crs)
     features = read_features(source, elevation.crs, (*tops, *bases), layer=layer)
     polygons, feature = _outlines(features, world)
     attribute_heights = footprint_heights(features, tops, bases)
@@ -210,7 +211,9 @@ def _floor_heights(base: np.ndarray, height: np.ndarray, features: Features, fea
     return base, [f"{first}{more_text} left out: the floor is not below the roof"]
 
 
-def _height_attributes(spec: MeshSpec, key_path: str, source: str, layer: VectorLayer) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _height_attributes(
+    spec: MeshSpec, key_path: str, source: str, layer: VectorLayer, crs: CRS
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the names of the attributes of building heights, and those of floor heights.
 
     The first are empty if heights have another source.
@@ -226,6 +229,7 @@ def _height_attributes(spec: MeshSpec, key_path: str, source: str, layer: Vector
     tops = height_attributes(available_names)
     if tops:
         return tops, bases
+    read_features(source, crs, layer=layer)  # raises the error of a file without footprints
     attributes = f"an attribute of {source} ({', '.join(available_names) or 'it has none'})"
     raise LevelError.missing(f"{key_path}.height", f"Set it to metres or to {attributes}, or set surface and ground rasters")
 

@@ -127,11 +127,7 @@ class Canopy:
         self.crs = crs
         check_cells(source, dataset)
         self._transform = axes_of(crs).affine @ dataset.transform
-        unit_m = vertical_axis(
-            source,
-            dataset,
-            # Canopy heights increase upwards, even if the axis of the vertical CRS points down.
-        ).unit_m
+        unit_m = vertical_axis(source, dataset, positive="up").unit_m  # canopies grow upwards, whatever band and CRS say
         self._scale, self._offset = dataset.scales[0] * unit_m, dataset.offsets[0] * unit_m
         self.rows, self.cols = dataset.height, dataset.width
 

@@ -6,6 +6,7 @@ features of the files.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,10 +18,17 @@ from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
 from skugga.terrain.errors import LevelError, Problem, SourceError
-from skugga.terrain.geo.vectors import Features, attribute_names, numeric_attribute, read_features, vector_layer
+from skugga.terrain.geo.vectors import Features, attribute_names, read_features, vector_layer
 from skugga.terrain.geo.world import World, longitude_latitude_of, transformer
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.length_text import length_m
+from skugga.terrain.ground.length_attributes import (
+    AttributeLengths,
+    attribute_lengths,
+    check_lengths,
+    matching_attribute,
+    recognised_attributes,
+    with_unit_suffixes,
+)
 from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import ForestSpec, Species
 from skugga.terrain.level.rasters import is_raster
@@ -63,8 +71,11 @@ MAX_TREES = 5_000_000
 DEFAULT_HEIGHT_RANGE_M = (8.0, 18.0)
 """Default range of tree heights."""
 
-POINT_HEIGHT_ATTRIBUTES = ("height", "Height", "HEIGHT", "height_m", "Height_m", "HEIGHT_M")
-"""Attributes searched for the heights of points, in this order, if the level names none."""
+HEIGHT_UNITS = with_unit_suffixes(("height", "tree_height", "measured_height", "est_height", "hauteur"))
+"""Units of attributes with heights, which are searched in this order for the heights of points if the level names none."""
+
+CROWN_UNITS = with_unit_suffixes(("crown", "crown_diameter", "crown_width", "diameter_crown"))
+"""Units of attributes with diameters of crowns."""
 
 VALID_RANGE_M = (0.1, 150.0)
 """Range of valid heights and crown diameters. Features outside of it are left out."""
@@ -151,10 +162,12 @@ class Stems:
         Upper bounds of crown diameters float64 (n,), metres, from the distance to neighbours; ``None``: no bounds.
     notes
         Notes on the file's content.
-    omission_text
-        Text on features or cells without trees; empty if there are none.
+    omissions
+        Texts on features or cells without trees.
     warnings
         Texts on probable mistakes in the file.
+    off_terrain_count
+        Number of trees of the file that are off the terrain. They are not among the stems.
     """
 
     positions: TreePositions
@@ -162,8 +175,9 @@ class Stems:
     crown_m: np.ndarray | None
     growing_space_m: np.ndarray | None = None
     notes: tuple[str, ...] = ()
-    omission_text: str = ""
+    omissions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    off_terrain_count: int = 0
 
     def __getitem__(self, chosen: np.ndarray) -> Stems:
         p, crown, room = self.positions, self.crown_m, self.growing_space_m
@@ -229,10 +243,12 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
         trees = _plant_stand(stems, spec.species, key_path, site)
         count += len(trees.rank)
         planted_stands.append(trees)
-        notes += [f"{spec.source}: {note}" for note in (*stems.notes, *_planting_note(stems, len(trees.rank)))]
+        omission_text = _omission_text(stems, len(trees.rank))
+        planting_note = f"{len(trees.rank)} trees planted" + (f"; left out: {omission_text}" if omission_text else "")
+        notes += [f"{spec.source}: {note}" for note in (*stems.notes, planting_note)]
         warnings += [f"{spec.source}: {text}" for text in stems.warnings]
         if not len(trees.rank):
-            warnings.append(f"{spec.source}: no tree is planted{f': {stems.omission_text}' if stems.omission_text else ''}")
+            warnings.append(f"{spec.source}: no tree is planted{f': {omission_text}' if omission_text else ''}")
     if not count:
         return Planting(None, tuple(notes), tuple(warnings))
     trees = Trees(**{name: np.concatenate([getattr(s, name) for s in planted_stands]) for name in Trees.__dataclass_fields__})
@@ -240,20 +256,45 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
     return Planting(replace(trees, rank=thinning_ranks(east, north)), tuple(notes), tuple(warnings))
 
 
-def _planting_note(stems: Stems, planted: int) -> list[str]:
-    """Return the note on the numbers of planted and left out trees of a stand."""
-    lost_count = len(stems.positions) - planted
-    omissions = [f"{lost_count} off the terrain, over its holes or under water"] if lost_count else []
-    omission_text = "; ".join([*omissions, *([stems.omission_text] if stems.omission_text else [])])
-    return [f"{planted} trees planted" + (f"; left out: {omission_text}" if omission_text else "")]
+def _omission_text(stems: Stems, planted_count: int) -> str:
+    """Return the text on the trees, features or cells of a stand that were left out; empty if there are none."""
+    lost_count = stems.off_terrain_count + len(stems.positions) - planted_count
+    lost_texts = [f"{lost_count} off the terrain, over its holes or under water"] if lost_count else []
+    return "; ".join([*lost_texts, *stems.omissions])
+
+
+@dataclass(frozen=True, eq=False)
+class StandFeatures:
+    """The polygons or points of a stand, with the values of their attributes.
+
+    Attributes
+    ----------
+    features
+        The n features. Their geometries have single parts.
+    height_m, crown_m
+        Heights of trees and diameters of crowns float64 (n,), metres, NaN where invalid; ``None`` without attributes of them.
+    notes
+        Attributes that were used, in words.
+    warnings
+        Values that were ignored, in words.
+    """
+
+    features: Features
+    height_m: np.ndarray | None
+    crown_m: np.ndarray | None
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def _stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: int) -> Stems:
     """Return the stems of a stand from a file of polygons, points or canopy heights. The file's content decides which."""
-    attributes = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
     try:
         layer = vector_layer(source, (0, 2), spec.layer)
-        all_features = read_features(source, site.crs, attributes, POINT_HEIGHT_ATTRIBUTES if spec.height is None else (), layer)
+        names = attribute_names(source, layer.name or 0)
+        crowns = (matching_attribute(spec.crown, names),) if isinstance(spec.crown, str) else ()
+        heights = (matching_attribute(spec.height, names),) if isinstance(spec.height, str) else ()
+        point_heights = recognised_attributes(names, HEIGHT_UNITS) if spec.height is None else heights
+        features = _single_parts(read_features(source, site.crs, (*point_heights, *crowns), layer=layer))
     except SourceError:
         if _is_vector(source):
             raise
@@ -261,14 +302,53 @@ def _stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: 
     if spec.least_height is not None:
         problem = Problem(f"'{spec.least_height}' needs a raster of canopy heights as the source")
         raise LevelError(f"{key_path}.least_height", problem, "Remove the key")
-    features = _single_parts(all_features)
     dimensions = shapely.get_dimensions(features.geometry)
     if (dimensions == 2).all():
-        return replace(_polygon_stems(spec, features, key_path, site, max_trees), notes=layer.notes)
-    if (dimensions == 0).all():
-        return replace(_point_stems(spec, features, key_path, site, max_trees), notes=layer.notes)
-    geometry_problem = "it has lines" if (dimensions == 1).any() else "it has both polygons and points"
-    raise SourceError(source, geometry_problem, "Use only polygons, only points, or a raster of canopy heights")
+        stand = _stand_features(features, heights, crowns, spec.height is None, "the key height sets a range or an attribute")
+        stems = _polygon_stems(spec, stand, key_path, site, max_trees)
+    elif (dimensions == 0).all():
+        stand = _stand_features(features, point_heights, crowns, spec.height is None, "no attribute has them")
+        stems = _point_stems(spec, stand, key_path, site, max_trees)
+    else:
+        geometry_problem = "it has lines" if (dimensions == 1).any() else "it has both polygons and points"
+        raise SourceError(source, geometry_problem, "Use only polygons, only points, or a raster of canopy heights")
+    omissions = [f"{features.omitted_count} without a geometry"] if features.omitted_count else []
+    return replace(stems, notes=(*layer.notes, *stand.notes), omissions=(*stems.omissions, *omissions), warnings=stand.warnings)
+
+
+def _stand_features(
+    features: Features, heights: Sequence[str], crowns: Sequence[str], has_default_heights: bool, default_reason: str
+) -> StandFeatures:
+    """Return features with the values of their attributes ``heights`` and ``crowns``.
+
+    If ``has_default_heights``, features without any value of ``heights`` get heights of the default range. ``default_reason`` says
+    why in the note. Raises ``SourceError`` if an attribute has no valid value.
+    """
+    height = attribute_lengths(features, heights, HEIGHT_UNITS, "heights")
+    crown = attribute_lengths(features, crowns, CROWN_UNITS, "crowns")
+    is_drawn = has_default_heights and not height.has_values
+    low_m, high_m = DEFAULT_HEIGHT_RANGE_M
+    drawn_notes = [f"heights: drawn at random from {low_m:g} m to {high_m:g} m ({default_reason})"] if is_drawn else []
+    return StandFeatures(
+        features, None if is_drawn or not heights else _valid_lengths_m(features, heights, height),
+        _valid_lengths_m(features, crowns, crown) if crowns else None,
+        (*drawn_notes, *height.notes, *crown.notes), (*height.warnings, *crown.warnings),
+    )  # fmt: skip
+
+
+def _valid_lengths_m(features: Features, attributes: Sequence[str], lengths: AttributeLengths) -> np.ndarray:
+    """Return lengths float64 (n,), metres, NaN where they are not in ``VALID_RANGE_M``.
+
+    Raises ``SourceError`` if no length is valid.
+    """
+    check_lengths(features.name, lengths)
+    with np.errstate(invalid="ignore"):
+        valid = (lengths.values_m >= VALID_RANGE_M[0]) & (lengths.values_m <= VALID_RANGE_M[1])
+    if not valid.any():
+        first_value = features.attributes[attributes[0]][0]
+        problem = f"the attribute {attributes[0]} has no valid value ({first_value} ...)"
+        raise SourceError(features.name, problem, f"Use lengths from {VALID_RANGE_M[0]} m to {VALID_RANGE_M[1]:g} m")
+    return np.where(valid, lengths.values_m, np.nan)
 
 
 def _is_vector(source: str) -> bool:
@@ -282,10 +362,11 @@ def _is_vector(source: str) -> bool:
     return True
 
 
-def _polygon_stems(spec: ForestSpec, features: Features, key_path: str, site: Site, max_trees: int) -> Stems:
+def _polygon_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, site: Site, max_trees: int) -> Stems:
     if spec.density is None:
         raise LevelError.missing(f"{key_path}.density", "Set the trees per hectare: the source has polygons")
-    geometry, index = features.geometry, np.arange(len(features.geometry))
+    geometry = stand.features.geometry
+    total_count, index = len(geometry), np.arange(len(geometry))
     if site.outline is not None:
         shapely.prepare(site.outline)
         is_near = shapely.intersects(site.outline, geometry)
@@ -293,7 +374,7 @@ def _polygon_stems(spec: ForestSpec, features: Features, key_path: str, site: Si
         is_within = shapely.contains_properly(site.outline, geometry)
         geometry[~is_within] = shapely.intersection(geometry[~is_within], site.outline)
         if not len(geometry):
-            raise _off_terrain_error(key_path, shapely.total_bounds(features.geometry), site)
+            raise _off_terrain_error(key_path, shapely.total_bounds(stand.features.geometry), site)
     expected = shapely.area(geometry).sum() * site.unit_m**2 / HECTARE_M2 * spec.density
     if expected > max_trees:
         raise _too_many_trees_error(key_path, round(expected), max_trees)
@@ -301,29 +382,40 @@ def _polygon_stems(spec: ForestSpec, features: Features, key_path: str, site: Si
     feature_row = np.repeat(index, [len(positions) for positions in stand_positions])
     positions, first = join_positions(stand_positions)
     feature_row = feature_row[first]
-    height = _tree_values(spec.height or DEFAULT_HEIGHT_RANGE_M, features, feature_row, positions.key, HEIGHT_STREAM)
-    crown = None if spec.crown is None else _tree_values(spec.crown, features, feature_row, positions.key, CROWN_STREAM)
-    return _drop_invalid(Stems(positions, height, crown))
+    off_terrain_count = total_count - len(geometry)
+    omissions = (f"{off_terrain_count} polygons off the terrain",) if off_terrain_count else ()
+    return _valid_stems(Stems(positions, *_sizes_m(spec, stand, feature_row, positions.key), omissions=omissions))
 
 
-def _point_stems(spec: ForestSpec, features: Features, key_path: str, site: Site, max_trees: int) -> Stems:
+def _point_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, site: Site, max_trees: int) -> Stems:
     if spec.density is not None:
         problem = Problem(f"'{spec.density}' needs polygons, but the source has points, each a tree")
         raise LevelError(f"{key_path}.density", problem, "Remove the key")
-    x, y = shapely.get_x(features.geometry), shapely.get_y(features.geometry)
+    x, y = shapely.get_x(stand.features.geometry), shapely.get_y(stand.features.geometry)
     covered = np.flatnonzero(site.elevation.covers(*site.to_terrain_crs(x, y)))
     if not len(covered):
-        raise _off_terrain_error(key_path, shapely.total_bounds(features.geometry), site)
+        raise _off_terrain_error(key_path, shapely.total_bounds(stand.features.geometry), site)
     key, first = np.unique(point_keys(spec.seed, x[covered] * site.unit_m, y[covered] * site.unit_m), return_index=True)
     first = covered[first]
     if len(key) > max_trees:
         raise _too_many_trees_error(key_path, len(key), max_trees)
-    height_source = spec.height or next(
-        (name for name in POINT_HEIGHT_ATTRIBUTES if name in features.attributes), DEFAULT_HEIGHT_RANGE_M
-    )
-    height = _tree_values(height_source, features, first, key, HEIGHT_STREAM)
-    crown = None if spec.crown is None else _tree_values(spec.crown, features, first, key, CROWN_STREAM)
-    return _drop_invalid(Stems(TreePositions(x[first], y[first], key), height, crown))
+    duplicate_count = len(covered) - len(key)
+    omissions = (f"{duplicate_count} at the same place as another",) if duplicate_count else ()
+    sizes_m = _sizes_m(spec, stand, first, key)
+    positions = TreePositions(x[first], y[first], key)
+    return _valid_stems(Stems(positions, *sizes_m, omissions=omissions, off_terrain_count=len(x) - len(covered)))
+
+
+def _sizes_m(spec: ForestSpec, stand: StandFeatures, row: np.ndarray, key: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the heights of trees, and their crown diameters if the stand sets them, float64 (n,), metres.
+
+    ``row`` (n,) is the row of each tree's feature, and ``key`` (n,) is each tree's hash.
+    """
+    height_range_m = spec.height if isinstance(spec.height, tuple) else DEFAULT_HEIGHT_RANGE_M
+    height_m = _random_lengths_m(height_range_m, key, HEIGHT_STREAM) if stand.height_m is None else stand.height_m[row]
+    if isinstance(spec.crown, tuple):
+        return height_m, _random_lengths_m(spec.crown, key, CROWN_STREAM)
+    return height_m, None if stand.crown_m is None else stand.crown_m[row]
 
 
 def _canopy_stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: int) -> Stems:
@@ -354,15 +446,14 @@ def _canopy_stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_
         canopy.close()
     positions, first = join_positions([part.positions for part in parts])
     height = np.concatenate([part.height_m for part in parts] or [np.empty(0)])[first]
-    crown = None if spec.crown is None else _tree_values(spec.crown, None, first, positions.key, CROWN_STREAM)
+    crown = None if spec.crown is None else _random_lengths_m(spec.crown, positions.key, CROWN_STREAM)
     warnings = []
     if cells.is_mostly_giant:
         limit_m = f"{GIANT_HEIGHT_M:g} m"
         warnings.append(f"most of its cells with trees are higher than {limit_m}. Check the unit of its heights.")
     return Stems(
         positions, height, crown, MAX_CROWN_RATIO * growing_space_m(positions.x, positions.y, site.unit_m),
-        omission_text=("of its cells "
-            f"{omissions}") if (omissions := cells.omission_text(canopy.min_height_m)) else "", warnings=tuple(warnings),
+        omissions=(f"of its cells {text}",) if (text := cells.omission_text(canopy.min_height_m)) else (), warnings=tuple(warnings),
     )  # fmt: skip
 
 
@@ -423,30 +514,18 @@ def _plant_stand(stems: Stems, species: Species, key_path: str, site: Site) -> T
     )
 
 
-def _tree_values(
-    value_source: tuple[float, float] | str, features: Features | None, row: np.ndarray, key: np.ndarray, stream: int
-) -> np.ndarray:
-    """Return metres float64 (n,): random values in a range, or the values of an attribute (NaN where invalid).
-
-    Raises ``SourceError`` if the attribute has no valid value.
-    """
-    if not isinstance(value_source, str):
-        return value_source[0] + (value_source[1] - value_source[0]) * uniform_numbers(key, stream)
-    assert features is not None
-    values = numeric_attribute(features, value_source, length_m)
-    with np.errstate(invalid="ignore"):
-        valid = (values >= VALID_RANGE_M[0]) & (values <= VALID_RANGE_M[1])
-    if not valid.any():
-        problem = f"the attribute {value_source} has no valid value ({values[0]:g} ...)"
-        raise SourceError(features.name, problem, f"Use metres from {VALID_RANGE_M[0]} to {VALID_RANGE_M[1]:g}")
-    return np.where(valid, values, np.nan)[row]
+def _random_lengths_m(range_m: tuple[float, float], key: np.ndarray, stream: int) -> np.ndarray:
+    """Return random lengths float64 (n,) in a range, both in metres, from the hashes ``key`` (n,) of trees."""
+    return range_m[0] + (range_m[1] - range_m[0]) * uniform_numbers(key, stream)
 
 
-def _drop_invalid(stems: Stems) -> Stems:
+def _valid_stems(stems: Stems) -> Stems:
+    """Return the stems with a height and, if crowns come from an attribute, with a crown."""
     valid = np.isfinite(stems.height_m)
     valid = valid if stems.crown_m is None else valid & np.isfinite(stems.crown_m)
     lost_count = np.count_nonzero(~valid)
-    return replace(stems[valid], omission_text=f"{lost_count} without a usable height or crown" if lost_count else "")
+    omissions = (f"{lost_count} without a usable height or crown",) if lost_count else ()
+    return replace(stems[valid], omissions=(*stems.omissions, *omissions))
 
 
 def _single_parts(features: Features) -> Features:

@@ -28,10 +28,14 @@ LON_LAT_CRS = CRS.from_user_input("OGC:CRS84")
 
 
 def shadow_length_m(radius_m: float) -> float:
-    """Return the length of the tower's shadow along a sphere. On a small body the curved ground drops away under the
-    shadow.
+    """Return the length of the tower's shadow along a sphere.
+
+    On a small body the curved ground drops away under the shadow. Where the ray past the tower's top misses the ground, the shadow
+    has no end, and the length is infinite.
     """
     sin_altitude, top_m = np.sin(np.radians(ALTITUDE_DEG)), radius_m + HEIGHT_M
+    if (top_m * sin_altitude) ** 2 < (top_m + radius_m) * HEIGHT_M:
+        return np.inf
     ray_length_m = top_m * sin_altitude - np.sqrt((top_m * sin_altitude) ** 2 - (top_m + radius_m) * HEIGHT_M)
     return float(radius_m * np.arcsin(ray_length_m * np.cos(np.radians(ALTITUDE_DEG)) / radius_m))
 

@@ -17,6 +17,7 @@ import shapely
 
 from skugga.api.cli import main as cli
 from skugga.api.http.server.app import create_app
+from skugga.api.raster_view import raster_view
 from skugga.api.settings import Settings
 from skugga.selector.candidates import MAX_CANDIDATES, candidates
 from skugga.selector.planner.planner import make_plan
@@ -198,10 +199,23 @@ def test_plan_replaces_a_sweep_by_maps_where_rays_bend(gl, write_raster, make_sc
         frame = render_frame(scene, view, plan)
         assert [record.name for record in frame.passes] == plan.passes
         (reason,) = [named_reason.reason for named_reason in plan.reasons if named_reason.name == f"sun/relief: {name}"]
-        bends = "the view is so wide that the sun's rays bend across it; shadow_map can draw it"
+        bends = "the sun's rays bend across the view; shadow_map can draw it"
         assert reason == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
         rejected = {named_reason.name: named_reason.reason for named_reason in plan.rejected}
         assert rejected.get("sweep") == (bends if name == "shadow_map" else None)
+
+
+@pytest.mark.parametrize("asked", [{}, {"algorithm": "sweep"}])
+@pytest.mark.parametrize(("azimuth", "name"), [(180.0, "shadow_map"), (0.0, "shadow_map"), (90.0, "sweep")])
+def test_plan_draws_maps_near_a_pole_by_shadow_maps(gl, write_raster, make_scene, azimuth, name, asked):
+    """Rows of a map in degrees narrow towards the pole. Under a sun in the east, lines run along the rows."""
+    heights = np.zeros((61, 61), np.float32)
+    heights[27:34, 27:34] = 60.0
+    scene = make_scene(write_raster(heights, "EPSG:4326", 15.0, 89.99, 1e-4), azimuth, 30.0)
+    view = raster_view(scene, None, None, None, None).view
+    plan = plan_of(scene, view, **asked)
+    assert plan.algorithm["sun"]["relief"] == name
+    assert (render_frame(scene, view, plan).visibility == 0).any()
 
 
 def test_plan_refuses_a_sweep_of_meshes_in_wide_views_too(level_file):

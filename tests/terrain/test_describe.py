@@ -77,6 +77,7 @@ INVALID_CHANGES = {
     "highest_sun_deg": {"highest_sun_deg": None},
     "receivers_light_m.1": {"receivers_light_m": [1.0, -1.0, 1.0]},
     "bend_px": {"bend_px": -0.5},
+    "row_width_ratio": {"row_width_ratio": 0.9},
     "tallest_m": {"tallest_m": -2.0},
     "weather.cloud_cover": {"weather": {"cloud_cover": 2.0}},
     "facts.haze.visibility_m": {"facts": {"haze": {"visibility_m": float("nan")}}},

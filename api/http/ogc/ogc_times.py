@@ -21,6 +21,8 @@ Any other time is served, too. The word ``current`` is served, but never listed.
 EQUINOX = 3, 21
 """Month and day of the default date of a level whose sun has no time."""
 
+ALLOWED_INSTANTS = "a date, an ISO 8601 time such as 2024-10-21T16:30:00Z, an interval of these, or current"
+
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 _OFFSET = re.compile(r"(Z|z|[+\- ]\d\d:?\d\d)$")
 
@@ -28,8 +30,8 @@ _OFFSET = re.compile(r"(Z|z|[+\- ]\d\d:?\d\d)$")
 def requested_instant(text: str | None, lon_deg: float) -> str | None:
     """Return the instant that a TIME means: ISO 8601 with an offset, ``current``, or ``None`` for the level's own sun.
 
-    A time without an offset is in UTC. A date means its solar noon at the longitude ``lon_deg``. An interval means its begin. An
-    invalid text is not detected here: ``skugga.terrain.level.level.parse_sun`` rejects it later.
+    A time without an offset is in UTC. A date means its solar noon at the longitude ``lon_deg``. An interval means its begin.
+    Raises ``InputError`` for any other text.
     """
     if text is None or text.strip().lower() in ("", DEFAULT_TIME):
         return None
@@ -40,9 +42,14 @@ def requested_instant(text: str | None, lon_deg: float) -> str | None:
         try:
             noon = datetime.combine(date.fromisoformat(begin), datetime.min.time(), UTC) + timedelta(hours=12.0 - lon_deg / 15.0)
         except (ValueError, OverflowError):
-            return begin
+            raise InputError("time", text, ALLOWED_INSTANTS) from None
         return _iso_utc(noon.replace(microsecond=0))
-    return begin if _OFFSET.search(begin) else f"{begin}Z"
+    instant = begin if _OFFSET.search(begin) else f"{begin}Z"
+    try:
+        parse_sun(instant, None, None)
+    except InputError:
+        raise InputError("time", text, ALLOWED_INSTANTS) from None
+    return instant
 
 
 def requested_date(text: str | None, default: date) -> date:

@@ -12,7 +12,7 @@ from skugga.api.http.answers import wants_html
 from skugga.api.http.problems import domain_problem, problem_of, problem_response
 from skugga.api.http.server.not_found import not_found_page
 from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
-from skugga.terrain.level.level_errors import UNKNOWN_KEY
+from skugga.terrain.level.level_errors import UNKNOWN_KEY, allowed_phrase
 
 
 def install_problem_handlers(app: FastAPI) -> None:
@@ -80,5 +80,4 @@ def _first_error(error: RequestValidationError) -> InputError:
         return InputError(name, Problem("unknown key"), "Omit it")
     if detail["type"] == "model_attributes_type":
         return InputError(name, detail.get("input"), "an object")
-    allowed = detail["msg"].removeprefix("Input should be ")
-    return InputError(name, detail.get("input"), allowed[:1].lower() + allowed[1:])
+    return InputError(name, detail.get("input"), allowed_phrase(detail))

@@ -12,7 +12,7 @@ from skugga.api.http.openapi_parts import LevelPath, example_query
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, map_query
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import ServiceDep
-from skugga.api.http.tiles.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
+from skugga.api.http.tiles.map_extents import MapBounds, bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
 from skugga.api.http.tiles.maps import MapQuery, map_answer
 from skugga.api.http.tiles.tile_docs import JPEG_LAYERS, PICTURE_DOCS
 from skugga.api.products.product import MapFormat
@@ -71,9 +71,21 @@ def _query_on_earth(
     code = level.map_crs.to_string() if crs is None else crs_code(crs)
     bounds_crs = level.map_crs if crs is None else crs_of_code(code)
     bounds = bounds_in(level, bounds_crs) if bbox is None else parse_bounds(bbox)
+    if bbox is not None and crs is None and _may_be_degrees(bounds) and not _overlap(bounds, bounds_in(level, bounds_crs)):
+        raise InputError("bbox", Problem(f"'{bbox}' is off the level, whose maps are in {code}"), "For degrees add crs=OGC:CRS84")
     west, south, east, north = bounds
     size = map_size(sides.get("width"), sides.get("height"), (east - west) / (north - south))
     return MapQuery(bounds, code, size, product_request, format)
+
+
+def _may_be_degrees(bounds: MapBounds) -> bool:
+    """Return whether bounds lie within the ranges of longitude and latitude."""
+    west, south, east, north = bounds
+    return -360.0 <= west and east <= 360.0 and -90.0 <= south and north <= 90.0
+
+
+def _overlap(bounds: MapBounds, other_bounds: MapBounds) -> bool:
+    return all(bounds[i] < other_bounds[i + 2] and other_bounds[i] < bounds[i + 2] for i in (0, 1))
 
 
 def _query_off_earth(

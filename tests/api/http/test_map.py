@@ -144,6 +144,7 @@ def test_sun_hours_map_agrees_with_points(client: Client):
     [
         ("bbox=1,2,3", "bbox", "four numbers"),
         ("bbox=3,2,1,4", "bbox", "west < east"),
+        ("bbox=8.3,47.4,8.5,47.6", "bbox", "is off the level, whose maps are in EPSG:3857. For degrees add crs=OGC:CRS84"),
         ("bbox=a,b,c,d", "bbox", "four numbers"),
         ("bbox=0,0,nan,4", "bbox", "four numbers"),
         ("crs=%2Bproj%3Dutm%20%2Bzone%3D32%20%2Bnadgrids%3Dhouse.tif", "crs", "by its code"),

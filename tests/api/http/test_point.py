@@ -58,7 +58,7 @@ def test_point_off_the_data_is_null_with_a_remark(client: Client):
     report = answer.json()
     assert answer.status_code == 200 and report["lon"] == report["lat"] == 0.0
     assert report["elevation_m"] is report["now"] is report["day"] is None
-    assert report["remark"].startswith("no ground here: a place on the level's data: longitudes 8.")
+    assert report["remark"].startswith("no ground here. Use a place on the level's data: longitudes 8.")
     for file in ("horizon.csv", "sun.svg", "sun.json"):
         check_problem(client.get(f"{POINT}/{file}?lon=0&lat=0"), 422, "invalid_parameter", "point")
 

@@ -309,7 +309,9 @@ def test_requested_instant_and_date_parse_times():
     assert requested_instant("2024-06-21T16:00", 7.0) == "2024-06-21T16:00Z"
     assert requested_instant("2024-06-21T16:00:00+02:00/2024-06-22T00:00:00+02:00", 7.0) == "2024-06-21T16:00:00+02:00"
     assert requested_instant("2024-06-21", -90.0) == "2024-06-21T18:00:00Z"  # solar noon, six hours after that of Greenwich
-    assert requested_instant("2024-13-41", 0.0) == "2024-13-41"
+    for wrong in ("2024-13-41", "soon", "2024-06-21T25:00Z"):
+        with pytest.raises(InputError, match=f"time: '{wrong}' is not allowed. Allowed: a date, an ISO 8601 time"):
+            requested_instant(wrong, 0.0)
     default = datetime(2024, 3, 21, tzinfo=UTC).date()
     assert requested_date("2024-06-21T00:00:00Z", default).isoformat() == "2024-06-21" and requested_date(None, default) == default
     with pytest.raises(InputError, match="a date"):

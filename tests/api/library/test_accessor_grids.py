@@ -102,7 +102,8 @@ def test_the_answer_keeps_the_name_of_the_grid_mapping():
 
 INVALID_ARRAYS: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
     "no coordinates": (lambda array: array.drop_vars(["x", "y"]), "cells have no coordinates"),
-    "a row of no height": (lambda array: array[:1], "cells have no coordinates"),
+    "one row": (lambda array: array[:1], "y: one coordinate gives no cell size"),
+    "one column": (lambda array: array[:, 3:4], "x: one coordinate gives no cell size"),
     "uneven rows": (lambda array: array.isel(y=[*range(40), *range(41, 90)]), "y: uneven steps"),
     "the same row": (lambda array: array.assign_coords(y=np.zeros(90)), "y: uneven steps"),
     "no number": (lambda array: array.assign_coords(x=np.full(120, np.nan)), "x: coordinates"),

@@ -98,6 +98,27 @@ def test_nodata_attributes_of_an_array_are_respected(height_m):
     assert ["are -9999, far from all other heights" in str(warning.message) for warning in caught] == [True]
 
 
+@pytest.mark.parametrize("values", [[-9999.0], (-9999,), np.array([-9999.0]), [-9999.0, -9999.0]])
+@pytest.mark.parametrize("name", ["_FillValue", "missing_value", "fill_value", "nodata", "nodatavals"])
+def test_a_list_of_one_nodata_value_is_that_value(height_m, name, values):
+    array = heights(np.nan_to_num(height_m, nan=-9999.0)).assign_attrs({name: values})
+    xarray.testing.assert_equal(array.skugga.shadow(**SUN), heights(height_m).skugga.shadow(**SUN))
+
+
+@pytest.mark.parametrize("values", [[-9999.0, -1.0], np.array([-9999.0, -1.0]), [], ["x"], {}])
+@pytest.mark.parametrize("name", ["_FillValue", "missing_value", "scale_factor", "add_offset"])
+@pytest.mark.parametrize("chunks", [None, 50])
+def test_attributes_that_are_no_number_are_refused(height_m, name, values, chunks):
+    array = heights(height_m).assign_attrs({name: values})
+    with pytest.raises(skugga.SkuggaError, match=f"^the array: {name}: .*one number"):
+        (array if chunks is None else array.chunk(chunks)).skugga.shadow(**SUN)
+
+
+def test_nodata_set_without_an_attribute_is_no_ground(height_m):
+    array = heights(np.nan_to_num(height_m, nan=-9999.0)).rio.set_nodata(-9999.0)
+    xarray.testing.assert_equal(array.skugga.shadow(**SUN), heights(height_m).skugga.shadow(**SUN))
+
+
 def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
     feet = np.rint((np.nan_to_num(height_m, nan=900.0) / 0.3048 - 1000.0) / 0.5).astype(np.int16)
     raster = write_geotiff(tmp_path / "feet.tif", feet, "EPSG:32633", 500e3, 5200e3, 30.0)
@@ -136,6 +157,20 @@ def test_an_unknown_unit_of_an_array_is_refused_at_once(height_m, chunks):
     array = heights(height_m).assign_attrs(units="furlong")
     with pytest.raises(skugga.SkuggaError, match="units: 'furlong'.*fathom"):
         (array if chunks is None else array.chunk(chunks)).skugga.shadow(**SUN)
+
+
+@pytest.mark.parametrize("word", ["left", "upward", 1])
+@pytest.mark.parametrize("chunks", [None, 50])
+def test_an_unknown_direction_of_an_array_is_refused(height_m, word, chunks):
+    array = heights(height_m).assign_attrs(positive=word)
+    with pytest.raises(skugga.SkuggaError, match=rf"^the array: positive: '{word}'.*up \(heights\) or down \(depths\)"):
+        (array if chunks is None else array.chunk(chunks)).skugga.shadow(**SUN)
+
+
+@pytest.mark.parametrize(("word", "sign"), [("UP", 1), (" Up ", 1), ("", 1), (None, 1), ("Down", -1), ("DOWN ", -1)])
+def test_a_direction_of_an_array_may_have_any_case(height_m, word, sign):
+    array = heights(sign * height_m).assign_attrs(positive=word)
+    xarray.testing.assert_equal(array.skugga.shadow(**SUN), heights(height_m).skugga.shadow(**SUN))
 
 
 def test_nodata_outside_the_dtype_is_ignored(height_m):

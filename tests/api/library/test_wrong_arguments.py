@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from affine import Affine
 from hypothesis import HealthCheck, given, settings
@@ -25,7 +26,8 @@ SUN = {"azimuth": 250.0, "altitude": 12.0}
 
 ODD_VALUES = [
     None, "", "x", b"x", 0, -1, 1, 1.5, 1e300, -1e300, 10**400, NAN, INF, True, (), [], (1, 2), (1, 2, 3, 4), "1,2,3,4", {},
-    object(), np.array([1.0, 2.0]), np.zeros((2, 2)), np.float32(3), np.int64(-3), np.datetime64("NaT"), "2024-03-21",
+    object(), np.array([1.0, 2.0]), np.zeros((2, 2)), np.float32(3), np.int64(-3), np.datetime64("NaT"), pd.NaT,
+    "2024-03-21", np.datetime64("2024-03"),
     np.datetime64("2024-03-21T10:00"), datetime.date(2024, 3, 21), datetime.datetime(2024, 3, 21), "2024-03-21T10:00Z",
     Path("nowhere.tif"), slice(0, 2),
 ]  # fmt: skip
@@ -144,13 +146,16 @@ def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, a
     ("call", "words"),
     [
         (lambda level: level.shade("mask", times="2024-03-21T10:00Z"), ("times: unknown parameter", "time,", "algorithm")),
-        (lambda level: skugga.shadow(GROUND, 0.0, 250.0, 12.0), ("cell_m: '0.0'", "more than 0")),
+        (lambda level: skugga.shadow(GROUND, 0.0, 250.0, 12.0), ("cell_m: '0.0'", "0.000001 to 1,000,000 metres")),
+        (lambda level: skugga.shadow(GROUND, 1e-300, 250.0, 12.0), ("cell_m: '1e-300'", "0.000001 to 1,000,000 metres")),
+        (lambda level: skugga.shadow(GROUND, 1e300, 250.0, 12.0), ("cell_m: '1e+300'", "0.000001 to 1,000,000 metres")),
         (lambda level: skugga.shadow(GROUND, (TRANSFORM.e, TRANSFORM.a), 250.0, 12.0), (("cell_m: "
             "'(-30.0, 30.0)'"), "abs(transform.e)")),
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, 95.0), ("altitude_deg: '95.0'", "90")),
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, NAN), ("altitude_deg: 'nan'", "finite")),
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, 12.0, lines=10**6), ("lines", "64")),
         (lambda level: skugga.shadow(GROUND[0], 30.0, 250.0, 12.0), ("height_m", "(7,)", "2 x 2")),
+        (lambda level: skugga.open_heights(GROUND[:1], TRANSFORM, "EPSG:32633"), ("height_m", "(1, 7)", "2 x 2")),
         (lambda level: skugga.open_heights(np.full((3, 3), NAN), TRANSFORM, "EPSG:32633"), ("the array", "no height")),
         (lambda level: level.shade(cells=np.s_[6:, :], **SUN), ("cells", "6 x 7")),
         (lambda level: level.shade(cells=np.s_[:2, :2], crs=3857, **SUN), ("crs", "cannot be combined with cells")),
@@ -165,6 +170,37 @@ def test_messages_name_parameter_and_allowed_values(level, call, words):
         call(level)
     for word in words:
         assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "time", [np.datetime64("2024"), np.datetime64("2024-06"), np.datetime64("2024-06-21", "W"), np.datetime64("2024-06-21"), pd.NaT]
+)
+def test_a_time_without_a_time_of_day_is_refused(level, time):
+    with pytest.raises(skugga.SkuggaError, match="^time: .*offset"):
+        level.shade(time=time)
+
+
+def test_datetime64_of_any_unit_of_time_is_utc(level):
+    expected_mask = level.shade(time="2024-06-21T18:00Z")
+    for unit in ("h", "m", "s", "ms", "us", "ns"):
+        np.testing.assert_array_equal(level.shade(time=np.datetime64("2024-06-21T18", unit)), expected_mask)
+
+
+@pytest.mark.parametrize(
+    "date", [np.datetime64("2024"), np.datetime64("2024-06"), np.datetime64("2024-06-21", "W"), np.datetime64("NaT", "D"), pd.NaT]
+)
+def test_a_date_without_a_day_is_refused(level, date):
+    for call in (lambda: skugga.sun_hours(GROUND, 30.0, date, 46.0), lambda: level.sun_hours(date)):
+        with pytest.raises(skugga.SkuggaError, match="^date: .*2024-03-21"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "date", [np.datetime64("2024-06-21"), np.datetime64("2024-06-21T10"), pd.Timestamp("2024-06-21T10"), datetime.date(2024, 6, 21)]
+)
+def test_a_date_of_any_type_is_its_day(level, date):
+    options = {"step_min": 60.0, "window": "10:00-12:00"}
+    np.testing.assert_array_equal(level.sun_hours(date, **options), level.sun_hours("2024-06-21", **options))
 
 
 def test_an_array_that_is_no_grid_is_a_value_error():

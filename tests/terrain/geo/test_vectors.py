@@ -98,7 +98,7 @@ def test_shapefile_without_prj_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("geometries", "attributes", "message"),
     [
-        ([], [], "no feature with a geometry"),
+        ([], [], "some.geojson: no features. Use points or polygons"),
         ([None], [], "no feature with a geometry"),
         ([point(9, 47)], ["tall"], "no attribute 'tall'. Use one of name, h"),
         (
@@ -144,6 +144,64 @@ def test_numeric_attribute_parses_numbers_but_no_other_text(geojson):
     assert attribute_names(features.name) == ("h", "kind")
 
 
+def test_booleans_become_texts_and_are_no_numbers(geojson):
+    features = read_features(geojson([point(9, 47)] * 3, [{"h": True}, {"h": False}, {"h": None}]), UTM, ["h"])
+    assert features.attributes["h"].tolist() == ["true", "false", None]
+    with pytest.raises(SourceError, match="h = true at feature 1 of 3 is no number"):
+        numeric_attribute(features, "h")
+
+
+# -- text tables
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Return a function that writes lines of text to a file."""
+
+    def write(*lines: str, name: str = "trees.csv") -> str:
+        (tmp_path / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return str(tmp_path / name)
+
+    return write
+
+
+@pytest.mark.parametrize("header", ["lon,lat,h", "H;Latitude;Longitude", "long,h,LAT"])
+def test_table_points_come_from_longitude_and_latitude(table, header):
+    separator = ";" if ";" in header else ","
+    values = {"h": "8 m", "la": "47.0", "lo": "9.0"}
+    source = table(header, separator.join(values[name.lower()[:2]] for name in header.split(separator)))
+    features = read_features(source, UTM, [name for name in header.split(separator) if name.lower() == "h"])
+    expected = Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(9.0, 47.0)
+    np.testing.assert_allclose(shapely.get_coordinates(features.geometry), [expected], atol=1e-6)
+    assert [values.tolist() for values in features.attributes.values()] == [["8 m"]]
+
+
+def test_table_rows_without_coordinates_are_counted(table):
+    features = read_features(table("lon,lat", "9,47", ",47", "east,47"), UTM)
+    assert len(features.geometry) == 1 and features.omitted_count == 2
+
+
+def test_table_points_in_metres_need_an_engineering_crs(table):
+    source = table("x,y", "3,4")
+    assert shapely.get_coordinates(read_features(source, ENGINEERING_CRS).geometry).tolist() == [[3.0, 4.0]]
+    with pytest.raises(SourceError, match=r"trees.csv: no coordinate reference system\. Use columns lon and lat in degrees, or"):
+        read_features(source, UTM)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (["a,b", "9,47"], "no feature with a geometry. Use columns lon and lat"),
+        (["lon,lat"], "no features. Use columns"),
+        (["WKT,lon,lat", '"POINT (5e5 5.2e6)",9,47'], "no coordinate reference system. Use columns lon and lat"),
+    ],
+)
+def test_tables_without_places_name_the_columns(table, lines, message):
+    with pytest.raises(SourceError) as caught:
+        read_features(table(*lines), UTM)
+    assert f"trees.csv: {message}" in str(caught.value)
+
+
 # -- layers
 
 
@@ -171,7 +229,7 @@ def test_vector_layer_is_the_first_with_matching_geometries(layered_geopackage):
     buildings = vector_layer(layered_geopackage, (2,), accepts_attributes=lambda names: "Height" in names)
     assert (buildings.name, buildings.other_layers) == ("buildings", ("parcels",))
     assert numeric_attribute(read_features(layered_geopackage, UTM, ["Height"], layer=buildings), "Height").tolist() == [7.0]
-    with pytest.raises(SourceError, match="no feature with a geometry. Use points or polygons"):
+    with pytest.raises(SourceError, match="town.gpkg: no features. Use points or polygons"):
         read_features(layered_geopackage, UTM, layer=vector_layer(layered_geopackage, (2,), "empty"))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import skugga
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground import overview
 from skugga.terrain.ground.elevation import Elevation
@@ -88,3 +89,5 @@ def test_scene_warns_about_missing_overviews(make_scene, write_raster, monkeypat
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
     (warning,) = make_scene(path).warnings
     assert f"'skugga overviews {path}'" in warning
+    with skugga.open_heights(np.zeros((600, 700), np.float32), (30.0, 0.0, 5e5, 0.0, -30.0, 5.3e6), "EPSG:32633") as level:
+        assert level.warnings == (), "no command makes overviews in memory"

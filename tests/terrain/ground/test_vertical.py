@@ -162,6 +162,25 @@ def test_cf_attributes_declare_depths(tmp_path, tags, nodata):
     assert elevation.vertical.positive_from == "by its band" and elevation.overview.lowest_m == -100.0
 
 
+@pytest.mark.parametrize("word", ["left", "upward", "1"])
+def test_unknown_direction_is_rejected_with_the_remedy(tmp_path, word):
+    path = write_with_depth(tmp_path / "depths.tif", seamount_depths(), UTM)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(1, positive=word)
+    with pytest.raises(SourceError, match=f"direction {word} of its band .*--positive up.*depths, down"):
+        Elevation(str(path))
+    assert Elevation(str(path), positive="down").overview.lowest_m == -100.0, "a level goes before it"
+    assert Canopy(str(path)).heights_m(0, 0, 1, 1) == 100.0, "canopies have one direction"
+
+
+@pytest.mark.parametrize("word", ["DOWN", " Down"])
+def test_direction_may_have_any_case(tmp_path, word):
+    path = write_with_depth(tmp_path / "depths.tif", seamount_depths(), UTM)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(1, positive=word)
+    assert Elevation(str(path)).overview.lowest_m == -100.0
+
+
 def test_arrays_of_heights_are_metres_whatever_their_crs():
     heights = -seamount_depths()
     for crs in (UTM, f"{UTM}+5715", f"{UTM}+6360"):

@@ -51,7 +51,7 @@ def scene_of(tmp_path, source, **mesh):
         ("Height", 8.0, 8.0), ("HEIGHT_M", 8.0, 8.0), ("building:height", 8.0, 8.0), ("Building_Height", 8.0, 8.0),
         ("height", "8", 8.0), ("height", "8,5 m", 8.5), ("Height", "40 ft", 12.192), ("height_ft", 10.0, 3.048),
         ("height_ft", "10,5", 3.2004), ("height_ft", "10 m", 10.0), ("building:levels", 4, 12.0), ("building_levels", "2.5", 7.5),
-        ("num_floors", 3, 9.0),
+        ("num_floors", 3, 9.0), ("height_dm", 85, 8.5), ("Height (cm)", 850, 8.5), ("building_height_feet", 10, 3.048),
     ],
 )  # fmt: skip
 def test_common_attributes_and_units_are_recognized(tmp_path, name, value, top_m):
@@ -75,6 +75,20 @@ def test_text_that_is_no_length_is_reported_and_ignored(tmp_path):
     assert up[:, 1].tolist() == [7.0]
     (warning,) = placement.warnings
     assert "b.gpkg: height = tall at feature 2 of 4, and 1 more: ignored, not a length" in warning
+
+
+def test_boolean_is_no_height(tmp_path):
+    placement, up = place_on_floor(tmp_path, FOOTPRINT_ROW[:2], height=[True, False], levels=[2, 3])
+    assert up[:, 1].tolist() == [6.0, 9.0]
+    (warning,) = placement.warnings
+    assert warning.endswith("b.gpkg: height = true at feature 1 of 2, and 1 more: ignored, not a length")
+    with pytest.raises(SourceError, match="height = true at feature 1 of 1, which is not a length"):
+        place_on_floor(tmp_path, FOOTPRINT_ROW[:1], height=[True])
+
+
+def test_empty_layer_of_footprints_is_reported(tmp_path):
+    with pytest.raises(SourceError, match=r"b.gpkg: no features\. Use"):
+        place_on_floor(tmp_path, [])
 
 
 def test_named_attribute_is_case_insensitive_and_exclusive(tmp_path):

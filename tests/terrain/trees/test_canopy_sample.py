@@ -180,7 +180,9 @@ def test_notes_report_omitted_points_of_a_stand(hill, make_scene, vectors):  # n
     scene = make_scene(hill, forest=[{"source": source}])
     result = plant_trees(scene.loaded, scene.world, scene.elevation)
     assert sorted(result.trees.height_m.tolist()) == pytest.approx([12.0, 12.192])
-    assert result.notes[-1].endswith("stand.gpkg: 2 trees planted; left out: 1 without a usable height or crown")
+    assert result.notes[-1].endswith(
+        "2 trees planted; left out: 1 off the terrain, over its holes or under water; 1 without a usable height or crown"
+    )
     with pytest.raises(LevelError, match=r"forest\.0\.least_height: '3.0' needs a raster of canopy heights"):
         scene = make_scene(hill, forest=[{"source": source, "least_height": 3}])
         plant_trees(scene.loaded, scene.world, scene.elevation)

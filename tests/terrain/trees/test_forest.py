@@ -276,6 +276,73 @@ def test_points_without_heights_draw_them_by_position(hill, vectors, make_scene)
     assert np.isin(subset, default).all()
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "height_m", "unit"),
+    [
+        ("height", 8.0, 8.0, ""), ("Height_FT", 10.0, 3.048, " (feet)"), ("HEIGHT (ft)", "10,5", 3.2004, " (feet)"),
+        ("height_dm", 85, 8.5, " (decimetres)"), ("height_cm", 850, 8.5, " (centimetres)"), ("height_ft", "10 m", 10.0, " (feet)"),
+        ("Tree Height", "12 m", 12.0, ""), ("HAUTEUR", 9, 9.0, ""), ("est_height", "40 ft", 12.192, ""),
+    ],
+)  # fmt: skip
+def test_heights_of_points_are_read_in_usual_units(hill, vectors, make_scene, name, value, height_m, unit):
+    scene = make_scene(hill, forest=[{"source": vectors([shapely.Point(100, 100)], **{name: [value]})}])
+    planting = plant_trees(scene.loaded, scene.world, scene.elevation)
+    np.testing.assert_allclose(planting.trees.height_m, [height_m], rtol=1e-6)
+    assert planting.notes[0].endswith(f"stand.gpkg: heights: 1 of 1 features from the attribute '{name}'{unit}")
+
+
+def test_named_attributes_of_trees_match_in_any_case(hill, vectors, make_scene):
+    for geometry, keys in ((shapely.Point(100, 100), {}), (shapely.box(0, 0, 100, 100), {"density": 100})):
+        source = vectors([geometry], HEIGHT_FT=[50.0], Crown_dm=[45.0])
+        trees = planted_trees(make_scene(hill, forest=[{"source": source, "height": "height_ft", "crown": "crown_dm", **keys}]))
+        np.testing.assert_allclose(trees.height_m, 15.24, rtol=1e-6)
+        np.testing.assert_allclose(trees.crown_m, 4.5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("attributes", [{}, {"kind": ["oak"]}, {"height": np.array([None], object)}])
+def test_heights_without_an_attribute_are_noted(hill, vectors, make_scene, attributes):
+    for geometry, keys, reason in (
+        (shapely.Point(100, 100), {}, "no attribute has them"),
+        (shapely.box(0, 0, 100, 100), {"density": 100}, "the key height sets a range or an attribute"),
+    ):
+        scene = make_scene(hill, forest=[{"source": vectors([geometry], **attributes), **keys}])
+        planting = plant_trees(scene.loaded, scene.world, scene.elevation)
+        assert planting.notes[0].endswith(f"stand.gpkg: heights: drawn at random from 8 m to 18 m ({reason})")
+        assert ((planting.trees.height_m >= 8.0) & (planting.trees.height_m <= 18.0)).all() and not planting.warnings
+
+
+def test_heights_that_are_no_lengths_are_reported(hill, vectors, make_scene):
+    points = list(shapely.points([[100, 100], [200, 100], [300, 100]]))
+    scene = make_scene(hill, forest=[{"source": vectors(points, height=["7 m", "tall", "12-15"])}])
+    planting = plant_trees(scene.loaded, scene.world, scene.elevation)
+    assert planting.trees.height_m.tolist() == [7.0]
+    (warning,) = planting.warnings
+    assert warning.endswith("stand.gpkg: height = tall at feature 2 of 3, and 1 more: ignored, not a length")
+
+
+def test_omitted_trees_are_counted(hill, vectors, make_scene):
+    points = [*shapely.points([[100, 100], [100, 100], [-50, 100], [99999, 0], [200, 100]]), None]
+    scene = make_scene(hill, forest=[{"source": vectors(points, height=[9.0, 9.0, 9.0, 9.0, 999.0, 9.0])}])
+    assert (
+        plant_trees(scene.loaded, scene.world, scene.elevation)
+        .notes[-1]
+        .endswith(
+            "1 trees planted; left out: 2 off the terrain, over its holes or under water; 1 at the same place as another; "
+            "1 without a usable height or crown; 1 without a geometry"
+        )
+    )
+    polygons = [shapely.box(0, 0, 100, 100), shapely.box(9000, 0, 9100, 100)]
+    scene = make_scene(hill, forest=[{"source": vectors(polygons), "density": 100}])
+    assert plant_trees(scene.loaded, scene.world, scene.elevation).notes[-1].endswith("left out: 1 polygons off the terrain")
+
+
+def test_drowned_trees_are_counted_in_the_warning(hill, vectors, make_scene):
+    source = vectors([shapely.Point(100, 100)], height=[9.0])
+    scene = make_scene(hill, water={"level": 900}, forest=[{"source": source}])
+    (warning,) = plant_trees(scene.loaded, scene.world, scene.elevation).warnings
+    assert warning.endswith("stand.gpkg: no tree is planted: 1 off the terrain, over its holes or under water")
+
+
 def test_invalid_rows_are_omitted_and_duplicates_merged(hill, vectors, make_scene):
     points = list(shapely.points([[100, 100], [200, 100], [300, 100], [400, 100], [500, 100], [500, 100], [99999, 0]]))
     source = vectors(points, tall=[10.0, -4.0, 0.0, np.nan, 151.0, 7.0, 9.0])
@@ -363,9 +430,9 @@ def test_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
         (shapely.Point(5, 5), {"density": 3}, r"forest.0.density: '3.0' .*each a tree"),
         (shapely.LineString([(0, 0), (9, 9)]), {"density": 3}, r"stand.gpkg: it has lines\. Use only polygons"),
         (shapely.GeometryCollection([shapely.Point(5, 5), shapely.box(0, 0, 9, 9)]), {"density": 3}, "both polygons and points"),
-        (shapely.Point(5, 5), {"height": "kind"}, r"stand.gpkg: kind = oak at feature 1 of 1 is no number\. Use numbers"),
+        (shapely.Point(5, 5), {"height": "kind"}, r"stand.gpkg: kind = oak at feature 1 of 1, which is not a length\. Use"),
         (shapely.Point(5, 5), {"height": "none"}, "no attribute 'none'. Use one of kind, low"),
-        (shapely.Point(5, 5), {"crown": "low"}, r"stand.gpkg: the attribute low .* \(-1 ...\)\. Use metres from 0.1 to 150"),
+        (shapely.Point(5, 5), {"crown": "low"}, r"stand.gpkg: the attribute low .* \(-1.0 ...\)\. Use lengths from 0.1 m to 150"),
         (
             shapely.Point(-5, 5), {},
             r"its trees are off the terrain, at 499995, 5200005, .*on the terrain, at 500000, 5200000, 502000, 5202000",
