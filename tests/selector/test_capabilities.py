@@ -307,7 +307,7 @@ def test_plan_mixes_volumes_with_maps_for_trees(gl, scene_on):
         with pytest.raises(UnsupportedError) as caught:
             plan_of(scene, view, algorithm=name)
         message = str(caught.value)
-        assert f"'{name} for forest under sun'" in message and "every picture of leaves would cast a full rectangle" in message
+        assert f"'{name} for forest under sun'" in message and "every tree picture would cast a full rectangle" in message
         assert message.endswith("; algorithms that can: shadow_map, perspective_shadow_map.")
     choice = {"relief": "shadow_volume", "meshes": "shadow_volume", "forest": "shadow_map", "spot": "none", "omni": "none"}
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=choice))
