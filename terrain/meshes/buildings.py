@@ -214,9 +214,9 @@ def _floor_heights(base: np.ndarray, height: np.ndarray, features: Features, fea
 def _height_attributes(
     spec: MeshSpec, key_path: str, source: str, layer: VectorLayer, crs: CRS
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the attributes of building heights, and those of floor heights.
+    """Return the names of the attributes of building heights, and of those of the heights at which buildings start.
 
-    The first are empty if heights have another source.
+    Both are heights above the ground. There are no names of building heights if these have another source.
     """
     if spec.surface is not None and spec.height is not None:
         raise LevelError.conflict(f"{key_path}.height", "surface and ground", "Use either height, or surface and ground")

@@ -370,12 +370,12 @@ def test_a_changed_forest_changes_the_entity_tag(tmp_path: Path):
 
 
 def test_a_process_over_its_limit_keeps_one_level(tmp_path: Path):
-    has_grown = False
-    scenes = SceneCache(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if has_grown else 0)
+    process_has_grown = False
+    scenes = SceneCache(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if process_has_grown else 0)
     keys = [LevelKey(path=write_yard(tmp_path, name), version="1") for name in ("a", "b")]
     first, second = (scenes.get(key) for key in keys)
     assert scenes.get(keys[0]) is first
-    has_grown = True
+    process_has_grown = True
     assert scenes.get(keys[1]) is second
     assert len(scenes) == 1
     assert scenes.get(keys[1]) is second  # a single level stays, whatever its size

@@ -128,7 +128,7 @@ def test_failed_thread_start_costs_no_later_check(monkeypatch: pytest.MonkeyPatc
     assert caplog.text.count("its files cannot be checked") == 1, "it is told once"
 
 
-def test_check_without_descriptors_keeps_the_old_level():
+def test_check_out_of_file_descriptors_keeps_old_level():
     async def scenario() -> None:
         gated_check = GatedCheck(OSError(errno.EMFILE, "Too many open files"))
         gated_check.may_finish.set()
