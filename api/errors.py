@@ -127,7 +127,7 @@ class ErrorReport:
         texts of drivers. They only go to the log, and clients get this message.
     retry_after_s
         Seconds after which the client may retry.
-    occurs_over_http
+    reaches_http
         Whether HTTP answers can have this error.
     """
 
@@ -136,7 +136,7 @@ class ErrorReport:
     code: str
     public_message: str | None = None
     retry_after_s: int | None = None
-    occurs_over_http: bool = True
+    reaches_http: bool = True
 
 
 ERROR_REPORTS: dict[type[SkuggaError], ErrorReport] = {
@@ -144,7 +144,7 @@ ERROR_REPORTS: dict[type[SkuggaError], ErrorReport] = {
     InputError: ErrorReport(422, WRONG_INPUT, "invalid_parameter"),
     LevelError: ErrorReport(500, WRONG_INPUT, "level", "The level file is wrong. The service's log has the details."),
     SourceError: ErrorReport(500, WRONG_INPUT, "source", "The level's raster cannot be read. The service's log has the cause."),
-    ArrayError: ErrorReport(422, WRONG_INPUT, "array", occurs_over_http=False),
+    ArrayError: ErrorReport(422, WRONG_INPUT, "array", reaches_http=False),
     ArchiveError: ErrorReport(500, WRONG_INPUT, "archive", "The tile archive cannot be read. The service's log has the cause."),
     UnsupportedError: ErrorReport(422, WRONG_INPUT, "unsupported"),
     TooLargeError: ErrorReport(413, WRONG_INPUT, "too_large"),
@@ -174,9 +174,7 @@ ERROR_REPORTS: dict[type[SkuggaError], ErrorReport] = {
     WorkerStartError: ErrorReport(
         503, FAILED, "worker_start", "A render process ended while it started. It is being restarted.", retry_after_s=5
     ),
-    BrokenShardError: ErrorReport(
-        500, FAILED, "broken_shard", "Stored tiles are damaged. The log names them.", occurs_over_http=False
-    ),
+    BrokenShardError: ErrorReport(500, FAILED, "broken_shard", "Stored tiles are damaged. The log names them.", reaches_http=False),
     GraphicsError: ErrorReport(
         503,
         FAILED,

@@ -84,7 +84,7 @@ def problem_kinds() -> list[ProblemKind]:
     """
     kinds: dict[tuple[int, str], ProblemKind] = {}
     for error, report in ERROR_REPORTS.items():
-        if not report.occurs_over_http:
+        if not report.reaches_http:
             continue
         description = report.public_message or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
         kinds.setdefault((report.status, report.code), ProblemKind(report.status, report.code, description, report.retry_after_s))
