@@ -104,13 +104,13 @@ class IdleCalibration:
     def _request_calibration(self) -> None:
         if not self._enabled:
             log.info(
-                "%s is not calibrated, so fixed rules choose. Run skugga calibrate to add predictions "
+                "%s is not calibrated, so fixed rules choose the algorithms. Run skugga calibrate to add predictions "
                 "(SKUGGA_CALIBRATE_WHEN_IDLE is false)", self._renderer,
             )  # fmt: skip
             return
         log.info(
-            "%s is not calibrated, so fixed rules choose until it is. The calibration takes a minute or two and runs while "
-            "nothing is drawn", self._renderer,
+            "%s is not calibrated, so fixed rules choose the algorithms until it is. The calibration takes a minute or two and "
+            "runs while nothing is drawn", self._renderer,
         )  # fmt: skip
         self._idle.add(IdleJob(self._measure, (), self._save_result, self._note_failure, lambda: self.is_expected))
 

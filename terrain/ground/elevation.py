@@ -353,9 +353,9 @@ class Elevation:
         return to_lod(row, col, 2.0**lod, rows, np.float64(cols))
 
     def _clamped_positions(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Convert rows and columns (n,) of the raster to a level of detail, clamped to the centres of its outermost cells.
+        """Convert rows and columns (n,) of the full raster to rows and columns (n,) at a level of detail.
 
-        They are NaN beyond a pole.
+        The results are clamped to the centres of the outermost cells. A position beyond a pole gives NaN.
         """
         rows, cols = self._lod_shape(lod)
         on_row = np.clip((row + 0.5) / 2**lod - 0.5, 0.0, rows - 1.0)

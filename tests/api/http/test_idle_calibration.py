@@ -93,7 +93,7 @@ def test_calibration_replaces_rules_by_predictions(serve: Serve, tmp_path: Path,
 
     wait_until(lambda: load_profile(fake_workers.RENDERER, fake_workers.VERSION) is not None)
     wait_until(lambda: log_count(caplog, "saved to") == 1)
-    assert log_count(caplog, "is not calibrated, so fixed rules choose until it is") == 1
+    assert log_count(caplog, "is not calibrated, so fixed rules choose the algorithms until it is") == 1
     assert log_count(caplog, "was loaded") == 0, "its own file is no news"
 
 
