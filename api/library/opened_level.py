@@ -84,8 +84,9 @@ class OpenLevel:
     (4, 5)
     """
 
-    def __init__(self, scene: Scene, memory_file: MemoryFile | None = None) -> None:
+    def __init__(self, scene: Scene, source: LevelSource, memory_file: MemoryFile | None = None) -> None:
         self._open: Scene | None = scene
+        self._source = source
         self._memory_file = memory_file
         self._own_raster = raster_view(scene)
         self._tile_service: TileService | None = None
@@ -572,12 +573,13 @@ class OpenLevel:
 
     def _service(self) -> TileService:
         if self._tile_service is None:
-            path = self.path
+            source = self._source
             if self._memory_file is not None:  # another process cannot read this memory
                 self._folder = TemporaryDirectory(prefix="skugga-")
                 path = Path(self._folder.name) / "heights.tif"
                 path.write_bytes(self._memory_file.getbuffer())
-            self._tile_service = TileService(path)
+                source = source.model_copy(update={"path": path})
+            self._tile_service = TileService(source)
         return self._tile_service
 
     def close(self) -> None:
@@ -696,7 +698,7 @@ def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLe
 
 def level_of_source(source: LevelSource, ground_name: str | None = None, memory_file: MemoryFile | None = None) -> OpenLevel:
     """Open a level and issue the warnings about its ground under a name; ``None`` for that of its raster. Raises ``InputError``."""
-    level = OpenLevel(build_scene(load_level(source)), memory_file)
+    level = OpenLevel(build_scene(load_level(source)), source, memory_file)
     for text in level.warnings:
         warn_caller(f"{ground_name or level._scene.elevation.name}: {text}")
     return level

@@ -10,13 +10,13 @@ import sys
 import tempfile
 import time
 import weakref
-from pathlib import Path
 from typing import IO, Any
 from urllib.error import HTTPError
 from urllib.parse import quote
 from urllib.request import urlopen
 
 from skugga.terrain.errors import RenderError
+from skugga.terrain.level.level_source import LevelSource
 
 START_TIMEOUT_S = 600.0
 """Timeout of the start. With empty caches the service compiles for some minutes."""
@@ -32,14 +32,15 @@ class TileService:
     The constructor raises ``RenderError`` if the service does not start.
     """
 
-    def __init__(self, level: Path) -> None:
-        self.name = level.stem
+    def __init__(self, level: LevelSource) -> None:
+        self.name = level.path.stem
         self._log_file = tempfile.TemporaryFile("w+")  # noqa: SIM115  # open as long as the process runs
         port = _free_port()
         self.address = f"http://127.0.0.1:{port}"
+        options = [f"--{name}={getattr(level, name)}" for name in level.options]
         command = "from skugga.api.cli.main import main; main()"
         process = subprocess.Popen(
-            [sys.executable, "-c", command, "serve", str(level), "--port", str(port)],
+            [sys.executable, "-c", command, "serve", str(level.path), "--port", str(port), *options],
             env={**dict.fromkeys(IDLE_SETTINGS, "false"), **os.environ},  # the notebook process is not idle
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._log_file,
         )  # fmt: skip

@@ -191,6 +191,20 @@ def test_the_accessor_refuses_invalid_arrays(heights):
         heights.expand_dims("band").skugga.shadow(**LOW_SUN)
 
 
+def test_the_layer_of_a_map_has_the_options_of_its_level(tmp_path):
+    """The undeclared nodata of the raster's eastern half is no ground in the layer either."""
+    heights = np.full((61, 61), 900.0, np.float32)
+    heights[:, 30:] = -9999.0
+    zoom, col, row, side_m = 13, 4436, 2884, 2 * np.pi * 6378137.0 / 2**13
+    west, north = (col - 2**12) * side_m + 1500.0, (2**12 - row) * side_m - 1500.0
+    raster = write_geotiff(tmp_path / "undeclared.tif", heights, "EPSG:3857", west, north, 30.0)
+    with skugga.open_level(raster, nodata=-9999.0) as level:
+        with urlopen(level.as_leaflet_layer().url.format(z=zoom, x=col, y=row)) as answer:
+            alpha = np.asarray(Image.open(answer).convert("RGBA"))[..., 3]
+    rows, cols = ((alpha > 0).any(axis=axis).sum() for axis in (1, 0))
+    assert 0.4 < cols / rows < 0.6
+
+
 def test_a_level_is_a_layer_of_a_notebook_s_map(height_m):
     """The layer uses its own service, which ends with the level."""
     import ipyleaflet
