@@ -79,8 +79,8 @@ def grid_of_heights(values: Any, name: str = "height_m", min_side: int = 1, byte
     return np.where(invalid, np.float32(np.nan), heights) if (invalid != np.isnan(heights)).any() else heights
 
 
-Heights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2))]
-"""An array of heights in metres, at least 2 x 2. The function receives a grid (``grid_of_heights``)."""
+Heights = Annotated[ArrayLike, PlainValidator(grid_of_heights)]
+"""An array of heights in metres. The function receives a grid (``grid_of_heights``)."""
 
 SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2, bytes_per_cell=SWEEP_BYTES))]
 HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2, bytes_per_cell=HORIZON_BYTES))]

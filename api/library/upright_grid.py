@@ -73,9 +73,9 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     if array.ndim != 2:
         remedy = "Reduce them to two, y and x, by da.squeeze() or da.isel(...)"
         raise ArrayError(ARRAY_NAME, Problem(f"its dimensions are {array.dims}"), remedy)
-    if array.dtype.kind not in "biuf" or min(array.shape) < 2:
+    if array.dtype.kind not in "biuf" or min(array.shape) < 1:
         problem = Problem(f"its shape is {array.shape} and its type {array.dtype}")
-        raise ArrayError(ARRAY_NAME, problem, "Use real numbers, at least 2 x 2 cells")
+        raise ArrayError(ARRAY_NAME, problem, "Use real numbers, at least 1 x 1 cells")
     try:
         y_dim, x_dim = array.rio.y_dim, array.rio.x_dim
     except RioXarrayError:
@@ -92,7 +92,9 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     crs, declared, flips = _crs(array), _declared_transform(array), {}
     for dim, step, direction in ((y_dim, declared.e, -1.0), (x_dim, declared.a, 1.0)):
         coordinates = array[dim].to_numpy() if dim in array.coords else None
-        if (step if coordinates is None else _number(coordinates[-1]) - _number(coordinates[0])) * direction < 0.0:
+        if (
+            step if coordinates is None or coordinates.size < 2 else _number(coordinates[-1]) - _number(coordinates[0])
+        ) * direction < 0.0:
             flips[dim] = slice(None, None, -1)
     upright = array.isel(flips)
     y0, dy = _edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flips)
@@ -167,9 +169,14 @@ def _declared_transform(array: xarray.DataArray) -> Affine:
         transform = Affine.identity()
     if np.isfinite(tuple(transform)).all() and (transform.b or transform.d):
         raise InputError(ARRAY_NAME, Problem("its grid is rotated"), "Align its rows with x by da.rio.reproject(da.rio.crs)")
-    if transform.is_identity and any(dim not in array.coords for dim in array.dims):
-        remedy = "Give coordinates y and x, or a geotransform by da.rio.write_transform(...)"
-        raise InputError(ARRAY_NAME, Problem("its cells have no coordinates"), remedy)
+    if transform.is_identity:
+        for dim in array.dims:
+            if dim not in array.coords:
+                remedy = "Give coordinates y and x, or a geotransform by da.rio.write_transform(...)"
+                raise InputError(ARRAY_NAME, Problem("its cells have no coordinates"), remedy)
+            if array.sizes[dim] < 2:
+                problem = Problem("one coordinate gives no cell size")
+                raise InputError(f"{ARRAY_NAME}: {dim}", problem, "Use at least 2 x 2 cells")
     return transform
 
 
@@ -190,8 +197,10 @@ def _edge_and_step(array: xarray.DataArray, dim: Any, start: float, step: float,
         problem = Problem(f"coordinates of the type {coordinates.dtype} are not all finite numbers")
         raise InputError(name, problem, "Use numbers in units of the CRS")
     coordinates = coordinates.astype(np.float64)
-    step = float(coordinates[-1] - coordinates[0]) / (coordinates.size - 1)
-    even = coordinates[0] + step * np.arange(coordinates.size)
-    if step == 0.0 or np.abs(coordinates - even).max() > MAX_UNEVEN_CELLS * abs(step):
-        raise InputError(name, Problem("uneven steps"), "Use evenly spaced coordinates, as da.interp(...) makes them")
+    if coordinates.size > 1:
+        step = float(coordinates[-1] - coordinates[0]) / (coordinates.size - 1)
+        if step == 0.0 or np.abs(
+            coordinates - (coordinates[0] + step * np.arange(coordinates.size))
+        ).max() > MAX_UNEVEN_CELLS * abs(step):
+            raise InputError(name, Problem("uneven steps"), "Use evenly spaced coordinates, as da.interp(...) makes them")
     return float(coordinates[0]) - step / 2.0, step

@@ -101,7 +101,7 @@ class Elevation:
     Raises
     ------
     SourceError
-        If the raster is missing, broken, without a CRS, outside its CRS, narrower than two cells, or without a single height.
+        If the raster is missing, broken, without a CRS, outside its CRS, or without a single height.
     """
 
     def __init__(
@@ -133,9 +133,6 @@ class Elevation:
                 source, f"its first band is of type {dataset.dtypes[0]}" if dataset.count else "it has no band",
                 "Give a raster whose first band has real numbers",
             )  # fmt: skip
-        if min(dataset.shape) < 2:  # the surface lies between the centres of cells
-            problem = f"it has {dataset.height} x {dataset.width} cells"
-            raise SourceError(source, problem, "Give a raster of at least 2 x 2 cells")
         self.dtype, self.impossible_nodata = dataset.dtypes[0], None if nodata is not None else impossible_nodata(dataset)
         self.crs = checked_crs(source, dataset)
         self.rows, self.cols = dataset.height, dataset.width

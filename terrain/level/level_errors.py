@@ -21,8 +21,10 @@ _LEVEL_ERROR_KEYS = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain"
 
 _PHRASES_BY_TYPE = {
     "float_parsing": "a number", "int_parsing": "a whole number", "int_from_float": "a whole number",
-    "date_parsing": "a date, such as 2024-03-21", "date_from_datetime_parsing": "a date, such as 2024-03-21",
-    "date_from_datetime_inexact": "a date, such as 2024-03-21", "path_type": "a path", "string_type": "a text",
+    **dict.fromkeys(
+        ("date_parsing", "date_from_datetime_parsing", "date_from_datetime_inexact"), "a date of the calendar, such as 2024-03-21"
+    ),
+    "path_type": "a path", "string_type": "a text",
 }  # fmt: skip
 """Phrases of allowed values by pydantic's types of errors, where its messages are not meant for users."""
 

@@ -241,7 +241,7 @@ def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
 @hard_case(
     "R4",
     "The smallest rasters are a lit picture",
-    "level ground of 2 x 2 and 2 x 5 cells, and one cell with a height in 64 x 64 without",
+    "level ground of 1 x 1, 1 x 5, 2 x 2 cells, and one cell with a height in 64 x 64 without",
     {"false_shadow": 0.0, "surface lost or made up": 0.0},
     algorithms=tuple(name for name in SHADOW_ALGORITHMS if name != "perspective_shadow_map"),
     thorough=False,
@@ -251,7 +251,7 @@ def test_smallest_rasters(trial: Trial) -> dict[str, float]:
     single_cell = np.full((64, 64), np.nan, np.float32)
     single_cell[30, 33] = 5.0
     worst: dict[str, float] = {}
-    for number, heights in enumerate([*(np.full(shape, 5.0, np.float32) for shape in ((2, 2), (2, 5))), single_cell]):
+    for number, heights in enumerate([*(np.full(shape, 5.0, np.float32) for shape in ((1, 1), (1, 5), (2, 2))), single_cell]):
         name = f"level{number}"
         scene = trial.scene(trial.raster(heights, UTM, *CORNER_M, CELL_M, name=name), (75, 3), name=name, effects=FORCED_EFFECTS)
         pixels = 192 if np.isnan(heights).any() else 32

@@ -155,7 +155,6 @@ def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, a
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, NAN), ("altitude_deg: 'nan'", "finite")),
         (lambda level: skugga.shadow(GROUND, 30.0, 250.0, 12.0, lines=10**6), ("lines", "64")),
         (lambda level: skugga.shadow(GROUND[0], 30.0, 250.0, 12.0), ("height_m", "(7,)", "2 x 2")),
-        (lambda level: skugga.open_heights(GROUND[:1], TRANSFORM, "EPSG:32633"), ("height_m", "(1, 7)", "2 x 2")),
         (lambda level: skugga.open_heights(np.full((3, 3), NAN), TRANSFORM, "EPSG:32633"), ("the array", "no height")),
         (lambda level: level.shade(cells=np.s_[6:, :], **SUN), ("cells", "6 x 7")),
         (lambda level: level.shade(cells=np.s_[:2, :2], crs=3857, **SUN), ("crs", "cannot be combined with cells")),
