@@ -9,17 +9,21 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Route, expect
 
 from skugga.api.catalogue import find_level
 from tests.api.conftest import Client, write_level
 from tests.browser.conftest import WINDOW, Viewer, ready_service, viewers_of
 from tests.browser.test_viewer_access import PHONE, faults
+from tests.browser.test_viewer_start import ServiceReadiness
 from tests.rasters import ENGINEERING
 
 STREET, LAMPS = "thesis_street_sun", "thesis_boxgrid"
 
 EVENING = "2026-06-21T20:00:00Z"
+
+SECOND_DRAW_MS = 500
+"""The page draws again well before this many milliseconds after the service is ready."""
 
 LEFT_PX = 400
 """Left edge of the examined part of the map, right of the panel."""
@@ -127,6 +131,25 @@ def test_raster_without_a_georeference_shows_its_map_view(make_places: Callable[
     dock = viewer.page.locator("#sun").bounding_box()
     assert box is not None and dock is not None
     assert box["width"] > 350 and box["height"] > 300 and box["y"] + box["height"] <= dock["y"]
+
+
+def test_picture_requested_again_while_it_loads_is_shown(place: Viewer):
+    """A service that becomes ready makes the page draw again: the same picture, whose request is still under way."""
+    place.allowed_faults = re.compile("503")
+    readiness = ServiceReadiness(place.page)
+    readiness.starting()
+    held: list[Route] = []
+    place.page.route(re.compile("/snapshot.png"), lambda route: held.append(route))
+    place.page.goto(f"{place.address}/#level={LAMPS}&view=close")
+    expect(place.page.locator("#stage .picture.busy")).to_be_visible()
+    readiness.ready()
+    with place.page.expect_request(re.compile("/snapshot.png")):
+        pass
+    place.page.wait_for_timeout(SECOND_DRAW_MS)
+    (only,) = held
+    only.continue_()
+    place.settled()
+    assert colors(place) > 500
 
 
 def test_failed_scene_shows_the_error(place: Viewer):

@@ -20,6 +20,7 @@ export class Picture {
   #loading = new AbortController();
   #blob = '';
   #address = '';
+  #visible: Promise<boolean | null> = Promise.resolve(false);
 
   constructor(private readonly service: Service, alt: string, private readonly onShown: () => void = () => {}) {
     this.#image.alt = alt;
@@ -37,12 +38,18 @@ export class Picture {
   }
 
   /**
-   * Shows what an address gives; the picture before stays until then. Resolves with whether it is seen; null: another one was
-   * asked for meanwhile.
+   * Shows the picture at an address; the picture before stays until then. Resolves with whether it is visible, or with null
+   * where another address was requested meanwhile. Calls with the same address share one request and its result.
    */
-  async show(address: string): Promise<boolean | null> {
-    if (address === this.#address) return this.element.classList.contains('busy') ? null : !this.#image.hidden;
-    this.#address = address;
+  show(address: string): Promise<boolean | null> {
+    if (address !== this.#address) {
+      this.#address = address;
+      this.#visible = this.#load(address);
+    }
+    return this.#visible;
+  }
+
+  async #load(address: string): Promise<boolean | null> {
     this.#loading.abort();
     this.#loading = new AbortController();
     const { signal } = this.#loading;
