@@ -159,6 +159,7 @@ class LightFacts(Facts):
     """The effect of one light on the visible surfaces.
 
     - ``to_view_deg``: angle between the direction to the light and the view axis, degrees; ``None`` without a single direction.
+    - ``eye_to_lamp_m``: distance from the eye to the lamp, metres; ``None`` for the sun and in a map view.
     - ``facing_share``: share of the visible surfaces that faces the light and lies in its cone.
     - ``cast_share``: share of the visible surfaces that lies in cast shadow.
     - ``area_share``: extent of the visible surfaces as a share of the area of the light's shadow map. A map of the sun covers the
@@ -171,6 +172,7 @@ class LightFacts(Facts):
     """
 
     to_view_deg: Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)] | None = None
+    eye_to_lamp_m: AtLeastZero | None = None
     facing_share: Share = 1.0
     cast_share: Share = 0.0
     area_share: Share = 1.0

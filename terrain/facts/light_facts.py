@@ -103,8 +103,9 @@ def facts_of_lights(view_probes: ViewProbes, sun_area_share: float, lamps: Itera
 def _facts(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts:
     scene, camera, probes = view_probes.scene, view_probes.camera, view_probes.probes
     to_view = None if camera is None or (lamp is not None and lamp.kind == "omni") else _to_view_deg(scene, camera, lamp, probes)
+    eye_to_lamp_m = None if camera is None or lamp is None else float(np.linalg.norm(lamp.position_earth_m - camera.eye_earth_m))
     if not len(probes) or (lamp is None and not scene.sun_is_up):
-        return LightFacts(to_view_deg=to_view, facing_share=0.0, area_share=area_share)
+        return LightFacts(to_view_deg=to_view, eye_to_lamp_m=eye_to_lamp_m, facing_share=0.0, area_share=area_share)
     lit_probes, facing_share = _lit_probes(scene, probes, lamp, MAX_PROBES if view_probes.trees is None else MAX_PROBES_AMONG_TREES)
     rays = rays_to(lit_probes.probes, lit_probes.direction_frame, lit_probes.length_m)
     blocked = (
@@ -124,7 +125,8 @@ def _facts(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> Lig
     nearest_m = min((float(distances.min()) for distances in edge_m if len(distances)), default=None)
     edges = {} if "meshes" not in scene.objects.kinds else _silhouette_facts(scene, camera, probes, lamp)
     return LightFacts(
-        to_view_deg=to_view, facing_share=facing_share, cast_share=facing_share * float(shaded.mean()) if len(shaded) else 0.0,
+        to_view_deg=to_view, eye_to_lamp_m=eye_to_lamp_m, facing_share=facing_share,
+        cast_share=facing_share * float(shaded.mean()) if len(shaded) else 0.0,
         area_share=area_share,
         nearest_edge_m=None if camera is None else nearest_m,
         casts={

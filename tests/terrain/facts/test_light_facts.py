@@ -159,6 +159,15 @@ def test_a_spot_lights_only_its_cone(tmp_path):
     assert 100.0 <= band.light_m <= 100.0 / np.cos(np.radians(20.0))
 
 
+def test_distance_of_a_lamp_from_the_eye(tmp_path):
+    """The eye is at (0, -1, 250), the lamp at (3, 3, 250): 5 m apart. The sun and a map view have no such distance."""
+    lamp = {"kind": "omni", "position": [3, 3, 250]}
+    scene = scene_with_body(tmp_path, sun=SUN, lights={"lamp": lamp}, views={"down": DOWN_VIEW})
+    lights = describe(scene, scene.view("down"), "down").lights
+    assert lights["lamp"].eye_to_lamp_m == pytest.approx(5.0) and lights["sun"].eye_to_lamp_m is None
+    assert describe(scene, scene.view("map")).lights["lamp"].eye_to_lamp_m is None
+
+
 @pytest.mark.parametrize(("body", "edges"), [(box_on_ground((20, 30, 25)), 6), (plate(30.0, 0.0, 0.0, 20.0), 4)])
 def test_silhouettes_of_box_and_plate_have_6_and_4_edges(tmp_path, body, edges):
     scene = scene_with_body(tmp_path, body, sun={"azimuth": 205, "altitude": 40}, views={"down": DOWN_VIEW})
