@@ -57,6 +57,15 @@ def test_a_spike_shades_ten_cells_of_its_strip(gl, write_raster, is_column, algo
 
 
 @pytest.mark.parametrize("is_column", [False, True], ids=["row", "column"])
+def test_arrays_of_one_row_or_column_have_shadows(is_column):
+    sun = sun_behind_spike(is_column)
+    in_shadow = skugga.shadow(spike_heights(is_column), CELL_M, sun["azimuth"], sun["altitude"])
+    sunlit = skugga.sunlit(spike_heights(is_column), CELL_M, sun["azimuth"], sun["altitude"])
+    np.testing.assert_array_equal(np.flatnonzero(in_shadow), np.arange(SHADOW.start, SHADOW.stop))
+    np.testing.assert_array_equal(sunlit, ~in_shadow)
+
+
+@pytest.mark.parametrize("is_column", [False, True], ids=["row", "column"])
 def test_strips_from_memory_have_light_and_colour(gl, is_column):
     heights, sun = spike_heights(is_column), sun_behind_spike(is_column)
     transform = Affine(CELL_M, 0.0, 500e3, 0.0, -CELL_M, 5200e3)
