@@ -33,7 +33,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of, shade, slope_sky_view_factor, srgb_encoded
 from skugga.terrain.sky import sky
 
-RENDERER_VERSION = 4
+RENDERER_VERSION = 5
 """Version of the renderer. Increment it by hand with every change of any picture: older tile pyramids are redrawn."""
 
 SHADING_PASS = "shading"

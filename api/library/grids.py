@@ -82,5 +82,5 @@ def grid_of_heights(values: Any, name: str = "height_m", min_side: int = 1, byte
 Heights = Annotated[ArrayLike, PlainValidator(grid_of_heights)]
 """An array of heights in metres. The function receives a grid (``grid_of_heights``)."""
 
-SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2, bytes_per_cell=SWEEP_BYTES))]
+SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, bytes_per_cell=SWEEP_BYTES))]
 HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2, bytes_per_cell=HORIZON_BYTES))]

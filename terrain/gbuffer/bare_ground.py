@@ -88,7 +88,7 @@ def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround 
     Returns
     -------
     BareGround | None
-        The ground; ``None`` if ground is somewhere too narrow for a smooth normal.
+        The ground; ``None`` if ground is somewhere too narrow for a triangle or a smooth normal.
     """
     return _bare_ground(scene.world, scene.elevation, view, sky)
 
@@ -191,8 +191,8 @@ def _smooth_ground(
                 valid[window_row, j] = node_valid[window_row + reach, reach + j]
             row_complete = _write_interior_normals(above, middle, below, reach, valid[window_row], own_normal)
         else:
-            _write_valid(height, node_valid, window_row + reach, reach, valid[window_row])
-            row_complete = _write_rim_normals(above, middle, below, reach, valid[window_row], own_normal)
+            row_connected = _write_valid(height, node_valid, window_row + reach, reach, valid[window_row])
+            row_complete = _write_rim_normals(above, middle, below, reach, valid[window_row], own_normal) and row_connected
         is_complete = is_complete and row_complete
         _put_normals(own_normal, valid[window_row], normal[window_row])
         x, y, z = middle[0, reach : reach + cols], middle[1, reach : reach + cols], middle[2, reach : reach + cols]
@@ -319,10 +319,11 @@ def _points_of_row(exact_rows, first_row, stride, row, height, out):
 
 @internal
 def _write_valid(height, node_valid, row, reach, valid):
-    """Write which nodes of a row show ground: valid nodes that are a corner of a triangle.
+    """Write which nodes of a row show ground: valid nodes that are a corner of a triangle. Return whether all valid nodes are.
 
-    A quad with one missing corner still has one triangle.
+    A quad with one missing corner still has one triangle. A raster that is one node wide has none.
     """
+    is_connected = True
     for j in range(valid.size):
         col = j + reach
         is_valid = False
@@ -333,7 +334,9 @@ def _write_valid(height, node_valid, row, reach, valid):
                 for m in range(4):
                     missing += 0 if np.isfinite(height[r + m // 2, c + m % 2]) else 1
                 is_valid = is_valid or missing <= 1
+            is_connected = is_connected and is_valid
         valid[j] = is_valid
+    return is_connected
 
 
 @internal

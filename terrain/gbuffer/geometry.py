@@ -20,6 +20,7 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.ground.columns import ColumnIndices
+from skugga.terrain.ground.sheet import Sheet
 from skugga.terrain.ground.surface import Surface, SurfaceWindow
 
 MAX_STENCIL_RADIUS = 16
@@ -183,7 +184,7 @@ def map_geometry(
     row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
     on_nodes = view.on_nodes and reach == 1
-    valid, position, height, normal, shading_normal, crease, triangle = map_points(
+    points = map_points(
         window.position_frame_m,
         window.height_m,
         window.valid,
@@ -194,6 +195,9 @@ def map_geometry(
         col,
         pixel_mask,
     )
+    if view.on_nodes:
+        _add_isolated_nodes(window, row, col, pixel_mask, points)
+    valid, position, height, normal, shading_normal, crease, triangle = points
     kind = np.where(valid, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     # A pixel on a node has no triangle of its own, unless the grid is finer than the raster.
     lift = None
@@ -203,6 +207,43 @@ def map_geometry(
             position, triangle, reach,
         )  # fmt: skip
     return GeometryBuffer(view, frame, valid, position, height, normal, shading_normal, crease, kind, triangle, window, lift_m=lift)
+
+
+def _add_isolated_nodes(
+    window: SurfaceWindow, row: np.ndarray, col: np.ndarray, pixel_mask: np.ndarray, points: tuple[np.ndarray, ...]
+) -> None:
+    """Write the points of pixels on isolated nodes into ``points``, the arrays of ``map_points``.
+
+    An isolated node lies on the raster, but is not a corner of a visible triangle: the raster is one node wide there. Its triangles
+    are those that it forms with the rim beside it. Rim nodes beyond the end of a line of nodes have one neighbour on the raster.
+    They count only for a single node, as they would flatten the line's end. ``row`` and ``col`` are the nodes in the window.
+    """
+    rim = window.rim
+    if rim is None:
+        return
+    node_valid = window.valid[np.ix_(row.astype(np.int64), col.astype(np.int64))]
+    for min_neighbours in (2, 1):
+        isolated = pixel_mask & node_valid & ~points[0]
+        if not isolated.any():
+            return
+        casting = window.with_rim
+        position = casting.position_frame_m.copy()
+        is_end = _neighbour_count(np.isfinite(window.height_m))[rim.row, rim.col] < min_neighbours
+        position[rim.row[is_end], rim.col[is_end]] = np.nan
+        sheet, smooth_normals = Sheet(position, casting.sheet.is_cut_nw_se), _smooth_normals(position, 1)  # the rim is a node wide
+        isolated_points = map_points(
+            position, casting.height_m, window.valid, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, row, col, isolated
+        )
+        for values, isolated_values in zip(points, isolated_points, strict=True):
+            values[isolated] = isolated_values[isolated]
+
+
+def _neighbour_count(mask: np.ndarray) -> np.ndarray:
+    """Return how many of the eight neighbours of each element of a mask (rows, cols) are True; an element itself counts, too."""
+    rows, cols = mask.shape
+    padded = np.pad(mask, 1).astype(np.uint8)
+    down = padded[:rows] + padded[1 : rows + 1] + padded[2:]
+    return down[:, :cols] + down[:, 1 : cols + 1] + down[:, 2:]
 
 
 def normal_stencil_radius(surface: Surface) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 
 from tests.rasters import write_geotiff
 
@@ -78,3 +79,16 @@ def test_a_single_row_is_a_map(gl, run, unusable_rasters):
     write_geotiff(unusable_rasters / "row.tif", np.ones((1, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
     assert run("shade", "row.tif", "--azimuth", "225", "--altitude", "30", "-o", "mask.tif") == (0, "", "")
     assert "20 x 1 cells" in run("validate", "row.tif")[1]
+
+
+@pytest.mark.parametrize("is_column", [False, True], ids=["row", "column"])
+def test_a_single_row_has_shadows_on_its_cells(gl, run, unusable_rasters, is_column):
+    """The spike is 300 m high and the sun 44 degrees: the shadow of 310 m reaches the centres of 10 cells of 30 m."""
+    heights = np.zeros((1, 60), np.float32)
+    heights[0, 20] = 300.0
+    write_geotiff(unusable_rasters / "row.tif", heights.T if is_column else heights, "EPSG:32633", 500e3, 5200e3, 30.0)
+    azimuth = "0" if is_column else "270"
+    assert run("shade", "row.tif", "--azimuth", azimuth, "--altitude", "44", "-o", "mask.tif") == (0, "", "")
+    with rasterio.open("mask.tif") as dataset:
+        mask = dataset.read(1).ravel()
+    np.testing.assert_array_equal(mask, np.where((np.arange(60) > 20) & (np.arange(60) < 31), 0, 255))
