@@ -96,13 +96,15 @@ class Workload:
         return self.visible_pixels * self.facts.facing_share
 
     @cached_property
-    def facing_away_share(self) -> float:
-        """The share of the ground that faces away from the light.
+    def ground_casting_share(self) -> float:
+        """The share of the ground's triangles that make shadow volumes: those that face away from the light.
 
-        The share of the visible ground underestimates it, since slopes that face away are often hidden. Under the sun, gradients
-        are assumed to be normally distributed with the level's mean slope, in every direction alike; their lengths then have a
-        Rayleigh distribution.
+        Where the descriptor does not have it, it is estimated. The share of the visible ground underestimates it, since slopes that
+        face away are often hidden. Under the sun, gradients are assumed to be normally distributed with the level's mean slope, in
+        every direction alike; their lengths then have a Rayleigh distribution.
         """
+        if self.facts.ground_casting_share is not None:
+            return self.facts.ground_casting_share
         away_share = 1.0 - self.facts.facing_share
         mean = np.tan(np.radians(min(self.descriptor.mean_slope_deg, 89.0)))
         if self.light != SUN or self.descriptor.sun_altitude_deg is None or mean <= 0.0:

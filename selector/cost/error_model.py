@@ -51,7 +51,10 @@ ASSUMED_CASTING = Casting(
 """Assumed shadows without facts in the descriptor: a tenth of the visible surface, with an edge every hundred pixels."""
 
 POOLED_SIZES = 3
-"""Number of texel sizes of ``CastBand.differs`` that are averaged for each size."""
+"""Least number of texel sizes of ``CastBand.differs`` that are averaged for each size."""
+
+MIN_POOLED_SHARE = 0.01
+"""Least sum of ``CastBand.differs`` over the averaged sizes. Fewer differing probes do not tell a small share from none."""
 
 ERROR_OFFSET, INTERIOR_OFFSET = 1e-3, 1e-5
 """Offsets that are added to errors and to interior errors before their logarithm is taken, so that 0 is allowed."""
@@ -277,14 +280,16 @@ def smoothed_differing_shares(differs: tuple[float, ...]) -> tuple[float, ...]:
     """Return the values of ``CastBand.differs`` with less sampling noise, one for each of ``TEXEL_SIZES_PX``.
 
     A value is the share of points whose shadow-map look-up differs. It grows about in proportion to the texel's side. So each value
-    is estimated from this texel size and the next larger ones, ``POOLED_SIZES`` sizes together. Larger texels give more
-    observations of a difference.
+    is estimated from this texel size and the next larger ones together: from ``POOLED_SIZES`` sizes, or from as many more as it
+    takes until ``MIN_POOLED_SHARE`` of the probes differ. Larger texels give more observations of a difference.
     """
-    sides = [sum(TEXEL_SIZES_PX[k : k + POOLED_SIZES]) for k in range(len(TEXEL_SIZES_PX))]
-    window_sums = [sum(differs[k : k + POOLED_SIZES]) for k in range(len(TEXEL_SIZES_PX))]
-    return tuple(
-        min(px * part / window_side, 1.0) for px, part, window_side in zip(TEXEL_SIZES_PX, window_sums, sides, strict=True)
-    )
+    shares = []
+    for first, px in enumerate(TEXEL_SIZES_PX):
+        end = first + POOLED_SIZES
+        while end < len(TEXEL_SIZES_PX) and sum(differs[first:end]) < MIN_POOLED_SHARE:
+            end += 1
+        shares.append(min(px * sum(differs[first:end]) / sum(TEXEL_SIZES_PX[first:end]), 1.0))
+    return tuple(shares)
 
 
 def _interpolated_difference(band: CastBand, texel_px: float) -> float:

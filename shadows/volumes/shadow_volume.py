@@ -75,7 +75,6 @@ VOLUME_REFUSALS: dict[Requirement, str] = {
 VOLUME_CACHES = (
     "skugga.shadows.volumes.volumes",
     "skugga.shadows.volumes.volumes._structure",
-    "skugga.shadows.volumes.volumes._has_gaps",
 )
 """Caches of volumes."""
 

@@ -39,8 +39,8 @@ from skugga.terrain.cache import MIB, Cache, Missing, cached
 from skugga.terrain.casters.casting import Mesh, caster_sheets, caster_solids
 from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.ground_mesh import ground_nodes
-from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.gbuffer.ground_mesh import ground_nodes, nodes_have_gaps
+from skugga.terrain.ground.sheet import Sheet, has_gaps
 from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 
@@ -135,24 +135,7 @@ def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
         return has_gaps(np.isfinite(buffer.columns.window.height_m))
     if buffer.surface is not None:
         return has_gaps(np.isfinite(buffer.surface.with_rim.position_frame_m[..., 2]))
-    return _has_gaps(ground_nodes(scene).height_m)
-
-
-@cached("scene", MIB)
-def _has_gaps(height_m: np.ndarray) -> bool:
-    return has_gaps(np.isfinite(height_m))
-
-
-def has_gaps(valid: np.ndarray) -> bool:
-    """Return whether the valid nodes (rows, cols) of any row or column are interrupted by invalid ones."""
-    if valid.all():
-        return False
-    return any(
-        bool(
-            (np.diff(np.pad(valid.T if transposed else valid, ((0, 0), (1, 0))).astype(np.int8), axis=1) > 0).sum(axis=1).max() > 1
-        )
-        for transposed in (False, True)
-    )
+    return nodes_have_gaps(ground_nodes(scene).height_m)
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,6 +167,8 @@ class LightFacts(Facts):
     - ``nearest_edge_m``: distance from the eye to the nearest visible shadow edge, metres; ``None`` if no edge is visible.
     - ``silhouette_edges``: number of edges of the meshes' silhouettes.
     - ``silhouette_px``: total length of these edges in the picture, hidden ones included, pixels.
+    - ``ground_casting_share``: share of the triangles of a perspective view's ground that make shadow volumes: those that face away
+      from the light, or all if the ground has gaps; ``None`` if unknown.
     - ``volume_layers``: mean number of sides of shadow volumes between the eye and the visible surface.
     - ``casts``: the cast shadows of each kind of casters.
     """
@@ -179,6 +181,7 @@ class LightFacts(Facts):
     nearest_edge_m: AtLeastZero | None = None
     silhouette_edges: Count = 0
     silhouette_px: AtLeastZero = 0.0
+    ground_casting_share: Share | None = None
     volume_layers: AtLeastZero = 0.0
     casts: dict[CasterKind, Casting] = {}
 

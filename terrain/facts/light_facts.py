@@ -18,6 +18,7 @@ from skugga.terrain.facts.mesh_rays import blocked_by_meshes, first_mesh_hits
 from skugga.terrain.facts.probes import MAX_PROBES, MAX_PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
 from skugga.terrain.facts.relief_rays import blocked_by_relief, overview_probes
 from skugga.terrain.facts.silhouette_facts import MAX_EYE_RAYS, mean_volume_layers, projected_length, silhouette_of
+from skugga.terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes, nodes_have_gaps
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
@@ -129,6 +130,7 @@ def _facts(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> Lig
         cast_share=facing_share * float(shaded.mean()) if len(shaded) else 0.0,
         area_share=area_share,
         nearest_edge_m=None if camera is None else nearest_m,
+        ground_casting_share=None if camera is None else _ground_casting_share(scene, camera, lamp),
         casts={
             kind: _cast_shadows(lit_probes, blocked_rays, facing_share, camera is not None)
             for kind, blocked_rays in blocked.items()
@@ -236,6 +238,21 @@ def _cast_shadows(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by
     return Casting(
         share=facing_share * float(blocked.at_probes.mean()), on_bodies=facing_share * on_bodies, bands=bands, thrown_m=thrown_m
     )
+
+
+def _ground_casting_share(scene: Scene, camera: PerspectiveView, lamp: Lamp | None) -> float:
+    if nodes_have_gaps(ground_nodes(scene).height_m):
+        return 1.0
+    ground, frame = ground_mesh(scene, camera), camera.frame(scene.world)
+    if not len(ground.triangles):
+        return 0.0
+    if lamp is None:
+        assert scene.sun is not None
+        facing = ground.face_normal_frame @ scene.sun.in_frame(frame).astype(np.float32)
+    else:
+        to_lamp = lamp.in_frame(frame)[0] - ground.position_frame_m[ground.triangles[:, 0]]
+        facing = np.einsum("ij,ij->i", ground.face_normal_frame, to_lamp)
+    return float(np.mean(facing <= 0.0))
 
 
 def _to_view_deg(scene: Scene, camera: PerspectiveView, lamp: Lamp | None, probes: Probes) -> float:

@@ -21,7 +21,7 @@ from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import LocalFrame, World, transformer
 from skugga.terrain.ground.decimation import NodeErrors, decimate, node_errors
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.sheet import sheet_of
+from skugga.terrain.ground.sheet import has_gaps, sheet_of
 from skugga.terrain.ground.surface import Surface
 from skugga.terrain.meshes.facets import NodeFaces, creases, face_normals, node_faces, smooth_normals
 from skugga.terrain.scene import Scene
@@ -136,6 +136,12 @@ def _mark(first, last, number, out):
 def ground_nodes(scene: Scene) -> GroundNodes:
     """Return the nodes that a level's perspective views are made from."""
     return _nodes(scene.world, scene.elevation, scene.map_crs, MAX_GROUND_TRIANGLES)
+
+
+@cached("scene", MIB)
+def nodes_have_gaps(height_m: np.ndarray) -> bool:
+    """Return whether ground with nodes of these heights (rows, cols) has gaps: NaN between other heights of a row or column."""
+    return has_gaps(np.isfinite(height_m))
 
 
 @cached("scene", 1024 * MIB)

@@ -123,3 +123,15 @@ def _triangles_with_valid_corners(triangles, is_valid):
                 out[count, k] = triangles[i, k]
             count += 1
     return out[:count]
+
+
+def has_gaps(valid: np.ndarray) -> bool:
+    """Return whether the valid nodes (rows, cols) of any row or column are interrupted by invalid ones."""
+    if valid.all():
+        return False
+    return any(
+        bool(
+            (np.diff(np.pad(valid.T if transposed else valid, ((0, 0), (1, 0))).astype(np.int8), axis=1) > 0).sum(axis=1).max() > 1
+        )
+        for transposed in (False, True)
+    )

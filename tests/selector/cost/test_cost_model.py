@@ -21,6 +21,7 @@ from skugga.shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSett
 from skugga.shadows.maps.work import sun_windows
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.volumes.settings import VolumeSettings
+from skugga.shadows.volumes.work import GROUND_SIDES_PER_TRIANGLE
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Band, CasterFacts, LampFacts, LightFacts
 from skugga.terrain.level.level import SUN, Shadows
@@ -148,8 +149,21 @@ def test_step_work_of_volumes_grows_with_edges_and_layers():
     with_relief = step_work(make_descriptor(), SUN, ("relief", "meshes"), "shadow_volume", VolumeSettings())[
         "counting, perspective"
     ]
-    # these faces are drawn in rectangles of 16 x 16 tiles: 20 rectangles, and each side crosses the square root of 20
-    assert with_relief["faces drawn"] == pytest.approx(200 * 20**0.5 + 500 + 0.25 * 20_000)
+    # These faces are drawn in rectangles of 16 x 16 tiles: 20 rectangles, and each side crosses the square root of 20. A quarter of
+    # the 20,000 triangles of the ground casts.
+    assert with_relief["faces drawn"] == pytest.approx((200 + GROUND_SIDES_PER_TRIANGLE * 5000) * 20**0.5 + 500 + 5000)
+
+
+def test_step_work_of_volumes_takes_the_casting_share_of_the_ground():
+    """The share of the visible ground that faces the light is no bound of it."""
+
+    def faces_drawn(ground_casting_share: float | None) -> float:
+        light = LightFacts(facing_share=1.0, ground_casting_share=ground_casting_share)
+        work = step_work(make_descriptor(lights={SUN: light}), SUN, ("relief",), "shadow_volume", VolumeSettings())
+        return work["counting, perspective"]["faces drawn"]
+
+    assert faces_drawn(0.0) == 0.0 < faces_drawn(0.1) < faces_drawn(1.0)
+    assert faces_drawn(1.0) == pytest.approx(20_000 * (1 + GROUND_SIDES_PER_TRIANGLE * 20**0.5))
 
 
 def test_step_work_of_a_hybrid_counts_undecided_pixels():

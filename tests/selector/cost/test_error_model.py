@@ -249,9 +249,18 @@ def test_error_group_of_a_sweep_over_decimated_ground():
 
 def test_smoothed_differing_shares_spreads_one_sample():
     assert smoothed_differing_shares(PROPORTIONAL_SHARES) == pytest.approx(PROPORTIONAL_SHARES)
-    one_hit = smoothed_differing_shares((0.0, 0.0, 0.0, 0.007, 0.0, 0.0, 0.0, 0.0))
-    # Texels of 0.5, 1 and 2 pixels sum to 3.5 pixels, which share 0.007: a five-hundredth a pixel.
-    assert one_hit == pytest.approx((0.0, 0.001, 0.001, 0.001, 0.0, 0.0, 0.0, 0.0))
+    one_hit = smoothed_differing_shares((0.0, 0.0, 0.0, 0.028, 0.0, 0.0, 0.0, 0.0))
+    # Texels of 0.5, 1 and 2 pixels sum to 3.5 pixels, which share 0.028: 0.008 a pixel. The smallest texel takes these three, too,
+    # since no probe differs at the first three sizes.
+    assert one_hit == pytest.approx((0.25 * 0.028 / 3.75, 0.004, 0.004, 0.004, 0.0, 0.0, 0.0, 0.0))
+
+
+def test_smoothed_differing_shares_uses_large_texels_where_few_probes_differ():
+    """Of 1000 probes 3 differ at 4 pixels, 5 at 8 and 11 at 16. The small texels alone would be free of errors."""
+    smoothed = smoothed_differing_shares((0.0, 0.0, 0.0, 0.0, 0.003, 0.005, 0.011, 0.016))
+    pooled = {k: 0.019 / sum(TEXEL_SIZES_PX[k:7]) for k in range(4)} | {4: 0.019 / 28.0}
+    for k, share_per_px in pooled.items():
+        assert smoothed[k] == pytest.approx(share_per_px * TEXEL_SIZES_PX[k])
 
 
 SHARES = st.integers(0, 10**9).map(lambda count: count / 1e9)
@@ -264,7 +273,7 @@ def test_smoothed_differing_shares_stays_between_pooled_shares(differs):
     assert all(0.0 <= value <= 1.0 for value in smoothed) and smoothed[-1] == pytest.approx(differs[-1])
     shares_per_pixel = [share / px for share, px in zip(differs, TEXEL_SIZES_PX, strict=True)]
     for k, (share, px) in enumerate(zip(smoothed, TEXEL_SIZES_PX, strict=True)):
-        low, high = min(shares_per_pixel[k : k + 3]), max(shares_per_pixel[k : k + 3])
+        low, high = min(shares_per_pixel[k:]), max(shares_per_pixel[k:])
         assert min(low * px, 1.0) * (1 - 1e-9) <= share <= high * px * (1 + 1e-9)
 
 

@@ -130,6 +130,25 @@ def test_shadow_of_a_ridge_has_its_closed_form_length(make_scene, write_raster):
     assert facts.facing_share == pytest.approx(1.0 - 1.0 / 64.0, abs=0.01)
 
 
+@pytest.mark.parametrize(("altitude_deg", "share"), [(30.0, 0.5), (50.0, 0.0)])
+def test_ground_casting_share_of_a_ridge(make_scene, write_raster, altitude_deg, share):
+    """The northern half of a ridge with slopes of 45 degrees faces away from a sun in the south that is lower than that.
+
+    If the ground has gaps, all of its triangles make shadow volumes. A map view has no such share.
+    """
+    views = {"above": {"kind": "perspective", "eye": [0, -200, 900], "target": [0, 0, 0], "fov": 60, "size": [64, 64]}}
+    heights = np.float32(10.0) * np.repeat(32.0 - np.abs(np.arange(65) - 32.0)[:, None], 65, axis=1).astype(np.float32)
+
+    def share_of(heights: np.ndarray) -> float | None:
+        scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 0.0, 10.0), 180.0, altitude_deg, views=views)
+        assert describe(scene, scene.view("map")).lights["sun"].ground_casting_share is None
+        return describe(scene, scene.view("above"), "above").lights["sun"].ground_casting_share
+
+    assert share_of(heights) == pytest.approx(share, abs=0.01)
+    heights[20:24, 20:24] = np.nan
+    assert share_of(heights) == 1.0
+
+
 def test_nearest_shadow_edge_has_its_closed_form_distance(tmp_path):
     """Seen from above, the shadow of a wall ends as far north of the wall as the wall is high."""
     scene = scene_with_body(tmp_path, box_on_ground((100.0, 1.0, 40.0)), sun=SUN, views={"down": DOWN_VIEW})
