@@ -25,10 +25,17 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 
 
 def calibration() -> DeviceProfile | None:
-    """Return the calibration of this process's OpenGL device; ``None`` if it has none, or without OpenGL."""
+    """Return the calibration of this process's OpenGL device; ``None`` if it has none, or without OpenGL.
+
+    The first use of a software rasteriser that is not calibrated takes a benchmark of about a second
+    (``skugga.selector.cost.device_estimate``). A graphics card needs a calibration.
+    """
+    from skugga.selector.cost.device_estimate import estimated_profile, is_software_rasteriser
     from skugga.terrain.gl import device as gl
 
-    return load_profile(*gl.renderer_and_version())
+    renderer, version = gl.renderer_and_version()
+    profile = load_profile(renderer, version)
+    return estimated_profile(renderer, version) if profile is None and is_software_rasteriser(renderer) else profile
 
 
 def format_calibration(profile: DeviceProfile, path: Path) -> str:

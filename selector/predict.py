@@ -13,6 +13,7 @@ from typing import Any
 from skugga.selector.choices import Choice, PlanRequest, PolicyName
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
+from skugga.selector.cost.typical_device import model_for_device
 from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.observation import Observation
@@ -26,6 +27,7 @@ from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
+ESTIMATED = "this device is not calibrated, so times are estimates (skugga calibrate measures them)"
 NOT_PREDICTED = "no prediction is possible, so fixed rules choose"
 
 
@@ -110,14 +112,15 @@ def predicted_plan(
     UnsupportedError
         An override cannot be served.
     """
-    expected = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
+    expected = plan_options(planner_of(descriptor, plan_request, overrides), device, model_for_device(device, errors))
+    reasons = [NamedReason(name="policy predict", reason=ESTIMATED)] if device.is_estimate else []
     if not observations:
-        return plan_from_options(expected, "predict")
+        return plan_from_options(expected, "predict", reasons)
     corrected = {
         light: light_options.with_observations(observations.get(light, ())) for light, light_options in expected.lights.items()
     }
     options = replace(expected, lights=corrected, observed_basis="probed")
-    return plan_from_options(options, "predict", _observation_reasons(expected, options))
+    return plan_from_options(options, "predict", [*reasons, *_observation_reasons(expected, options)])
 
 
 def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[NamedReason]:

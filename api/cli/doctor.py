@@ -94,7 +94,7 @@ def _egl_devices() -> list[Finding]:
 
 
 def _calibration() -> Finding:
-    """Check the calibration, which predictions use. A missing one is no fault, because fixed rules then choose algorithms."""
+    """Check the calibration, which predictions use. A missing one is no fault, because algorithms are chosen without it, too."""
     from skugga.selector.cost.device_profile import load_profile, missing_profile_reason
     from skugga.terrain.gl.device import device
 
@@ -106,7 +106,9 @@ def _calibration() -> Finding:
     text = (
         missing_profile_reason(gl.renderer, gl.version)
         if profile is None
-        else (f"{profile.renderer}, {profile.version}, measured on {profile.measured:%Y-%m-%d}")
+        else f"{profile.renderer}, {profile.version}, "
+        f"{'estimated' if profile.is_estimate else 'measured'} on {profile.measured:%Y-%m-%d}"
+        + ("; skugga calibrate measures it" if profile.is_estimate else "")
     )
     return Finding("calibration", True, text or "")
 

@@ -72,7 +72,7 @@ class IdleCalibration:
         It is ``calibrated``; ``waiting`` for idle time, ``running`` or ``paused``; ``failed``; ``off`` if calibration in idle time
         is disabled; ``none`` if there is no OpenGL device to calibrate.
         """
-        if self._device() is not None:
+        if self._is_calibrated:
             return "calibrated"
         if self._expected:
             return "waiting" if self._idle.pid is None else "paused" if self._idle.paused else "running"
@@ -81,7 +81,13 @@ class IdleCalibration:
     @property
     def is_expected(self) -> bool:
         """Whether the device will be calibrated in idle time. Plans may change then."""
-        return self._expected and self._device() is None
+        return self._expected and not self._is_calibrated
+
+    @property
+    def _is_calibrated(self) -> bool:
+        """Whether the plans' rates were measured, and not estimated."""
+        device = self._device()
+        return device is not None and not device.is_estimate
 
     def start_watching(self, renderer: str, version: str) -> None:
         """Load the calibration of a device, or request its measurement, and watch its file. Later calls do nothing.
@@ -101,16 +107,21 @@ class IdleCalibration:
             self._watch_task.cancel()
             await asyncio.gather(self._watch_task, return_exceptions=True)
 
+    @property
+    def _consequence(self) -> str:
+        """How algorithms are chosen without a calibration, in words."""
+        return "fixed rules choose the algorithms" if self._device() is None else "plans use estimated times"
+
     def _request_calibration(self) -> None:
         if not self._enabled:
             log.info(
-                "%s is not calibrated, so fixed rules choose the algorithms. Run skugga calibrate to add predictions "
-                "(SKUGGA_CALIBRATE_WHEN_IDLE is false)", self._renderer,
+                "%s is not calibrated, so %s. Run skugga calibrate to measure it (SKUGGA_CALIBRATE_WHEN_IDLE is false)",
+                self._renderer, self._consequence,
             )  # fmt: skip
             return
         log.info(
-            "%s is not calibrated, so fixed rules choose the algorithms until it is. The calibration takes a minute or two and "
-            "runs while nothing is drawn", self._renderer,
+            "%s is not calibrated, so %s until it is. The calibration takes a minute or two and runs while nothing is drawn",
+            self._renderer, self._consequence,
         )  # fmt: skip
         self._idle.add(IdleJob(self._measure, (), self._save_result, self._note_failure, lambda: self.is_expected))
 
@@ -131,13 +142,13 @@ class IdleCalibration:
 
     def _note_failure(self, reason: str) -> None:
         self._expected, self._failed = False, True
-        log.warning("%s could not be calibrated, so fixed rules still choose: %s", self._renderer, reason)
+        log.warning("%s could not be calibrated, so %s: %s", self._renderer, self._consequence, reason)
 
     async def _watch(self) -> None:
         """Load the calibration, or request its measurement. Then reload the file whenever ``skugga calibrate`` writes it."""
         path = profile_path(self._renderer, self._version)
         last_stamp = await self._read(path, None)
-        if self._device() is None:
+        if not self._is_calibrated:
             self._request_calibration()
         while True:
             await asyncio.sleep(CHECK_EVERY_S)

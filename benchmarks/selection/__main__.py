@@ -61,7 +61,7 @@ def main() -> None:
         _run_step(args.what, args.data, args.folder, args.only, args.again)
     elif args.what == "keep":
         profile = load_profile(device().renderer, device().version)
-        if profile is None:
+        if profile is None or profile.is_estimate:
             parser.error("the device is not calibrated: skugga calibrate")
         write_table([record for instance in instances() if (record := _read(args.folder, instance)) is not None], profile)
     elif args.what == "fit":

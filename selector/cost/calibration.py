@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -28,6 +28,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.antialias import picture_buffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gl.device import device
+from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.scene import Scene
 
 TIMING_ROUNDS = 3
@@ -91,13 +92,15 @@ def _timed_jobs(start_s: float, on_step: Progress) -> list[CalibrationJob]:
         for round_number in range(TIMING_ROUNDS):
             for number, job in enumerate(jobs, start=round_number * len(jobs) + 1):
                 if round_number <= 1 or time.perf_counter() - start_s < TIME_LIMIT_S:
-                    _run(job)
+                    run_job(job)
                 on_step(number, TIMING_ROUNDS * len(jobs))
     return jobs
 
 
-def calibration_jobs(calibration_view: CalibrationView) -> list[CalibrationJob]:
-    """Return the jobs to time on a calibration view: one for each algorithm and its settings to calibrate."""
+def calibration_jobs(
+    calibration_view: CalibrationView, algorithms: Collection[AlgorithmName] = tuple(ALGORITHMS)
+) -> list[CalibrationJob]:
+    """Return the jobs to time on a calibration view: one for each of the algorithms and its settings to calibrate."""
     descriptor = describe(calibration_view.scene, calibration_view.view, calibration_view.name, "points")
     picture = picture_buffer(calibration_view.scene, calibration_view.view)
     casters = find_casters(calibration_view.scene, picture.pixel_buffer)
@@ -110,6 +113,7 @@ def calibration_jobs(calibration_view: CalibrationView) -> list[CalibrationJob]:
             step_work(descriptor, step.light, step.kinds, step.algorithm, step.settings),
         )
         for step in _steps(descriptor, calibration_view)
+        if step.algorithm in algorithms
     ]
 
 
@@ -127,7 +131,7 @@ def _steps(descriptor: Descriptor, calibration_view: CalibrationView) -> Iterato
                 yield Step(calibration_view.light, kinds, algorithm.name, settings)
 
 
-def _run(job: CalibrationJob) -> None:
+def run_job(job: CalibrationJob) -> None:
     """Run a job once, and update the least time of each part of its work."""
     clear_caches("light")
     step, log, start = job.step, PassLog(), time.perf_counter()

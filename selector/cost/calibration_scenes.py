@@ -6,7 +6,7 @@ They contain nothing of the levels that Skugga bundles. So the bundled levels ca
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,9 +51,11 @@ class CalibrationView:
     calibration_extent: str
 
 
-def calibration_views(folder: Path) -> Iterator[CalibrationView]:
-    """Yield the calibration views. The files of their levels are written to ``folder``."""
+def calibration_views(folder: Path, names: Container[str] | None = None) -> Iterator[CalibrationView]:
+    """Yield the calibration views of some names, or all. The files of their levels are written to ``folder``."""
     for name, level, view, size, light, kinds, calibration_extent in calibration_levels(folder):
+        if names is not None and name not in names:
+            continue
         path = folder / f"{name}.yaml"
         path.write_text(json.dumps({"version": 1, **level}), encoding="utf-8")  # JSON is YAML
         scene = build_scene(load_level(path))

@@ -40,7 +40,8 @@ class DeviceProfile(BaseModel):
     ``rates_ns`` are nanoseconds per counted operation, by part of the work and by name of the count (``skugga.shadows.work``).
     ``renderer`` and ``version`` are OpenGL's strings for the device and its driver. ``cpus`` is the number of CPU cores. ``engine``
     is the version of Skugga that measured the device. ``measured`` is the time of the measurement, and ``took_s`` its duration in
-    seconds. ``residuals`` are the relative errors of predicted times by algorithm.
+    seconds. ``residuals`` are the relative errors of predicted times by algorithm. ``is_estimate`` tells rates of a typical device
+    that a benchmark scaled (``skugga.selector.cost.device_estimate``) from measured ones.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -54,6 +55,7 @@ class DeviceProfile(BaseModel):
     took_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     rates_ns: Annotated[dict[str, Annotated[dict[str, Rate], Field(min_length=1)]], Field(min_length=1)]
     residuals: dict[str, Residual] = {}
+    is_estimate: bool = False
 
 
 def profile_path(renderer: str, version: str) -> Path:
@@ -96,7 +98,7 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return f"{renderer} is not calibrated, so fixed rules choose; skugga calibrate adds predictions"
+        return f"{renderer} is not calibrated; skugga calibrate measures the times that predictions use"
     except (OSError, ValueError) as error:  # ValueError: not JSON, or not UTF-8
         return f"{path} cannot be read ({' '.join(str(error).split())}): run skugga calibrate again"
     if isinstance(data, dict) and data.get("schema_version") != SCHEMA:

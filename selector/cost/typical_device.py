@@ -1,7 +1,8 @@
 """Time rates of a typical device, for use on a device without a calibration.
 
 They come from one measured device. The ratio of two candidates' times is similar on many devices, but absolute times are not. So
-only the policies that also draw candidates and time them use these rates (``skugga.selector.measure``).
+only the policies that also draw candidates and time them use these rates as they are (``skugga.selector.measure``).
+``skugga.selector.cost.device_estimate`` scales them by a benchmark.
 """
 
 from __future__ import annotations
@@ -22,6 +23,12 @@ With this scale about half of the times are off by a factor of more than two.
 UNKNOWN_SHARED = SharedVariance(view=0.85, family=0.08)
 """Shares of the variance of these times that candidates have in common. Most of it is one factor of the device."""
 
+ESTIMATED_TIME_SPREAD = 0.35
+"""The same scale for estimated rates, whose factor a benchmark has measured: half of the times are off by a factor of 1.5."""
+
+ESTIMATED_SHARED = SharedVariance(view=0.3, family=0.3)
+"""The same shares for estimated rates: what the factor leaves is common to a view's pixels or to a family's passes."""
+
 
 @cached("process", MIB)
 def typical_device() -> DeviceProfile:
@@ -31,8 +38,14 @@ def typical_device() -> DeviceProfile:
     )
 
 
-def uncalibrated_model(errors: ErrorModel | None = None) -> ErrorModel:
-    """Return the error model for a device without a calibration: its times have a larger uncertainty."""
+def model_for_device(device: DeviceProfile | None, errors: ErrorModel | None = None) -> ErrorModel:
+    """Return the error model for the times of a device.
+
+    Without a calibration its times have a larger uncertainty: by ``ESTIMATED_TIME_SPREAD`` for estimated rates, and by
+    ``UNKNOWN_TIME_SPREAD`` for those of the typical device (``None``).
+    """
     model = errors or packaged_model()
-    shared = model.shared.model_copy(update={"time": UNKNOWN_SHARED})
-    return model.model_copy(update={"time_spread": UNKNOWN_TIME_SPREAD, "shared": shared})
+    if device is not None and not device.is_estimate:
+        return model
+    spread, time = (UNKNOWN_TIME_SPREAD, UNKNOWN_SHARED) if device is None else (ESTIMATED_TIME_SPREAD, ESTIMATED_SHARED)
+    return model.model_copy(update={"time_spread": spread, "shared": model.shared.model_copy(update={"time": time})})

@@ -12,7 +12,7 @@ from typing import Any
 from skugga.selector.choices import PlanRequest, PolicyName
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
-from skugga.selector.cost.typical_device import typical_device, uncalibrated_model
+from skugga.selector.cost.typical_device import model_for_device, typical_device
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.probing import ErrorMeasurement, LightProbe, leader_of, probe_options
 from skugga.selector.measure.scene_prober import ProbedPictures, SceneProber
@@ -29,6 +29,7 @@ DEFAULT_BUDGET_S = 3.0
 """Default time limit of a probe in seconds."""
 
 UNCALIBRATED_PROBE = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"
+ESTIMATED_PROBE = "this device is not calibrated, so times are estimates, corrected by the candidates drawn"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +96,7 @@ def probed_plan(
     """
     plan_request = plan_request or scene.loaded.level
     descriptor = describe(scene, view, name, "points")
-    model = errors if device is not None else uncalibrated_model(errors)
+    model = model_for_device(device, errors)
     options = plan_options(planner_of(descriptor, plan_request, overrides), device or typical_device(), model)
     pictures = ProbedPictures(scene, view, make_plan(descriptor, plan_request, overrides, choices={}).effect_names)
     probes: dict[str, LightProbe] = {}
@@ -109,7 +110,8 @@ def probed_plan(
         probes[light] = probe_options(light_options, prober, options.max_error, options.time_limits_ms()[light], left_s, on_step)
         options = replace(options, lights={**options.lights, light: probes[light].options})
     policy: PolicyName = "measure" if budget_s is None else "probe"
-    reasons = [] if device is not None else [NamedReason(name=f"policy {policy}", reason=UNCALIBRATED_PROBE)]
+    basis = UNCALIBRATED_PROBE if device is None else ESTIMATED_PROBE if device.is_estimate else None
+    reasons = [] if basis is None else [NamedReason(name=f"policy {policy}", reason=basis)]
     reasons += [reason for light, probe in probes.items() for reason in _reasons(options, light, probe)]
     plan = plan_from_options(options, policy, reasons)
     return ProbedView(plan, {light: tuple(probe.options.observations.values()) for light, probe in probes.items()})

@@ -1,0 +1,76 @@
+"""Estimate the rates of a device on its first use: those of a typical device, scaled by a benchmark of about a second.
+
+The ratios between the times of two candidates are similar on many software rasterisers, so one factor makes the absolute times of
+the typical device those of this one. A calibration (``skugga.selector.cost.calibration``) measures every rate, and takes minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from contextlib import suppress
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+
+from skugga.selector.cost.device_profile import DeviceProfile, profile_path, save_profile
+from skugga.selector.cost.typical_device import typical_device
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.level.algorithm_names import AlgorithmName
+
+SOFTWARE_RASTERISERS = ("llvmpipe", "softpipe", "swiftshader")
+"""Words in OpenGL's renderer string, in lower case, of devices that the rates of the typical device, a CPU, suit."""
+
+BENCHMARK: dict[str, tuple[AlgorithmName, ...]] = {
+    "few_balls_small": ("shadow_map", "perspective_shadow_map", "shadow_volume"),
+    "hills_map": ("sweep",),
+}
+"""Calibration views of the benchmark, and the algorithms that are timed on them."""
+
+RUNS = 2
+"""Number of runs of each step. The least time counts, since the first run includes compilation."""
+
+
+def is_software_rasteriser(renderer: str) -> bool:
+    """Return whether OpenGL's renderer string is that of a software rasteriser."""
+    return any(word in renderer.lower() for word in SOFTWARE_RASTERISERS)
+
+
+@cached("process", MIB)
+def estimated_profile(renderer: str, driver_version: str) -> DeviceProfile:
+    """Run the benchmark on this process's device, save the estimated profile in the user's cache folder, and return it.
+
+    ``renderer`` and ``driver_version`` are OpenGL's strings of the device. Where the folder cannot be written, or has an unusable
+    profile, which stays, the new profile serves this process alone. Raises ``GraphicsError`` without OpenGL.
+    """
+    start_s = time.perf_counter()
+    factor = _time_ratio()
+    typical = typical_device()
+    profile = DeviceProfile(
+        renderer=renderer, version=driver_version, cpus=os.cpu_count() or 1, engine=version("skugga"), is_estimate=True,
+        measured=datetime.now(UTC).replace(microsecond=0), took_s=round(time.perf_counter() - start_s, 1),
+        rates_ns={part: {name: factor * rate for name, rate in rates.items()} for part, rates in typical.rates_ns.items()},
+    )  # fmt: skip
+    with suppress(OSError):
+        if not profile_path(renderer, driver_version).exists():
+            save_profile(profile)
+    return profile
+
+
+def _time_ratio() -> float:
+    """Return the median ratio of this device's times to those of the typical device, over the steps of the benchmark."""
+    from skugga.selector.cost.calibration import calibration_jobs, run_job
+    from skugga.selector.cost.calibration_scenes import calibration_views
+    from skugga.selector.cost.cost_model import counts_to_ms
+
+    rates_ns, ratios = typical_device().rates_ns, []
+    with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
+        for view in calibration_views(Path(folder), BENCHMARK):
+            for job in calibration_jobs(view, BENCHMARK[view.name]):
+                for _ in range(RUNS):
+                    run_job(job)
+                expected_ms = sum(counts_to_ms(rates_ns[part], counts) for part, counts in job.work.items())
+                ratios.append(sum(job.min_ms.values()) / expected_ms)
+    return median(ratios)

@@ -1,0 +1,93 @@
+"""Estimates of devices: the typical device's rates, scaled by the times of a benchmark."""
+
+from __future__ import annotations
+
+import pytest
+
+from skugga.api import device_calibration
+from skugga.selector.cost import calibration, device_estimate
+from skugga.selector.cost.calibration import CalibrationJob
+from skugga.selector.cost.cost_model import counts_to_ms
+from skugga.selector.cost.device_estimate import estimated_profile, is_software_rasteriser
+from skugga.selector.cost.device_profile import load_profile, profile_path
+from skugga.selector.cost.error_model import packaged_model
+from skugga.selector.cost.typical_device import model_for_device, typical_device
+from skugga.selector.predict import ESTIMATED, predicted_plan
+from skugga.terrain.gl import device as gl
+from tests.selector.test_predict import make_descriptor, make_request, name_of
+
+RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
+
+
+@pytest.fixture(autouse=True)
+def _no_profile(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    estimated_profile.cache.clear()
+
+
+@pytest.fixture
+def twice_as_slow(monkeypatch) -> None:
+    """Let the benchmark find that this device takes twice the time of the typical one."""
+    monkeypatch.setattr(device_estimate, "_time_ratio", lambda: 2.0)
+
+
+def test_estimated_profile_has_scaled_rates(twice_as_slow):
+    profile = estimated_profile(RENDERER, VERSION)
+    assert profile.is_estimate and (profile.renderer, profile.version) == (RENDERER, VERSION)
+    assert profile.rates_ns == {
+        part: {name: 2.0 * rate for name, rate in rates.items()} for part, rates in typical_device().rates_ns.items()
+    }
+    assert load_profile(RENDERER, VERSION) == profile
+
+
+def test_estimated_profile_leaves_an_unusable_file(twice_as_slow):
+    """A calibration of a newer version of Skugga is not lost."""
+    path = profile_path(RENDERER, VERSION)
+    path.parent.mkdir(parents=True)
+    path.write_text('{"schema_version": 99}', encoding="utf-8")
+    assert estimated_profile(RENDERER, VERSION).is_estimate and path.read_text(encoding="utf-8") == '{"schema_version": 99}'
+
+
+def test_time_ratio_is_the_median_of_the_steps(gl, monkeypatch):
+    """Every step takes three times as long as on the typical device, except for the sweeps, which take a hundred times as long."""
+    algorithms = []
+
+    def run(job: CalibrationJob) -> None:
+        algorithms.append(job.step.algorithm)
+        factor = 100.0 if job.step.algorithm == "sweep" else 3.0
+        rates_ns = typical_device().rates_ns
+        job.min_ms.update({part: factor * counts_to_ms(rates_ns[part], counts) for part, counts in job.work.items()})
+
+    monkeypatch.setattr(calibration, "run_job", run)
+    assert device_estimate._time_ratio() == pytest.approx(3.0)
+    assert set(algorithms) == {"shadow_map", "perspective_shadow_map", "shadow_volume", "sweep"}
+
+
+@pytest.mark.parametrize(
+    ("renderer", "is_software"),
+    [(RENDERER, True), ("softpipe", True), ("Google SwiftShader", True), ("NVIDIA GeForce RTX 4090/PCIe/SSE2", False)],
+)
+def test_only_software_rasterisers_are_estimated(monkeypatch, twice_as_slow, renderer, is_software):
+    monkeypatch.setattr(gl, "renderer_and_version", lambda: (renderer, VERSION))
+    assert is_software_rasteriser(renderer) == is_software
+    profile = device_calibration.calibration()
+    assert (profile is not None) == is_software and (load_profile(renderer, VERSION) is not None) == is_software
+
+
+def test_estimated_times_are_less_certain_than_measured_ones(twice_as_slow):
+    estimate = estimated_profile(RENDERER, VERSION)
+    spreads = [model_for_device(device).time_spread for device in (typical_device(), estimate, None)]
+    assert spreads == sorted(set(spreads)) and spreads[0] == packaged_model().time_spread
+
+
+@pytest.mark.parametrize("max_error", [0.1, 0.03, 0.01, 0.001])
+def test_choice_for_an_error_does_not_depend_on_the_factor(monkeypatch, max_error):
+    """A machine's speed changes what a choice takes, and not which one is taken: pictures are the same on all of them."""
+    descriptor, names = make_descriptor(), set()
+    for factor in (0.01, 1.0, 50.0):
+        monkeypatch.setattr(device_estimate, "_time_ratio", lambda factor=factor: factor)
+        estimated_profile.cache.clear()
+        plan = predicted_plan(descriptor, make_request(descriptor, max_error=max_error), None, estimated_profile("llvmpipe", "1"))
+        names.add(name_of(plan))
+        assert any(reason.reason == ESTIMATED for reason in plan.reasons)
+    assert len(names) == 1
