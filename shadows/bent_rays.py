@@ -7,15 +7,24 @@ import numpy as np
 from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.geo.grid import BLOCK_PX
+from skugga.terrain.geo.world import EARTH_RADIUS_M
 from skugga.terrain.level.level import SUN
 
 MAX_STRAIGHT_M = 200e3
 """Largest extent of the round earth in metres across which the sun's rays count as parallel lines.
 
+On another celestial body the limit is the same angle, seen from the body's centre.
+
 In Web Mercator, the straight lines that the algorithm ``sweep`` follows match the rays across 250 km at 84 degrees of latitude and
 across 1,000 km at 65, in windows of 1,024 nodes a side.
 """
 
+MAX_LEAN_PX = 1.0
+"""Tolerance in pixels for the shift of a summit across the sun's rays from the ground below it.
+
+The algorithm ``sweep`` computes the rays' positions for one height. Verticals lean away from the middle of the ground, so a shadow
+falls beside its place by this shift.
+"""
 
 MAX_ROW_WIDTH_RATIO = 2.3
 """Largest ratio of the widths of two rows of nodes across which the sun's rays count as straight lines.
@@ -25,11 +34,30 @@ In windows of 2,050 x 2,050 nodes near a pole of a map in degrees, the cubics of
 
 
 def rays_bend(descriptor: Descriptor) -> bool:
-    """Return whether the area drawn at once is too wide, or its rows are too uneven, for straight rays.
+    """Return whether the area drawn at once is too wide, too high, or its rows are too uneven, for straight rays.
 
-    Where the extent of the area is unknown, only the rows count.
+    Where the extent of the area is unknown, its width does not count.
     """
-    return (sun_extent_m(descriptor) or 0.0) > MAX_STRAIGHT_M or descriptor.row_width_ratio > MAX_ROW_WIDTH_RATIO
+    max_straight_m = MAX_STRAIGHT_M * descriptor.radius_m / EARTH_RADIUS_M
+    return (
+        (sun_extent_m(descriptor) or 0.0) > max_straight_m
+        or descriptor.row_width_ratio > MAX_ROW_WIDTH_RATIO
+        or _lean_px(descriptor) > MAX_LEAN_PX
+    )
+
+
+def _lean_px(descriptor: Descriptor) -> float:
+    """Return the largest shift of a block's summits across the sun's rays from the ground below them, in pixels of a map.
+
+    The shift is the block's relief times the angle between verticals in the middle and at a corner of the ground. In perspective
+    views pixels have no one size, and the result is 0.
+    """
+    if descriptor.flat_world or descriptor.sun_altitude_deg is None or descriptor.view_kind != "map":
+        return 0.0
+    block_m = BLOCK_PX * descriptor.pixel_m
+    level_m = _level_extent_m(descriptor)
+    side_m = block_m if level_m is None else min(block_m, level_m)
+    return float(side_m / np.sqrt(2.0) / descriptor.radius_m * descriptor.block_relief_m / descriptor.pixel_m)
 
 
 def sun_extent_m(descriptor: Descriptor) -> float | None:

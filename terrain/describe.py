@@ -68,8 +68,8 @@ def describe(
         view_facts = _perspective_facts(scene, view, coarse_view)
         probes, rows, cols = ViewProbes(scene, view, probes_in_view(coarse_view, view, trees), trees), view.rows, view.cols
     return Descriptor(
-        view=name, flat_world=scene.world.flat, casters=scene.objects.kinds, lamps=lamps, relief_m=high - low,
-        rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
+        view=name, flat_world=scene.world.flat, radius_m=scene.world.radius_m, casters=scene.objects.kinds, lamps=lamps,
+        relief_m=high - low, rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
         pieces=pieces, stands=caster_facts_of(scene, sampled_view, trees), moves=bool(scene.loaded.level.moving_keys),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,

@@ -90,12 +90,25 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
 
 
 def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """Return a record whose rows are timed again."""
+    """Return a record whose rows are timed again. Rows that no choice leads to any more are removed.
+
+    If a choice leads to a row that was never measured, the whole instance is measured again, except for its probes.
+    """
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light = record["light"]
         plans = plans_of(describe(scene, view, instance.view), scene, light)
-        return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
+        names = {choice: row for choice, row in rows_of(plans, light).items() if not _is_refused(choice, record)}
+        if set(names.values()) <= set(record["rows"]):
+            rows = {row: record["rows"][row] for row in dict.fromkeys(names.values())}
+            plans = {choice: plans[choice] for choice in names}
+            return record | {"picks": names, "rows": _timed(scene, view, light, plans, rows)}
+    return measure_instance(instance, data) | {key: record[key] for key in ("probe", "plan_ms") if key in record}
+
+
+def _is_refused(choice: str, record: Figures) -> bool:
+    """Return whether a choice was left out of a record because its algorithm refused the view."""
+    return "sweep" in choice and choice not in record["picks"]
 
 
 def _timed(

@@ -161,7 +161,7 @@ def fill_nodes(
     """
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
-        rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
+        rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
         grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
         targets = _targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
@@ -204,7 +204,7 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. Raises the
     errors of ``fill_nodes``.
     """
-    rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
+    rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
     grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
     ground = grounds[-1]
     targets = _targets_of_nodes(rays, ground, nodes)
@@ -273,12 +273,28 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
-        rays = rays_at(scene, view.grid, *view.centre_node)
+        rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
         return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft, casters.culled)
     assert buffer.ground is not None
     rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]
+
+
+def _reference_node(scene: Scene, view: MapView, valid: np.ndarray) -> tuple[float, float]:
+    """Return the (fractional) row and column at which light space is upright: the view's centre, or the middle of its ground.
+
+    Verticals lean away from this node, and shadows are shifted across the rays by this lean (``skugga.shadows.bent_rays``). On the
+    earth they lean so little that the centre serves. On a small body a raster may lie in a corner of its block, kilometres from the
+    block's centre. ``valid`` (rows, cols) are the pixels that show ground.
+    """
+    if scene.world.on_earth:
+        return view.centre_node
+    rows, cols = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
+    if not len(rows):
+        return view.centre_node
+    row, col = (int(rows[0]) + int(rows[-1])) / 2, (int(cols[0]) + int(cols[-1])) / 2
+    return view.row0 + row * view.row_step, view.col0 + col * view.col_step
 
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:

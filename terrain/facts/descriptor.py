@@ -22,6 +22,7 @@ from skugga.terrain.facts.fact_types import (
     check_share_sum,
 )
 from skugga.terrain.geo.grid import BLOCK_PX
+from skugga.terrain.geo.world import EARTH_RADIUS_M
 from skugga.terrain.level.level import SUN, CasterKind
 from skugga.terrain.level.parts import Weather
 
@@ -43,6 +44,7 @@ class Descriptor(Facts):
 
     - ``view``, ``view_kind``: the name of the view and its kind.
     - ``flat_world``: whether the world is flat.
+    - ``radius_m``: mean radius of the earth, or of the level's celestial body, metres; without effect in a flat world.
     - ``pixel_m``: side of a pixel on the ground, metres; in perspective at the median distance of the visible surfaces.
     - ``pixel``: side of a pixel as a tangent; perspective views only.
     - ``rows``, ``cols``, ``pixels``: rows, columns and number of pixels of a map's block or of a whole perspective view.
@@ -78,6 +80,7 @@ class Descriptor(Facts):
     view: str
     view_kind: Literal["map", "perspective"]
     flat_world: bool
+    radius_m: Positive = EARTH_RADIUS_M
     pixel_m: Positive
     pixel: Positive | None = None
     rows: Annotated[int, Field(ge=1)] = BLOCK_PX

@@ -27,6 +27,9 @@ from skugga.terrain.ground.sheet import Sheet, sheet_of
 EXACT_SPACING_M = 16000.0
 """Maximum distance between exactly computed nodes, metres: the cubic's error is then below 0.1 mm on the globe."""
 
+MAX_CUBIC_ERROR_M = 1e-3
+"""Maximum error of the cubics on a small body in metres, which limits the distance between exactly computed nodes there."""
+
 EXACT_STRIDE = 64
 """Maximum distance between exactly computed nodes, in nodes."""
 
@@ -361,6 +364,18 @@ def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, in
     return top, left, (row0 + rows) // 2 - top + 1, (col0 + cols) // 2 - left + 1
 
 
+def _exact_spacing_m(world: World) -> float:
+    """Return the maximum distance between exactly computed nodes in metres.
+
+    The error of cubic Lagrange interpolation on a circle of radius r, between points at a distance s, is at most
+    3 / 128 r (s / r)^4.
+    """
+    if world.flat:
+        return EXACT_SPACING_M
+    min_radius_m = world.ellipsoid.b**2 / world.ellipsoid.a  # of curvature: along the meridian at the equator
+    return float(min(EXACT_SPACING_M, (128.0 / 3.0 * MAX_CUBIC_ERROR_M * min_radius_m**3) ** 0.25))
+
+
 @cached("scene", MIB, size_of=lambda _: 512)
 def _resolve_steps(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
     """Return ``step_m``, ``lod``, ``cells_per_step`` and ``stride`` of a surface.
@@ -369,7 +384,7 @@ def _resolve_steps(world: World, elevation: Elevation, grid: Grid) -> tuple[floa
     """
     step_m, cell_m = step_at_anchor_m(world, grid), elevation.cell_size_m(world.metres_per_unit)
     detail_m = max(step_m, elevation.resolution_m or 0.0)
-    stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
+    stride = int(2 ** np.clip(np.floor(np.log2(_exact_spacing_m(world) / step_m)), 0, np.log2(EXACT_STRIDE)))
     return step_m, max(int(np.rint(np.log2(detail_m / cell_m))), 0), step_m / cell_m, stride
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -27,17 +28,47 @@ WGS84 = Geod(ellps="WGS84")
 LON_LAT_CRS = CRS.from_user_input("OGC:CRS84")
 
 
-def shadow_length_m(radius_m: float) -> float:
-    """Return the length of the tower's shadow along a sphere.
+def shadow_reach_m(lon: np.ndarray, lat: np.ndarray, azimuth: float, geod: Geod) -> float:
+    """Return the largest distance between the tower's centre and its shadow's end along the ellipsoid ``geod``, in metres.
 
-    On a small body the curved ground drops away under the shadow. Where the ray past the tower's top misses the ground, the shadow
-    has no end, and the length is infinite.
+    The rays past the four corners of the tower's top meet the ellipsoid x^2 / a^2 + y^2 / a^2 + z^2 / b^2 = 1. On a small body the
+    curved ground drops away under the shadow. Where a ray misses the ground, or it is night in a corner of the plain, the result is
+    infinite. ``lon`` and ``lat`` (101, 101) are the places of the plain's cells in degrees.
     """
-    sin_altitude, top_m = np.sin(np.radians(ALTITUDE_DEG)), radius_m + HEIGHT_M
-    if (top_m * sin_altitude) ** 2 < (top_m + radius_m) * HEIGHT_M:
+    to_earth = Transformer.from_pipeline(f"+proj=cart +a={geod.a!r} +b={geod.b!r}")
+    axes_m, middle = np.array([geod.a, geod.a, geod.b]), SIDE // 2
+    centre = lon[middle, middle], lat[middle, middle]
+    sunward = _enu_axes(*centre).T @ _direction_enu(azimuth)
+    if min(_enu_axes(lon[row, col], lat[row, col])[2] @ sunward for row in (0, -1) for col in (0, -1)) <= 0.0:
         return np.inf
-    ray_length_m = top_m * sin_altitude - np.sqrt((top_m * sin_altitude) ** 2 - (top_m + radius_m) * HEIGHT_M)
-    return float(radius_m * np.arcsin(ray_length_m * np.cos(np.radians(ALTITUDE_DEG)) / radius_m))
+    away, reach_m = -sunward / axes_m, 0.0
+    for row, col in product((middle - HALF, middle + HALF), repeat=2):
+        top = np.array(to_earth.transform(lon[row, col], lat[row, col], HEIGHT_M, radians=False)) / axes_m
+        squared, half_linear, constant = away @ away, away @ top, top @ top - 1.0
+        if half_linear**2 < squared * constant:
+            return np.inf
+        length_m = (-half_linear - np.sqrt(half_linear**2 - squared * constant)) / squared
+        end_lon, end_lat, _ = to_earth.transform(*((top + length_m * away) * axes_m), radians=False, direction="INVERSE")
+        reach_m = max(reach_m, geod.inv(*centre, end_lon, end_lat)[2])
+    return reach_m
+
+
+def _enu_axes(lon: float, lat: float) -> np.ndarray:
+    """Return the unit vectors east, north and up of a place in geocentric axes (3, 3)."""
+    lon, lat = np.radians(lon), np.radians(lat)
+    return np.array(
+        [
+            [-np.sin(lon), np.cos(lon), 0.0],
+            [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
+        ]
+    )
+
+
+def _direction_enu(azimuth: float) -> np.ndarray:
+    """Return the unit vector (3,) to the sun in the axes east, north and up."""
+    angle, altitude = np.radians(azimuth), np.radians(ALTITUDE_DEG)
+    return np.array([np.sin(angle) * np.cos(altitude), np.cos(angle) * np.cos(altitude), np.sin(altitude)])
 
 
 @dataclass(frozen=True)
@@ -124,11 +155,11 @@ def shadow_deviation(
     is_tower_shadow = (mask == MASK_SHADOW) & (distances_m > 4.0 * HALF * CELL_M)
     rim = np.ones(mask.shape, bool)
     rim[1:-1, 1:-1] = False
-    length_m = shadow_length_m(geod.a)
+    reach_m = shadow_reach_m(lon, lat, azimuth, geod)
     if not is_tower_shadow.any():
-        return ShadowDeviation(180.0, length_m, int((mask[rim] != MASK_LIT).sum()))
+        return ShadowDeviation(180.0, reach_m, int((mask[rim] != MASK_LIT).sum()))
     bearing_errors_deg = (bearing[is_tower_shadow] - azimuth - 180.0 + 540.0) % 360.0 - 180.0
-    length_error_m = float(distances_m[is_tower_shadow].max()) - length_m - HALF * CELL_M
+    length_error_m = float(distances_m[is_tower_shadow].max()) - reach_m
     return ShadowDeviation(
         float(np.average(bearing_errors_deg, weights=distances_m[is_tower_shadow])),
         length_error_m,

@@ -63,6 +63,10 @@ SAMPLES = [
     ("IAU_2015:49901", 10.0, 20.0),  # Mars, north, west
     ("IAU_2015:49911", 10.0, 20.0),  # west, north
     ("IAU_2015:51300", 10.0, 20.0),  # Leda, 5 km in radius
+    ("IAU_2015:61500", 12.0, 21.3),  # Atlas, 15 km
+    ("IAU_2015:71410", 12.0, 21.3),  # Belinda, 33 km
+    ("IAU_2015:51400", 12.0, 21.3),  # Thebe, 49 km
+    ("IAU_2015:200043301", 12.0, 21.3),  # Eros, 17 km by 5.5 km
 ]
 
 
@@ -73,7 +77,7 @@ def open_scene(raster: Path) -> Scene:
 def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[float, ...] = AZIMUTHS_DEG) -> list[str]:
     """Return the faults of a tower's shadows at a place of a CRS's own celestial body.
 
-    A body so small that the tower's shadow has no end is not judged: night covers part of the plain, too.
+    A body so small that the tower's shadow has no end, or that night covers a corner of the plain, is not judged.
     """
     lon_lat_crs, geod = longitude_latitude_of(crs), ellipsoid_of(crs)
     source = folder / "tower.vrt"
@@ -164,17 +168,17 @@ def test_every_crs_of_proj_is_correct_or_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("code", "said"),
+    ("code", "lon", "lat", "said"),
     [
-        ("IAU_2015:50855", "beyond the area of its CRS"),  # Pasiphae, at the edge of a map of all of it
-        ("IAU_2015:1025", "coordinates below 1e9"),  # the Sun
-        ("IAU_2015:200417940", "outside of the area of"),  # Toutatis, off its map for a camera's fit
+        ("IAU_2015:30155", 0.1, 21.3, "beyond the area of its CRS"),  # the Moon, 3 km off the edge of a map of all of it
+        ("IAU_2015:1025", 12.0, 21.3, "coordinates below 1e9"),  # the Sun
+        ("IAU_2015:200417940", 12.0, 21.3, "outside of the area of"),  # Toutatis, off its map for a camera's fit
     ],
 )
-def test_a_body_that_cannot_be_shaded_is_refused_by_its_crs(tmp_path, code, said):
+def test_a_body_that_cannot_be_shaded_is_refused_by_its_crs(tmp_path, code, lon, lat, said):
     crs = CRS.from_user_input(code)
     with pytest.raises(InputError, match=said) as caught:
-        faults_of(tmp_path, crs, *place_in(crs, None), AZIMUTHS_DEG[:1])
+        faults_of(tmp_path, crs, lon, lat, AZIMUTHS_DEG[:1])
     assert crs.name in str(caught.value) and "\n" not in str(caught.value)
 
 

@@ -58,6 +58,7 @@ def with_band(**changes) -> dict:
 
 INVALID_CHANGES = {
     "view_kind": {"view_kind": "globe"},
+    "radius_m": {"radius_m": 0.0},
     "pixel_m": {"pixel_m": 0.0},
     "pixel": {"pixel": -0.1},
     "rows": {"rows": 0},

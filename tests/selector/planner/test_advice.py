@@ -29,11 +29,12 @@ from skugga.selector.planner.advice_rules import (
     RuleInput,
 )
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.bent_rays import MAX_STRAIGHT_M
+from skugga.shadows.bent_rays import MAX_LEAN_PX, MAX_STRAIGHT_M
 from skugga.shadows.registry import can_serve
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import CasterFacts, LightFacts
+from skugga.terrain.geo.world import EARTH_RADIUS_M
 from skugga.terrain.level.level import Shadows, load_level
 from skugga.terrain.scene import build_scene
 
@@ -131,6 +132,29 @@ def test_rules_sweep_ground_only_while_rays_are_straight():
         assert (
             chosen_algorithm(sun_descriptor("relief", flat_world=False, lights=sun_facts(area_share=share)), "relief") == algorithm
         )
+
+
+def test_rules_sweep_as_wide_an_angle_on_a_small_body():
+    """The block, 1024 pixels of 10 m and its longest shadow, is as wide as 200 km on the earth if the radius is as much smaller."""
+    block_m = 1024 * 10.0 + 50.0 / np.tan(np.radians(30.0))
+    limit_m = EARTH_RADIUS_M * block_m / MAX_STRAIGHT_M
+    for radius_m, algorithm in ((1.001 * limit_m, "sweep"), (0.999 * limit_m, "shadow_map")):
+        small_body = map_descriptor(
+            "relief", flat_world=False, radius_m=radius_m, pixel_m=10.0, block_relief_m=1.0, receivers_light_m=(2e4, 1e4, 2e4),
+            lights=sun_facts(area_share=0.9),
+        )  # fmt: skip
+        assert chosen_algorithm(small_body, "relief") == algorithm
+
+
+def test_rules_sweep_while_summits_lean_by_less_than_a_pixel():
+    """In a corner of the block, 512 sqrt(2) pixels from its middle, verticals lean by as many pixels per radius."""
+    radius_m = 1_737_400.0
+    limit_m = MAX_LEAN_PX * radius_m / (512.0 * np.sqrt(2.0))
+    for relief_m, algorithm in ((0.999 * limit_m, "sweep"), (1.001 * limit_m, "shadow_map")):
+        facts = {"flat_world": False, "block_relief_m": relief_m, "pixel_m": 10.0, "receivers_light_m": (2e4, 1e4, 2e4)}
+        moon = map_descriptor("relief", radius_m=radius_m, lights=sun_facts(area_share=0.9), **facts)
+        assert chosen_algorithm(moon, "relief") == algorithm
+        assert chosen_algorithm(map_descriptor("relief", lights=sun_facts(area_share=0.9), **facts), "relief") == "sweep"
 
 
 def test_rules_take_volumes_for_strict_errors_except_foliage():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from scipy.ndimage import binary_dilation
 
 from skugga.terrain.geo.grid import Grid
@@ -105,6 +105,22 @@ def test_refined_heights_are_midpoints_of_higher_diagonals():
 
 
 # -- the rim
+
+
+@pytest.mark.parametrize(("a", "b"), [(17_000.0, 5_500.0), (2_500.0, 2_500.0)])
+def test_positions_on_small_bodies_are_exact(make_scene, tmp_path, a, b):
+    """Interpolated nodes lie within millimetres of geocentric coordinates by PROJ."""
+    crs = CRS.from_user_input(f"+proj=longlat +a={a} +b={b} +type=crs")
+    cell_deg = np.degrees(10.0 / a)
+    raster = write_geotiff(tmp_path / "body.tif", np.zeros((130, 130), np.float32), crs.to_wkt(), 12.0, 21.3, cell_deg)
+    scene = make_scene(raster)
+    grid = Grid(scene.elevation.crs, 12.0 + cell_deg / 2, 21.3 - cell_deg / 2, cell_deg)
+    frame = scene.world.frame_near(grid.crs, 12.0, 21.3)
+    position = frame.points_to_earth(scene.surface(grid).window(0, 0, 130, 130, frame).position_frame_m)
+    row, col = np.mgrid[:130, :130]
+    to_earth = Transformer.from_pipeline(f"+proj=cart +a={a} +b={b}")
+    expected = np.stack(to_earth.transform(grid.x(col), grid.y(row), np.zeros(row.shape), radians=False), axis=-1)
+    np.testing.assert_allclose(position, expected, rtol=0.0, atol=3e-3)
 
 
 def test_rim_extends_the_raster_by_one_node(write_raster, make_scene):
