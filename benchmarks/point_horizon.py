@@ -115,7 +115,7 @@ def main() -> None:
 
 
 def measure_level(name: str, count: int, day: date) -> str:
-    """Return a row of the table."""
+    """Measure what a point report and a full horizon take in a level, and return them as a row of the printed table."""
     path = Path(name) if Path(name).exists() else find_level(name)
     scene = build_scene(load_level(path))
     crs = scene.elevation.crs

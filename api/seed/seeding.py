@@ -73,7 +73,7 @@ def draw_and_publish(
     waiting_count = len(table.waiting_tasks())
     if max_tasks is not None and waiting_count > max_tasks:
         raise InputError.over_limit(
-            "--max-tasks", f"{waiting_count} tasks", str(max_tasks), "Raise the limit, or use --dry-run to list the reasons"
+            "--max-tasks", f"{waiting_count} tasks", str(max_tasks), "Raise the limit, or use --dry-run to list the tasks"
         )
     if waiting_count:
         check_writable(store, shards)

@@ -154,12 +154,12 @@ class WorkerProcess:
         self._unwatch()
         await self._child.end()
 
-    async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
+    async def _answer(self, receive: Callable[[], Any], timeout_s: float) -> Any:
         """Return the first message that is no progress message (``Preparing``). Each message may take ``timeout_s`` seconds.
 
-        ``function`` returns the first message of all. Raises the errors of ``_receive``.
+        ``receive`` waits for the first message of all and returns it. Raises the errors of ``_receive``.
         """
-        message = await self._receive(function, timeout_s)
+        message = await self._receive(receive, timeout_s)
         try:
             while isinstance(message, Preparing):
                 self.has_prepared = self.is_preparing = True

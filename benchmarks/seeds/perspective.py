@@ -319,10 +319,12 @@ def section_bad_case(figures: Figures) -> Section:
     places = list(dict.fromkeys(key[:3] for key in row_by_key))
     nearer = [place for place in places if place[2] < 1.0]
 
-    def times_uniform(name: str) -> list[float]:
-        return [row_by_key[*place, name]["wrong_cast"] / max(row_by_key[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer]
+    def to_uniform(variant: str) -> list[float]:
+        return [
+            row_by_key[*place, variant]["wrong_cast"] / max(row_by_key[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer
+        ]
 
-    worst = {name: max(times_uniform(name)) for name in MAP_VARIANTS}
+    worst = {variant: max(to_uniform(variant)) for variant in MAP_VARIANTS}
     is_bad = at_least(worst[OURS], WORSE_FACTOR)
     stretched = all_of((at_least(worst[BARE], WORSE_FACTOR), at_most(worst[FITTED], WORSE_FACTOR)))
     fallen_back = sum(row_by_key[*place, OURS]["note"].startswith("a uniform map") for place in nearer)
@@ -330,7 +332,7 @@ def section_bad_case(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, figure 55",
             "where the light is nearer to the objects than the camera is, perspective maps are often far worse",
-            f"in {sum(ratio > WORSE_FACTOR for ratio in times_uniform(OURS))} of {len(nearer)} such places over {WORSE_FACTOR:g} "
+            f"in {sum(ratio > WORSE_FACTOR for ratio in to_uniform(OURS))} of {len(nearer)} such places over {WORSE_FACTOR:g} "
             f"times the errors of the uniform map; at worst {factor(worst[OURS])} times (held if over {WORSE_FACTOR:g} anywhere)",
             is_bad,
             reason(

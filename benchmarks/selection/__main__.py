@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.selection.cost_of_accuracy import write_cost_of_accuracy
+from benchmarks.selection.cost_of_accuracy import device_name, write_cost_of_accuracy
 from benchmarks.selection.fit import cases_of, fit_model
 from benchmarks.selection.measure import measure_instance, probes, redescribed, time_again
 from benchmarks.selection.page import page, with_tables
@@ -76,7 +76,7 @@ def main() -> None:
         print(text)
         if args.write:
             PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), text), encoding="utf-8")
-            write_cost_of_accuracy(views)
+            write_cost_of_accuracy(views, device_name(profile))
 
 
 def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done: bool) -> None:

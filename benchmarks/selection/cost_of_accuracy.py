@@ -1,8 +1,9 @@
 """Price of accuracy in time, over all measured views: a sentence for the README, and a table and a figure for the docs.
 
 For each view the price of a goal is a ratio of two times. The first is that of the cheapest plan that meets the goal. The second is
-that of the cheapest plan that meets the loosest goal. Plans meet a goal by the rule of ``benchmarks.selection.judge``. Views where
-no plan meets both goals have no price, and are counted separately.
+that of the cheapest plan that meets the loosest goal. Plans meet a goal by the rule of ``benchmarks.selection.judge``. Where one
+plan is the cheapest for both, accuracy is free: a median over such views would say nothing, so they are counted separately. So are
+views where no plan meets both goals, or where truth is too noisy to tell.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from benchmarks.selection.judge import GOALS, Goal, instances_of
+from skugga.selector.cost.device_profile import DeviceProfile
 
 LOOSE, *FINER = [goal for goal in GOALS if goal.time_share is None]
 """The reference goal of prices, and the goals that have a price."""
@@ -49,14 +51,22 @@ class Price:
     goal
         The goal.
     ratios
-        Time of the cheapest plan for the goal divided by that for the loosest goal, of each view where both can be met.
+        Time of the cheapest plan for the goal divided by that for the loosest goal, of each view where these are two plans.
+    free
+        Number of views where one plan is the cheapest for both goals.
     views
         Number of all views, with or without a price.
     """
 
     goal: Goal
     ratios: np.ndarray
+    free: int
     views: int
+
+    @property
+    def decided(self) -> int:
+        """Number of views where some plan meets both goals."""
+        return len(self.ratios) + self.free
 
     @property
     def median(self) -> float:
@@ -67,26 +77,32 @@ class Price:
         return float(np.quantile(self.ratios, 0.9)) if self.ratios.size else np.nan
 
 
-def cheapest_ms(view: Figures) -> dict[str, float]:
-    """Return by goal the milliseconds of the cheapest plan that meets it.
+def device_name(profile: DeviceProfile) -> str:
+    """Return the name of a device for readers, such as "llvmpipe on 2 cores"."""
+    return f"{profile.renderer.partition(' (')[0]} on {profile.cpus} cores"
+
+
+def cheapest_rows(view: Figures) -> dict[str, tuple[str, float]]:
+    """Return by goal the name and the milliseconds of the row of the cheapest plan that meets it.
 
     Goals that no plan meets are omitted. So are goals that cannot be decided because of the noise of truth.
     """
     result = {}
     for instance in instances_of([view], [LOOSE, *FINER]):
-        met = [row["ms"] for name, row in instance.rows.items() if instance.meets(name)]
-        if met and instance.is_decidable:
-            result[instance.goal.name] = min(met)
+        name = instance.cheapest
+        if name is not None and instance.is_decidable:
+            result[instance.goal.name] = name, instance.rows[name]["ms"]
     return result
 
 
 def prices(views: Sequence[Figures]) -> list[Price]:
     """Return the price of each goal that is finer than the loosest one, over some views."""
-    cheapest = [cheapest_ms(view) for view in views]
+    cheapest = [cheapest_rows(view) for view in views]
     result = []
     for goal in FINER:
-        ratios = [ms[goal.name] / ms[LOOSE.name] for ms in cheapest if LOOSE.name in ms and goal.name in ms]
-        result.append(Price(goal, np.array(sorted(ratios)), len(views)))
+        pairs = [(rows[LOOSE.name], rows[goal.name]) for rows in cheapest if LOOSE.name in rows and goal.name in rows]
+        ratios = [fine_ms / loose_ms for (loose, loose_ms), (fine, fine_ms) in pairs if fine != loose]
+        result.append(Price(goal, np.array(sorted(ratios)), len(pairs) - len(ratios), len(views)))
     return result
 
 
@@ -98,25 +114,36 @@ def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
     return result
 
 
-def sentence(views: Sequence[Figures]) -> str:
-    """Describe the price of accuracy in time."""
+def sentence(views: Sequence[Figures], device: str) -> str:
+    """Describe the price of accuracy in time, over all views and by kind of scene. ``device`` is the name of the device."""
     finest = prices(views)[-1]
+    by_family = [(name, prices(family_views)[-1]) for name, family_views in families(views).items()]
+    priced = [f"{name} {price.median:.1f}" for name, price in by_family if len(price.ratios) >= MIN_VIEWS]
     return (
-        f"**What accuracy costs:** the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times "
-        f"as long as the fastest of which at most {LOOSE.name} is wrong in the median view, and more than {finest.p90:.1f} times "
-        f"in one view of ten ({len(finest.ratios)} of {finest.views} measured views; in the others no plan meets "
-        "both, or truth is too noisy to tell)."
+        f"**What accuracy costs:** in {finest.free} of {finest.views} measured views nothing, since the fastest shadows of which "
+        f"at most {LOOSE.name} is wrong are right to {finest.goal.name}, too. In {len(finest.ratios)} views it has a price: there "
+        f"the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times as long in the median, "
+        f"and more than {finest.p90:.1f} times in one view of ten "
+        f"(medians by kind of scene: {', '.join(priced)}; {device}). In the other {finest.views - finest.decided} no plan meets "
+        "both, or truth is too noisy to tell."
     )
 
 
 def table(views: Sequence[Figures]) -> str:
     """Return median and 90th percentile of the prices by kind of scene, as Markdown."""
     lines = [
-        f"| kind of scene | views | {' | '.join(f'{goal.name}: median, 90th percentile (views)' for goal in FINER)} |",
+        f"| kind of scene | views | {' | '.join(f'{goal.name}: median, 90th percentile (views), free in' for goal in FINER)} |",
         "| --- | --- |" + " --- |" * len(FINER),
     ]
     for name, family_views in [*families(views).items(), ("all", list(views))]:
-        cells = [f"{p.median:.2f}, {p.p90:.2f} ({len(p.ratios)})" if p.ratios.size else "none" for p in prices(family_views)]
+        cells = [
+            (
+                f"{price.median:.2f}, {price.p90:.2f} ({len(price.ratios)}), {price.free}"
+                if price.ratios.size
+                else f"none, {price.free}"
+            )
+            for price in prices(family_views)
+        ]
         lines.append(f"| {name} | {len(family_views)} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -162,9 +189,12 @@ def figure_svg(views: Sequence[Figures]) -> str:
     return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
 
 
-def write_cost_of_accuracy(views: Sequence[Figures]) -> None:
-    """Write the sentence into README and the page on accuracy, there with the table, and draw the figure."""
-    text = wrapped(sentence(views))
+def write_cost_of_accuracy(views: Sequence[Figures], device: str) -> None:
+    """Write the sentence into README and the page on accuracy, there with the table, and draw the figure.
+
+    ``device`` is the name of the device that measured the views.
+    """
+    text = wrapped(sentence(views, device))
     for path, part in ((README, text), (PAGE, f"{text}\n{table(views)}")):
         path.write_text(replace_part(path.read_text(encoding="utf-8"), part), encoding="utf-8")
     FIGURE.write_text(figure_svg(views), encoding="utf-8")

@@ -165,10 +165,10 @@ def score_choices(
     own_ms: Callable[[GoalInstance], float] = lambda instance: 0.0,
     strict: bool = False,
 ) -> PolicyScore:
-    """Score a policy's choices, and compare them with those of the single best.
+    """Score the rows that a policy chose, and compare them with the one choice that is best over all views.
 
-    ``choices`` and ``single`` hold names of rows by (view, goal). ``own_ms`` is the time that the choice itself takes. ``strict``
-    is that of ``GoalInstance.losses``.
+    ``choices`` and ``single`` hold the name of the chosen row (measured plan) by names of view and goal. ``own_ms`` is the time to
+    choose. With ``strict`` a miss costs ten times the slowest row of the view, whichever rows meet the target.
     """
     losses = [instance.losses(strict) for instance in instances]
     keys = [(instance.view["name"], instance.goal.name) for instance in instances]

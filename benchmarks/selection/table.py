@@ -43,10 +43,10 @@ def _to_compact_record(view: Figures) -> Figures:
     Default values and names of columns are omitted. ``picks`` and ``probe`` refer to rows by number.
     """
     names = list(view["rows"])
-    descriptor = Descriptor.model_validate(view["descriptor"]).model_dump(mode="json", exclude_defaults=True)
+    descriptor = Descriptor.model_validate(_rounded(view["descriptor"])).model_dump(mode="json", exclude_defaults=True)
     probe = _with_rows(view, lambda rows: {str(names.index(row)): observations for row, observations in rows if row in names})
     return view | probe | {
-        "descriptor": _rounded(descriptor),
+        "descriptor": descriptor,
         "rows": {name: [row[column] for column in ROW_COLUMNS] for name, row in view["rows"].items()},
         "picks": {choice: names.index(row) for choice, row in view["picks"].items() if row in names},
     }  # fmt: skip

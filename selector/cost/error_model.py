@@ -243,9 +243,9 @@ def _cast_share(descriptor: Descriptor, light: str) -> float:
 
 
 def step_castings(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
-    """Return the facts about the shadows of each kind of casters of a step.
+    """Return the kinds of casters whose shadows a plan's step draws, each with the facts about these shadows.
 
-    They are ``ASSUMED_CASTING`` if the descriptor has no facts about the light.
+    The facts are ``ASSUMED_CASTING`` if the descriptor has no facts about the light.
     """
     casts = descriptor.lights[light].casts if light in descriptor.lights else {}
     return [(kind, casts.get(kind, ASSUMED_CASTING)) for kind in step.kinds if not casts or kind in casts]

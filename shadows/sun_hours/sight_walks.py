@@ -177,10 +177,10 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
     w0, w1, w2 = 2.0 * (u - 0.5) * (u - 1.0), -4.0 * u * (u - 1.0), 2.0 * u * (u - 0.5)  # Lagrange weights of the three moments
     down = w0 * evaluate_quadratic(a[0, 0], y, x) + w1 * evaluate_quadratic(a[0, 1], y, x) + w2 * evaluate_quadratic(a[0, 2], y, x)
     right = w0 * evaluate_quadratic(a[1, 0], y, x) + w1 * evaluate_quadratic(a[1, 1], y, x) + w2 * evaluate_quadratic(a[1, 2], y, x)
-    s0, s1, s2 = evaluate_quadratic(a[2, 0], y, x), evaluate_quadratic(a[2, 1], y, x), evaluate_quadratic(a[2, 2], y, x)
-    rate = ((4.0 * u - 3.0) * s0 + (4.0 - 8.0 * u) * s1 + (4.0 * u - 1.0) * s2) / span
-    sun = w0 * s0 + w1 * s1 + w2 * s2
-    min_tangent = sun - SEARCH_FACTOR * abs(s2 - s0) - SEARCH_TANGENT
+    begin, middle, end = evaluate_quadratic(a[2, 0], y, x), evaluate_quadratic(a[2, 1], y, x), evaluate_quadratic(a[2, 2], y, x)
+    rate = ((4.0 * u - 3.0) * begin + (4.0 - 8.0 * u) * middle + (4.0 * u - 1.0) * end) / span
+    sun = w0 * begin + w1 * middle + w2 * end
+    min_tangent = sun - SEARCH_FACTOR * abs(end - begin) - SEARCH_TANGENT
     return sun - horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent), rate
 
 

@@ -405,11 +405,11 @@ def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
 
 def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float) -> np.ndarray:
     """Return which of a buffer's points see a sun that is higher than the scene's sun by ``angle``, radians: bool (rows, cols)."""
-    lit, points_lit, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
+    lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.nodes.shape, np.bool_)
     if targets.nodes.any():
-        sunlit[:] = rays.orientation.restored(lit)[targets.window]
-    sunlit[targets.off_nodes] = points_lit
+        sunlit[:] = rays.orientation.restored(lit_nodes)[targets.window]
+    sunlit[targets.off_nodes] = lit_points
     return sunlit
 
 

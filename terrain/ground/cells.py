@@ -11,7 +11,7 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled, internal
 
-BORDER_TOLERANCE = 1e-6
+BORDER_TOLERANCE_CELLS = 1e-6
 """Tolerance in cells: a position at most this far from a border of cells counts as on the border."""
 
 
@@ -24,8 +24,8 @@ def highest_cell(height, row, col):
     best_row, best_col = -1, -1
     if not (np.isfinite(row) and np.isfinite(col)):
         return best_row, best_col
-    for r in range(int(np.floor(row + 0.5 - BORDER_TOLERANCE)), int(np.floor(row + 0.5 + BORDER_TOLERANCE)) + 1):
-        for c in range(int(np.floor(col + 0.5 - BORDER_TOLERANCE)), int(np.floor(col + 0.5 + BORDER_TOLERANCE)) + 1):
+    for r in range(int(np.floor(row + 0.5 - BORDER_TOLERANCE_CELLS)), int(np.floor(row + 0.5 + BORDER_TOLERANCE_CELLS)) + 1):
+        for c in range(int(np.floor(col + 0.5 - BORDER_TOLERANCE_CELLS)), int(np.floor(col + 0.5 + BORDER_TOLERANCE_CELLS)) + 1):
             if 0 <= r < height.shape[0] and 0 <= c < height.shape[1] and np.isfinite(height[r, c]):
                 if best_row < 0 or height[r, c] > height[best_row, best_col]:
                     best_row, best_col = r, c

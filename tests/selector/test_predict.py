@@ -179,7 +179,7 @@ def test_predict_follows_a_changed_calibration_on_measured_views(measured_views,
             "lamp"
         ]["meshes"]
 
-    assert chosen_algorithm(lambda part, name: 1.0) == "shadow_map"
+    assert chosen_algorithm(lambda part, name: 1.0) == "perspective_shadow_map"
     assert chosen_algorithm(lambda part, name: 50.0 if " map" in part or "_map" in part else 1.0) == "shadow_volume"
     assert chosen_algorithm(lambda part, name: 0.01 if part.startswith(("silhouettes", "counting")) else 1.0) == "shadow_volume"
 

@@ -97,7 +97,7 @@ def test_kind_of_a_lamp_depends_on_the_slide_back():
 
 
 @pytest.mark.parametrize("behind", [False, True])
-def test_light_matrix_depth_is_an_affine_perspective_depth(behind):
+def test_depth_by_the_light_matrix_is_affine_in_inverse_distance(behind):
     """Behind the camera, depth is e / z between near = -e and far = +e (Kozlov).
 
     Before the camera it is a usual perspective depth between two planes.
