@@ -27,7 +27,7 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 def calibration() -> DeviceProfile | None:
     """Return the calibration of this process's OpenGL device; ``None`` if it has none, or without OpenGL.
 
-    The first use of a software rasteriser that is not calibrated takes a benchmark of about a second
+    The first use of a software rasteriser that is not calibrated takes a benchmark of about two seconds
     (``skugga.selector.cost.device_estimate``). A graphics card needs a calibration.
     """
     from skugga.selector.cost.device_estimate import estimated_profile, is_software_rasteriser

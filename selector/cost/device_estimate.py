@@ -1,4 +1,4 @@
-"""Estimate the rates of a device on its first use: those of a typical device, scaled by a benchmark of about a second.
+"""Estimate the rates of a device on its first use: those of a typical device, scaled by a benchmark of about two seconds.
 
 The ratios between the times of two candidates are similar on many software rasterisers, so one factor makes the absolute times of
 the typical device those of this one. A calibration (``skugga.selector.cost.calibration``) measures every rate, and takes minutes.

@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from scripts.write_schemas import DOCS, MODELS, schema_text
+from skugga.api import device_calibration
 from skugga.api.catalogue import bundled_levels
 from skugga.api.report.plan_text import format_expectation, format_overshoot, format_plan
+from skugga.selector.cost import device_estimate
 from skugga.selector.cost.device_profile import DeviceProfile, Residual, load_profile, profile_path
 from skugga.shadows.plan import Plan, Predicted, Target
 from skugga.terrain.facts.descriptor import Descriptor
@@ -38,7 +40,15 @@ def test_json_is_a_plan_of_the_published_schema(gl, run):
     assert set(json.loads(out)) == set(json.loads((DOCS / "plan.schema.json").read_text())["properties"])
 
 
-def test_an_uncalibrated_device_falls_back_to_the_rules(gl, run):
+def test_an_uncalibrated_software_rasteriser_is_estimated(gl, run):
+    status, out, _ = run("select", "jacksboro", "--policy", "predict")
+    output = " ".join(out.split())
+    assert status == 0 and "chosen by prediction" in output and "not calibrated, so times are estimates" in output
+
+
+def test_an_uncalibrated_graphics_card_falls_back_to_the_rules(gl, run, monkeypatch):
+    monkeypatch.setattr(device_calibration, "load_profile", lambda renderer, version: None)
+    monkeypatch.setattr(device_estimate, "is_software_rasteriser", lambda renderer: False)
     status, out, _ = run("select", "jacksboro", "--policy", "predict")
     assert status == 0 and "not calibrated" in out and "chosen by the rules" in " ".join(out.split())
 
