@@ -112,6 +112,15 @@ def test_probe_replaces_a_leader_that_misses():
     assert (winner, prober.drawn, outcome.confirmed, outcome.initial_leader) == (1, [0, 1], True, 0)
 
 
+def test_probe_draws_the_fastest_likely_candidate_before_the_leader():
+    """The risk of a miss makes the slow candidate the leader. The fast one is drawn first, and its picture settles the choice."""
+    candidates = [Candidate(400.0, 0.02, 400.0, 0.01), Candidate(1000.0, 0.0001, 1000.0, 0.0001), Candidate(100.0, 0.3, 100.0, 0.3)]
+    winner, outcome, prober = probe(candidates, 0.03, budget_s=3.0)
+    assert outcome.initial_leader == 1 and (winner, prober.drawn, outcome.confirmed) == (0, [0], True)
+    worse = [Candidate(400.0, 0.02, 400.0, 0.05), *candidates[1:]]
+    assert probe(worse, 0.03, budget_s=3.0)[0] == 1
+
+
 def test_probe_raises_expected_errors_of_related_candidates():
     """Three expect 1 % to 2 %.
 
