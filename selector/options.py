@@ -27,13 +27,16 @@ from skugga.selector.cost.unmeasured import UnmeasuredError
 from skugga.selector.expected_loss import Forecast
 from skugga.selector.gaussian_estimate import GaussianEstimate
 from skugga.selector.observation import Observation
-from skugga.selector.planner.planner import Planner
+from skugga.selector.planner.planner import SETTING_NAMES, Planner
 from skugga.selector.portfolio import portfolio
 from skugga.selector.ranking import CandidateFigures
 from skugga.shadows.plan import Step
 from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.terrain.level.algorithm_names import AlgorithmName
-from skugga.terrain.level.level import CasterKind
+from skugga.terrain.level.level import CasterKind, Shadows
+
+HARD_EDGES = ("filter", 1)
+"""A setting and its value for edges without a filter."""
 
 MIN_MS = 1e-6
 """Lower bound in milliseconds of a time before its logarithm is taken."""
@@ -196,8 +199,8 @@ def predicted_choices(
 ) -> list[PredictedChoice]:
     """Return the options for a light and some kinds of casters, with their predicted times and errors.
 
-    No two of them have the same steps. Options with an algorithm that cannot be predicted are left out. The reasons are added to
-    ``unmeasured`` by algorithm.
+    No two of them have the same steps. Options that ignore a requested setting are left out if others do not ignore it. So are
+    options with an algorithm that cannot be predicted. The reasons are added to ``unmeasured`` by algorithm.
     """
     descriptor, model = planner.descriptor, errors or packaged_model()
     options: dict[tuple[object, ...], PredictedChoice] = {}
@@ -221,4 +224,23 @@ def predicted_choices(
         options[keys] = PredictedChoice(
             choice, steps, sum(predictions[key][0] for key in keys), combine_errors(descriptor, light, wrong_shares, model)
         )
-    return list(options.values())
+    return _with_requested_settings(list(options.values()), planner.requested_shadows)
+
+
+def _with_requested_settings(options: list[PredictedChoice], shadows: Shadows) -> list[PredictedChoice]:
+    """Return the options in which the most kinds of casters have the requested settings, such as the size of a shadow map."""
+    requested = {
+        key: value
+        for key in SETTING_NAMES
+        if (value := getattr(shadows, key)) != "auto" and (key, value) != HARD_EDGES  # every algorithm has hard edges
+    }
+    served = [
+        sum(
+            len(step.kinds)
+            for step in option.steps
+            for key, value in requested.items()
+            if step.settings is not None and step.settings.as_overrides.get(key) == value
+        )
+        for option in options
+    ]
+    return [option for option, count in zip(options, served, strict=True) if count == max(served)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -16,6 +16,7 @@ import numpy as np
 from skugga.selector.cost.calibration_scenes import CalibrationView, calibration_views
 from skugga.selector.cost.cost_model import MS_PER_NS, counts_to_ms, step_work
 from skugga.selector.cost.device_profile import DeviceProfile, Residual
+from skugga.shadows.algorithm import Algorithm
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Step
 from skugga.shadows.registry import ALGORITHMS, can_serve
@@ -28,7 +29,6 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.antialias import picture_buffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gl.device import device
-from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.scene import Scene
 
 TIMING_ROUNDS = 3
@@ -98,9 +98,12 @@ def _timed_jobs(start_s: float, on_step: Progress) -> list[CalibrationJob]:
 
 
 def calibration_jobs(
-    calibration_view: CalibrationView, algorithms: Collection[AlgorithmName] = tuple(ALGORITHMS)
+    calibration_view: CalibrationView, is_timed: Callable[[Algorithm], bool] = lambda algorithm: True
 ) -> list[CalibrationJob]:
-    """Return the jobs to time on a calibration view: one for each of the algorithms and its settings to calibrate."""
+    """Return the jobs to time on a calibration view: one for each algorithm and its settings to calibrate.
+
+    Algorithms for which ``is_timed`` returns ``False`` are left out.
+    """
     descriptor = describe(calibration_view.scene, calibration_view.view, calibration_view.name, "points")
     picture = picture_buffer(calibration_view.scene, calibration_view.view)
     casters = find_casters(calibration_view.scene, picture.pixel_buffer)
@@ -113,7 +116,7 @@ def calibration_jobs(
             step_work(descriptor, step.light, step.kinds, step.algorithm, step.settings),
         )
         for step in _steps(descriptor, calibration_view)
-        if step.algorithm in algorithms
+        if is_timed(ALGORITHMS[step.algorithm])
     ]
 
 

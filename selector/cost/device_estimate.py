@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -17,17 +18,17 @@ from statistics import median
 
 from skugga.selector.cost.device_profile import DeviceProfile, profile_path, save_profile
 from skugga.selector.cost.typical_device import typical_device
+from skugga.shadows.algorithm import Algorithm
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.level.algorithm_names import AlgorithmName
 
 SOFTWARE_RASTERISERS = ("llvmpipe", "softpipe", "swiftshader")
 """Words in OpenGL's renderer string, in lower case, of devices that the rates of the typical device, a CPU, suit."""
 
-BENCHMARK: dict[str, tuple[AlgorithmName, ...]] = {
-    "few_balls_small": ("shadow_map", "perspective_shadow_map", "shadow_volume"),
-    "hills_map": ("sweep",),
+BENCHMARK: dict[str, Callable[[Algorithm], bool]] = {
+    "few_balls_small": lambda algorithm: algorithm.is_served and algorithm.needs_opengl,
+    "hills_map": lambda algorithm: algorithm.is_served and not algorithm.needs_opengl,
 }
-"""Calibration views of the benchmark, and the algorithms that are timed on them."""
+"""Calibration views of the benchmark, and which algorithms are timed on them."""
 
 RUNS = 2
 """Number of runs of each step. The least time counts, since the first run includes compilation."""

@@ -209,8 +209,11 @@ def test_predict_respects_requested_algorithms_and_settings(who):
     assert next(item.reason for item in sized_plan.reasons if item.name == "map_size 777") == f"set by {who}"
     unforced_plan = plan(map_size=777)  # only the size is set: the algorithm is still chosen by its cost
     assert name_of(unforced_plan) == "shadow_map 777"
-    exact_plan = plan(max_error=0.001, map_size=64)
-    assert name_of(exact_plan) == "shadow_volume" and exact_plan.target.max_error == 0.001
+    exact_plan = plan(max_error=0.001, map_size=64)  # a map of 64 texels is too coarse for this, except for that of the hybrid
+    assert name_of(exact_plan) == "hybrid" and exact_plan.settings[SUN]["meshes"].map.map_size == 64
+    assert exact_plan.target.max_error == 0.001 and name_of(plan(max_error=0.001)) != "hybrid"
+    assert name_of(plan(stencil="two_pass")) == "shadow_volume"  # maps have no stencil
+    assert name_of(plan(filter=1)) == name_of(plan())  # every algorithm has hard edges
 
 
 def test_predict_chooses_for_kinds_without_an_override(measured_views, measured_device):
