@@ -52,7 +52,7 @@ def read_pngs(folder: Path) -> list[np.ndarray]:
 
 def test_a_moving_camera_is_written_and_reported(gl, run, folder):
     """Compare the frames of the three kinds of files with a still by the same camera and plan."""
-    exact = "--algorithm", "shadow_volume"  # a film keeps settings of earlier frames, and volumes have none
+    exact = "--algorithm", "meshes=shadow_volume"  # a film keeps settings of earlier frames, and volumes have none
     arguments = "render", "floor.yaml", "--path", "camera.yaml", "--fps", "5", *exact
     for output in ("film.webp", "film.mp4", "frames/%02d.png"):
         lossless = ["--lossless"] if output == "film.webp" else []
