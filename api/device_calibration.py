@@ -13,29 +13,37 @@ from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.level.level import Shadows
 
 
-def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfile | None:
-    """Return this device's calibration if a plan may need OpenGL.
+def calibration_for(shadows: Shadows, overrides: dict[str, Any], shows_times: bool = False) -> DeviceProfile | None:
+    """Return this device's calibration or an estimate of it, if a plan may need OpenGL.
 
-    Returns ``None`` if no requested algorithm needs OpenGL, if the device has no calibration, or if OpenGL is missing.
+    Where there is neither, a software rasteriser is estimated. That takes a benchmark of about two seconds if times matter: if they
+    are limited (``max_ms``), or shown (``shows_times``). Otherwise only their ratios count, which a benchmark does not change.
+
+    Returns ``None`` if no requested algorithm needs OpenGL, if the device has neither, or if OpenGL is missing.
     """
     algorithm_override = overrides.get("algorithm")
     algorithms = [algorithm_override] if algorithm_override else [settings.algorithm for settings in shadows.all_settings.values()]
     records = [ALGORITHMS.get(algorithm) if isinstance(algorithm, str) else None for algorithm in algorithms]
-    return None if all(record is not None and not record.needs_opengl for record in records) else calibration()
+    if all(record is not None and not record.needs_opengl for record in records):
+        return None
+    max_ms = overrides.get("max_ms", shadows.max_ms)
+    return calibration(with_times=shows_times or max_ms is not None)
 
 
-def calibration() -> DeviceProfile | None:
+def calibration(with_times: bool = True) -> DeviceProfile | None:
     """Return the calibration of this process's OpenGL device; ``None`` if it has none, or without OpenGL.
 
-    The first use of a software rasteriser that is not calibrated takes a benchmark of about two seconds
-    (``skugga.selector.cost.device_estimate``). A graphics card needs a calibration.
+    A software rasteriser that is not calibrated is estimated (``skugga.selector.cost.device_estimate``), with ``with_times`` by a
+    benchmark. A graphics card needs a calibration.
     """
-    from skugga.selector.cost.device_estimate import estimated_profile, is_software_rasteriser
+    from skugga.selector.cost.device_estimate import estimated_profile, is_software_rasteriser, typical_profile
     from skugga.terrain.gl import device as gl
 
     renderer, version = gl.renderer_and_version()
     profile = load_profile(renderer, version)
-    return estimated_profile(renderer, version) if profile is None and is_software_rasteriser(renderer) else profile
+    if profile is not None or not is_software_rasteriser(renderer):
+        return profile
+    return estimated_profile(renderer, version) if with_times else typical_profile(renderer, version)
 
 
 def format_calibration(profile: DeviceProfile, path: Path) -> str:

@@ -94,7 +94,7 @@ def plan_scene_view(
     if budget is not None and policy != "probe":
         raise InputError.conflict("--budget", f"--policy {policy}", "Use --policy probe, whose time it limits")
     budget_s = None if budget is None else read_duration("--budget", budget).total_seconds()
-    device = calibration_for(scene.loaded.level.shadows, overrides) if policy != "rules" else None
+    device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=True) if policy != "rules" else None
     plan = plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device, budget_s)
     return PlannedView(path, scene, view_value, plan)
 

@@ -39,6 +39,13 @@ def is_software_rasteriser(renderer: str) -> bool:
     return any(word in renderer.lower() for word in SOFTWARE_RASTERISERS)
 
 
+def typical_profile(renderer: str, driver_version: str) -> DeviceProfile:
+    """Return a device's estimated profile with the typical device's rates, for plans that depend on ratios of times alone."""
+    return typical_device().model_copy(
+        update={"renderer": renderer, "version": driver_version, "cpus": os.cpu_count() or 1, "residuals": {}, "is_estimate": True}
+    )
+
+
 @cached("process", MIB)
 def estimated_profile(renderer: str, driver_version: str) -> DeviceProfile:
     """Run the benchmark on this process's device, save the estimated profile in the user's cache folder, and return it.
@@ -47,13 +54,16 @@ def estimated_profile(renderer: str, driver_version: str) -> DeviceProfile:
     profile, which stays, the new profile serves this process alone. Raises ``GraphicsError`` without OpenGL.
     """
     start_s = time.perf_counter()
-    factor = _time_ratio()
-    typical = typical_device()
-    profile = DeviceProfile(
-        renderer=renderer, version=driver_version, cpus=os.cpu_count() or 1, engine=version("skugga"), is_estimate=True,
-        measured=datetime.now(UTC).replace(microsecond=0), took_s=round(time.perf_counter() - start_s, 1),
-        rates_ns={part: {name: factor * rate for name, rate in rates.items()} for part, rates in typical.rates_ns.items()},
-    )  # fmt: skip
+    factor, typical = _time_ratio(), typical_profile(renderer, driver_version)
+    rates_ns = {part: {name: factor * rate for name, rate in rates.items()} for part, rates in typical.rates_ns.items()}
+    profile = typical.model_copy(
+        update={
+            "engine": version("skugga"),
+            "measured": datetime.now(UTC).replace(microsecond=0),
+            "took_s": round(time.perf_counter() - start_s, 1),
+            "rates_ns": rates_ns,
+        }
+    )
     with suppress(OSError):
         if not profile_path(renderer, driver_version).exists():
             save_profile(profile)

@@ -13,7 +13,8 @@ from skugga.selector.cost.device_profile import load_profile, profile_path
 from skugga.selector.cost.error_model import packaged_model
 from skugga.selector.cost.typical_device import model_for_device, typical_device
 from skugga.selector.predict import ESTIMATED, predicted_plan
-from skugga.terrain.gl import device as gl
+from skugga.terrain.gl import device as gl_module
+from skugga.terrain.level.level import Shadows
 from tests.selector.test_predict import make_descriptor, make_request, name_of
 
 RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
@@ -68,7 +69,7 @@ def test_time_ratio_is_the_median_of_the_steps(gl, monkeypatch):
     [(RENDERER, True), ("softpipe", True), ("Google SwiftShader", True), ("NVIDIA GeForce RTX 4090/PCIe/SSE2", False)],
 )
 def test_only_software_rasterisers_are_estimated(monkeypatch, twice_as_slow, renderer, is_software):
-    monkeypatch.setattr(gl, "renderer_and_version", lambda: (renderer, VERSION))
+    monkeypatch.setattr(gl_module, "renderer_and_version", lambda: (renderer, VERSION))
     assert is_software_rasteriser(renderer) == is_software
     profile = device_calibration.calibration()
     assert (profile is not None) == is_software and (load_profile(renderer, VERSION) is not None) == is_software
@@ -78,6 +79,23 @@ def test_estimated_times_are_less_certain_than_measured_ones(twice_as_slow):
     estimate = estimated_profile(RENDERER, VERSION)
     spreads = [model_for_device(device).time_spread for device in (typical_device(), estimate, None)]
     assert spreads == sorted(set(spreads)) and spreads[0] == packaged_model().time_spread
+
+
+def test_plans_without_a_limit_of_time_need_no_benchmark(gl, monkeypatch):
+    """The first picture on a new machine waits for nothing. Times that are limited or shown are scaled by a benchmark."""
+    monkeypatch.setattr(device_estimate, "_time_ratio", lambda: 2.0)
+    shadows, rates_ns = Shadows(), typical_device().rates_ns
+    profile = device_calibration.calibration_for(shadows, {})
+    assert profile is not None and profile.is_estimate and profile.rates_ns == rates_ns
+    assert not profile_path(gl.renderer, gl.version).exists()
+    for timed in (
+        device_calibration.calibration_for(shadows, {"max_ms": 40.0}),
+        device_calibration.calibration_for(Shadows(max_ms=40.0), {}),
+        device_calibration.calibration_for(shadows, {}, shows_times=True),
+        device_calibration.calibration(),
+    ):
+        assert timed is not None and timed.rates_ns["planar"]["pixels"] == 2.0 * rates_ns["planar"]["pixels"]
+    assert device_calibration.calibration_for(shadows, {}) == load_profile(gl.renderer, gl.version)
 
 
 @pytest.mark.parametrize("max_error", [0.1, 0.03, 0.01, 0.001])
