@@ -36,12 +36,12 @@ def calibration(with_times: bool = True) -> DeviceProfile | None:
     A software rasteriser that is not calibrated is estimated (``skugga.selector.cost.device_estimate``), with ``with_times`` by a
     benchmark. A graphics card needs a calibration.
     """
-    from skugga.selector.cost.device_estimate import estimated_profile, is_software_rasteriser, typical_profile
+    from skugga.selector.cost.device_estimate import estimated_profile, is_current, is_software_rasteriser, typical_profile
     from skugga.terrain.gl import device as gl
 
     renderer, version = gl.renderer_and_version()
     profile = load_profile(renderer, version)
-    if profile is not None or not is_software_rasteriser(renderer):
+    if (profile is not None and is_current(profile)) or not is_software_rasteriser(renderer):
         return profile
     return estimated_profile(renderer, version) if with_times else typical_profile(renderer, version)
 

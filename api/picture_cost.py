@@ -12,6 +12,10 @@ SLOW_PICTURE_MS = 5000.0
 """Expected time from which on reports name a cheaper setting."""
 
 
+ESTIMATE_MARGIN = 3.0
+"""Factor by which an estimated time must exceed a limit for a picture to be refused: estimates are off by up to a factor of two."""
+
+
 def time_limit_ms() -> float:
     """Return the time after which a service gives up a picture, milliseconds."""
     return 1000.0 * load_settings().render_timeout_s
@@ -36,12 +40,14 @@ def remedy(plan: Plan) -> str | None:
 
 
 def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str) -> None:
-    """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms`` on a calibrated device.
+    """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms``.
 
-    The message calls the picture ``subject``, and the setting of the limit ``bound``.
+    On a device that is not calibrated the time must exceed ``ESTIMATE_MARGIN`` times the limit. The message calls the picture
+    ``subject``, and the setting of the limit ``bound``.
     """
     expected_ms = None if plan.predicted is None else plan.predicted.ms
-    if limit_ms is None or expected_ms is None or expected_ms <= limit_ms:
+    margin = ESTIMATE_MARGIN if plan.predicted is not None and plan.predicted.is_estimate else 1.0
+    if limit_ms is None or expected_ms is None or expected_ms <= margin * limit_ms:
         return
     reason = f"{subject} by {plan.headline} is expected to take {expected_ms / 1000.0:.0f} s"
     cheaper = remedy(plan)

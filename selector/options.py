@@ -228,19 +228,19 @@ def predicted_choices(
 
 
 def _with_requested_settings(options: list[PredictedChoice], shadows: Shadows) -> list[PredictedChoice]:
-    """Return the options in which the most kinds of casters have the requested settings, such as the size of a shadow map."""
-    requested = {
+    """Return the options that serve most of the requested settings, such as a map size. Each counts once for a kind of casters."""
+    requested_settings = {
         key: value
         for key in SETTING_NAMES
         if (value := getattr(shadows, key)) != "auto" and (key, value) != HARD_EDGES  # every algorithm has hard edges
     }
-    served = [
+    served_counts = [
         sum(
             len(step.kinds)
             for step in option.steps
-            for key, value in requested.items()
+            for key, value in requested_settings.items()
             if step.settings is not None and step.settings.as_overrides.get(key) == value
         )
         for option in options
     ]
-    return [option for option, count in zip(options, served, strict=True) if count == max(served)]
+    return [option for option, count in zip(options, served_counts, strict=True) if count == max(served_counts)]

@@ -115,12 +115,19 @@ def predicted_plan(
     expected = plan_options(planner_of(descriptor, plan_request, overrides), device, model_for_device(device, errors))
     reasons = [NamedReason(name="policy predict", reason=ESTIMATED)] if device.is_estimate else []
     if not observations:
-        return plan_from_options(expected, "predict", reasons)
+        return _with_basis(plan_from_options(expected, "predict", reasons), device)
     corrected = {
         light: light_options.with_observations(observations.get(light, ())) for light, light_options in expected.lights.items()
     }
     options = replace(expected, lights=corrected, observed_basis="probed")
-    return plan_from_options(options, "predict", [*reasons, *_observation_reasons(expected, options)])
+    return _with_basis(plan_from_options(options, "predict", [*reasons, *_observation_reasons(expected, options)]), device)
+
+
+def _with_basis(plan: Plan, device: DeviceProfile) -> Plan:
+    """Return a plan whose prediction tells whether the device was calibrated."""
+    if plan.predicted is None or not device.is_estimate:
+        return plan
+    return plan.model_copy(update={"predicted": plan.predicted.model_copy(update={"is_estimate": True})})
 
 
 def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[NamedReason]:

@@ -46,12 +46,13 @@ class Predicted(_Value):
     """Predicted milliseconds of a block's shadow work, the wrong share of all pixels, and the wrong share of the cast shadow.
 
     The policy ``measure`` reports measured values, and ``probe`` corrects predictions by test renders. A target limits the share of
-    the cast shadow.
+    the cast shadow. ``is_estimate`` tells the times of a device that is not calibrated, which may be off by a factor of two.
     """
 
     ms: float
     wrong: float
     wrong_cast: float
+    is_estimate: bool = False
 
 
 @dataclass(frozen=True)

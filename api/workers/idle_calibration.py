@@ -163,9 +163,11 @@ class IdleCalibration:
         if stamp is None or stamp == last_stamp:
             return last_stamp
         profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
-        if profile is not None and profile_digest(profile) != profile_digest(self._device()):
+        is_worse = profile is not None and profile.is_estimate and self._is_calibrated
+        if profile is not None and not is_worse and profile_digest(profile) != profile_digest(self._device()):
             self._set_profile(profile)
-            log.info("the calibration %s was loaded, and plans use it from now on", path)
+            kind = "estimate" if profile.is_estimate else "calibration"
+            log.info("the %s %s was loaded, and plans use it from now on", kind, path)
         return stamp
 
 

@@ -175,7 +175,7 @@ def _plan_of_descriptor(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer
 def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
     """Raise ``TooCostlyError`` if a picture by ``plan`` is expected to exceed the time limit of pictures.
 
-    ``subject`` names the picture in the message. Without a calibration no time is expected, and nothing is raised.
+    ``subject`` names the picture in the message. Where fixed rules choose no time is expected, and nothing is raised.
     """
     check_cost(plan, subject, state.limit_ms, "SKUGGA_RENDER_TIMEOUT_S")
 

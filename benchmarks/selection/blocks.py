@@ -51,7 +51,7 @@ def main() -> None:
     data = parser.parse_args().data
     gpu = device()
     profile = load_profile(gpu.renderer, gpu.version)
-    assert profile is not None, "run skugga calibrate first"
+    assert profile is not None and not profile.is_estimate, "run skugga calibrate first"
     differences: dict[str, list[tuple[float, float]]] = defaultdict(list)
     outcomes: dict[tuple[str, float], list[tuple[bool, float]]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:

@@ -118,14 +118,14 @@ def sentence(views: Sequence[Figures], device: str) -> str:
     """Describe the price of accuracy in time, over all views and by kind of scene. ``device`` is the name of the device."""
     finest = prices(views)[-1]
     by_family = [(name, prices(family_views)[-1]) for name, family_views in families(views).items()]
-    priced = [f"{name} {price.median:.1f}" for name, price in by_family if len(price.ratios) >= MIN_VIEWS]
+    priced = [f"{name}: {price.median:.1f}" for name, price in by_family if len(price.ratios) >= MIN_VIEWS]
     return (
         f"**What accuracy costs:** in {finest.free} of {finest.views} measured views nothing, since the fastest shadows of which "
         f"at most {LOOSE.name} is wrong are right to {finest.goal.name}, too. In {len(finest.ratios)} views it has a price: there "
         f"the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times as long in the median, "
         f"and more than {finest.p90:.1f} times in one view of ten "
-        f"(medians by kind of scene: {', '.join(priced)}; {device}). In the other {finest.views - finest.decided} no plan meets "
-        "both, or truth is too noisy to tell."
+        f"(medians by kind of scene, where it has a price: {'; '.join(priced)}; {device}). "
+        f"In the other {finest.views - finest.decided} no plan meets both, or truth is too noisy to tell."
     )
 
 

@@ -150,7 +150,7 @@ def probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
-        assert profile is not None
+        assert profile is not None and not profile.is_estimate, "run skugga calibrate first"
         probe_record = record_probes(scene, view, instance.view, record["light"], profile)
         return record | {"probe": _all_rounded(probe_record)}
 

@@ -6,6 +6,7 @@ the typical device those of this one. A calibration (``skugga.selector.cost.cali
 
 from __future__ import annotations
 
+import logging
 import os
 import tempfile
 import time
@@ -16,10 +17,12 @@ from importlib.metadata import version
 from pathlib import Path
 from statistics import median
 
-from skugga.selector.cost.device_profile import DeviceProfile, profile_path, save_profile
+from skugga.selector.cost.device_profile import DeviceProfile, load_profile, profile_path, save_profile
 from skugga.selector.cost.typical_device import typical_device
 from skugga.shadows.algorithm import Algorithm
 from skugga.terrain.cache import MIB, cached
+
+log = logging.getLogger("skugga")
 
 SOFTWARE_RASTERISERS = ("llvmpipe", "softpipe", "swiftshader")
 """Words in OpenGL's renderer string, in lower case, of devices that the rates of the typical device, a CPU, suit."""
@@ -50,11 +53,18 @@ def typical_profile(renderer: str, driver_version: str) -> DeviceProfile:
 def estimated_profile(renderer: str, driver_version: str) -> DeviceProfile:
     """Run the benchmark on this process's device, save the estimated profile in the user's cache folder, and return it.
 
-    ``renderer`` and ``driver_version`` are OpenGL's strings of the device. Where the folder cannot be written, or has an unusable
-    profile, which stays, the new profile serves this process alone. Raises ``GraphicsError`` without OpenGL.
+    ``renderer`` and ``driver_version`` are OpenGL's strings of the device. A profile that another process has stored meanwhile is
+    returned instead. Where the folder cannot be written, or has an unusable profile, which stays, the new profile serves this
+    process alone. Where the benchmark fails for want of space on disk, it is that of the typical device. Raises ``GraphicsError``
+    without OpenGL.
     """
     start_s = time.perf_counter()
-    factor, typical = _time_ratio(), typical_profile(renderer, driver_version)
+    typical = typical_profile(renderer, driver_version)
+    try:
+        factor = float(f"{_time_ratio():.2g}")
+    except OSError as error:
+        log.warning("the benchmark of this device failed, so plans use the times of a typical one: %s", error.strerror or error)
+        return typical
     rates_ns = {part: {name: factor * rate for name, rate in rates.items()} for part, rates in typical.rates_ns.items()}
     profile = typical.model_copy(
         update={
@@ -64,10 +74,27 @@ def estimated_profile(renderer: str, driver_version: str) -> DeviceProfile:
             "rates_ns": rates_ns,
         }
     )
+    stored = load_profile(renderer, driver_version)
+    if stored is not None and is_current(stored):
+        return stored
     with suppress(OSError):
-        if not profile_path(renderer, driver_version).exists():
+        if stored is not None or not profile_path(renderer, driver_version).exists():
             save_profile(profile)
     return profile
+
+
+def is_current(profile: DeviceProfile) -> bool:
+    """Return whether a profile is a calibration, or an estimate by the present rates of the typical device."""
+    if not profile.is_estimate:
+        return True
+    typical_rates_ns = typical_device().rates_ns
+    ratios = [
+        profile.rates_ns.get(part, {}).get(name, 0.0) / rate
+        for part, rates in typical_rates_ns.items()
+        for name, rate in rates.items()
+        if rate > 0.0
+    ]
+    return max(ratios) - min(ratios) <= 1e-6 * max(ratios)
 
 
 def _time_ratio() -> float:
@@ -80,8 +107,10 @@ def _time_ratio() -> float:
     with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
         for view in calibration_views(Path(folder), BENCHMARK):
             for job in calibration_jobs(view, BENCHMARK[view.name]):
+                expected_ms = sum(counts_to_ms(rates_ns.get(part, {}), counts) for part, counts in job.work.items())
+                if expected_ms <= 0.0 or not set(job.work) <= set(rates_ns):  # an algorithm that was never calibrated
+                    continue
                 for _ in range(RUNS):
                     run_job(job)
-                expected_ms = sum(counts_to_ms(rates_ns[part], counts) for part, counts in job.work.items())
                 ratios.append(sum(job.min_ms.values()) / expected_ms)
-    return median(ratios)
+    return median(ratios) if ratios else 1.0

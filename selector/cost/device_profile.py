@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from skugga.terrain.atomic_files import disk_error, write_atomically
 from skugga.terrain.user_cache import user_cache
 
-SCHEMA: Final = 1
+SCHEMA: Final = 2
 """Version of the profile's format. It changes if the meaning of the rates changes. Profiles of another version are ignored."""
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -41,12 +41,12 @@ class DeviceProfile(BaseModel):
     ``renderer`` and ``version`` are OpenGL's strings for the device and its driver. ``cpus`` is the number of CPU cores. ``engine``
     is the version of Skugga that measured the device. ``measured`` is the time of the measurement, and ``took_s`` its duration in
     seconds. ``residuals`` are the relative errors of predicted times by algorithm. ``is_estimate`` tells rates of a typical device
-    that a benchmark scaled (``skugga.selector.cost.device_estimate``) from measured ones.
+    from measured ones (``skugga.selector.cost.device_estimate``).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: Literal[1] = SCHEMA
+    schema_version: Literal[2] = SCHEMA
     renderer: Annotated[str, Field(min_length=1)]
     version: Annotated[str, Field(min_length=1)]
     cpus: Annotated[int, Field(ge=1)]
@@ -115,5 +115,11 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
 
 
 def profile_digest(device: DeviceProfile | None) -> str:
-    """Return a digest that changes with the calibration of a device; empty without a calibration."""
-    return "" if device is None else hashlib.sha256(device.model_dump_json().encode()).hexdigest()[:16]
+    """Return a digest that changes with the calibration of a device; empty without a calibration.
+
+    That of an estimate depends on its rates alone, so equal estimates of two machines or two starts have one digest.
+    """
+    if device is None:
+        return ""
+    text = device.model_dump_json(include={"rates_ns"} if device.is_estimate else None)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,8 +1,7 @@
 """Time rates of a typical device, for use on a device without a calibration.
 
-They come from one measured device. The ratio of two candidates' times is similar on many devices, but absolute times are not. So
-only the policies that also draw candidates and time them use these rates as they are (``skugga.selector.measure``).
-``skugga.selector.cost.device_estimate`` scales them by a benchmark.
+They come from one measured device. The ratio of two candidates' times is similar on many devices, but absolute times are not.
+Where these matter, ``skugga.selector.cost.device_estimate`` scales them by a benchmark. Policies that draw candidates correct them.
 """
 
 from __future__ import annotations

@@ -195,8 +195,8 @@ def _lamp_near_camera(case: RuleInput) -> str | None:
     if light_facts.eye_to_lamp_m > MAX_LAMP_DISTANCE_SHARE * light_facts.nearest_edge_m:
         return None
     return (
-        f"lamp near the camera: {light_facts.eye_to_lamp_m:.2g} m from the eye, where the nearest shadow edge is "
-        f"{light_facts.nearest_edge_m:.2g} m away, so texels are as even in the picture as pixels"
+        f"lamp near the camera: {light_facts.eye_to_lamp_m:.1f} m from the eye, where the nearest shadow edge is "
+        f"{light_facts.nearest_edge_m:.1f} m away, so texels are as even in the picture as pixels"
     )
 
 

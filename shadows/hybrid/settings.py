@@ -24,8 +24,12 @@ class HybridSettings(StencilSettings):
 
     @property
     def as_overrides(self) -> dict[str, Any]:
-        """The settings as keys and values of a level's ``shadows``, those of the map included."""
-        return super().as_overrides | self.map.as_overrides
+        """The settings as keys and values of a level's ``shadows``.
+
+        Of the map they are size and depth bits: its filter, bias, culling and cascades are always the same, whatever is requested.
+        """
+        map_overrides = self.map.as_overrides
+        return super().as_overrides | {key: map_overrides[key] for key in ("map_size", "depth_bits") if key in map_overrides}
 
     @property
     def label(self) -> list[str]:

@@ -8,7 +8,7 @@ import pytest
 
 from skugga.api.cli import snapshot as snapshot_module
 from skugga.api.errors import TooCostlyError
-from skugga.api.picture_cost import check_cost, remedy, soft_lamps
+from skugga.api.picture_cost import ESTIMATE_MARGIN, check_cost, remedy, soft_lamps
 from skugga.api.report.plan_text import format_expectation
 from skugga.api.request import ProductRequest
 from skugga.shadows.plan import Plan, Predicted
@@ -43,6 +43,16 @@ def test_a_plan_over_the_limit_is_refused(lamp_scene: tuple[Scene, Plan]):
     check_cost(plan, "a block", 70_000.0, "SETTING")
     check_cost(plan, "a block", None, "SETTING")
     check_cost(plan.model_copy(update={"predicted": None}), "a block", 60_000.0, "SETTING")
+
+
+def test_an_estimate_refuses_far_beyond_the_limit_only(lamp_scene: tuple[Scene, Plan]):
+    """65 s on a device that is not calibrated may be 30 s."""
+    _, plan = lamp_scene
+    assert plan.predicted is not None
+    estimate = plan.model_copy(update={"predicted": plan.predicted.model_copy(update={"is_estimate": True})})
+    check_cost(estimate, "a block", 65_000.0 / ESTIMATE_MARGIN, "SETTING")
+    with pytest.raises(TooCostlyError):
+        check_cost(estimate, "a block", 64_000.0 / ESTIMATE_MARGIN, "SETTING")
 
 
 def test_commands_have_the_limit_of_the_service(lamp_scene: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):

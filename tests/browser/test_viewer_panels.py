@@ -257,10 +257,10 @@ def test_plan_panel_leaves_calibration_to_the_service(viewer: Viewer):
     for summary in algorithms.locator("summary").all()[1:]:
         summary.click()
     text = viewer.page.locator(".plan").inner_text()
-    assert "0.01 % wrong in maps" in text and "docs/" not in text and ".md" not in text and "skugga calibrate" not in text
+    assert "of the cast shadow wrong" in text and "docs/" not in text and ".md" not in text and "skugga calibrate" not in text
     states.append("off")
     viewer.page.get_by_label("Time", exact=True).fill("16:00")
-    expect(cost).to_contain_text("run skugga calibrate", timeout=ANSWER_MS)
+    expect(cost).to_contain_text("skugga calibrate measures them", timeout=ANSWER_MS)
 
 
 def test_intermediate_layers_can_be_shown(viewer: Viewer):

@@ -179,7 +179,7 @@ def test_predict_follows_a_changed_calibration_on_measured_views(measured_views,
             "lamp"
         ]["meshes"]
 
-    assert chosen_algorithm(lambda part, name: 1.0) == "perspective_shadow_map"
+    assert chosen_algorithm(lambda part, name: 1.0) == "shadow_map"
     assert chosen_algorithm(lambda part, name: 50.0 if " map" in part or "_map" in part else 1.0) == "shadow_volume"
     assert chosen_algorithm(lambda part, name: 0.01 if part.startswith(("silhouettes", "counting")) else 1.0) == "shadow_volume"
 
@@ -214,6 +214,7 @@ def test_predict_respects_requested_algorithms_and_settings(who):
     assert exact_plan.target.max_error == 0.001 and name_of(plan(max_error=0.001)) != "hybrid"
     assert name_of(plan(stencil="two_pass")) == "shadow_volume"  # maps have no stencil
     assert name_of(plan(filter=1)) == name_of(plan())  # every algorithm has hard edges
+    assert name_of(plan(max_error=0.001, filter=2)).startswith("shadow_map")  # the hybrid's own filter does not soften its edges
 
 
 def test_predict_chooses_for_kinds_without_an_override(measured_views, measured_device):

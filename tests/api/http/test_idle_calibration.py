@@ -125,6 +125,21 @@ def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, 
     assert pool.plan_version(None) == versions[-1]
 
 
+def test_estimate_does_not_replace_a_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    """An estimate is used until the device is calibrated, which it does not prevent. A later one is ignored."""
+    estimate = fake_calibrations.profile().model_copy(update={"is_estimate": True})
+    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    save_profile(estimate)
+    wait_until(lambda: log_count(caplog, "the estimate") == 1)
+    assert state(client) in ("waiting", "running") and policy(client) == "predict"
+    save_profile(fake_calibrations.profile(took_s=2.0))
+    wait_until(lambda: state(client) == "calibrated")
+    version = client.service.pool.plan_version(None)
+    save_profile(estimate)
+    time.sleep(0.3)
+    assert state(client) == "calibrated" and client.service.pool.plan_version(None) == version
+
+
 def test_unwritable_cache_folder_warns_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "cache").write_text("in the way")  # no folder can be made in place of a file, not even by root
     (tmp_path / "go").touch()

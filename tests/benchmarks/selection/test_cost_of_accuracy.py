@@ -63,7 +63,7 @@ def test_sentence_and_table_have_median_and_90th_percentile():
     assert (finest.median, finest.p90) == (7.0, 11.0)
     text = sentence(views, "a device on 2 cores")
     assert "take 7.0 times as long" in text and "more than 11.0 times in one view of ten" in text
-    assert "by kind of scene: a 7.0; a device on 2 cores" in text
+    assert "where it has a price: a: 7.0; a device on 2 cores" in text
     assert table(views).splitlines()[-1].endswith("| 7.00, 11.00 (11), 0 |")
 
 

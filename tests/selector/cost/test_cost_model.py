@@ -154,7 +154,7 @@ def test_step_work_of_volumes_grows_with_edges_and_layers():
     assert with_relief["faces drawn"] == pytest.approx((200 + GROUND_SIDES_PER_TRIANGLE * 5000) * 20**0.5 + 500 + 5000)
 
 
-def test_step_work_of_volumes_takes_the_casting_share_of_the_ground():
+def test_step_work_of_volumes_takes_the_ground_casting_share():
     """The share of the visible ground that faces the light is no bound of it."""
 
     def faces_drawn(ground_casting_share: float | None) -> float:

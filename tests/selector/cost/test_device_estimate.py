@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
+
 import pytest
 
 from skugga.api import device_calibration
 from skugga.selector.cost import calibration, device_estimate
 from skugga.selector.cost.calibration import CalibrationJob
 from skugga.selector.cost.cost_model import counts_to_ms
-from skugga.selector.cost.device_estimate import estimated_profile, is_software_rasteriser
-from skugga.selector.cost.device_profile import load_profile, profile_path
+from skugga.selector.cost.device_estimate import estimated_profile, is_current, is_software_rasteriser
+from skugga.selector.cost.device_profile import load_profile, profile_digest, profile_path, save_profile
 from skugga.selector.cost.error_model import packaged_model
 from skugga.selector.cost.typical_device import model_for_device, typical_device
 from skugga.selector.predict import ESTIMATED, predicted_plan
@@ -47,6 +49,44 @@ def test_estimated_profile_leaves_an_unusable_file(twice_as_slow):
     path.parent.mkdir(parents=True)
     path.write_text('{"schema_version": 99}', encoding="utf-8")
     assert estimated_profile(RENDERER, VERSION).is_estimate and path.read_text(encoding="utf-8") == '{"schema_version": 99}'
+
+
+def test_a_failed_benchmark_leaves_the_times_of_the_typical_device(monkeypatch, caplog):
+    """A full disk must not end a render process."""
+
+    def fail() -> float:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(device_estimate, "_time_ratio", fail)
+    profile = estimated_profile(RENDERER, VERSION)
+    assert profile.rates_ns == typical_device().rates_ns and profile.is_estimate and load_profile(RENDERER, VERSION) is None
+    assert "No space left on device" in caplog.text
+
+
+def test_estimate_of_other_typical_rates_is_replaced(twice_as_slow):
+    """A new release has other rates, which an estimate by the earlier ones does not fit."""
+    estimate = estimated_profile(RENDERER, VERSION)
+    old_rates_ns = {part: dict.fromkeys(rates, 1.0) for part, rates in estimate.rates_ns.items()}
+    old = estimate.model_copy(update={"rates_ns": old_rates_ns})
+    save_profile(old)
+    estimated_profile.cache.clear()
+    assert not is_current(old) and is_current(estimate) and is_current(old.model_copy(update={"is_estimate": False}))
+    assert estimated_profile(RENDERER, VERSION).rates_ns == load_profile(RENDERER, VERSION).rates_ns == estimate.rates_ns
+
+
+def test_a_stored_calibration_is_preferred_to_an_estimate(twice_as_slow):
+    """Another process may have calibrated the device during the benchmark."""
+    calibration = typical_device().model_copy(update={"renderer": RENDERER, "version": VERSION})
+    save_profile(calibration)
+    assert estimated_profile(RENDERER, VERSION) == load_profile(RENDERER, VERSION) == calibration
+
+
+def test_equal_estimates_have_one_digest(twice_as_slow):
+    estimate = estimated_profile(RENDERER, VERSION)
+    later = estimate.model_copy(update={"measured": estimate.measured + timedelta(days=1), "took_s": 9.0})
+    assert profile_digest(later) == profile_digest(estimate) != ""
+    calibration = estimate.model_copy(update={"is_estimate": False})
+    assert profile_digest(calibration) != profile_digest(calibration.model_copy(update={"took_s": 9.0}))
 
 
 def test_time_ratio_is_the_median_of_the_steps(gl, monkeypatch):

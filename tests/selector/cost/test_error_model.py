@@ -255,7 +255,7 @@ def test_smoothed_differing_shares_spreads_one_sample():
     assert one_hit == pytest.approx((0.25 * 0.028 / 3.75, 0.004, 0.004, 0.004, 0.0, 0.0, 0.0, 0.0))
 
 
-def test_smoothed_differing_shares_uses_large_texels_where_few_probes_differ():
+def test_smoothed_shares_use_large_texels_if_few_probes_differ():
     """Of 1000 probes 3 differ at 4 pixels, 5 at 8 and 11 at 16. The small texels alone would be free of errors."""
     smoothed = smoothed_differing_shares((0.0, 0.0, 0.0, 0.0, 0.003, 0.005, 0.011, 0.016))
     pooled = {k: 0.019 / sum(TEXEL_SIZES_PX[k:7]) for k in range(4)} | {4: 0.019 / 28.0}

@@ -112,7 +112,7 @@ def test_probe_replaces_a_leader_that_misses():
     assert (winner, prober.drawn, outcome.confirmed, outcome.initial_leader) == (1, [0, 1], True, 0)
 
 
-def test_probe_draws_the_fastest_likely_candidate_before_the_leader():
+def test_probe_draws_the_fastest_likely_candidate_first():
     """The risk of a miss makes the slow candidate the leader. The fast one is drawn first, and its picture settles the choice."""
     candidates = [Candidate(400.0, 0.02, 400.0, 0.01), Candidate(1000.0, 0.0001, 1000.0, 0.0001), Candidate(100.0, 0.3, 100.0, 0.3)]
     winner, outcome, prober = probe(candidates, 0.03, budget_s=3.0)

@@ -229,7 +229,7 @@ def test_descriptor_s_edge_share_is_the_sampled_share(gl, tower, floor, make_sce
     assert describe(scene, scene.view("eye")).edge_share == 0.0
 
 
-def test_share_of_edge_pixels_counts_leaf_edges_though_few_rays_are_cast(gl):
+def test_edge_pixel_share_counts_leaf_edges_with_few_rays(gl):
     """Most edges in a park are those of its trees, which no coarse view shows.
 
     With them the edge share is about the sampled share.

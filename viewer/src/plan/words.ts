@@ -70,7 +70,7 @@ export function withoutFiles(reason: string): string {
   });
 }
 
-const BY_HAND = / \(to get predictions, run skugga calibrate\)/;
+const BY_HAND = / \((to get predictions, run skugga calibrate|skugga calibrate measures them)\)/;
 
 /** What of the service's device is still to be measured, by its own word for it; null: nothing, or it does not say. */
 const CALIBRATING: Readonly<Record<string, string>> = {
@@ -83,7 +83,7 @@ const CALIBRATING: Readonly<Record<string, string>> = {
 
 export const isCalibrating = (calibration: string | null) => ['waiting', 'running', 'paused'].includes(calibration ?? '');
 
-/** Whether fixed rules chose, since the device is not calibrated. */
+/** Whether the device is not calibrated, so that fixed rules or estimated times chose. */
 export function isUncalibrated({ reasons }: Pick<Plan, 'reasons'>): boolean {
   return reasons.some(({ name, reason }) => name.startsWith('policy') && BY_HAND.test(reason));
 }
@@ -118,13 +118,14 @@ export function expectation(
   { policy, predicted, target, reasons }: Pick<Plan, 'policy' | 'predicted' | 'target' | 'reasons'>, calibration: string | null = null,
 ): string {
   const asked = `at most ${percent(target.max_error)} of the cast shadow wrong${target.max_ms === null ? '' : `, within ${duration(target.max_ms)}`}`;
+  const why = reasons.find(({ name }) => name.startsWith('policy'))?.reason;
+  const measured = CALIBRATING[calibration ?? ''];
+  const basis = measured && why ? `${why.replace(BY_HAND, '')}. ${measured}` : why;
+  const basisSentence = basis ? `${capital(basis)}. ` : '';
   if (!predicted) {
-    const why = reasons.find(({ name }) => name.startsWith('policy'))?.reason;
-    const measured = CALIBRATING[calibration ?? ''];
-    const said = measured && why ? `${why.replace(BY_HAND, '')}. ${measured}` : why;
-    return `${said ? `${capital(said)}. ` : ''}Time and error are not predicted; asked for: ${asked}.`;
+    return `${basisSentence}Time and error are not predicted; asked for: ${asked}.`;
   }
-  const said = `${policy === 'measure' ? 'Measured' : 'Expected'}: ${duration(predicted.ms)} of shadow work for a block of 1024 pixels, `
+  const said = `${basisSentence}${policy === 'measure' ? 'Measured' : 'Expected'}: ${duration(predicted.ms)} of shadow work for a block of 1024 pixels, `
     + `${percent(predicted.wrong_cast)} of the cast shadow wrong.`;
   if (target.met === null) return `${said} Asked for: ${asked}.`;
   if (target.met) return `${said} That meets the target: ${asked}.`;
