@@ -74,6 +74,10 @@ def main() -> None:
         if debug:
             raise
         status = _print_error(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+    except MemoryError as error:
+        if debug:
+            raise
+        status = _print_error(f"no memory is left ({error or 'an allocation failed'}). Use a smaller picture or fewer products", 1)
     except Exception as error:
         cause = error.__cause__
         if isinstance(error, SystemError) and isinstance(cause, SystemExit | KeyboardInterrupt):  # signal in a compiled loop

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.idle_work import IdleJob, IdleWork
 from skugga.selector.cost.device_profile import load_profile, profile_digest, profile_path, save_profile
 
@@ -152,7 +153,12 @@ class IdleCalibration:
             self._request_calibration()
         while True:
             await asyncio.sleep(CHECK_EVERY_S)
-            last_stamp = await self._read(path, last_stamp)
+            try:
+                last_stamp = await self._read(path, last_stamp)
+            except (OSError, RuntimeError, MemoryError) as error:
+                if exhausted_error(error) is None:
+                    raise
+                log.warning("the calibration's file is read later: %s", exhausted_error(error))
 
     async def _read(self, path: Path, last_stamp: ProfileStamp | None) -> ProfileStamp | None:
         """Load the file if its stamp (time, inode, size) differs from ``last_stamp``.

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.idle_work import IdleJob, IdleWork
 from skugga.api.workers.jobs import LevelKey
 from skugga.selector.map_probes import MapClass, MapProbes
@@ -159,7 +160,12 @@ class IdleProbes:
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(READ_EVERY_S)
-            self._add_new_probes(await asyncio.to_thread(self._read_changed_files))
+            try:
+                self._add_new_probes(await asyncio.to_thread(self._read_changed_files))
+            except (OSError, RuntimeError, MemoryError) as error:
+                if exhausted_error(error) is None:
+                    raise
+                log.warning("stored probes are read later: %s", exhausted_error(error))
 
     def _read_changed_files(self) -> dict[str, MapProbes]:
         """Return the probes in files that were written since they were last read, by the version of their level."""

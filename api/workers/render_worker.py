@@ -22,6 +22,7 @@ from skugga.api.device_calibration import calibration
 from skugga.api.encoding import as_picture, encode_exactly
 from skugga.api.picture_cost import check_cost
 from skugga.api.products.visibility import VISIBILITY
+from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.block_tiles import TilePosition, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.film_jobs import film_picture, first_plan
 from skugga.api.workers.jobs import (
@@ -346,8 +347,8 @@ def _try_job(job: Job, state: WorkerState) -> Answer:
         return run_job(job, state)
     except SkuggaError as error:
         is_fatal = isinstance(error, GraphicsError) and not isinstance(error, NoOpenGLError)
-        return Failure.of(error, fatal=is_fatal)
+        return Failure.of(exhausted_error(error) or error, fatal=is_fatal)
     except Exception as error:  # a bug or an exception of a driver: the job fails and the process ends
         log.exception("a job failed unexpectedly")
         fatal = not isinstance(job, DescribedPlanJob)  # these jobs do not touch OpenGL
-        return Failure.of(RenderError(f"{type(error).__name__}: {error}"), fatal=fatal)
+        return Failure.of(exhausted_error(error) or RenderError(f"{type(error).__name__}: {error}"), fatal=fatal)

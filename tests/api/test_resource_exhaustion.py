@@ -9,6 +9,7 @@ import os
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import NoReturn
 
 import pytest
 from fastapi.dependencies.models import Dependant
@@ -18,10 +19,12 @@ from skugga.api.animations.animations import Animations
 from skugga.api.errors import ExhaustedError, error_report_of
 from skugga.api.resource_exhaustion import exhausted_error, run_in_pool
 from skugga.api.settings import Settings
-from skugga.api.workers import background_compile
+from skugga.api.workers import background_compile, render_worker
 from skugga.api.workers.background_compile import BackgroundCompile
 from skugga.api.workers.idle_work import IdleJob, IdleWork
+from skugga.api.workers.jobs import Failure
 from skugga.api.workers.pool import Pool
+from skugga.api.workers.worker_state import WorkerState
 from skugga.terrain.errors import SourceError
 from tests.api.animations.test_animations import order as film_order
 from tests.api.http.test_level_checks import no_threads
@@ -173,3 +176,18 @@ def test_a_film_without_a_thread_is_not_drawn_later(monkeypatch: pytest.MonkeyPa
         await animations.close()
 
     asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError("Unable to allocate 8 GiB"), _caused_by(OSError(errno.EMFILE, "Too many open files"))]
+)
+def test_exhausted_jobs_are_retried_later(monkeypatch: pytest.MonkeyPatch, error: Exception):
+    """A render process tells exhaustion from faults: 503 with a time to wait, and not 500."""
+
+    def run_out(job: object, state: object) -> NoReturn:
+        raise error
+
+    monkeypatch.setattr(render_worker, "run_job", run_out)
+    answer = render_worker._try_job(block(0), WorkerState("a device"))
+    assert isinstance(answer, Failure) and isinstance(answer.error(), ExhaustedError)
+    assert error_report_of(answer.error()).status == 503

@@ -341,3 +341,13 @@ def test_a_clock_beyond_its_range_is_refused(run, tmp_path, command, seconds):
     output = ["-o", str(tmp_path / "x.png")] if command == "render" else []
     status, out, err = run(command, "jacksboro", f"--seconds={seconds}", *output)
     assert (status, out, err.count("\n")) == (2, "", 1) and "--seconds" in err and "1e+09" in err
+
+
+def test_missing_memory_is_one_line(run, monkeypatch):
+    def allocate(*args: object, **keys: object) -> None:
+        raise MemoryError("Unable to allocate 8.00 GiB")
+
+    monkeypatch.setattr("skugga.api.cli.snapshot.snapshot", allocate)
+    status, out, err = run("render", "jacksboro", "-o", "p.png")
+    assert (status, out) == (1, "") and "internal error" not in err
+    assert err.splitlines()[-1].endswith("no memory is left (Unable to allocate 8.00 GiB). Use a smaller picture or fewer products")

@@ -140,6 +140,25 @@ def test_estimate_does_not_replace_a_calibration(serve: Serve, tmp_path: Path, c
     assert state(client) == "calibrated" and client.service.pool.plan_version(None) == version
 
 
+def test_watch_outlives_a_moment_without_threads(
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    """A calibration that is saved after such a moment is loaded."""
+    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    stamp, failures = idle_calibration._stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
+
+    def failing_stamp(path: Path) -> tuple[int, int, int] | None:
+        if failures:
+            raise failures.pop()
+        return stamp(path)
+
+    wait_until(lambda: state(client) == "running")
+    monkeypatch.setattr(idle_calibration, "_stamp", failing_stamp)
+    wait_until(lambda: log_count(caplog, "is read later") == 2)
+    save_profile(fake_calibrations.profile())
+    wait_until(lambda: state(client) == "calibrated")
+
+
 def test_unwritable_cache_folder_warns_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "cache").write_text("in the way")  # no folder can be made in place of a file, not even by root
     (tmp_path / "go").touch()
