@@ -124,16 +124,24 @@ def compute(
     return ComputedProduct(out)
 
 
-def plan_for(scene: Scene, view: MapView | PerspectiveView, name: str, product: Product, overrides: dict[str, Any]) -> Plan | None:
+def plan_for(
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    name: str,
+    product: Product,
+    overrides: dict[str, Any],
+    limits_time: bool = False,
+) -> Plan | None:
     """Return the plan of a view for a product; ``None`` if the product needs no picture.
 
-    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. Raises ``InputError`` if the product is
-    not defined for this kind of view.
+    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. ``limits_time`` tells that the caller
+    compares the plan's expected time with a limit of its user. Raises ``InputError`` if the product is not defined for this kind of
+    view.
     """
     check_view(product, view)
     if not product.needs_of(view):
         return None
-    device = calibration_for(scene.loaded.level.shadows, overrides)
+    device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=limits_time)
     return plan_of_view(scene, view, name, overrides, device=device)
 
 

@@ -84,7 +84,7 @@ def snapshot(
     if request.sun is None and request.product_record.when == "sun":
         print_default_sun(scene)
     scene = scene.with_style(*style_overrides)
-    plan = plan_for(scene, view_value, view, request.product_record, overrides)
+    plan = plan_for(scene, view_value, view, request.product_record, overrides, limits_time=max_ms is not None)
     if plan is not None:
         limit_ms = time_limit_ms() if max_ms is None else max_ms
         check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", limit_ms, "--max-ms")

@@ -58,7 +58,7 @@ def test_an_estimate_refuses_far_beyond_the_limit_only(lamp_scene: tuple[Scene, 
 def test_commands_have_the_limit_of_the_service(lamp_scene: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):
     scene, plan = lamp_scene
     monkeypatch.setattr(snapshot_module, "scene_and_view", lambda *args: (scene, scene.view("eye")))
-    monkeypatch.setattr(snapshot_module, "plan_for", lambda *args: plan)
+    monkeypatch.setattr(snapshot_module, "plan_for", lambda *args, **keys: plan)
     monkeypatch.setattr(snapshot_module, "compute", lambda *args: "drawn")
     path = scene.loaded.path
     with pytest.raises(TooCostlyError, match=r"the view .* limit of 60 s \(--max-ms\)"):

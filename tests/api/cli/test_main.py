@@ -15,6 +15,7 @@ import rasterio
 from PIL import Image
 
 from skugga.api.products.mask import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.selector.cost import device_estimate
 from tests.rasters import write_geotiff
 
 SMALL_MAP_OPTIONS = ("--size", "96x100", "--azimuth", "246", "--altitude", "12")
@@ -341,6 +342,17 @@ def test_a_clock_beyond_its_range_is_refused(run, tmp_path, command, seconds):
     output = ["-o", str(tmp_path / "x.png")] if command == "render" else []
     status, out, err = run(command, "jacksboro", f"--seconds={seconds}", *output)
     assert (status, out, err.count("\n")) == (2, "", 1) and "--seconds" in err and "1e+09" in err
+
+
+def test_only_a_limit_of_time_takes_a_benchmark(gl, run, monkeypatch, tmp_path):
+    """On a new machine the time that ``--max-ms`` limits is this machine's, and a picture without a limit waits for nothing."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    benchmarks: list[str] = []
+    monkeypatch.setattr(device_estimate, "_time_ratio", lambda: benchmarks.append("run") or 1.0)
+    device_estimate.estimated_profile.cache.clear()
+    for options, count in (((), 0), (("--max-ms", "600000"), 1)):
+        assert run("render", "jacksboro", "--size", "32x32", *options, "-o", "p.png")[0] == 0
+        assert len(benchmarks) == count
 
 
 def test_missing_memory_is_one_line(run, monkeypatch):
