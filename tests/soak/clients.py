@@ -39,10 +39,10 @@ class Answers:
 
 
 class Connection:
-    """One connection, reopened where the service has closed it."""
+    """One connection from a loopback address, reopened where the service has closed it. The service tells clients by their address."""
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    def __init__(self, port: int, address: str = "127.0.0.1") -> None:
+        self._port, self._address = port, address
         self.body = b""
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
@@ -56,7 +56,7 @@ class Connection:
             first_line = b"" if self._streams is None else await self._ask(request)
             if not first_line:  # the service closes connections that were idle for some seconds
                 self.close()
-                self._streams = await asyncio.open_connection("127.0.0.1", self._port)
+                self._streams = await asyncio.open_connection("127.0.0.1", self._port, local_addr=(self._address, 0))
                 first_line = await self._ask(request)
             reader, _ = self._streams
             status = int(first_line.split()[1])

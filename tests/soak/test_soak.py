@@ -65,7 +65,9 @@ def service(folder: Path, **environment: str) -> Iterator[tuple[int, subprocess.
         process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=log_file, text=True)
     try:
         until = time.monotonic() + 300
-        while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not _ready(int(port[1])):
+        while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not _ready(
+            int(port[1]), int(settings["SKUGGA_WORKERS"])
+        ):
             assert process.poll() is None and time.monotonic() < until, log.read_text()[-2000:]
             time.sleep(0.2)
         yield int(port[1]), process, log
@@ -74,10 +76,10 @@ def service(folder: Path, **environment: str) -> Iterator[tuple[int, subprocess.
         process.wait()
 
 
-def _ready(port: int) -> bool:
+def _ready(port: int, workers: int = WORKERS) -> bool:
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=5) as answer:
-            return len(json.load(answer)) > 0 and answer.status == 200 and _workers(port) == WORKERS
+            return len(json.load(answer)) > 0 and answer.status == 200 and _workers(port) == workers
     except OSError:
         return False
 

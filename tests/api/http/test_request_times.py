@@ -1,6 +1,8 @@
 """Request times are rounded to a grain, ``current`` means now and expires soon, and new suns of a client are rate limited."""
 
 import re
+import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
@@ -13,6 +15,7 @@ from skugga.api.http.state.rate_limiter import RateLimiter, network_of
 from tests.api.conftest import CORNER, ZOOM
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
+from tests.api.workers.test_pool import Gate
 
 TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 DAY = "2024-06-21T"
@@ -142,3 +145,26 @@ def test_too_many_suns_are_429(serve_with):
     assert int(answer.headers["retry-after"]) >= 1
     assert client.get(TILE, params={"azimuth": 10, "altitude": 30}).status_code == 200, "it is kept"
     assert client.get(TILE).status_code == 200, "the level's own sun is not new"
+
+
+def test_expected_times_are_headers_of_drawn_pictures_and_refusals(serve_with):
+    """The times before any measurement are the initial estimates: 0.5 s for a tile, and by its size for a snapshot."""
+    gate = Gate()
+    client = serve_with(gate.target, queue_work_s=0.1)
+    gate.open()
+    assert client.get(TILE).headers["x-skugga-expected-time"] == "wait=0.0; work=0.5"
+    assert "x-skugga-expected-time" not in client.get(TILE).headers, "a kept picture needs no time"
+    snapshots = [f"/levels/hills/snapshot.png?size=1280x1024&azimuth={azimuth}&altitude=30" for azimuth in (10, 20, 30)]
+    with ThreadPoolExecutor() as threads:
+        answers = [threads.submit(client.get, snapshots[0])]
+        while client.service.pool.running < 1:
+            time.sleep(0.01)
+        answers.append(threads.submit(client.get, snapshots[1]))
+        while client.service.pool.queued < 1:
+            time.sleep(0.01)
+        refused = client.get(snapshots[2])
+        gate.open(2)
+    check_problem(refused, 503, "busy", None)
+    match = re.fullmatch(r"wait=(\d\.\d); work=2\.5", refused.headers["x-skugga-expected-time"])
+    assert match is not None and 2.5 < float(match[1]) <= 5.0, "one snapshot is being drawn, one waits"
+    assert all("x-skugga-expected-time" in answer.result().headers for answer in answers)
