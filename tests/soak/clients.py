@@ -39,7 +39,10 @@ class Answers:
 
 
 class Connection:
-    """One connection from a loopback address, reopened where the service has closed it. The service tells clients by their address."""
+    """One connection from a loopback address, reopened where the service has closed it.
+
+    To the service each address is another client.
+    """
 
     def __init__(self, port: int, address: str = "127.0.0.1") -> None:
         self._port, self._address = port, address

@@ -73,11 +73,10 @@ async def send_all(port: int, address: str, paths: list[str], concurrency: int, 
 def test_no_tile_of_a_map_is_refused(clients: int, has_greedy: bool, tmp_path: Path, capsys: pytest.CaptureFixture):
     """One render process. The level is cold: nothing of it was drawn since the service started."""
     maps, greedy = [Answers() for _ in range(clients)], Answers()
+    paths = greedy_paths() if has_greedy else []
 
     async def run(port: int) -> None:
-        greedy_task = asyncio.create_task(
-            send_all(port, "127.0.0.99", greedy_paths() if has_greedy else [], GREEDY_CONCURRENCY, greedy)
-        )
+        greedy_task = asyncio.create_task(send_all(port, "127.0.0.99", paths, GREEDY_CONCURRENCY, greedy))
         await asyncio.sleep(3.0 if has_greedy else 0.0)  # the pictures of the greedy client are in the queue first
         await asyncio.gather(*(send_all(port, f"127.0.0.{2 + n}", map_paths(n), CONCURRENCY, maps[n]) for n in range(clients)))
         greedy_task.cancel()

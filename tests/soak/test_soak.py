@@ -61,13 +61,12 @@ def service(folder: Path, **environment: str) -> Iterator[tuple[int, subprocess.
     level, log = write_level(folder, "hills"), folder / "log"
     command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(level), "--port", "0"]
     settings = {"SKUGGA_WORKERS": str(WORKERS), "SKUGGA_NEW_SUNS_PER_MINUTE": "0", **environment}
+    workers = int(settings["SKUGGA_WORKERS"])
     with log.open("w") as log_file:
         process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=log_file, text=True)
     try:
         until = time.monotonic() + 300
-        while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not _ready(
-            int(port[1]), int(settings["SKUGGA_WORKERS"])
-        ):
+        while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not _ready(int(port[1]), workers):
             assert process.poll() is None and time.monotonic() < until, log.read_text()[-2000:]
             time.sleep(0.2)
         yield int(port[1]), process, log
