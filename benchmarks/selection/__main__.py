@@ -1,5 +1,6 @@
 """Quality of the selector: all choices of shadow algorithms for many views are measured, and compared with those of each policy.
 
+    python -m benchmarks.selection unpack [--folder build/selection]          the records of the last measurement, to go on from
     python -m benchmarks.selection measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
     python -m benchmarks.selection probe DATA [--folder build/selection]      what probes measure of every choice; half an hour
     python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
@@ -27,7 +28,7 @@ from benchmarks.selection.fit import cases_of, fit_model
 from benchmarks.selection.measure import measure_instance, probes, redescribed, time_again
 from benchmarks.selection.page import page, with_tables
 from benchmarks.selection.table import read_table, write_table
-from benchmarks.selection.views import ViewInstance, instances
+from benchmarks.selection.views import instances
 from skugga.selector.cost.device_profile import load_profile
 from skugga.terrain.gl.device import device
 
@@ -53,17 +54,22 @@ def main() -> None:
         command.add_argument("--folder", type=Path, default=Path("build/selection"))
         command.add_argument("--only", nargs="*", default=[])
         command.add_argument("--again", action="store_true")
-    commands.add_parser("keep").add_argument("--folder", type=Path, default=Path("build/selection"))
+    for name in ("unpack", "keep"):
+        commands.add_parser(name).add_argument("--folder", type=Path, default=Path("build/selection"))
     commands.add_parser("fit")
     commands.add_parser("judge").add_argument("--write", action="store_true")
     args = parser.parse_args()
     if args.what in WORK_STEPS:
         _run_step(args.what, args.data, args.folder, args.only, args.again)
+    elif args.what == "unpack":
+        args.folder.mkdir(parents=True, exist_ok=True)
+        for record in read_table()[0]:
+            _write(args.folder, record)
     elif args.what == "keep":
         profile = load_profile(device().renderer, device().version)
         if profile is None or profile.is_estimate:
             parser.error("the device is not calibrated: skugga calibrate")
-        write_table([record for instance in instances() if (record := _read(args.folder, instance)) is not None], profile)
+        write_table([record for instance in instances() if (record := _read(args.folder, instance.name)) is not None], profile)
     elif args.what == "fit":
         views, profile = read_table()
         model = fit_model([case for view in views if not view.get("unseen") for case in cases_of(view)], profile)
@@ -86,7 +92,7 @@ def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done
     """
     folder.mkdir(parents=True, exist_ok=True)
     for instance in instances():
-        record = _read(folder, instance)
+        record = _read(folder, instance.name)
         if (only and not any(word in instance.name for word in only)) or (record is None) != (step == "measure"):
             continue
         if record is not None and WORK_STEPS[step] in record and not repeats_done:
@@ -97,17 +103,21 @@ def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done
             if record is None
             else {"time": time_again, "describe": redescribed, "probe": probes}[step](instance, data, record)
         )
-        _path(folder, instance).write_text(json.dumps(new_record, indent=1) + "\n", encoding="utf-8")
+        _write(folder, new_record)
         print(f"{instance.name}: {time.perf_counter() - start:.1f} s", flush=True)
 
 
-def _path(folder: Path, instance: ViewInstance) -> Path:
-    return folder / ("".join(c if c.isalnum() else "_" for c in instance.name) + ".json")
+def _path(folder: Path, name: str) -> Path:
+    return folder / ("".join(c if c.isalnum() else "_" for c in name) + ".json")
 
 
-def _read(folder: Path, instance: ViewInstance) -> dict[str, Any] | None:
-    path = _path(folder, instance)
+def _read(folder: Path, name: str) -> dict[str, Any] | None:
+    path = _path(folder, name)
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def _write(folder: Path, record: dict[str, Any]) -> None:
+    _path(folder, record["name"]).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from benchmarks.selection.synthetic import SITES, Site, write_site
 from skugga.api.catalogue import find_level
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -39,14 +40,15 @@ class ViewInstance:
     """A view of a scene under a light.
 
     ``terrain`` is the ground that the view belongs to. All views of a terrain are held out of model fits together. ``level`` is a
-    bundled level's name, or the keys of a level whose files lie in the folder of sample data. ``view`` is a view's name or its
-    keys. ``bounds`` are those of a map. ``sun`` is azimuth and altitude in degrees; ``None`` uses the level's own light.
+    bundled level's name, a made terrain, or the keys of a level whose files lie in the folder of sample data. ``view`` is a view's
+    name or its keys. ``bounds`` are those of a map. ``sun`` is azimuth and altitude in degrees; without it the level's light is
+    used.
     """
 
     name: str
     family: Family
     terrain: str
-    level: str | dict[str, Any]
+    level: str | Site | dict[str, Any]
     view: str
     sun: SunAngles | None = None
     bounds: tuple[float, float, float, float] | None = None
@@ -64,7 +66,7 @@ class ViewInstance:
         scene = scene_of(self.level, data, folder)
         scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
         if self.look is not None:
-            scene = scene_of({**self.level, "views": {"eye": _eye(scene, self.look)}}, data, folder)  # type: ignore[dict-item]
+            scene = scene_of(self.level, data, folder, views={"eye": _eye(scene, self.look)})
             scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
             return scene, scene.view("eye", size=self.size or PERSPECTIVE_PX)
         if self.view == "map":
@@ -72,12 +74,13 @@ class ViewInstance:
         return scene, scene.view(self.view, size=PERSPECTIVE_PX)
 
 
-def scene_of(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
-    """Build the scene of a bundled level, or of the keys of a level. The latter are written to a level file in ``folder``."""
+def scene_of(level: str | Site | dict[str, Any], data: Path, folder: Path, **further_keys: Any) -> Scene:
+    """Build the scene of a bundled level, a made terrain or the keys of a level. The latter are written to ``folder``."""
     if isinstance(level, str):
         return build_scene(load_level(find_level(level)))
+    keys = write_site(level, folder) if isinstance(level, Site) else level
     path = folder / "level.yaml"
-    text = json.dumps({"version": 1, **level}).replace("DATA/", f"{data.resolve()}/")
+    text = json.dumps({"version": 1, **keys, **further_keys}).replace("DATA/", f"{data.resolve()}/")
     (folder / "wood.geojson").write_text(json.dumps(_rectangle(DENSE_WOOD_BOUNDS)), encoding="utf-8")
     path.write_text(text, encoding="utf-8")  # JSON is YAML
     return build_scene(load_level(path))
@@ -259,6 +262,23 @@ def _unseen() -> Iterator[ViewInstance]:
         yield ViewInstance(f"{name}, eye, {sun[1]:g}", family, terrain, RASTERS[name], "eye", sun, unseen=True, look=look)
 
 
+def _made() -> Iterator[ViewInstance]:
+    """Yield a map and a perspective view of every made terrain. Models are fitted to every second terrain only."""
+    for number, (name, site) in enumerate(SITES.items()):
+        has_objects = site.houses is not None or site.woods is not None
+        azimuth_deg = (37.0 + 73.0 * number) % 360.0
+        suns = {"map": (azimuth_deg, site.altitudes_deg[0]), "eye": ((azimuth_deg + 130.0) % 360.0, site.altitudes_deg[1])}
+        x, y, u, v = ((0.3, 0.2, 0.5, 0.55), (0.7, 0.25, 0.45, 0.5), (0.25, 0.7, 0.55, 0.5))[number % 3]
+        above_m = 25.0 + 20.0 * (number % 3) if has_objects else site.cells * site.cell_m * (0.02 + 0.02 * (number % 3))
+        for view, sun in suns.items():
+            yield ViewInstance(
+                f"{name}, {view}, {sun[1]:g}",
+                ("wooded, map" if view == "map" else "wooded, perspective") if has_objects
+                else ("relief, map" if view == "map" else "relief, perspective"),
+                name, site, view, sun, unseen=number % 2 == 1, look=(x, y, u, v, above_m) if view == "eye" else None,
+            )  # fmt: skip
+
+
 def instances() -> list[ViewInstance]:
     """Return all instances, in order."""
-    return [*_thesis(), *_relief(), *_wooded(), *_dense(), *_unseen()]
+    return [*_thesis(), *_relief(), *_wooded(), *_dense(), *_unseen(), *_made()]
