@@ -424,6 +424,9 @@ class Algorithm:
         The input from which its errors are predicted.
     mark
         Its marker in plots.
+    version
+        The version of its code. It is raised with every change of the code that changes times or errors, because figures that were
+        measured before the change no longer hold.
     """
 
     name: str
@@ -444,6 +447,7 @@ class Algorithm:
     cost: Cost = Cost()
     accuracy: Accuracy = Accuracy()
     mark: Mark = Mark("cross", "black")
+    version: int = 1
 
     def refusal(self, requirements: Iterable[Requirement]) -> str | None:
         """Return the reason why the algorithm cannot serve some requirements together.

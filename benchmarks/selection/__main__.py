@@ -5,6 +5,7 @@
     python -m benchmarks.selection probe DATA [--folder build/selection]      what probes measure of every choice; half an hour
     python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
     python -m benchmarks.selection keep [--folder build/selection]            write it all to benchmarks/selection/selection.jsonl
+    python -m benchmarks.selection accept                                     changed code has the times and errors of before
     python -m benchmarks.selection fit                                        write selector/cost/error_model.json and
                                                                               typical_device.json from there
     python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them,
@@ -23,6 +24,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.selection.code_versions import accept_code
 from benchmarks.selection.cost_of_accuracy import device_name, write_cost_of_accuracy
 from benchmarks.selection.fit import cases_of, fit_model
 from benchmarks.selection.measure import measure_instance, probes, redescribed, time_again
@@ -56,6 +58,7 @@ def main() -> None:
         command.add_argument("--again", action="store_true")
     for name in ("unpack", "keep"):
         commands.add_parser(name).add_argument("--folder", type=Path, default=Path("build/selection"))
+    commands.add_parser("accept")
     commands.add_parser("fit")
     commands.add_parser("judge").add_argument("--write", action="store_true")
     args = parser.parse_args()
@@ -65,6 +68,8 @@ def main() -> None:
         args.folder.mkdir(parents=True, exist_ok=True)
         for record in read_table()[0]:
             _write(args.folder, record)
+    elif args.what == "accept":
+        accept_code()
     elif args.what == "keep":
         profile = load_profile(device().renderer, device().version)
         if profile is None or profile.is_estimate:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.selection.code_versions import algorithms_of, origin_now, stale_algorithms
 from benchmarks.selection.judge import GOALS
 from benchmarks.selection.probes import record_probes
 from benchmarks.selection.views import ViewInstance
@@ -64,8 +65,8 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
     """Measure an instance, and return its record.
 
     The record has the descriptor as ``POST /plan`` takes it, times and errors of all rows, and by choice the name of the row
-    (``picks``). ``error`` names the error of targets. It is ``wrong`` in a view without cast shadow, since ``wrong_cast`` is a
-    share of cast shadow.
+    (``picks``). ``compared`` and ``timed`` are the origins of errors and times. ``error`` names the error of targets. It is
+    ``wrong`` in a view without cast shadow, since ``wrong_cast`` is a share of cast shadow.
     """
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
@@ -86,24 +87,26 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
             "picks": names,
             "descriptor": descriptor.model_dump(mode="json"),
         }  # fmt: skip
-        return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
+        record["compared"] = origin_now(algorithms_of(record["rows"]))
+        return record | _timed(scene, view, light, plans, record["rows"])
 
 
 def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """Return a record whose rows are timed again. Rows that no choice leads to any more are removed.
 
-    If a choice leads to a row that was never measured, the whole instance is measured again, except for its probes.
+    If a choice leads to a row that was never measured, or to an algorithm whose code has changed (``code_versions``), the whole
+    instance is measured again, except for its probes.
     """
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light = record["light"]
         plans = plans_of(describe(scene, view, instance.view), scene, light)
         names = {choice: row for choice, row in rows_of(plans, light).items() if not _is_refused(choice, record)}
-        if set(names.values()) <= set(record["rows"]):
+        if set(names.values()) <= set(record["rows"]) and not stale_algorithms(record, "compared"):
             rows = {row: record["rows"][row] for row in dict.fromkeys(names.values())}
             plans = {choice: plans[choice] for choice in names}
-            return record | {"picks": names, "rows": _timed(scene, view, light, plans, rows)}
-    return measure_instance(instance, data) | {key: record[key] for key in ("probe", "plan_ms") if key in record}
+            return record | {"picks": names} | _timed(scene, view, light, plans, rows)
+    return measure_instance(instance, data) | {key: record[key] for key in ("probe", "probed", "plan_ms") if key in record}
 
 
 def _is_refused(choice: str, record: Figures) -> bool:
@@ -113,8 +116,8 @@ def _is_refused(choice: str, record: Figures) -> bool:
 
 def _timed(
     scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
-) -> dict[str, Figures]:
-    """Return rows with their median milliseconds: of a perspective view, or per block of a map."""
+) -> Figures:
+    """Return ``rows`` with their median milliseconds, of a perspective view or per block of a map, and the origin of the times."""
     pictures = picture_blocks(scene, view)
     plan_by_row = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
@@ -122,7 +125,8 @@ def _timed(
         for name, row_times in times.items():
             row_times.append(run_light(scene, pictures, plan_by_row[name], light).times[0])
     count = len(pictures) if isinstance(view, MapView) else 1
-    return {name: row | {"ms": _rounded(float(np.median(times[name][1:])) / count), "runs": RUNS} for name, row in rows.items()}
+    timed = {name: row | {"ms": _rounded(float(np.median(times[name][1:])) / count), "runs": RUNS} for name, row in rows.items()}
+    return {"rows": timed, "timed": origin_now(algorithms_of(timed))}
 
 
 def _row(figures: Figures, light: str) -> Figures:
@@ -152,7 +156,7 @@ def probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
         profile = load_profile(device().renderer, device().version)
         assert profile is not None and not profile.is_estimate, "run skugga calibrate first"
         probe_record = record_probes(scene, view, instance.view, record["light"], profile)
-        return record | {"probe": _all_rounded(probe_record)}
+        return record | {"probe": _all_rounded(probe_record), "probed": origin_now(algorithms_of(record["rows"]))}
 
 
 def _all_rounded(value: Any) -> Any:

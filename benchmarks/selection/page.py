@@ -79,7 +79,18 @@ def _instances_text(views: Sequence[Figures]) -> str:
         f"they are a class of their own. Of the other {len(decidable)}, some plan meets "
         f"{sum(instance.can_be_met for instance in decidable)}.\n\n"
     )
-    return text + markdown_table(["family", "views", "terrains", "plans measured"], [*rows, total_row])
+    return text + markdown_table(["family", "views", "terrains", "plans measured"], [*rows, total_row]) + _origins_text(views)
+
+
+def _origins_text(views: Sequence[Figures]) -> str:
+    """Format dates and commits of the figures, and the sizes of the pictures."""
+    lines = []
+    for step, title in {"compared": "Errors", "timed": "Times", "probed": "Probes"}.items():
+        origins = [view[step] for view in views if step in view]
+        days = sorted({origin["date"][:10] for origin in origins})
+        commits = ", ".join(f"`{commit}`" for commit in dict.fromkeys(origin["commit"] for origin in origins))
+        lines.append(f"{title}: {' to '.join(dict.fromkeys((days[0], days[-1])))}, at {commits}." if origins else f"{title}: none.")
+    return "\n" + "\n".join(lines) + "\nPerspective views have 640 x 512 pixels (dense wood 320 x 256), maps 512 x 512.\n"
 
 
 def _policies(split: Split) -> str:
