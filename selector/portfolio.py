@@ -6,7 +6,7 @@ It has every algorithm that can draw the view, alone and in useful combinations,
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from itertools import islice, product
+from itertools import product
 from typing import Any, get_args
 
 from skugga.selector.choices import Choice
@@ -16,9 +16,6 @@ from skugga.shadows.registry import ALGORITHMS, FALLBACK, can_serve, selectable_
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
-
-MAX_CHOICES = 40
-"""Maximum number of choices for a light. Those at the end of ``combinations`` are dropped first."""
 
 SHORT_FORMATS = {"map_size": "{}", "cascades": "x{}"}
 """Formats of values of settings in the name of a choice. All other settings are written with their key."""
@@ -47,15 +44,9 @@ def portfolio(
 ) -> list[Choice]:
     """Return the choices for a light and the kinds of casters that cast shadows under it.
 
-    There are at most ``MAX_CHOICES``. No two of them have the same algorithms and settings. All of them are possible together with
-    the requested shadow settings.
+    No two of them have the same algorithms and settings. All of them are possible together with the requested shadow settings.
     """
-    return list(
-        islice(
-            _distinct_choices(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], requested_shadows),
-            MAX_CHOICES,
-        )
-    )
+    return list(_distinct_choices(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], requested_shadows))
 
 
 def _solo_name(algorithm: Algorithm) -> str:

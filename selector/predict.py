@@ -28,6 +28,12 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
 ESTIMATED = "this device is not calibrated, so times are estimates (skugga calibrate measures them)"
+
+MAX_OPTIONS = 64
+"""Maximum number of options of a light that policies search: the time of a search grows with the third power of it.
+
+The algorithms that come with Skugga have at most 47."""
+
 NOT_PREDICTED = "no prediction is possible, so fixed rules choose"
 
 
@@ -43,6 +49,8 @@ class PlanOptions:
         Options by light, for each light that casts shadows.
     unmeasured
         Reasons why algorithms without predictions are not among the options.
+    unsearched
+        Names of the choices beyond ``MAX_OPTIONS`` by light, which no policy looks at.
     observed_basis
         Word in reasons for the origin of observed times and errors, such as "measured".
     """
@@ -50,6 +58,7 @@ class PlanOptions:
     planner: Planner
     lights: Mapping[str, LightOptions]
     unmeasured: Mapping[AlgorithmName, str] = field(default_factory=dict)
+    unsearched: Mapping[str, Sequence[str]] = field(default_factory=dict)
     observed_basis: str = "measured"
 
     def basis(self, light: str, which: int) -> str:
@@ -166,12 +175,14 @@ def _winner_number(options: PlanOptions, light: str) -> int:
 def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | None = None) -> PlanOptions:
     """Return the options for all lights of a view, with predicted times and errors, before any observation."""
     unmeasured: dict[AlgorithmName, str] = {}
-    lights = {}
+    lights, unsearched = {}, {}
     for light in planner.lights:
         if kinds := planner.casting(light):
             options = predicted_choices(planner, light, kinds, device, errors, unmeasured)
-            lights[light] = LightOptions.expected(options, errors)
-    return PlanOptions(planner, lights, unmeasured)
+            lights[light] = LightOptions.expected(options[:MAX_OPTIONS], errors)
+            if len(options) > MAX_OPTIONS:
+                unsearched[light] = [option.choice.name for option in options[MAX_OPTIONS:]]
+    return PlanOptions(planner, lights, unmeasured, unsearched)
 
 
 def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequence[NamedReason] = ()) -> Plan:
@@ -201,9 +212,20 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
             "target": Target(
                 max_error=max_error, max_ms=planner.requested_shadows.max_ms, met=all(verdict.met for verdict in verdicts.values())
             ),
-            "reasons": [*_missed_reasons(options, winners, verdicts), *plan.reasons, *reasons],
+            "reasons": [*_missed_reasons(options, winners, verdicts), *plan.reasons, *reasons, *_unsearched_reasons(options)],
         }
     )
+
+
+def _unsearched_reasons(options: PlanOptions) -> list[NamedReason]:
+    """Return a reason for each light with more choices than policies search."""
+    return [
+        NamedReason(
+            name=f"{light}: search",
+            reason=f"{MAX_OPTIONS} of {MAX_OPTIONS + len(names)} choices were searched; not searched: {', '.join(names)}",
+        )
+        for light, names in options.unsearched.items()
+    ]
 
 
 def _rules_plan(options: PlanOptions) -> Plan:

@@ -395,3 +395,16 @@ def test_predict_at_night_takes_none_and_meets_the_target():
     plan = plan_view(night, max_error=1e-6, max_ms=1e-3)
     assert name_of(plan) == "none" and plan.target.met is True
     assert (plan.predicted.ms, plan.predicted.wrong_cast) == (0.0, 0.0)
+
+
+def test_a_bounded_search_names_what_it_left_out(monkeypatch: pytest.MonkeyPatch):
+    view = make_descriptor()
+    names = [
+        item.choice.name for item in predicted_choices(planner_of(view, make_request(view)), SUN, ["meshes"], device(), ERROR_MODEL)
+    ]
+    assert not [item for item in plan_view(view).reasons if item.name == "sun: search"], "all choices are searched"
+    monkeypatch.setattr(predict, "MAX_OPTIONS", 3)
+    plan = plan_view(view)
+    (reason,) = (item.reason for item in plan.reasons if item.name == "sun: search")
+    assert reason == f"3 of {len(names)} choices were searched; not searched: {', '.join(names[3:])}"
+    assert name_of(plan) in names[:3]
