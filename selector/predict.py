@@ -242,9 +242,9 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
     """Return the choice of option ``which``, with the reasons for it."""
     light_options, max_error = options.lights[light], options.max_error
     winner, figures = light_options.options[which], light_options.figures(which)
-    expectation = (
-        f"{options.basis(light, which)}: {format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)}"
-    )
+    error = format_percent(figures.error)
+    of_what = f"coverage off by {error} of the blocks' area" if winner.errors.is_coverage else f"{error} of the cast shadow wrong"
+    expectation = f"{options.basis(light, which)}: {of_what} in {format_duration(figures.ms)}"
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.met:
         reason = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"

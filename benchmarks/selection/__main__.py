@@ -43,8 +43,10 @@ TYPICAL_DEVICE = MODEL.with_name("typical_device.json")
 
 
 def _rounded(value: Any) -> Any:
-    """Round every number in nested values to four significant digits."""
-    return {key: _rounded(entry) for key, entry in value.items()} if isinstance(value, dict) else float(f"{value:.4g}")
+    """Round every number in nested values to four significant digits. ``None`` stays."""
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    return None if value is None else float(f"{value:.4g}")
 
 
 def main() -> None:

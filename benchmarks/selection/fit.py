@@ -17,6 +17,7 @@ from skugga.selector.cost.error_model import (
     ERROR_OFFSET,
     INTERIOR_OFFSET,
     MIN_SPREAD,
+    CoverageError,
     ErrorModel,
     ExpectedErrors,
     HillCurve,
@@ -66,6 +67,9 @@ USUAL_TIME_SPREAD = 0.2
 
 NO_SHARED_VARIANCE = SharedVariance(view=0.0, family=0.0)
 INDEPENDENT_ERRORS = SharedErrors(error=NO_SHARED_VARIANCE, interior=NO_SHARED_VARIANCE, time=NO_SHARED_VARIANCE)
+
+INITIAL_COVERAGE = 0.5, 0.01
+"""The first guess of ``share`` and ``floor`` of ``CoverageError``."""
 
 MAX_EXPONENT = 700.0
 """The largest argument of the exponential function in float64."""
@@ -134,9 +138,10 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     """Return the constants of the error model that fit measured plans.
 
     With the calibration of the device that measured them, constants for times are fitted too. Views whose errors are measured by
-    coverage are omitted.
+    coverage give the constants of coverage only, which hang on all others.
     """
-    cases = [case for case in cases if case.view["error"] != "coverage"]  # the model does not predict coverage
+    coverage_cases = [case for case in cases if case.view["error"] == "coverage"]
+    cases = [case for case in cases if case.view["error"] != "coverage"]
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + ERROR_OFFSET)
 
@@ -183,7 +188,32 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
         times = _Deviations.of(cases, lambda case, expected_errors: log(case.row["ms"] / case.expected_ms(device)), model)
         shared = shared.model_copy(update={"time": times.shared})
         model = model.model_copy(update={"time_spread": max(_scale(np.exp(times.deviations)), MIN_SPREAD)})
-    return model.model_copy(update={"shared": shared})
+    return model.model_copy(update={"shared": shared, "coverage": _coverage_error(coverage_cases, model)})
+
+
+def _coverage_error(cases: Sequence[FitCase], model: ErrorModel) -> CoverageError | None:
+    """Return the constants of dense woods that fit measured plans there; ``None`` without any."""
+    if not cases:
+        return None
+    expected = [case.expected(model) for case in cases]
+    wrong_cast, interior = (np.array([getattr(errors, name) for errors in expected]) for name in ("wrong_cast", "interior"))
+    coverage, measured_interior = np.array([(case.error, case.row["interior"]) for case in cases]).T
+    ratios = (measured_interior + INTERIOR_OFFSET) / (interior + INTERIOR_OFFSET)
+    factor = float(np.exp(np.mean(np.log(ratios))))
+
+    def deviations(logarithms: np.ndarray) -> np.ndarray:
+        share, floor = np.exp(logarithms)
+        return np.log((np.hypot(share * wrong_cast, floor) + ERROR_OFFSET) / (coverage + ERROR_OFFSET))
+
+    solution = least_squares(deviations, np.log(INITIAL_COVERAGE), loss="soft_l1").x
+    share, floor = np.exp(solution)
+    return CoverageError(
+        share=share,
+        floor=floor,
+        spread=_scale(np.exp(deviations(solution))),
+        interior=factor,
+        interior_spread=_scale(ratios / factor),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,4 +343,4 @@ def _scale(ratios: Sequence[float]) -> float:
     Both have the same central interval of nine tenths.
     """
     deviations = float(np.quantile(np.abs(np.log(ratios)), 0.9)) if len(ratios) else 0.0
-    return max(deviations / np.log(19.0), MIN_SPREAD)
+    return float(max(deviations / np.log(19.0), MIN_SPREAD))

@@ -13,6 +13,7 @@ from skugga.selector.cost.error_model import (
     ERROR_OFFSET,
     INTERIOR_OFFSET,
     MIN_SPREAD,
+    CoverageError,
     ErrorModel,
     HillCurve,
     SharedErrors,
@@ -47,10 +48,10 @@ TRUE_MODEL = ErrorModel(
 )
 
 
-def descriptor_of(kind: CasterKind, far_px: float) -> Descriptor:
+def descriptor_of(kind: CasterKind, far_px: float, most: float = 1.0) -> Descriptor:
     """Return a perspective view of 640 x 512 pixels with shadows in two octaves.
 
-    ``far_px`` is the reach in pixels of differing shadow.
+    ``far_px`` is the reach in pixels of differing shadow, of which there is at most ``most``.
     """
     ladder_px = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
     bands = tuple(
@@ -60,7 +61,7 @@ def descriptor_of(kind: CasterKind, far_px: float) -> Descriptor:
             share=0.5,
             cast=CAST_SHARE,
             pixel_m=near_m / 400.0,
-            differs=tuple(ladder_px / reach_px),
+            differs=tuple(np.minimum(ladder_px / reach_px, most)),
         )
         for near_m, reach_px in ((32.0, far_px), (64.0, 2.0 * far_px))
     )
@@ -144,6 +145,25 @@ def test_the_fit_recovers_floors_spreads_and_interior_errors():
     # Interior errors scatter like errors; expected errors do not.
     assert model.interior["shadow_volume"] == pytest.approx(0.25, rel=0.05)
     assert model.interior_spread["shadow_volume"] == pytest.approx(0.3, rel=0.1)
+
+
+def test_the_fit_recovers_the_errors_of_dense_woods():
+    dense = descriptor_of("forest", 4.0, most=0.45)
+    truth = CoverageError(share=0.3, floor=0.03, spread=MIN_SPREAD, interior=0.2, interior_spread=MIN_SPREAD)
+    model = fit_model(map_cases())
+    steps = [uniform("forest", texel_m) for texel_m in 0.01 * 2.0 ** np.arange(0.0, 8.0)]
+    cases = []
+    for each in steps:
+        pixels = FitCase({"light": SUN}, dense, (each,), {}).expected(model)
+        errors = FitCase({"light": SUN}, dense, (each,), {}).expected(model.model_copy(update={"coverage": truth}))
+        assert errors.is_coverage and errors.wrong_cast < pixels.wrong_cast
+        row = {"coverage": errors.wrong_cast, "wrong": pixels.wrong, "interior": errors.interior}
+        cases.append(FitCase({"light": SUN, "error": "coverage"}, dense, (each,), row))
+    with_wood = fit_model([*map_cases(), *cases])
+    assert with_wood.coverage is not None
+    assert (with_wood.coverage.share, with_wood.coverage.floor) == pytest.approx((0.3, 0.03), rel=0.02)
+    assert with_wood.coverage.interior == pytest.approx(0.2, rel=0.1)
+    assert with_wood.model_copy(update={"coverage": None}) == model, "dense woods change no other constant"
 
 
 @pytest.mark.parametrize(

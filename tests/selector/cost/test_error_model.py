@@ -13,6 +13,7 @@ from skugga.selector.cost.error_model import (
     ERROR_OFFSET,
     INTERIOR_OFFSET,
     MIN_SPREAD,
+    CoverageError,
     ErrorModel,
     ExpectedErrors,
     HillCurve,
@@ -204,6 +205,28 @@ def test_expected_errors_weight_each_caster_kind():
     assert (wrong("relief"), wrong("meshes")) == pytest.approx((differs * 0.5, differs * 1.0))
     assert wrong("forest") == pytest.approx(differs * 0.5 * 4.0 / 5.0)
     assert wrong("relief", "meshes", "forest") == pytest.approx(wrong("relief") + wrong("meshes") + wrong("forest"))
+
+
+def wood_descriptor(differing_share: float) -> Descriptor:
+    """Return a view in which leaves make that share of the look-ups within half a pixel differ."""
+    bands = (band(share=0.5, differs=(differing_share,) * 8), band(64.0, share=0.5, differs=(differing_share,) * 8))
+    casts = {"forest": Casting(share=0.2, bands=bands)}
+    return make_descriptor(lights={SUN: LightFacts(cast_share=0.2, casts=casts)})
+
+
+def test_expected_errors_of_dense_woods_are_those_of_coverage():
+    coverage = CoverageError(share=0.3, floor=0.04, spread=0.1, interior=0.5, interior_spread=0.9)
+    model = MODEL.model_copy(update={"coverage": coverage})
+    map_step = step("shadow_map", cascades((0.1, 0.1)), kinds=("forest",))
+    pixels, blocks = (expected_errors(wood_descriptor(0.12), SUN, [map_step], each) for each in (MODEL, model))
+    assert pixels.wrong_cast > 0.05 and pixels.interior > 0.0 and not pixels.is_coverage
+    assert blocks.wrong_cast == pytest.approx(((0.3 * pixels.wrong_cast) ** 2 + 0.04**2) ** 0.5)
+    assert (blocks.interior, blocks.wrong) == pytest.approx((0.5 * pixels.interior, pixels.wrong))
+    assert (blocks.spread, blocks.interior_spread, blocks.is_coverage) == (0.1, 0.9, True)
+    sparse = wood_descriptor(0.09)
+    assert expected_errors(sparse, SUN, [map_step], model) == expected_errors(sparse, SUN, [map_step], MODEL)
+    meshes = make_descriptor()
+    assert expected_errors(meshes, SUN, [step("shadow_map", cascades((0.1, 0.1)))], model).is_coverage is False
 
 
 def test_expected_errors_of_steps_add_up_with_weighted_spread():
