@@ -148,7 +148,7 @@ def test_the_fit_recovers_floors_spreads_and_interior_errors():
 
 
 def test_the_fit_recovers_the_errors_of_dense_woods():
-    dense = descriptor_of("forest", 4.0, most=0.45)
+    dense = descriptor_of("forest", 3.0, most=0.45)
     truth = CoverageError(share=0.3, floor=0.03, spread=MIN_SPREAD, interior=0.2, interior_spread=MIN_SPREAD)
     model = fit_model(map_cases())
     steps = [uniform("forest", texel_m) for texel_m in 0.01 * 2.0 ** np.arange(0.0, 8.0)]
