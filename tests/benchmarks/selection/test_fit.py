@@ -88,13 +88,16 @@ def uniform(kind: CasterKind, texel_m: float) -> Step:
     return Step(SUN, (kind,), "shadow_map", ShadowMapSettings(map_size=1024, depth_bits=16, filter=3, cascades=cascades))
 
 
-def map_cases() -> list[FitCase]:
-    """Return maps of each kind of casters, from textures far finer than a pixel to far coarser ones."""
+def map_cases(inside: float = 0.0) -> list[FitCase]:
+    """Return maps of each kind of casters, from textures far finer than a pixel to far coarser ones.
+
+    ``inside`` is the share of interior errors.
+    """
     cases = []
     for kind in KINDS:
         for far_px in (80.0, 300.0, 1000.0):
             descriptor = descriptor_of(kind, far_px)
-            cases += [case(descriptor, uniform(kind, texel_m)) for texel_m in 0.02 * 2.0 ** np.arange(0.0, 8.0)]
+            cases += [case(descriptor, uniform(kind, texel_m), inside=inside) for texel_m in 0.02 * 2.0 ** np.arange(0.0, 8.0)]
             warped = (PerspectiveMapSettings(map_size=size, depth_bits=24, filter=3) for size in (128, 256, *SIZES))
             cases += [case(descriptor, Step(SUN, (kind,), "perspective_shadow_map", settings)) for settings in warped]
     return cases
@@ -150,7 +153,7 @@ def test_the_fit_recovers_floors_spreads_and_interior_errors():
 def test_the_fit_recovers_the_errors_of_dense_woods():
     dense = descriptor_of("forest", 3.0, most=0.45)
     truth = CoverageError(share=0.3, floor=0.03, spread=MIN_SPREAD, interior=0.2, interior_spread=MIN_SPREAD)
-    model = fit_model(map_cases())
+    model = fit_model(map_cases(inside=0.5))
     steps = [uniform("forest", texel_m) for texel_m in 0.01 * 2.0 ** np.arange(0.0, 8.0)]
     cases = []
     for each in steps:
@@ -159,7 +162,7 @@ def test_the_fit_recovers_the_errors_of_dense_woods():
         assert errors.is_coverage and errors.wrong_cast != pixels.wrong_cast
         row = {"coverage": errors.wrong_cast, "wrong": pixels.wrong, "interior": errors.interior}
         cases.append(FitCase({"light": SUN, "error": "coverage"}, dense, (each,), row))
-    with_wood = fit_model([*map_cases(), *cases])
+    with_wood = fit_model([*map_cases(inside=0.5), *cases])
     assert with_wood.coverage is not None
     assert (with_wood.coverage.share, with_wood.coverage.floor) == pytest.approx((0.3, 0.03), rel=0.02)
     assert with_wood.coverage.interior == pytest.approx(0.2, rel=0.1)
