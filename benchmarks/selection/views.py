@@ -263,20 +263,30 @@ def _unseen() -> Iterator[ViewInstance]:
 
 
 def _made() -> Iterator[ViewInstance]:
-    """Yield a map and a perspective view of every made terrain. Models are fitted to every second terrain only."""
+    """Yield a map and a perspective view of every made terrain, and two perspective views of dense woods.
+
+    Models are fitted to every second terrain only.
+    """
     for number, (name, site) in enumerate(SITES.items()):
         has_objects = site.houses is not None or site.woods is not None
         azimuth_deg = (37.0 + 73.0 * number) % 360.0
-        suns = {"map": (azimuth_deg, site.altitudes_deg[0]), "eye": ((azimuth_deg + 130.0) % 360.0, site.altitudes_deg[1])}
+        suns = [(azimuth_deg, site.altitudes_deg[0]), ((azimuth_deg + 130.0) % 360.0, site.altitudes_deg[1])]
+        if site.is_dense:
+            for sun, corner in zip(suns, ((0.03, 0.04, 0.6, 0.6, 300.0), (0.97, 0.9, 0.3, 0.4, 300.0)), strict=True):
+                yield ViewInstance(
+                    f"{name}, eye, {sun[1]:g}", "dense wood", name, site, "eye", sun, unseen=number % 2 == 1, look=corner,
+                    size=DENSE_PX,
+                )  # fmt: skip
+            continue
         x, y, u, v = ((0.3, 0.2, 0.5, 0.55), (0.7, 0.25, 0.45, 0.5), (0.25, 0.7, 0.55, 0.5))[number % 3]
         above_m = 25.0 + 20.0 * (number % 3) if has_objects else site.cells * site.cell_m * (0.02 + 0.02 * (number % 3))
-        for view, sun in suns.items():
-            yield ViewInstance(
-                f"{name}, {view}, {sun[1]:g}",
-                ("wooded, map" if view == "map" else "wooded, perspective") if has_objects
-                else ("relief, map" if view == "map" else "relief, perspective"),
-                name, site, view, sun, unseen=number % 2 == 1, look=(x, y, u, v, above_m) if view == "eye" else None,
-            )  # fmt: skip
+        map_family: Family = "wooded, map" if has_objects else "relief, map"
+        eye_family: Family = "wooded, perspective" if has_objects else "relief, perspective"
+        yield ViewInstance(f"{name}, map, {suns[0][1]:g}", map_family, name, site, "map", suns[0], unseen=number % 2 == 1)
+        yield ViewInstance(
+            f"{name}, eye, {suns[1][1]:g}", eye_family, name, site, "eye", suns[1], unseen=number % 2 == 1,
+            look=(x, y, u, v, above_m),
+        )  # fmt: skip
 
 
 def instances() -> list[ViewInstance]:
