@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from benchmarks.compile_profile import PRODUCTS, profile_of, table_of
+from benchmarks.compile_profile import PRODUCTS, profile_lines, profile_product
 from benchmarks.start_times import table
 
 
@@ -34,7 +34,7 @@ def main() -> None:
             print(line, flush=True)
         return
     for product in [args.product] if args.product else PRODUCTS:
-        print("\n".join(table_of(product, profile_of(product, args.file), args.rows)), flush=True)
+        print("\n".join(profile_lines(product, profile_product(product, args.file), args.rows)), flush=True)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import pytest
 import typer
 
 from benchmarks.peers import figures as peer_figures
-from benchmarks.peers.pages import page, short_table
+from benchmarks.peers.pages import format_page, short_table
 from benchmarks.seeds import __main__ as seeds
 from benchmarks.sun_questions.figures import SunComparison
 from benchmarks.sun_questions.words import sun_page
@@ -36,7 +36,7 @@ def test_the_page_of_seeds_is_up_to_date():
 
 def test_the_page_of_peers_is_up_to_date():
     figures = peer_figures.PeerComparison.read(stored_figures("peers/peers.json"))
-    assert (DOCS / "peers.md").read_text(encoding="utf-8") == page(figures, "images/peers.webp")
+    assert (DOCS / "peers.md").read_text(encoding="utf-8") == format_page(figures, "images/peers.webp")
     table = "\n".join(short_table(figures))
     assert table in (ROOT / "README.md").read_text(encoding="utf-8")
 

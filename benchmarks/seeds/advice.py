@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.algorithms import IN_SHADOW
-from benchmarks.contact_sheet import view_of
+from benchmarks.benchmark_views import IN_SHADOW_VIEW
+from benchmarks.contact_sheet import named_view
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.grades import ERROR_SIZE, MAX_RIGHT_SHARE, along_path, errors
 from benchmarks.seeds.times import LIGHTS, measure_times, ratio
@@ -44,7 +44,7 @@ def measure() -> Figures:
     near = {
         f"boxgrid{sun}, {view}": measure_times(f"thesis_boxgrid{sun}", view, (SV, HYBRID))
         for sun in LIGHTS
-        for view in (IN_SHADOW, "close")
+        for view in (IN_SHADOW_VIEW, "close")
     }
     return {
         "views": {f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
@@ -62,7 +62,7 @@ def measure() -> Figures:
 def _errors_in(level: str, view: str, size: tuple[int, int], algorithms: tuple[str, ...] = FOUR) -> Figures:
     """Return the errors of algorithms in a view of a bundled level."""
     scene = bundled(level)
-    return errors(with_truth(scene, view_of(scene, view, size), "main"), algorithms)
+    return errors(with_truth(scene, named_view(scene, view, size), "main"), algorithms)
 
 
 def section(figures: Figures) -> Section:

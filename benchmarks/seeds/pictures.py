@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from benchmarks.contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, sheet_bytes
+from benchmarks.contact_sheet import GAP_PX, PAGE_COLOR, TEXT_COLOR, TEXT_PX, encode_sheet
 from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth
 from skugga.selector.measure.compare import ComparisonRow, false_colours
 from skugga.shadows.render import render_frame
@@ -31,7 +31,7 @@ class CaptionedPicture:
     """A picture with its caption."""
 
     picture: Image.Image
-    text: str
+    caption: str
 
 
 def draw_crop(truth_view: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) -> Image.Image:
@@ -78,10 +78,10 @@ def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> N
         return
     width, height = cells[0].picture.size
     step_x, step_y = width + GAP_PX, height + 2 * TEXT_PX + GAP_PX
-    page = Image.new("RGB", (columns * step_x + GAP_PX, -(-len(cells) // columns) * step_y + GAP_PX), PAPER)
+    page = Image.new("RGB", (columns * step_x + GAP_PX, -(-len(cells) // columns) * step_y + GAP_PX), PAGE_COLOR)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX - 3)
     for number, cell in enumerate(cells):
         x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
         page.paste(cell.picture, (x, y))
-        draw.text((x, y + height + TEXT_PX), cell.text, INK, font, anchor="lm")
-    (IMAGES / name).write_bytes(sheet_bytes(page, ".webp", 1000 * MAX_KB))
+        draw.text((x, y + height + TEXT_PX), cell.caption, TEXT_COLOR, font, anchor="lm")
+    (IMAGES / name).write_bytes(encode_sheet(page, ".webp", 1000 * MAX_KB))

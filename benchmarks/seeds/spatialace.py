@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.algorithms import frames_of_sizes
+from benchmarks.algorithms import measure_frames_by_map_size
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import interleaved_times
 from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, factor, format_largest, percent, reason, whole_percent
@@ -61,7 +61,7 @@ MIN_LEAK = 0.01
 
 def measure() -> Figures:
     truth_view = view_with_truth(bundled("spatialace"), "main", FRAME)
-    rows = frames_of_sizes(REPEATS, SIZES, depth_bits=16)
+    rows = measure_frames_by_map_size(REPEATS, SIZES, depth_bits=16)
     true_shares = coverage_truth(truth_view.buffer, truth_view.scene, truth_view.casters, BLOCK_PX)
 
     def quality(overrides: ShadowOverrides) -> dict[str, float]:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.algorithms import COMPARED_VARIANTS, benchmark_view, plans_of
+from benchmarks.algorithms import COMPARED_VARIANTS
+from benchmarks.benchmark_views import benchmark_view, make_plans
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, interleaved_times, measure_times, medians, ratio
 from benchmarks.seeds.verdicts import (
@@ -67,7 +68,7 @@ def timed_sizes(level: str) -> Figures:
     runs = {}
     for size in (SIZE, HALF_SIZE):
         view_shot = benchmark_view(level, "main", size)
-        plans = plans_of(view_shot, {key: COMPARED_VARIANTS[key] for key in FOUR})
+        plans = make_plans(view_shot, {key: COMPARED_VARIANTS[key] for key in FOUR})
         runs |= {f"{key} {size[0]}": (view_shot, plan) for key, plan in plans.items()}
     return medians(runs, REPEATS)
 

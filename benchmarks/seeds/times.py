@@ -1,7 +1,7 @@
 """Times of shadow algorithms, and of other tasks, that take turns.
 
-Times are medians of the shadow alone, without the rest of the frame (``algorithms.run_interleaved``). Each is measured once in a
-process.
+Times are medians of the shadow alone, without the rest of the frame (``benchmark_views.run_interleaved``). Each is measured once in
+a process.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.algorithms import COMPARED_VARIANTS, COUNTING_VARIANTS, BenchmarkView, benchmark_view, plans_of, run_interleaved
+from benchmarks.algorithms import COMPARED_VARIANTS, COUNTING_VARIANTS
+from benchmarks.benchmark_views import BenchmarkView, benchmark_view, make_plans, run_interleaved
 from benchmarks.seeds.claims import Figures
 from benchmarks.seeds.verdicts import FOUR
 from skugga.shadows.plan import Plan
@@ -39,7 +40,7 @@ def measure_times(level: str, view: str, algorithms: tuple[str, ...] = FOUR, rep
     view_shot = benchmark_view(level, view, SIZE)
     every = {**COMPARED_VARIANTS, **COUNTING_VARIANTS}
     return medians(
-        {key: (view_shot, plan) for key, plan in plans_of(view_shot, {key: every[key] for key in algorithms}).items()}, repeats
+        {key: (view_shot, plan) for key, plan in make_plans(view_shot, {key: every[key] for key in algorithms}).items()}, repeats
     )
 
 

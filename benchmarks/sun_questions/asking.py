@@ -11,8 +11,8 @@ import numpy as np
 import rasterio
 from pyproj import Transformer
 
-from benchmarks.peers.tools import PROGRAMS as PEERS_PROGRAMS
-from benchmarks.peers.tools import version_in_output, write_dem
+from benchmarks.peers.tools import PROGRAMS_FILE as PEERS_PROGRAMS
+from benchmarks.peers.tools import installed_version, write_dem
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS_FILE = Path(__file__).with_name("programs.py")
@@ -91,5 +91,5 @@ def versions_of(python: str) -> dict[str, str]:
         "GRASS": ["grass", "--version"],
         "Skugga": [sys.executable, str(PEERS_PROGRAMS), "--version", "skugga", "numpy"],
     }
-    versions = {name: version_in_output(command) for name, command in commands.items()}
+    versions = {name: installed_version(command) for name, command in commands.items()}
     return {name: number for name, number in versions.items() if number is not None}

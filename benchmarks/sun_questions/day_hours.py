@@ -76,7 +76,7 @@ class HoursTool:
     computing: Callable[[QuestionDem, Path], list[str]] | None = None
 
     @property
-    def ours(self) -> bool:
+    def is_skugga(self) -> bool:
         return self.tool == "Skugga"
 
     def run(self, dem: QuestionDem) -> tuple[np.ndarray, ToolRun, float | None]:
@@ -252,6 +252,6 @@ def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: in
         sampled_hours = hours[truth.row, truth.col]
         error_min, as_is = (np.abs(sampled_hours - truth.of(sun)) * 60.0 for sun in (tool.sun, "astronomy"))
         yield SunAnswer(
-            HOURS, case, tool.name, tool.ours, compute_s, run.whole_s, run.cpu_s, float(error_min.mean()),
+            HOURS, case, tool.name, tool.is_skugga, compute_s, run.wall_s, run.cpu_s, float(error_min.mean()),
             float(np.percentile(error_min, 99)), float(as_is.mean()),
         )  # fmt: skip

@@ -85,7 +85,7 @@ class SunComparison:
         kinds = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
         return SunComparison(**{**values, **{key: [kind(**entry) for entry in values[key]] for key, kind in kinds.items()}})
 
-    def of(self, question: str, case: str | None = None) -> list[SunAnswer]:
+    def answers_to(self, question: str, case: str | None = None) -> list[SunAnswer]:
         """Return the answers to a question, optionally only those in one case."""
         return [answer for answer in self.answers if answer.question == question and case in (None, answer.case)]
 
@@ -104,7 +104,7 @@ def standings(comparison: SunComparison, question: str, clock: str) -> dict[str,
     Tools without seconds by ``clock``, or without an error, are omitted.
     """
     result: dict[str, list[ToolStanding]] = {}
-    for answer in comparison.of(question):
+    for answer in comparison.answers_to(question):
         taken_s = ANSWER_CLOCKS[clock](answer)
         if taken_s is not None and answer.wrong is not None:
             tool = ToolRecord(answer.tool, "", "", answer.ours, True, 0.0)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from benchmarks.peers.tools import Tool, ToolJob, ToolRun, run_process, tools_of
+from benchmarks.peers.tools import Tool, ToolJob, ToolRun, make_tools, run_process
 from benchmarks.sun_hours_accuracy import CellRays
 from benchmarks.sun_questions.asking import SKUGGA_COMMAND, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
@@ -115,7 +115,7 @@ def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, 
     times = mask_times(dem.lon_lat[0])
     truth = mask_truth(dem, times, cells)
     yield from _skugga(dem, times, truth)
-    for tool in tools_of(python):
+    for tool in make_tools(python):
         if tool.name in PEER_NAMES and tool.installed_version() is not None:
             try:
                 yield from _peer(tool, dem, truth)
@@ -147,7 +147,7 @@ def _peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]
     for n in indices:
         job = ToolJob(dem.path, float(truth.azimuth_deg[n]), float(truth.altitude_deg[n]), dem.path.with_name("mask.tif"))
         runs.append(tool.run(job))
-        if tool.lit is not None:
+        if tool.decode_mask is not None:
             lit.append(tool.mask(job)[truth.row, truth.col])
     error_share = as_is = None
     if lit:
@@ -158,8 +158,8 @@ def _peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]
     yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, error_share, as_is, times)
     computing = [run.compute_s for run in runs if run.compute_s is not None]
     if len(computing) == len(runs):
-        start = min(runs, key=lambda run: run.whole_s - (run.compute_s or 0.0))
-        compute_s, begin_s = sum(computing) * times, start.whole_s - (start.compute_s or 0.0)
+        start = min(runs, key=lambda run: run.wall_s - (run.compute_s or 0.0))
+        compute_s, begin_s = sum(computing) * times, start.wall_s - (start.compute_s or 0.0)
         yield SunAnswer(
             MASKS,
             dem.name,
@@ -184,7 +184,7 @@ def _mask_answer(
     as_is: float | None,
     times: float = 1.0,
 ) -> SunAnswer:
-    wall_s, cpu_s = (times * sum(getattr(run, cost) for run in runs) for cost in ("whole_s", "cpu_s"))
+    wall_s, cpu_s = (times * sum(getattr(run, cost) for run in runs) for cost in ("wall_s", "cpu_s"))
     return SunAnswer(MASKS, dem.name, name, is_ours, None, wall_s, cpu_s, error_share, None, as_is, times > 1.0)
 
 

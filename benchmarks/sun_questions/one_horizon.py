@@ -144,7 +144,7 @@ class HorizonTool:
     ----------
     name
         Name with the settings.
-    ours
+    is_skugga
         Whether it is part of Skugga.
     command
         Returns its command for a raster, an output file and a point (x, y).
@@ -161,7 +161,7 @@ class HorizonTool:
     """
 
     name: str
-    ours: bool
+    is_skugga: bool
     command: Callable[[QuestionDem, Path, tuple[float, float]], list[str]]
     read: Callable[[Path], np.ndarray]
     truth: Callable[[QuestionDem, int, int, np.ndarray], np.ndarray]
@@ -237,8 +237,8 @@ def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, le
             compute_s = float(np.median([run.compute_s for run in runs if run.compute_s is not None]))
             more_s = compute_s * (1.0 / tool.share - 1.0)
             yield SunAnswer(
-                HORIZON, f"{dem.name}, {place}", tool.name, tool.ours, compute_s + more_s,
-                float(np.median([run.whole_s for run in whole_runs])) + more_s,
+                HORIZON, f"{dem.name}, {place}", tool.name, tool.is_skugga, compute_s + more_s,
+                float(np.median([run.wall_s for run in whole_runs])) + more_s,
                 float(np.median([run.cpu_s for run in whole_runs])) + more_s,
                 float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(as_is.mean()), tool.share < 1.0,
             )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.peers.figures import dominated_rows, unmatched_peers
-from benchmarks.peers.pages import percent, seconds
+from benchmarks.peers.pages import format_percent, format_seconds
 from benchmarks.seeds.claims import table
 from benchmarks.sun_questions.day_hours import HOURS
 from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, standings
@@ -24,28 +24,28 @@ def amount(question: str, value: float | None) -> str:
     if value is None:
         return "-"
     if question == MASKS:
-        return percent(value)
+        return format_percent(value)
     return f"{value:.2f}" if value >= 0.1 or value == 0.0 else f"{value:.1g}"
 
 
 def _format_seconds(value: float | None, answer: SunAnswer) -> str:
-    return "-" if value is None else f"{'~ ' if answer.scaled else ''}{seconds(value)}"
+    return "-" if value is None else f"{'~ ' if answer.scaled else ''}{format_seconds(value)}"
 
 
 def answer_table(comparison: SunComparison, question: str) -> list[str]:
     """Format a line for each tool in each case."""
     rows = []
-    for answer in comparison.of(question):
+    for answer in comparison.answers_to(question):
         name = f"**{answer.tool}**" if answer.ours else answer.tool
         row = {"case": answer.case, "tool": name}
-        if any(sun_answer.compute_s is not None for sun_answer in comparison.of(question)):
+        if any(sun_answer.compute_s is not None for sun_answer in comparison.answers_to(question)):
             row["computing, s"] = _format_seconds(answer.compute_s, answer)
         row["whole process, s"], row["its CPU time, s"] = (
             _format_seconds(answer.whole_s, answer),
             _format_seconds(answer.cpu_s, answer),
         )
         row[f"wrong, {UNITS[question]}"] = amount(question, answer.wrong)
-        if any(sun_answer.wrong_p99 is not None for sun_answer in comparison.of(question)):
+        if any(sun_answer.wrong_p99 is not None for sun_answer in comparison.answers_to(question)):
             row["99 % under"] = amount(question, answer.wrong_p99)
         row["wrong as it is"] = amount(question, answer.wrong_as_is)
         rows.append(row)
@@ -57,8 +57,8 @@ def question_verdict(comparison: SunComparison, question: str) -> str:
 
     Also name the peers that are faster, and those that are more accurate.
     """
-    peers = {answer.tool for answer in comparison.of(question) if not answer.ours and answer.wrong is not None}
-    if not peers or not any(answer.ours for answer in comparison.of(question)):
+    peers = {answer.tool for answer in comparison.answers_to(question) if not answer.ours and answer.wrong is not None}
+    if not peers or not any(answer.ours for answer in comparison.answers_to(question)):
         return "Open: there was nothing to compare with."
     lines = []
     for clock in ANSWER_CLOCKS:
@@ -171,7 +171,7 @@ def sun_page(comparison: SunComparison) -> str:
         "its\nchildren, which suffers less, stands beside them. Every tool runs as a process of its own, one at a time.",
     ]
     for question in TITLES:
-        if comparison.of(question):
+        if comparison.answers_to(question):
             cases = "\n".join(f"- *{case.case}*: {case.about}" for case in comparison.cases if case.question == question)
             parts += [f"## {TITLES[question]}", question_verdict(comparison, question), cases, METHODS[question]]
             parts.append("\n".join(answer_table(comparison, question)))
