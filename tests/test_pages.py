@@ -31,7 +31,7 @@ def stored_figures(name: str) -> dict:
 def test_the_page_of_seeds_is_up_to_date():
     figures = stored_figures("seeds/seeds.json")
     assert list(next(iter(figures.values()))["experiments"]) == list(seeds.EXPERIMENTS), "every experiment was made"
-    assert (DOCS / "seeds.md").read_text(encoding="utf-8") == seeds.page(figures)
+    assert (DOCS / "seeds.md").read_text(encoding="utf-8") == seeds.format_page(figures)
 
 
 def test_the_page_of_peers_is_up_to_date():

@@ -15,7 +15,7 @@ from benchmarks.peers.figures import (
     standings_by_case,
     unmatched_results,
 )
-from benchmarks.seeds.claims import table
+from benchmarks.seeds.claims import markdown_table
 
 
 def format_percent(share: float) -> str:
@@ -67,12 +67,12 @@ def time_table(comparison: PeerComparison) -> list[str]:
         row["off them"] = format_percent(mean_wrong_share(comparison, tool, False)) if wrong_shares else "-"
         row["worst"] = format_percent(max(wrong_shares)) if wrong_shares else "-"
         rows.append(row)
-    return table(rows)
+    return markdown_table(rows)
 
 
 def error_table(comparison: PeerComparison) -> list[str]:
     """Format a line for each tool that casts shadows: false and missed shadow in every case."""
-    return table([
+    return markdown_table([
         {"tool": tool.name}
         | {answer.case: (f"{format_percent(answer.false_shadow or 0)} / "
             f"{format_percent(answer.missed_shadow or 0)}") for answer in comparison.results_of(tool)}
@@ -94,7 +94,7 @@ def short_table(comparison: PeerComparison) -> list[str]:
             "whole process, s": format_seconds(process_s),
             "wrong cells off the axes, %": format_percent(mean_wrong_share(comparison, tool, False)) if tool.casts else "-",
         })  # fmt: skip
-    return table(rows)
+    return markdown_table(rows)
 
 
 SHORT_TABLE_ROWS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.peers.figures import dominated_rows, unmatched_peers
 from benchmarks.peers.pages import format_percent, format_seconds
-from benchmarks.seeds.claims import table
+from benchmarks.seeds.claims import markdown_table
 from benchmarks.sun_questions.day_hours import HOURS
 from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, standings
 from benchmarks.sun_questions.many_masks import MASKS, NEAR_DEG
@@ -49,7 +49,7 @@ def answer_table(comparison: SunComparison, question: str) -> list[str]:
             row["99 % under"] = amount(question, answer.wrong_p99)
         row["wrong as it is"] = amount(question, answer.wrong_as_is)
         rows.append(row)
-    return table(rows)
+    return markdown_table(rows)
 
 
 def question_verdict(comparison: SunComparison, question: str) -> str:
@@ -111,7 +111,7 @@ def _better_peers_text(comparison: SunComparison, question: str, merit: str, clo
 
 def check_table(comparison: SunComparison) -> list[str]:
     """Format a line for each tool: its hours of sun on a level floor, and its error before a cliff."""
-    return table([
+    return markdown_table([
         {
             "tool": check.tool,
             "level floor, h": f"{check.floor_h:.3f}",
