@@ -24,7 +24,7 @@ import numpy as np
 import rasterio
 from numba.core import event
 
-from benchmarks.sweep_speed import mountains
+from benchmarks.sweep_speed import fractal_heights_m
 
 ROOT = Path(__file__).resolve().parents[1]
 WOODED_LEVEL = ROOT / "configs" / "jacksboro_wooded.yaml"
@@ -134,7 +134,7 @@ def _reference_loop(number: int) -> Callable[[np.ndarray, float], float]:
 
 def write_mountains(folder: Path) -> Path:
     """Write a GeoTIFF of fractal mountains with a hole, and return its path."""
-    heights = mountains(SIDE_CELLS)
+    heights = fractal_heights_m(SIDE_CELLS)
     heights[100:120, 200:230] = -9999.0
     path = folder / "mountains.tif"
     with rasterio.open(

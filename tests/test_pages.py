@@ -17,7 +17,7 @@ from benchmarks.peers import figures as peer_figures
 from benchmarks.peers.pages import format_page, short_table
 from benchmarks.seeds import __main__ as seeds
 from benchmarks.sun_questions.figures import SunComparison
-from benchmarks.sun_questions.words import sun_page
+from benchmarks.sun_questions.words import format_sun_page
 from skugga.api.cli.main import app
 
 ROOT = Path(__file__).parent.parent
@@ -43,7 +43,7 @@ def test_the_page_of_peers_is_up_to_date():
 
 def test_the_page_of_sun_questions_is_up_to_date():
     figures = SunComparison.read(stored_figures("sun_questions/sun_questions.json"))
-    assert (DOCS / "sun-questions.md").read_text(encoding="utf-8") == sun_page(figures)
+    assert (DOCS / "sun-questions.md").read_text(encoding="utf-8") == format_sun_page(figures)
 
 
 def test_no_peer_is_both_faster_and_more_accurate():

@@ -33,7 +33,7 @@ from benchmarks.peers.pages import format_page, short_table
 from benchmarks.peers.picture import write_plot
 from benchmarks.peers.tools import Tool, ToolJob, ToolRun, check_pole, make_tools, write_dem
 from benchmarks.sweep_accuracy import GridRays, GridTruth
-from benchmarks.sweep_speed import CELL_M, _processor, mountains
+from benchmarks.sweep_speed import CELL_M, fractal_heights_m, processor_name
 from skugga.terrain.level.bundled import BUNDLED
 
 HERE = Path(__file__).parent
@@ -63,7 +63,7 @@ def test_rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
     Rasters have at most ``side`` cells a side.
     """
     height_m, cell_m = read_jacksboro()
-    return {"Jacksboro": (np.ascontiguousarray(height_m[:side, :side]), cell_m), "fractal": (mountains(side), CELL_M)}
+    return {"Jacksboro": (np.ascontiguousarray(height_m[:side, :side]), cell_m), "fractal": (fractal_heights_m(side), CELL_M)}
 
 
 def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str], list[ToolRecord]]:
@@ -159,7 +159,7 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
         if key[0] in tools
     ]
     records = [record for record in records if record.name not in left_out]
-    machine = f"{_processor()}, {os.cpu_count()} cores"
+    machine = f"{processor_name()}, {os.cpu_count()} cores"
     return PeerComparison(machine, repeats, MAX_REPEATED_RUN_S, time.perf_counter() - begin, terrains, records, left_out, answers)
 
 

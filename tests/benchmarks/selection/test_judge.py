@@ -16,7 +16,7 @@ from benchmarks.selection.judge import (
     GoalInstance,
     equivalent_row,
     instances_of,
-    marginal,
+    marginal_values,
     score_choices,
     single_best,
 )
@@ -242,13 +242,13 @@ def test_marginal_value_is_the_loss_without_an_algorithm():
     """
     swept = view_record({"a": row(10.0, 0.0, algorithms="sweep"), "b": row(20.0, 0.0, algorithms="shadow_map")})
     mapped = view_record({"b": row(10.0, 0.0, algorithms="shadow_map"), "c": row(15.0, 0.0, algorithms="shadow_volume")})
-    marginal_values = marginal(instances_of([swept, mapped], [THREE_PERCENT]), ["sweep", "shadow_map", "shadow_volume", "planar"])
-    assert marginal_values["sweep"] == pytest.approx((0.5, 0.5))
-    assert marginal_values["shadow_map"] == pytest.approx((0.25, 0.5))
-    assert marginal_values["shadow_volume"] == marginal_values["planar"] == (0.0, 0.0)
+    values = marginal_values(instances_of([swept, mapped], [THREE_PERCENT]), ["sweep", "shadow_map", "shadow_volume", "planar"])
+    assert values["sweep"] == pytest.approx((0.5, 0.5))
+    assert values["shadow_map"] == pytest.approx((0.25, 0.5))
+    assert values["shadow_volume"] == values["planar"] == (0.0, 0.0)
     # If every row needs the algorithm, its target is missed: ten times the worst row, which takes twice the time of the best.
     two_sweeps = view_record({"a": row(10.0, 0.0, algorithms="sweep+hybrid"), "b": row(20.0, 0.0, algorithms="sweep")})
-    assert marginal(instances_of([two_sweeps], [THREE_PERCENT]), ["sweep", "hybrid"]) == {
+    assert marginal_values(instances_of([two_sweeps], [THREE_PERCENT]), ["sweep", "hybrid"]) == {
         "sweep": (19.0, 1.0),
         "hybrid": (1.0, 1.0),
     }
