@@ -27,7 +27,7 @@ REPORT_FACTS = dict.fromkeys(("level", "view", "size", "light", "device", "drive
 RUN = {"time_limit_s": 70.0, "took_s": 70, "load": 0.0}
 
 
-def parsed(command: str) -> dict[str, Any]:
+def parse_command(command: str) -> dict[str, Any]:
     """Return the parameters of a command line of ``skugga compare``. Raise the command's own errors."""
     program, name, *words = shlex.split(command)
     assert (program, name) == ("skugga", "compare")
@@ -35,7 +35,7 @@ def parsed(command: str) -> dict[str, Any]:
     return group.commands[name].make_context(name, words).params
 
 
-def record_of(*rows: dict[str, Any], **other_figures: Any) -> dict[str, Any]:
+def make_record(*rows: dict[str, Any], **other_figures: Any) -> dict[str, Any]:
     return stored_figures(SCENES["city"], comparison(*rows, **other_figures), REPORT_FACTS) | RUN
 
 
@@ -66,7 +66,7 @@ def test_a_published_report_is_one_small_file(name: str) -> None:
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=lambda scene: scene.name)
 def test_the_command_of_a_scene_matches_its_measurement(scene: Any) -> None:
-    parameters = parsed(scene.command)
+    parameters = parse_command(scene.command)
     assert (parameters["level"], parameters["view"], parameters["size"]) == (scene.level, scene.view, "{}x{}".format(*scene.size))
     assert scene.sun == (None if parameters["azimuth"] is None else (parameters["azimuth"], parameters["altitude"]))
     bounds = parameters["bounds"] and tuple(map(float, parameters["bounds"].split(",")))
@@ -79,26 +79,26 @@ def test_skugga_accepts_every_command_on_the_page() -> None:
     lines = [line for line in blocks.splitlines() if line] + re.findall(r"`(skugga compare [^`]*-o DIR)`", PAGE)
     assert len(lines) == sum(len(stored_record["left_out"]) + 1 for stored_record in reports.stored_records().values())
     for line in lines:
-        parsed(line)
+        parse_command(line)
 
 
 def test_every_omitted_variant_has_its_command() -> None:
     left_out = ("relief=sweep,meshes=hybrid-768", "shadow_map-512-3-32")
-    scene_record = record_of(figures("sweep", 12.0, 0.03), left_out=left_out)
-    assert [parsed(line)["only"] for line in omitted_row_commands(scene_record)] == [[name] for name in left_out]
+    scene_record = make_record(figures("sweep", 12.0, 0.03), left_out=left_out)
+    assert [parse_command(line)["only"] for line in omitted_row_commands(scene_record)] == [[name] for name in left_out]
     text = format_comparisons({"city": scene_record})
     assert all(f"\n{line}\n" in text for line in omitted_row_commands(scene_record)) and "1 of 3" in text
-    assert "No variant was left out." in format_comparisons({"city": record_of(figures("sweep", 12.0, 0.03))})
+    assert "No variant was left out." in format_comparisons({"city": make_record(figures("sweep", 12.0, 0.03))})
 
 
 def test_an_invalid_command_is_detected() -> None:
     with pytest.raises(Exception, match="--row"):
-        parsed("skugga compare jacksboro --row sweep")
+        parse_command("skugga compare jacksboro --row sweep")
 
 
 def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
     leaky = figures("planar", 1.0, 0.001, interior=2 * MAX_INTERIOR)
-    scene_record = record_of(
+    scene_record = make_record(
         NONE_FIGURES, leaky, figures("shadow_map-1", 5.0, 0.08), figures("sweep", 20.0, 0.008), figures("hybrid", 30.0, 0.009)
     )
     assert "| city | `wrong_cast` | `shadow_map-1`, 5.0 ms | `sweep`, 20 ms | `sweep`, 20 ms | none |" in format_comparisons(
@@ -116,13 +116,13 @@ def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
 )
 def test_the_page_ranks_the_default(rival: dict[str, float], place: str) -> None:
     default = figures("hybrid", 10.0, 0.02, pareto_soft=not (rival["ms"] < 10.0 and rival["soft_error"] < 0.02))
-    scene_record = record_of(default, figures("sweep", **rival), default="hybrid")
+    scene_record = make_record(default, figures("sweep", **rival), default="hybrid")
     assert f"| city | `hybrid` | 2.0 % | 2.0 % | 10 ms | {place} |" in format_comparisons({"city": scene_record})
 
 
 def test_names_of_rows_in_sentences_are_code() -> None:
     """Underscores would be emphasis in Markdown, and one name may begin with another."""
-    scene_record = record_of(figures("shadow_map", 1.0, 0.1), figures("shadow_map-1024-1-32", 2.0, 0.01))
+    scene_record = make_record(figures("shadow_map", 1.0, 0.1), figures("shadow_map-1024-1-32", 2.0, 0.01))
     text = format_comparisons({"city": scene_record})
     assert "The fastest is `shadow_map`: " in text and "The most accurate is `shadow_map-1024-1-32`: " in text
 

@@ -13,11 +13,11 @@ from benchmarks.sun_questions.words import answer_table, format_verdict
 from skugga.terrain.geo.sun_path import sun_path
 
 
-def answer(tool: str, is_ours: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
+def make_answer(tool: str, is_ours: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
     return SunAnswer(question, "somewhere", tool, is_ours, seconds, seconds + 1.0, seconds, error, error, error)
 
 
-def comparison(*answers: SunAnswer) -> SunComparison:
+def make_comparison(*answers: SunAnswer) -> SunComparison:
     return SunComparison("here", 1.0, 60.0, {}, {}, [], [], list(answers))
 
 
@@ -111,18 +111,20 @@ def test_uncertain_points_do_not_count():
 
 
 def test_the_verdict_names_dominated_rows_and_a_lost_front():
-    our_answer, peer_answer = answer("own", True, 2.0, 1.0), answer("peer", False, 1.0, 0.5)
-    verdict = format_verdict(comparison(our_answer, peer_answer), "hours of a day")
+    our_answer, peer_answer = make_answer("own", True, 2.0, 1.0), make_answer("peer", False, 1.0, 0.5)
+    verdict = format_verdict(make_comparison(our_answer, peer_answer), "hours of a day")
     assert "own by peer (somewhere)" in verdict and "peer beats every row (somewhere)" in verdict
     assert "More accurate than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in verdict
     assert "Faster by computing than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in verdict
-    saved = format_verdict(comparison(our_answer, answer("exact", True, 9.0, 0.1), peer_answer), "hours of a day")
+    saved = format_verdict(make_comparison(our_answer, make_answer("exact", True, 9.0, 0.1), peer_answer), "hours of a day")
     assert "No peer beats all of its rows" in saved
     assert "More accurate than Skugga's best row: no peer" in saved
 
 
 def test_a_peer_that_is_only_faster_is_named():
-    verdict = format_verdict(comparison(answer("own", True, 2.0, 0.1), answer("quick", False, 1.0, 0.5)), "hours of a day")
+    verdict = format_verdict(
+        make_comparison(make_answer("own", True, 2.0, 0.1), make_answer("quick", False, 1.0, 0.5)), "hours of a day"
+    )
     assert verdict.count("no peer is both faster and more accurate") == 3
     assert "Faster by the whole process than Skugga's best row: quick in 1 of 1 cases, up to 1.5 times." in verdict
 
@@ -130,7 +132,7 @@ def test_a_peer_that_is_only_faster_is_named():
 def test_tools_without_times_or_errors_have_no_rank():
     untimed = SunAnswer("masks", "somewhere", "bound", False, None, 1.0, None, 0.1, None)
     silent = SunAnswer("masks", "somewhere", "casts none", False, None, 1.0, 1.0, None, None)
-    sun_comparison = comparison(untimed, silent, answer("own", True, 1.0, 0.2, "masks"))
+    sun_comparison = make_comparison(untimed, silent, make_answer("own", True, 1.0, 0.2, "masks"))
     assert [place.tool.name for place in tool_standings(sun_comparison, "masks", "the whole process")["somewhere"]] == [
         "bound",
         "own",
@@ -140,4 +142,4 @@ def test_tools_without_times_or_errors_have_no_rank():
 
 def test_multiplied_seconds_are_marked():
     scaled = SunAnswer("horizon at a point", "somewhere", "slow", False, 3.0, 3.0, 3.0, 0.25, 1.0, 0.25, scaled=True)
-    assert "| ~ 3.0 |" in "\n".join(answer_table(comparison(scaled), "horizon at a point"))
+    assert "| ~ 3.0 |" in "\n".join(answer_table(make_comparison(scaled), "horizon at a point"))

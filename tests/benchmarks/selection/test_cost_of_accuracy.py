@@ -48,8 +48,8 @@ def test_prices_respect_interior_errors_and_noise_of_truth():
     )
 
 
-def test_views_in_which_one_plan_serves_both_goals_have_no_price():
-    """They are counted, and left out of the median."""
+def test_views_with_the_same_plan_for_both_goals_have_no_price():
+    """Such views are counted, but the median of the prices omits them."""
     views = [view("a", (10.0, 0.001), (20.0, 0.0))] * 3 + [view("a", (10.0, 0.09), (40.0, 0.001)), view("a", (5.0, 0.2))]
     finest = prices(views)[-1]
     assert (finest.ratios.tolist(), finest.same_plan_views, finest.comparable_views, finest.view_count) == ([4.0], 3, 4, 5)
