@@ -10,23 +10,24 @@
 
 * ``redrawn``: the sun moves before every frame by a step that never repeats. No cache holds anything for it, so the map is drawn
   again. Planning is not timed.
-* ``kept``: sun and camera rest, so the cached map of the previous frame is looked up again.
+* ``kept``: sun and camera rest, so the frame samples the cached map of the previous frame.
 
 `cascades` compares four cascades of 1024 texels a side with one map of 2048 (the same memory). Both are compared with ray-traced
 truth. The view is from a summit over houses and 20 km of mountains, with shadow edges near and far.
 
 `thesis` follows J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), section 7. The thesis's algorithms take turns in the
 main views of its scenes, each under a spot light and under the sun. Single maps have 1024 texels a side, those of the hybrids 768.
-Times are those of the shadow alone, between the collection of casters and shading. Ratios are those of medians to ``shadow_map``.
-``redrawn`` includes all costs of a light that moves, ``kept`` the remaining costs while light and casters rest. With `--cpu` times
-are the CPU time of all threads, for machines with other load.
+Times cover the shadow pass alone, from the collection of casters to shading. Ratios are median times divided by the median of
+``shadow_map``. ``redrawn`` includes all costs of a moving light, ``kept`` the remaining costs while light and casters rest. With
+`--cpu`, times are the CPU time of all threads, for machines with other load.
 
 `stencil` compares the ways of counting shadow volumes, and the hybrids with the eye in shadow. A hybrid uses a small shadow map
-where the map provably decides, and shadow volumes in the other pixels. Ratios are those to ``shadow_volume``. ``MiB`` is the peak
-memory of a pass. ``marked`` and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid leaves to its
-volumes. ``differs`` is the share of pixels whose shadow differs from that of ``shadow_volume``. The targets follow below.
+where the map provably decides, and shadow volumes in the other pixels. Ratios are times divided by those of ``shadow_volume``.
+``MiB`` is the peak memory of a pass. ``marked`` and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid
+leaves to its volumes. ``differs`` is the share of pixels whose shadow differs from that of ``shadow_volume``. ``TARGETS`` lists the
+targets.
 
-The line sweep's speed has a script of its own, `benchmarks/sweep_speed.py`: it needs no OpenGL.
+`benchmarks/sweep_speed.py` measures the speed of the line sweep without OpenGL.
 """
 
 from __future__ import annotations
@@ -37,47 +38,40 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
+from benchmarks.benchmark_views import IN_SHADOW_VIEW, benchmark_view, make_plans, run_interleaved
 from skugga.api.catalogue import find_level
-from skugga.selector.measure.compare import measure_plan, picture_blocks
+from skugga.selector.measure.compare import measure_plan
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
-from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
-from skugga.shadows.visibility import fill_steps
 from skugga.shadows.volumes.tiles import marked_tiles
-from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.antialias import MultisampledBuffer
-from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
-SIZE = (800, 600)
+SPATIALACE_SIZE_PX = (800, 600)
 SUN_STEP_DEG = 0.07
 """Degrees that the sun moves between redrawn frames."""
 
-RIDGES_M, RIDGES_CELL_M = 24_000, 20
-EYE_M = (-9692.0, -11_000.0)
-"""A summit in the south-west of generated mountains; the view looks at their middle."""
+RIDGES_SIDE_M, RIDGES_CELL_M = 24_000, 20
+SUMMIT_XY_M = (-9692.0, -11_000.0)
+"""A summit in the south-west of generated mountains, (x, y) in the level's frame. The view looks at their middle."""
 
 HOUSE_DISTANCES_M = (60, 90, 130, 190, 280, 400, 600, 900, 1300, 2000, 3000)
 """Distances from the eye of groups of five houses, for shadow edges near and far."""
 
-SUNS = [(100.0, 10.0), (300.0, 15.0), (60.0, 12.0)]
+SUN_ANGLES_DEG = [(100.0, 10.0), (300.0, 15.0), (60.0, 12.0)]
 """Azimuths and altitudes of the suns over the cascades."""
 
-SCENES = [f"thesis_{name}{sun}" for name in ("boxgrid", "rocks", "street", "room", "water_tower") for sun in ("", "_sun")]
+THESIS_LEVELS = [f"thesis_{name}{sun}" for name in ("boxgrid", "rocks", "street", "room", "water_tower") for sun in ("", "_sun")]
 
 COMPARED_VARIANTS: dict[str, dict[str, Any]] = {
     "shadow_map": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
@@ -99,11 +93,7 @@ COUNTING_VARIANTS: dict[str, dict[str, Any]] = {
 """Ways of counting shadow volumes, as overrides by name. The first draws both sides of faces at a time, with z-pass where it is
 valid."""
 
-IN_SHADOW, AHEAD_M = "in shadow", 23.0
-"""Name of a view, and its distance ahead of the box grids' main view along the view axis, metres. Its eye is in the shadow of both
-the spot and the sun."""
-
-STENCIL_VIEWS = {"boxgrid": ("main", IN_SHADOW, "close"), "rocks": ("main",), "street": ("main",)}
+STENCIL_VIEWS = {"boxgrid": ("main", IN_SHADOW_VIEW, "close"), "rocks": ("main",), "street": ("main",)}
 """Views for the ways of counting. (The box grids' close views have their eyes in the shadow, too.)"""
 
 TARGETS = [
@@ -111,7 +101,7 @@ TARGETS = [
     ("rocks", "main", "perspective_shadow_map", "shadow_map tight", "at most", 1.15),
     ("street", "main", "shadow_volume", "perspective_shadow_map", "under", 1.0),
     ("boxgrid", "main", "shadow_volume", "two passes", "under", 1.0),
-    ("boxgrid", IN_SHADOW, "hybrid", "shadow_volume", "at most", 0.7),
+    ("boxgrid", IN_SHADOW_VIEW, "hybrid", "shadow_volume", "at most", 0.7),
     ("boxgrid", "close", "hybrid", "shadow_volume", "at most", 0.7),
 ]
 """Scene, view, the algorithm that should be fast, its reference, and the target ratio of their times."""
@@ -122,25 +112,25 @@ MAX_MARKED_SHARE = 0.25
 Row = dict[str, Any]
 
 
-def frames(repeats: int, map_size: int) -> list[Row]:
+def measure_frames(repeats: int, map_size: int) -> list[Row]:
     """Measure frame times without shadows, with the shadow map redrawn for every frame, and with a cached map."""
-    return list(frames_of_sizes(repeats, (map_size,)).values())
+    return list(measure_frames_by_map_size(repeats, (map_size,)).values())
 
 
-def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> dict[tuple[str, int], Row]:
-    """Return the rows of ``frames`` for several shadow map sizes that take turns.
+def measure_frames_by_map_size(repeats: int, map_sizes: Sequence[int], **settings: Any) -> dict[tuple[str, int], Row]:
+    """Return the rows of ``measure_frames`` for several shadow map sizes that take turns.
 
     Keys are the mode and the map size. The mode is ``none`` (no shadows, with size 0), ``redrawn`` (the sun has moved) or ``kept``
     (the map is cached). ``settings`` are overrides for every map.
     """
     scene = build_scene(load_level(find_level("spatialace")))
-    view = scene.view("main", size=SIZE)
+    view = scene.view("main", size=SPATIALACE_SIZE_PX)
     assert scene.sun is not None
     azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
 
-    def plan_under(lit: Scene, algorithm: str, map_size: int) -> Plan:
+    def plan_under(scene_with_sun: Scene, algorithm: str, map_size: int) -> Plan:
         overrides = {"algorithm": algorithm, "map_size": map_size, "cascades": 1, **settings}
-        return make_plan(describe(lit, view, "main"), lit.loaded.level, overrides)
+        return make_plan(describe(scene_with_sun, view, "main"), scene_with_sun.loaded.level, overrides)
 
     def under(number: int) -> Scene:
         return scene.with_sun(SunSpec(azimuth=azimuth + SUN_STEP_DEG * number, altitude=altitude))
@@ -178,10 +168,10 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
     return rows
 
 
-def ridges(folder: Path) -> Scene:
+def ridges_scene(folder: Path) -> Scene:
     """Return a scene of mountains of 24 x 24 km, seen from a summit over houses and more than 20 km of ground."""
     trimesh.creation.box(extents=(12.0, 9.0, 8.0)).export(folder / "house.obj")
-    rng, eye = np.random.default_rng(1), np.array(EYE_M)
+    rng, eye = np.random.default_rng(1), np.array(SUMMIT_XY_M)
     forward = -eye / np.linalg.norm(eye)
     sideways = np.array([-forward[1], forward[0]])
     distance_m = np.repeat(HOUSE_DISTANCES_M, 5)
@@ -189,22 +179,32 @@ def ridges(folder: Path) -> Scene:
     houses = eye + (distance_m * forward_factor)[:, None] * forward + (distance_m * sideways_factor)[:, None] * sideways
     level = {
         "version": 1,
-        "terrain": {"generate": {"kind": "ridges", "size": [RIDGES_M, RIDGES_M], "cell": RIDGES_CELL_M, "relief": 1500, "seed": 3}},
+        "terrain": {
+            "generate": {"kind": "ridges", "size": [RIDGES_SIDE_M, RIDGES_SIDE_M], "cell": RIDGES_CELL_M, "relief": 1500, "seed": 3}
+        },
         "meshes": [{"source": "house.obj", "at": houses.round(1).tolist(), "turn": 20}],
-        "views": {"main": {"kind": "perspective", "eye": [*EYE_M, 25], "target": [0, 0, -100], "fov": 50, "size": list(SIZE)}},
+        "views": {
+            "main": {
+                "kind": "perspective",
+                "eye": [*SUMMIT_XY_M, 25],
+                "target": [0, 0, -100],
+                "fov": 50,
+                "size": list(SPATIALACE_SIZE_PX),
+            }
+        },
     }
     path = folder / "ridges.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
     return build_scene(load_level(path))
 
 
-def cascades() -> list[Row]:
-    """Measure the errors of four cascades, and of one map that takes the same memory."""
+def measure_cascades() -> list[Row]:
+    """Measure the errors of four cascades and of one map of the same memory."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        scene_and_view = ridges(Path(folder))
+        scene_and_view = ridges_scene(Path(folder))
         view = scene_and_view.view("main")
-        for azimuth, altitude in SUNS:
+        for azimuth, altitude in SUN_ANGLES_DEG:
             scene = scene_and_view.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
             descriptor = describe(scene, view, "main")
             for count, size in ((1, 2048), (4, 1024)):
@@ -219,124 +219,26 @@ def cascades() -> list[Row]:
     return rows
 
 
-@dataclass(frozen=True, eq=False)
-class BenchmarkView:
-    """A view with its visible points and its casters, in horizontal bands. Points are pixels and samples within pixels."""
-
-    scene: Scene
-    view: PerspectiveView
-    name: str
-    bands: list[tuple[MultisampledBuffer, Casters]]
-
-    def visibility(self, plan: Plan, log: PassLog) -> list[np.ndarray]:
-        """Return the visibility of the scene's only light by the plan's algorithms, one array for each band."""
-        return [self._of_band(picture, casters, plan, log) for picture, casters in self.bands]
-
-    def shadow_mask(self, visibility: list[np.ndarray]) -> np.ndarray:
-        """Return the mask of pixels in cast or attached shadow, bool (rows, cols). Pixels without a surface are False.
-
-        ``visibility`` holds an array for each band.
-        """
-        rows = [
-            picture.pixel_buffer.valid
-            & ((band_visibility[: picture.rows] < 0.5) | attached(picture.pixel_buffer, self.scene, *self.scene.light_names))
-            for band_visibility, (picture, _) in zip(visibility, self.bands, strict=True)
-        ]
-        return np.concatenate(rows)
-
-    @property
-    def valid(self) -> np.ndarray:
-        """The mask of pixels with a surface (rows, cols)."""
-        return np.concatenate([picture.pixel_buffer.valid for picture, _ in self.bands])
-
-    def _of_band(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
-        (light,) = self.scene.light_names
-        return fill_steps(plan.steps_under(light), picture.buffer, self.scene, casters, plan.effect_names, log)
-
-
-def benchmark_view(level: str, name: str, size: tuple[int, int]) -> BenchmarkView:
-    """Return a perspective view of a bundled level that has a single light."""
-    scene = build_scene(load_level(find_level(level)))
-    view = scene.view("main" if name == IN_SHADOW else name, size=size)
-    assert isinstance(view, PerspectiveView)
-    if name == IN_SHADOW:
-        view = replace(view, eye_earth_m=view.eye_earth_m + AHEAD_M * view.earth_from_camera[:, 2])
-    return BenchmarkView(scene, view, name, picture_blocks(scene, view))
-
-
-def thesis(args: argparse.Namespace) -> list[Row]:
+def measure_thesis_scenes(args: argparse.Namespace) -> list[Row]:
     """Measure all algorithms in the main views of the thesis's scenes."""
-    return [row for level in args.scenes or SCENES for row in _interleaved_rows(level, "main", COMPARED_VARIANTS, args)]
+    return [row for level in args.scenes or THESIS_LEVELS for row in _interleaved_rows(level, "main", COMPARED_VARIANTS, args)]
 
 
-def stencil(args: argparse.Namespace) -> list[Row]:
+def measure_stencil(args: argparse.Namespace) -> list[Row]:
     """Measure the ways of counting shadow volumes in the stencil buffer."""
-    levels = args.scenes or [level for level in SCENES if _scene(level) in STENCIL_VIEWS]
-    shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene(level), ("main",))]
+    levels = args.scenes or [level for level in THESIS_LEVELS if _scene_name(level) in STENCIL_VIEWS]
+    shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene_name(level), ("main",))]
     return [row for level, name in shots for row in _interleaved_rows(level, name, COUNTING_VARIANTS, args)]
 
 
-def _scene(level: str) -> str:
+def _scene_name(level: str) -> str:
     return level.removeprefix("thesis_").removesuffix("_sun")
 
 
-@dataclass(frozen=True, eq=False)
-class InterleavedTimes:
-    """Times of runs (a view with a plan) that took turns, drawn once in each of two modes.
-
-    In the mode ``redrawn`` no cache holds data of the light. In the mode ``kept`` the same frame is drawn again with caches.
-
-    Attributes
-    ----------
-    times_ms
-        Milliseconds of each repeat, by run and mode.
-    passes_ms
-        Milliseconds of each pass in each repeat, by run and mode.
-    logs
-        Passes of the last repeat in the mode ``redrawn``, by run.
-    shadow_masks
-        Shadow masks of the last repeat in the mode ``redrawn``, by run.
-    """
-
-    times_ms: dict[tuple[str, str], list[float]]
-    passes_ms: dict[tuple[str, str], list[dict[str, float]]]
-    logs: dict[str, PassLog]
-    shadow_masks: dict[str, np.ndarray]
-
-
-def run_interleaved(
-    runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int, clock: Callable[[], float] = time.perf_counter
-) -> InterleavedTimes:
-    """Draw views with plans in turns, in alternating order, and return their times. The first two turns are not timed."""
-    result = InterleavedTimes({}, {}, {}, {})
-    for number in range(repeats + 2):
-        for key in [*runs][:: 1 if number % 2 else -1]:
-            view_shot, plan = runs[key]
-            clear_caches("light")
-            for mode in ("redrawn", "kept"):
-                log, start = PassLog(), clock()
-                visibility = view_shot.visibility(plan, log)
-                if number >= 2:  # the first turns compile and allocate
-                    result.times_ms.setdefault((key, mode), []).append(1000.0 * (clock() - start))
-                    passes_ms = {record.name.split(": ")[1]: record.ms for record in log.records.values()}
-                    result.passes_ms.setdefault((key, mode), []).append(passes_ms)
-                if mode == "redrawn":
-                    result.logs[key], result.shadow_masks[key] = log, view_shot.shadow_mask(visibility)
-    return result
-
-
-def plans_of(view_under_test: BenchmarkView, overrides_by_key: dict[str, dict[str, Any]]) -> dict[str, Plan]:
-    """Return plans by name for a view; ``overrides_by_key`` holds the names and the overrides of the level's ``shadows``."""
-    descriptor = describe(view_under_test.scene, view_under_test.view, "main")
-    return {
-        key: make_plan(descriptor, view_under_test.scene.loaded.level, overrides) for key, overrides in overrides_by_key.items()
-    }
-
-
-def _interleaved_rows(level: str, name: str, overrides_by_key: dict[str, dict[str, Any]], args: argparse.Namespace) -> list[Row]:
+def _interleaved_rows(level: str, name: str, overrides_by_name: dict[str, dict[str, Any]], args: argparse.Namespace) -> list[Row]:
     """Return a row for each plan. Ratios are those of its times to the times of the first plan."""
     view_shot = benchmark_view(level, name, args.size)
-    plans = plans_of(view_shot, overrides_by_key)
+    plans = make_plans(view_shot, overrides_by_name)
     runs = {key: (view_shot, plan) for key, plan in plans.items()}
     measured_times = run_interleaved(runs, args.repeats, time.process_time if args.cpu else time.perf_counter)
     times, logs, shadow_masks = measured_times.times_ms, measured_times.logs, measured_times.shadow_masks
@@ -363,10 +265,10 @@ def _interleaved_rows(level: str, name: str, overrides_by_key: dict[str, dict[st
     return rows
 
 
-def targets(rows: Sequence[Row]) -> list[Row]:
-    """Evaluate the targets for which there are rows.
+def evaluate_targets(rows: Sequence[Row]) -> list[Row]:
+    """Evaluate the targets that have rows, and return a table row for each.
 
-    The ratio of times with a redrawn shadow map decides. The ratio with a cached map is shown beside it.
+    The time ratio with a redrawn shadow map decides. The ratio with a cached map is only listed.
     """
     row_by_key = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
     result = []
@@ -376,17 +278,17 @@ def targets(rows: Sequence[Row]) -> list[Row]:
             if a is not None and b is not None:
                 measured, kept_ratio = (a[mode] / b[mode] for mode in ("redrawn", "kept"))
                 met = measured < limit if comparison == "under" else measured <= limit
-                result.append(_target(under, view, f"{variant} / {other}: {comparison} {limit}", measured, kept_ratio, met))
+                result.append(_target_row(under, view, f"{variant} / {other}: {comparison} {limit}", measured, kept_ratio, met))
     for (scene, view, key), row in row_by_key.items():
-        if key == "hybrid" and view in (IN_SHADOW, "close"):
+        if key == "hybrid" and view in (IN_SHADOW_VIEW, "close"):
             share = row["marked"]
             result.append(
-                _target(scene, view, f"marked pixels: at most {MAX_MARKED_SHARE}", share, share, share <= MAX_MARKED_SHARE)
+                _target_row(scene, view, f"marked pixels: at most {MAX_MARKED_SHARE}", share, share, share <= MAX_MARKED_SHARE)
             )
     return result
 
 
-def ratios(rows: Sequence[Row]) -> list[Row]:
+def ratio_rows(rows: Sequence[Row]) -> list[Row]:
     """Return a table row for each view: the time ratio of each algorithm with a redrawn and with a cached map."""
     lines: dict[tuple[str, str], Row] = {}
     for row in rows:
@@ -396,30 +298,37 @@ def ratios(rows: Sequence[Row]) -> list[Row]:
     return list(lines.values())
 
 
-def _target(scene: str, view: str, target: str, measured: float, kept_ratio: float, met: bool) -> Row:
-    return {"scene": scene, "view": view, "target": target, "measured": measured, "kept": kept_ratio, "met": "yes" if met else "NO"}
+def _target_row(scene: str, view: str, target: str, measured: float, kept_ratio: float, is_met: bool) -> Row:
+    return {
+        "scene": scene,
+        "view": view,
+        "target": target,
+        "measured": measured,
+        "kept": kept_ratio,
+        "met": "yes" if is_met else "NO",
+    }
 
 
 MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
-    "frames": lambda given: frames(given.repeats, given.map_size),
-    "cascades": lambda given: cascades(),
-    "thesis": thesis,
-    "stencil": stencil,
+    "frames": lambda args: measure_frames(args.repeats, args.map_size),
+    "cascades": lambda args: measure_cascades(),
+    "thesis": measure_thesis_scenes,
+    "stencil": measure_stencil,
 }
 
 
-def table(rows: list[Row]) -> str:
+def markdown_table(rows: list[Row]) -> str:
     """Return rows as a Markdown table of their numbers and strings. Other values are only in the JSON file."""
     keys = [key for key, value in rows[0].items() if isinstance(value, int | float | str)]
-    lines = [keys, ["---"] * len(keys), *([_cell(row[key]) for key in keys] for row in rows)]
+    lines = [keys, ["---"] * len(keys), *([_format_cell(row[key]) for key in keys] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
-def _cell(value: float | str) -> str:
+def _format_cell(value: float | str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _size(text: str) -> tuple[int, int]:
+def _parse_size(text: str) -> tuple[int, int]:
     width, height = (int(side) for side in text.split("x"))
     return width, height
 
@@ -428,19 +337,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=tuple(MEASUREMENTS))
     parser.add_argument("--repeats", type=int, default=30)
-    parser.add_argument("--map-size", type=int, default=512, help="of frames")
-    parser.add_argument("--scenes", nargs="+", help="bundled levels, of thesis and stencil")
-    parser.add_argument("--size", type=_size, default=(1280, 1024), help="of thesis and stencil")
-    parser.add_argument("--cpu", action="store_true", help="CPU time of all threads, of thesis and stencil")
+    parser.add_argument("--map-size", type=int, default=512, help="texels per side of the shadow map; for frames")
+    parser.add_argument("--scenes", nargs="+", help="bundled levels; for thesis and stencil")
+    parser.add_argument("--size", type=_parse_size, default=(1280, 1024), help="picture size; for thesis and stencil")
+    parser.add_argument("--cpu", action="store_true", help="measure the CPU time of all threads; for thesis and stencil")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     args = parser.parse_args()
     rows = MEASUREMENTS[args.what](args)
-    target_rows = targets(rows)
+    target_rows = evaluate_targets(rows)
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     clock = "CPU time of all threads" if args.cpu else "wall clock"
     machine = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; {clock}, {args.repeats} repeats"
-    text = "\n".join([f"{machine}\n", *(table(table_rows) for table_rows in (rows, ratios(rows), target_rows) if table_rows)])
+    text = "\n".join(
+        [f"{machine}\n", *(markdown_table(table_rows) for table_rows in (rows, ratio_rows(rows), target_rows) if table_rows)]
+    )
     print(text, end="")
     if args.markdown:
         args.markdown.write_text(text, encoding="utf-8")

@@ -1,11 +1,11 @@
 """Rasters of 2,500 to 100,000 cells a side over the same real relief, made in a folder for ``benchmarks.big_elevation``.
 
 A mirrored raster of mountains becomes a *sheet* of ``SHEET_CELLS`` cells a side that tiles seamlessly. Every raster repeats the
-sheet. The same cell lies in the middle, at the same place of one CRS. So all rasters have the same ground round the middle.
+sheet. All rasters have the same middle cell at the same coordinates. So they have the same ground round the middle.
 
-Up to 40,000 cells a side these are COGs. The one of 100,000 is a virtual raster of 2,377 parts. Each part is a file; the files are
-hard links, so that the disk holds their cells only once. 24 more parts are absent (sparse). ``skugga overviews`` makes its
-overviews. One of its corners is a plain with one mountain.
+Rasters of up to 40,000 cells a side are COGs. The raster of 100,000 cells a side is a virtual raster (VRT) of 2,377 parts. The
+files of the parts are hard links, so that the disk holds their cells only once. 24 more parts are absent (sparse). ``skugga
+overviews`` writes its overviews. One of its corners is a plain with one mountain.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SHEET_CELLS = 2048
 CELL_M = 30.0
 EPSG = 32611
 MIDDLE_XY = 500_000.0, 3_800_000.0
-"""The middle of every raster."""
+"""Middle of every raster, easting and northing in metres."""
 
 VRT_CELLS = 100_000
 COG_SIDES = 2_500, 10_000, 40_000
@@ -42,7 +42,7 @@ PLAIN_PARTS, MOUNTAIN_PART = (slice(4, 9), slice(4, 9)), (6, 7)
 """Rows and columns of the parts that are a plain, and of the part whose middle is the mountain's foot."""
 
 MOUNTAIN_SIGMA_CELLS = 60.0
-HOLES = slice(30, 34), slice(40, 46)
+ABSENT_PARTS = slice(30, 34), slice(40, 46)
 """Rows and columns of the absent parts."""
 
 STRIP_ROWS = 1024
@@ -50,14 +50,24 @@ STRIP_ROWS = 1024
 
 @dataclass(frozen=True)
 class BigRaster:
-    """A raster: its file, its cells a side, and the seconds that it took to make (0: it existed)."""
+    """A square raster file.
+
+    Attributes
+    ----------
+    path
+        Its file.
+    side_cells
+        Cells along each side.
+    made_s
+        Seconds to write the file; 0 if it existed.
+    """
 
     path: Path
-    side: int
+    side_cells: int
     made_s: float
 
 
-def sheet_of(raster: Path) -> np.ndarray:
+def make_sheet(raster: Path) -> np.ndarray:
     """Return a seamless sheet, int16 (``SHEET_CELLS``, ``SHEET_CELLS``) in metres: a raster's first band, mirrored and repeated."""
     with rasterio.open(raster) as dataset:
         heights = dataset.read(1, masked=True)[8:-8, 8:-8].astype(np.float64)
@@ -70,8 +80,8 @@ def sheet_of(raster: Path) -> np.ndarray:
     return np.concatenate([half, half[::-1]], axis=0)
 
 
-def transform_of(side: int) -> Affine:
-    """Return the geotransform of a raster of ``side`` x ``side`` cells, whose middle is the same for all sides."""
+def centred_transform(side: int) -> Affine:
+    """Return the geotransform of a raster of ``side`` x ``side`` cells with its middle at ``MIDDLE_XY``."""
     half_m = side / 2 * CELL_M
     return Affine(CELL_M, 0.0, MIDDLE_XY[0] - half_m, 0.0, -CELL_M, MIDDLE_XY[1] + half_m)
 
@@ -83,7 +93,7 @@ def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
         return BigRaster(path, side, 0.0)
     phase = (VRT_CELLS - side) // 2 % SHEET_CELLS  # the virtual raster's sheets begin at its corner
     cols = (np.arange(side) + phase) % SHEET_CELLS
-    with cog(path, CRS.from_epsg(EPSG), transform_of(side), (side, side), 1, "int16", NODATA, is_smooth=True) as file:
+    with cog(path, CRS.from_epsg(EPSG), centred_transform(side), (side, side), 1, "int16", NODATA, is_smooth=True) as file:
         for row in range(0, side, STRIP_ROWS):
             rows = (np.arange(row, min(row + STRIP_ROWS, side)) + phase) % SHEET_CELLS
             file.write(row, 0, sheet[np.ix_(rows, cols)])
@@ -93,13 +103,13 @@ def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
 def _write_sheet(path: Path, sheet: np.ndarray) -> None:
     with rasterio.open(
         path, "w", driver="GTiff", width=SHEET_CELLS, height=SHEET_CELLS, count=1, dtype="int16", crs=f"EPSG:{EPSG}", nodata=NODATA,
-        transform=transform_of(SHEET_CELLS), tiled=True, blockxsize=512, blockysize=512, compress="deflate",
+        transform=centred_transform(SHEET_CELLS), tiled=True, blockxsize=512, blockysize=512, compress="deflate",
     ) as dataset:  # fmt: skip
         dataset.write(sheet, 1)
         dataset.build_overviews([2**level for level in range(1, 10)], Resampling.average)
 
 
-def mountain_m() -> np.ndarray:
+def mountain_heights_m() -> np.ndarray:
     """Return heights of a round hill on the plain, int16 (``SHEET_CELLS``, ``SHEET_CELLS``) in metres."""
     distance_cells = np.arange(SHEET_CELLS) - SHEET_CELLS / 2 + 0.5
     bell = np.exp(-(distance_cells[:, None] ** 2 + distance_cells[None, :] ** 2) / (2.0 * MOUNTAIN_SIGMA_CELLS**2))
@@ -107,9 +117,9 @@ def mountain_m() -> np.ndarray:
 
 
 def mountain_xy() -> tuple[float, float]:
-    """Return the mountain's top in the rasters' CRS."""
+    """Return easting and northing of the mountain's top."""
     row, col = ((index + 0.5) * SHEET_CELLS for index in MOUNTAIN_PART)
-    return transform_of(VRT_CELLS) * (col, row)
+    return centred_transform(VRT_CELLS) * (col, row)
 
 
 def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
@@ -119,19 +129,19 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
         return BigRaster(path, VRT_CELLS, 0.0)
     parts = folder / "parts"
     parts.mkdir(exist_ok=True)
-    sheets = {"relief": sheet, "plain": np.full_like(sheet, PLAIN_M), "mountain": mountain_m()}
+    sheets = {"relief": sheet, "plain": np.full_like(sheet, PLAIN_M), "mountain": mountain_heights_m()}
     for name, heights in sheets.items():
         _write_sheet(parts / f"{name}.tif", heights)
     root = ElementTree.Element("VRTDataset", rasterXSize=str(VRT_CELLS), rasterYSize=str(VRT_CELLS))
     ElementTree.SubElement(root, "SRS").text = f"EPSG:{EPSG}"
-    ElementTree.SubElement(root, "GeoTransform").text = ", ".join(map(repr, transform_of(VRT_CELLS).to_gdal()))
+    ElementTree.SubElement(root, "GeoTransform").text = ", ".join(map(repr, centred_transform(VRT_CELLS).to_gdal()))
     band = ElementTree.SubElement(root, "VRTRasterBand", dataType="Int16", band="1")
     ElementTree.SubElement(band, "NoDataValue").text = str(NODATA)
     for row in range(PARTS_PER_SIDE):
         for col in range(PARTS_PER_SIDE):
-            if _within(HOLES, row, col):
+            if _is_within(ABSENT_PARTS, row, col):
                 continue
-            kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _within(PLAIN_PARTS, row, col) else "relief"
+            kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _is_within(PLAIN_PARTS, row, col) else "relief"
             part = parts / f"part_{row:02}_{col:02}.tif"
             part.unlink(missing_ok=True)
             os.link(parts / f"{kind}.tif", part)
@@ -153,17 +163,17 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
     return BigRaster(path, VRT_CELLS, time.perf_counter() - start)
 
 
-def _within(part: tuple[slice, slice], row: int, col: int) -> bool:
-    return part[0].start <= row < part[0].stop and part[1].start <= col < part[1].stop
+def _is_within(slices: tuple[slice, slice], row: int, col: int) -> bool:
+    return slices[0].start <= row < slices[0].stop and slices[1].start <= col < slices[1].stop
 
 
 def make_rasters(folder: Path, raster: Path) -> list[BigRaster]:
-    """Make all rasters, in order of size. Existing ones are not made again."""
+    """Write the missing rasters, and return all rasters in order of size."""
     folder.mkdir(parents=True, exist_ok=True)
-    sheet = sheet_of(raster)
+    sheet = make_sheet(raster)
     return [*(make_cog(folder, sheet, side) for side in COG_SIDES), make_vrt(folder, sheet)]
 
 
-def paths_in(folder: Path) -> list[Path]:
+def raster_paths(folder: Path) -> list[Path]:
     """Return the paths of a folder's rasters, in order of size."""
     return [*(folder / f"relief_{side}.tif" for side in COG_SIDES), folder / f"relief_{VRT_CELLS}.vrt"]

@@ -1,9 +1,9 @@
-"""Time of blocks of tiles that are drawn only once, as in seeding: CPU time of this process, by passes.
+"""CPU time by pass of blocks of tiles that are drawn with empty caches, as in seeding.
 
-    taskset -c 0 python -m benchmarks.cold_blocks FILE --zoom 13     # a raster or a level; on one core, as a render process has it
+    taskset -c 0 python -m benchmarks.cold_blocks FILE --zoom 13     # FILE is a raster or a level; one core, like a render process
 
-It draws the first blocks of a pyramid in several rounds. Before each round it clears all caches, and then draws the very first
-block, which is not measured. The result is the round with the least CPU time.
+The script draws the first blocks of a pyramid in several rounds. Each round starts with empty caches and draws one untimed block
+first. The result is the round with the least CPU time.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.scene import Scene, build_scene
 
-TILES, CPU, ENCODING = "tiles", "CPU of the block", "encoding"
+TILES_KEY, CPU_KEY, ENCODING_KEY = "tiles", "CPU of the block", "encoding"
 
 
 def time_block(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
-    """Draw a task's block and encode its tiles. Return CPU milliseconds by pass, of encoding and in total.
+    """Draw a task's block and encode its tiles. Return CPU milliseconds by pass, for encoding, and in total.
 
-    The counter also has the number of tiles with data.
+    The counter also contains the number of tiles with data.
     """
     view, request = block_of_grid(tile_grid(matrix_sets.get(MATRIX_SET), task.zoom), task.x, task.y), run.spec.request(task.sun)
     begin = time.process_time()
@@ -49,7 +49,7 @@ def time_block(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
     end = time.process_time()
     times_ms = Counter({pass_record.name: pass_record.ms for pass_record in picture.passes})
     tiles = sum(body is not None for body in files.values())
-    times_ms.update({ENCODING: (end - encode) * 1e3, CPU: (end - begin) * 1e3, TILES: tiles})
+    times_ms.update({ENCODING_KEY: (end - encode) * 1e3, CPU_KEY: (end - begin) * 1e3, TILES_KEY: tiles})
     return times_ms
 
 
@@ -74,11 +74,10 @@ def main() -> None:
         clear_caches("light", "scene")
         time_block(scene, run, tasks[0])
         rounds.append(sum((time_block(scene, run, task) for task in tasks[1:]), Counter[str]()))
-    best = min(rounds, key=lambda times_ms: times_ms[CPU])
-    print(
-        f"{len(tasks) - 1} blocks, {best[TILES]} tiles: {best[TILES] / best[CPU] * 1e3:.0f} tiles a second of CPU; ms of a block:"
-    )
-    for name in sorted(best.keys() - {TILES}, key=lambda key: (key == CPU, key)):
+    best = min(rounds, key=lambda times_ms: times_ms[CPU_KEY])
+    tiles_per_s = best[TILES_KEY] / best[CPU_KEY] * 1e3
+    print(f"{len(tasks) - 1} blocks, {best[TILES_KEY]} tiles: {tiles_per_s:.0f} tiles per CPU second; milliseconds per block:")
+    for name in sorted(best.keys() - {TILES_KEY}, key=lambda key: (key == CPU_KEY, key)):
         print(f"  {name:<20} {best[name] / (len(tasks) - 1):7.1f}")
 
 

@@ -1,6 +1,7 @@
-"""Cost of compiling loops up to the first product: CPU seconds of each loop, and of numba's own helper functions.
+"""CPU seconds that numba takes to compile each loop for the first product, and to compile its own helper functions.
 
-`python -m benchmarks.start --compile` calls this module in a fresh process without a cache of compiled loops.
+A loop is a function that numba compiles. `python -m benchmarks.start --compile` calls this module in a fresh process without a
+cache of compiled loops.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ import numpy as np
 import rasterio
 from numba.core import event
 
-from benchmarks.sweep_speed import mountains
+from benchmarks.sweep_speed import fractal_heights_m
 
 ROOT = Path(__file__).resolve().parents[1]
 WOODED_LEVEL = ROOT / "configs" / "jacksboro_wooded.yaml"
 
-SIDE, CELL_M = 400, 30.0
-"""The plain raster: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
+SIDE_CELLS, CELL_M = 400, 30.0
+"""Size of the raster that is written: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
 
 OUR_PACKAGES = "skugga", "benchmarks"
-YARDSTICK_ROUNDS = 3
+REFERENCE_ROUNDS = 3
 
 
 @dataclass
@@ -46,11 +47,11 @@ class Compilation:
     signature : str
         Types of its arguments.
     cause : str
-        The project's loop that caused the compilation; the loop itself if it is one of the project.
+        The project's loop whose compilation required this one; the loop itself if it belongs to the project.
     own_s, total_s : float
-        CPU seconds without and with the functions that it calls.
+        CPU seconds without and with the compilation of its callees.
     frontend_s : float
-        The part of ``own_s`` before machine code is generated, such as type inference, in seconds.
+        Part of ``own_s`` before the generation of machine code, such as type inference, in seconds.
     """
 
     loop: str
@@ -67,10 +68,10 @@ class Compilation:
 
 
 @dataclass
-class Profile(event.Listener):
+class CompilationListener(event.Listener):
     """Record the CPU time of numba's compiler passes, by loop and signature."""
 
-    done: list[Compilation] = field(default_factory=list)
+    compilations: list[Compilation] = field(default_factory=list)
     _state: local = field(default_factory=local)
 
     def _stack(self) -> list[Any]:
@@ -88,7 +89,7 @@ class Profile(event.Listener):
             compilation = Compilation(*key, cause="")
             compilation.cause = compilation.loop if compilation.is_ours or not stack else stack[-1][0].cause
             siblings[key] = compilation
-            self.done.append(compilation)
+            self.compilations.append(compilation)
         self._state.siblings.append({})
         stack.append([siblings[key], time.thread_time(), 0.0])
 
@@ -106,18 +107,18 @@ class Profile(event.Listener):
             stack[-1][2] += elapsed_s
 
 
-def yardstick_s() -> float:
-    """Return the CPU seconds of compiling a fixed small loop, the median of some rounds. They serve to compare machines."""
+def reference_compile_s() -> float:
+    """Return the median CPU seconds to compile a fixed small loop, as a reference for the speed of the machine."""
     seconds = []
-    for number in range(YARDSTICK_ROUNDS + 1):  # the first round imports numba's modules
-        source = _yardstick_loop(number)
+    for number in range(REFERENCE_ROUNDS + 1):  # the first round imports numba's modules
+        source = _reference_loop(number)
         begin = time.process_time()
         source(np.zeros((4, 4)), 1.0)
         seconds.append(time.process_time() - begin)
     return float(np.median(seconds[1:]))
 
 
-def _yardstick_loop(number: int) -> Callable[[np.ndarray, float], float]:
+def _reference_loop(number: int) -> Callable[[np.ndarray, float], float]:
     @numba.njit
     def smooth(values, weight):  # type: ignore[no-untyped-def]
         total = float(number)
@@ -131,20 +132,20 @@ def _yardstick_loop(number: int) -> Callable[[np.ndarray, float], float]:
     return smooth  # type: ignore[no-any-return]
 
 
-def bare_raster(folder: Path) -> Path:
-    """Write a raster of a plain, and return its file."""
-    heights = mountains(SIDE)
+def write_mountains(folder: Path) -> Path:
+    """Write a GeoTIFF of fractal mountains with a hole, and return its path."""
+    heights = fractal_heights_m(SIDE_CELLS)
     heights[100:120, 200:230] = -9999.0
     path = folder / "mountains.tif"
     with rasterio.open(
-        path, "w", driver="GTiff", width=SIDE, height=SIDE, count=1, dtype="float32", crs="EPSG:32611", nodata=-9999.0,
+        path, "w", driver="GTiff", width=SIDE_CELLS, height=SIDE_CELLS, count=1, dtype="float32", crs="EPSG:32611", nodata=-9999.0,
         transform=rasterio.transform.from_origin(400_000.0, 3_800_000.0, CELL_M, CELL_M),
     ) as file:  # fmt: skip
         file.write(heights, 1)
     return path
 
 
-def _tile(file: str, folder: Path) -> None:
+def _draw_tile(file: str, folder: Path) -> None:
     from morecantile import tms as matrix_sets
 
     from skugga.api.compute import draw_picture
@@ -167,7 +168,7 @@ def _tile(file: str, folder: Path) -> None:
     scene.close()
 
 
-def _command(*arguments: str) -> Callable[[str, Path], None]:
+def _run_command(*arguments: str) -> Callable[[str, Path], None]:
     def run(file: str, folder: Path) -> None:
         from skugga.api.cli.main import app
 
@@ -177,20 +178,20 @@ def _command(*arguments: str) -> Callable[[str, Path], None]:
 
 
 PRODUCTS: dict[str, Callable[[str, Path], None]] = {
-    "tile": _tile,
-    "shade": _command("shade", "{file}", "-o", "{folder}/shade.tif", "--azimuth", "200", "--altitude", "30"),
-    "sunhours": _command("sunhours", "{file}", "-o", "{folder}/hours.tif", "--date", "2024-03-21"),
-    "point": _command("point", "{file}", "--at", "-118.05,34.28", "--time", "2024-03-21T15:00:00-08:00"),
-    "render": _command("render", "{file}", "-o", "{folder}/view.png", "--size", "400x300"),
+    "tile": _draw_tile,
+    "shade": _run_command("shade", "{file}", "-o", "{folder}/shade.tif", "--azimuth", "200", "--altitude", "30"),
+    "sunhours": _run_command("sunhours", "{file}", "-o", "{folder}/hours.tif", "--date", "2024-03-21"),
+    "point": _run_command("point", "{file}", "--at", "-118.05,34.28", "--time", "2024-03-21T15:00:00-08:00"),
+    "render": _run_command("render", "{file}", "-o", "{folder}/view.png", "--size", "400x300"),
 }
-"""Products: a first tile after a render process has started, or the files and the answer of a command."""
+"""Functions that compute a product: the first tile of a render process, or the output of a command."""
 
 
-def profile_of(product: str, file: str | None) -> dict[str, Any]:
+def profile_product(product: str, file: str | None) -> dict[str, Any]:
     """Compute a product once in a fresh process with an empty cache of compiled loops. Return the record of all compilations."""
     with tempfile.TemporaryDirectory() as folder:
         if file is None:
-            file = str(WOODED_LEVEL if product == "render" else bare_raster(Path(folder)))
+            file = str(WOODED_LEVEL if product == "render" else write_mountains(Path(folder)))
         answer = Path(folder) / "profile.json"
         env = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "loops"), "XDG_CACHE_HOME": str(Path(folder) / "cache")}
         subprocess.run([sys.executable, "-m", __spec__.name, product, file, folder, str(answer)], env=env, check=True)
@@ -198,18 +199,18 @@ def profile_of(product: str, file: str | None) -> dict[str, Any]:
 
 
 def _measure(product: str, file: str, folder: str, answer: str) -> None:
-    stick = yardstick_s()
-    profile = Profile()
+    stick = reference_compile_s()
+    profile = CompilationListener()
     with event.install_listener("numba:run_pass", profile):
         begin = time.process_time()
         PRODUCTS[product](file, Path(folder))
         cpu_s = time.process_time() - begin
-    result = {"cpu_s": cpu_s, "yardstick_s": stick, "loops": [vars(compilation) for compilation in profile.done]}
+    result = {"cpu_s": cpu_s, "yardstick_s": stick, "loops": [vars(compilation) for compilation in profile.compilations]}
     Path(answer).write_text(json.dumps(result), encoding="utf-8")
 
 
-def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
-    """Format a profile as lines: the total, this project's loops by their own time, and numba's helpers by theirs."""
+def profile_lines(product: str, profile: dict[str, Any], rows: int) -> list[str]:
+    """Format a profile as lines of text: totals, then the project's loops and numba's helpers, sorted by their own time."""
     compilations = [Compilation(**compilation) for compilation in profile["loops"]]
     own_loops, helpers = (
         [compilation for compilation in compilations if compilation.is_ours],
@@ -217,11 +218,11 @@ def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
     )
     own_s, frontend_s = (sum(getattr(compilation, field) for compilation in compilations) for field in ("own_s", "frontend_s"))
     lines = [
-        f"{product}: {own_s:.1f} s of CPU for {len(compilations)} compilations ({profile['cpu_s']:.1f} s with all else); "
-        f"yardstick {profile['yardstick_s'] * 1e3:.0f} ms, so {own_s / profile['yardstick_s']:.0f} of it",
-        f"  {len(own_loops)} of {len({compilation.loop for compilation in own_loops})} loops: "
+        f"{product}: {own_s:.1f} CPU seconds for {len(compilations)} compilations, {profile['cpu_s']:.1f} CPU seconds in total; "
+        f"{own_s / profile['yardstick_s']:.0f} times the reference loop ({profile['yardstick_s'] * 1e3:.0f} ms)",
+        f"  {len(own_loops)} compilations of {len({compilation.loop for compilation in own_loops})} loops of the project: "
         f"{sum(e.own_s for e in own_loops):.1f} s; {len(helpers)} of numba's helpers: {sum(e.own_s for e in helpers):.1f} s; "
-        f"{own_s - frontend_s:.1f} s for machine code, {frontend_s:.1f} s before",
+        f"{own_s - frontend_s:.1f} s for machine code, {frontend_s:.1f} s for the compiler's front end",
         "",
         "  own s   with callees  helpers  loop (a line for each signature)",
     ]
@@ -231,7 +232,7 @@ def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
     for compilation in sorted(own_loops, key=lambda e: -e.own_s)[:rows]:
         lines.append(
             f"  {compilation.own_s:6.2f}  {compilation.total_s:12.2f}  {helped[compilation.loop]:7.2f}  "
-            f"{compilation.loop}{_short(compilation.signature)}"
+            f"{compilation.loop}{_abbreviate(compilation.signature)}"
         )
     lines += ["", "   sum s  times  helper of numba, and the loops that cause it"]
     sums, times, causes = Counter[str](), Counter[str](), dict[str, Counter[str]]()
@@ -245,7 +246,7 @@ def table_of(product: str, profile: dict[str, Any], rows: int) -> list[str]:
     return lines
 
 
-def _short(signature: str) -> str:
+def _abbreviate(signature: str) -> str:
     for long, short in (("array", ""), ("int64", "i8"), ("int32", "i4"), ("float64", "f8"), ("float32", "f4")):
         signature = signature.replace(long, short)
     return signature if len(signature) < 160 else f"{signature[:156]}...)"

@@ -4,9 +4,9 @@
                                        [--columns boxgrid rocks ...] [--rows shadow_map hybrid ...] [--json FILE] [--markdown FILE]
 
 Rows are algorithms, columns are views. A cell shows the picture and its errors against ray-traced truth: false shadow red, missed
-shadow blue. Pictures are drawn at their display width, ``width`` pixels. Three figures stand below each picture. These are
-``wrong_cast``, the 95th percentile of the displacement of shadow edges, and the median milliseconds of the shadow's own work with
-empty caches. If an algorithm refuses a view, the cell shows its message.
+shadow blue. Pictures are drawn at their display width, ``width`` pixels. The caption below has three figures: ``wrong_cast``, the
+95th percentile of the displacement of shadow edges, and the median milliseconds of the shadow passes with empty caches. If an
+algorithm refuses a view, the cell shows its message.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-SHEET = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"
+SHEET_PATH = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"
 ASPECT = 5 / 4
 
 SHEET_ALGORITHMS: dict[str, dict[str, Any]] = {
@@ -57,33 +57,43 @@ VIEWS = {
 }
 """Columns of the sheet: level and view by name."""
 
-FAULT_BOUNDS = (740_900.0, 4_021_000.0, 748_900.0, 4_027_400.0)
+FAULT_BOUNDS_M = (740_900.0, 4_021_000.0, 748_900.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16, of the map of Jacksboro: the fault's ridge and the hills west of it."""
 
 RIDGES_CAMERA = (-84.16, 36.21333, 120.0), (-84.20, 36.25333, 0.0), 45.0
 """Eye, target and field of view, degrees, of a view over the ridges and valleys of the Jacksboro fault."""
 
-FIGURES = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")
+REPORTED_METRICS = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")
 
 GAP_PX, TEXT_PX = 12, 17
-SHEET_HEAD_PX, FOOT_PX = 30, 28
-PAPER, INK, FAINT = (255, 255, 255), (24, 24, 24), (238, 238, 238)
-QUALITIES = range(90, 9, -5)
+HEADER_PX, FOOTER_PX = 30, 28
+PAGE_COLOR, TEXT_COLOR, PLACEHOLDER_COLOR = (255, 255, 255), (24, 24, 24), (238, 238, 238)
+WEBP_QUALITIES = range(90, 9, -5)
 
 
 @dataclass(frozen=True)
 class SheetCell:
-    """An algorithm in a view: its picture and its error picture (``None`` if it refuses the view), its figures, and its caption."""
+    """A cell of the sheet: one algorithm in one view.
+
+    Attributes
+    ----------
+    pictures
+        The picture and its errors in colour; ``None`` if the algorithm refuses the view.
+    figures
+        Measured figures by name.
+    caption
+        Text below the picture.
+    """
 
     pictures: tuple[Image.Image, Image.Image] | None
     figures: dict[str, float]
-    text: str
+    caption: str
 
 
-def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | PerspectiveView:
-    """Return a view of a level by name. ``map`` and ``ridges`` are views of the level Jacksboro that its file does not define."""
+def named_view(scene: Scene, name: str, size: tuple[int, int]) -> MapView | PerspectiveView:
+    """Return a view by name. This module defines the views ``map`` and ``ridges`` of the level Jacksboro."""
     if name == "map":
-        return scene.view(name, bounds=FAULT_BOUNDS, size=size)
+        return scene.view(name, bounds=FAULT_BOUNDS_M, size=size)
     if name != "ridges":
         return scene.view(name, size=size)
     eye, up = scene.geolocator.above_ground(RIDGES_CAMERA[0], "eye")
@@ -91,10 +101,10 @@ def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | Perspec
     return look_at(eye, target, up, RIDGES_CAMERA[2], size[1], size[0])
 
 
-def column(level: str, name: str, algorithms: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
+def draw_column(level: str, name: str, algorithms: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
     """Yield the cells of a view, one for each algorithm."""
     scene = build_scene(load_level(find_level(level)))
-    view = view_of(scene, name, size)
+    view = named_view(scene, name, size)
     descriptor = describe(scene, view, "map" if name == "map" else "main")
     bare = render_frame(scene, view, make_plan(descriptor, scene.loaded.level, {"algorithm": "none"})).color.mean(axis=2)
     for key in algorithms:
@@ -106,36 +116,36 @@ def column(level: str, name: str, algorithms: Sequence[str], size: tuple[int, in
         color = render_frame(scene, view, plan).color  # compiles and allocates, too
         row = measure_plan(scene, view, plan, repeats=repeats)
         pictures = Image.fromarray(color).convert("RGB"), Image.fromarray(false_colours(bare, row))
-        figures = {name: row.figures[name] for name in FIGURES}
+        figures = {name: row.figures[name] for name in REPORTED_METRICS}
         text = f"wrong {100 * figures['wrong_cast']:.2f} % of cast shadow; edge p95 {figures['edge_p95']:.1f} px"
         yield SheetCell(pictures, figures, f"{text}; {figures['ms_median']:.0f} ms")
 
 
-def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
+def draw_sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
     """Draw all cells in a grid with names of rows and columns."""
     height = round(width / ASPECT)
-    step_x, step_y = 2 * width + GAP_PX, SHEET_HEAD_PX + height + FOOT_PX + GAP_PX
-    page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAPER)
+    step_x, step_y = 2 * width + GAP_PX, HEADER_PX + height + FOOTER_PX + GAP_PX
+    page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAGE_COLOR)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
     for column, name in enumerate(columns):
         for down, key in enumerate(rows):
             x, y, cell = GAP_PX + column * step_x, GAP_PX + down * step_y, cells[key, name]
-            top = y + SHEET_HEAD_PX
-            draw.text((x, y + SHEET_HEAD_PX // 2), f"{key}: {' '.join(VIEWS[name])}", INK, font, anchor="lm")
+            top = y + HEADER_PX
+            draw.text((x, y + HEADER_PX // 2), f"{key}: {' '.join(VIEWS[name])}", TEXT_COLOR, font, anchor="lm")
             if cell.pictures is None:
-                draw.rectangle((x, top, x + 2 * width - 1, top + height - 1), FAINT)
-                lines = "\n".join(wrap(cell.text, 2 * width * 2 // TEXT_PX - 6))
-                draw.multiline_text((x + width, top + height // 2), lines, INK, font, anchor="mm", align="center")
+                draw.rectangle((x, top, x + 2 * width - 1, top + height - 1), PLACEHOLDER_COLOR)
+                lines = "\n".join(wrap(cell.caption, 2 * width * 2 // TEXT_PX - 6))
+                draw.multiline_text((x + width, top + height // 2), lines, TEXT_COLOR, font, anchor="mm", align="center")
                 continue
             for number, picture in enumerate(cell.pictures):
                 page.paste(picture, (x + number * width, top))
-            draw.text((x, top + height + FOOT_PX // 2), cell.text, INK, font, anchor="lm")
+            draw.text((x, top + height + FOOTER_PX // 2), cell.caption, TEXT_COLOR, font, anchor="lm")
     return page
 
 
-def sheet_bytes(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
-    """Encode the page as PNG, or as WebP in the best quality of at most ``max_bytes``; in the lowest quality if none fits."""
-    for quality in QUALITIES:
+def encode_sheet(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
+    """Encode the page as PNG, or as WebP in the highest quality that fits into ``max_bytes`` (the lowest if none fits)."""
+    for quality in WEBP_QUALITIES:
         buffer = BytesIO()
         page.save(buffer, suffix.removeprefix("."), quality=quality, method=6)
         if buffer.tell() <= max_bytes or suffix == ".png":
@@ -143,7 +153,7 @@ def sheet_bytes(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
     return buffer.getvalue()
 
 
-def table(cells: dict[tuple[str, str], SheetCell]) -> str:
+def markdown_table(cells: dict[tuple[str, str], SheetCell]) -> str:
     """Return ``wrong_cast`` in per cent and ``edge_p95`` in pixels as a Markdown table: a line per view, a column per algorithm."""
     rows, columns = list(dict.fromkeys(key for key, _ in cells)), list(dict.fromkeys(name for _, name in cells))
     lines = [["view", *rows], ["---"] * (1 + len(rows))]
@@ -158,11 +168,11 @@ def table(cells: dict[tuple[str, str], SheetCell]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, default=SHEET, help="the .webp or .png file to write")
+    parser.add_argument("-o", "--output", type=Path, default=SHEET_PATH, help="the .webp or .png file to write")
     parser.add_argument("--rows", nargs="+", choices=tuple(SHEET_ALGORITHMS), default=tuple(SHEET_ALGORITHMS))
     parser.add_argument("--columns", nargs="+", choices=tuple(VIEWS), default=tuple(VIEWS))
     parser.add_argument("--width", type=int, default=400, help="pixels of a picture")
-    parser.add_argument("--most", type=int, default=1500, help="kilobytes that the file may have")
+    parser.add_argument("--most", type=int, default=1500, help="maximum size of the file, kilobytes")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
@@ -170,17 +180,19 @@ def main() -> None:
     size = args.width, round(args.width / ASPECT)
     cells = {}
     for name in args.columns:
-        for key, cell in zip(args.rows, column(*VIEWS[name], args.rows, size, args.repeats), strict=True):
+        for key, cell in zip(args.rows, draw_column(*VIEWS[name], args.rows, size, args.repeats), strict=True):
             cells[key, name] = cell
-            print(f"{key} {name}: {cell.text}", flush=True)
-    page = sheet(cells, args.rows, args.columns, args.width)
-    args.output.write_bytes(sheet_bytes(page, args.output.suffix, 1000 * args.most))
+            print(f"{key} {name}: {cell.caption}", flush=True)
+    page = draw_sheet(cells, args.rows, args.columns, args.width)
+    args.output.write_bytes(encode_sheet(page, args.output.suffix, 1000 * args.most))
     if args.markdown:
         legend = "wrong pixels in % of cast shadow / 95th percentile of the displacement of shadow edges, pixels"
-        text = f"{device().renderer}, {size[0]} x {size[1]} pixels; {legend}\n\n{table(cells)}"
+        text = f"{device().renderer}, {size[0]} x {size[1]} pixels; {legend}\n\n{markdown_table(cells)}"
         args.markdown.write_text(text, encoding="utf-8")
     if args.json:
-        rows = [{"algorithm": key, "view": VIEWS[name], "text": cell.text, **cell.figures} for (key, name), cell in cells.items()]
+        rows = [
+            {"algorithm": key, "view": VIEWS[name], "text": cell.caption, **cell.figures} for (key, name), cell in cells.items()
+        ]
         args.json.write_text(
             json.dumps({"renderer": device().renderer, "size": size, "rows": rows}, indent=2) + "\n", encoding="utf-8"
         )

@@ -15,7 +15,7 @@ Rows = dict[str, list[Row]]
 
 NOW, BASE, YARDSTICK = "now", "before", "yardstick"
 
-MOVES = {
+CHANGES = {
     "new": "sun and camera",
     "sun": "the sun",
     "camera": "the camera",
@@ -24,15 +24,15 @@ MOVES = {
 }
 """Changes since the previous frame, by the names of the measurements."""
 
-BEGIN, END = "<!-- frames: what follows is written by python -m benchmarks.frames -->", "<!-- frames: up to here -->"
+TABLES_BEGIN, TABLES_END = "<!-- frames: what follows is written by python -m benchmarks.frames -->", "<!-- frames: up to here -->"
 
 
 class FrameKey(NamedTuple):
-    """A kind of frame: the picture, the plan's name, and the change since the previous frame."""
+    """A kind of frame: the picture, the name of its plan, and the change since the previous frame (a key of ``CHANGES``)."""
 
     picture: str
     plan: str
-    move: str
+    change: str
 
 
 class Target(NamedTuple):
@@ -40,48 +40,48 @@ class Target(NamedTuple):
 
     Attributes
     ----------
-    what
+    description
         Description of the figure.
-    most
-        Upper bound of the figure.
-    wall
-        The figure by wall time, or another figure.
-    cpu
-        The figure by CPU time; ``None`` without one.
+    upper_bound
+        Upper bound of ``value``.
+    value
+        The measured figure; times are wall times.
+    cpu_value
+        The same figure by CPU time; ``None`` without one.
     unit
         Unit of the figure.
-    counts
-        Whether the target must be met; if not, the line is only printed beside one that must.
+    is_required
+        Whether the target must be met. If not, the figure is only reported.
     """
 
-    what: str
-    most: float
-    wall: float
-    cpu: float | None = None
+    description: str
+    upper_bound: float
+    value: float
+    cpu_value: float | None = None
     unit: str = ""
-    counts: bool = True
+    is_required: bool = True
 
     @property
-    def met(self) -> bool:
-        """Whether the figure ``wall`` meets the target."""
-        return self.wall <= self.most
+    def is_met(self) -> bool:
+        """Whether ``value`` meets the target."""
+        return self.value <= self.upper_bound
 
     @property
     def line(self) -> str:
         """The target, its figure and whether it is met, as one line of text."""
-        cpu = "" if self.cpu is None else f" (CPU time {self.cpu:.2f})"
-        word = "beside" if not self.counts else "met   " if self.met else "MISSED"
-        return f"{word} {self.what}: {self.wall:.2f}{self.unit}{cpu}, at most {self.most:g}{self.unit}"
+        cpu = "" if self.cpu_value is None else f" (CPU time {self.cpu_value:.2f})"
+        word = "beside" if not self.is_required else "met   " if self.is_met else "MISSED"
+        return f"{word} {self.description}: {self.value:.2f}{self.unit}{cpu}, at most {self.upper_bound:g}{self.unit}"
 
 
-def paired_ratio(rows: Sequence[Row], base_rows: Sequence[Row], value: str = "ms") -> float:
-    """Return the median ratio of a value in two lists of rows that were drawn in turns. Other load affects both rows of a turn."""
-    return statistics.median(row[value] / other[value] for row, other in zip(rows, base_rows, strict=True))
+def paired_ratio(rows: Sequence[Row], base_rows: Sequence[Row], quantity: str = "ms") -> float:
+    """Return the median ratio of a quantity in two lists of rows that were drawn in turns."""
+    return statistics.median(row[quantity] / other[quantity] for row, other in zip(rows, base_rows, strict=True))
 
 
-def median_of(rows: Sequence[Row], value: str) -> float:
-    """Return the median of a value over rows."""
-    return float(statistics.median(row[value] for row in rows))
+def median_of(rows: Sequence[Row], quantity: str) -> float:
+    """Return the median of a quantity over rows."""
+    return float(statistics.median(row[quantity] for row in rows))
 
 
 def median_passes(rows: Sequence[Row]) -> dict[str, float]:
@@ -91,21 +91,25 @@ def median_passes(rows: Sequence[Row]) -> dict[str, float]:
 
 
 def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -> list[Target]:
-    """Return the targets that have measurements."""
+    """Return the targets whose figures were measured."""
     result: list[Target] = []
 
     def add(
-        target_name: str, limit: float, rows_now: Sequence[Row] | None, base_rows: Sequence[Row] | None, counts: bool = True
+        target_name: str,
+        upper_bound: float,
+        rows_now: Sequence[Row] | None,
+        base_rows: Sequence[Row] | None,
+        is_required: bool = True,
     ) -> None:
         if rows_now and base_rows:
             wall, cpu = (paired_ratio(rows_now, base_rows, value) for value in ("ms", "cpu_ms"))
-            result.append(Target(target_name, limit, wall, cpu, counts=counts))
+            result.append(Target(target_name, upper_bound, wall, cpu, is_required=is_required))
 
-    def rows(picture: str, move: str, side: str = NOW, plan: str = "planned") -> list[Row] | None:
-        return frames.get(FrameKey(picture, plan, move), {}).get(side)
+    def rows(picture: str, change: str, side: str = NOW, plan: str = "planned") -> list[Row] | None:
+        return frames.get(FrameKey(picture, plan, change), {}).get(side)
 
     for move in ("new", "resting"):
-        label = f"SpatialAce as planned, {MOVES[move]} moved"
+        label = f"SpatialAce as planned, {CHANGES[move]} moved"
         for name, taps in (("512, 1 tap", "1 tap"), ("512, 3 x 3 taps", "3 x 3 taps")):
             sticks = rows("SpatialAce", name, YARDSTICK, "yardstick")
             counts = move == "new" and taps == "1 tap"
@@ -113,14 +117,14 @@ def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -
         add(f"{label} / before", 0.35, rows("SpatialAce", move), rows("SpatialAce", move, BASE), move == "new")
     for picture in ("valley", "village"):
         for move in ("new", "resting"):
-            label = f"wooded {picture} as planned, {MOVES[move]} moved / before"
+            label = f"wooded {picture} as planned, {CHANGES[move]} moved / before"
             add(label, 0.4, rows(picture, move), rows(picture, move, BASE), move == "new")
     for picture, sides in first_frames.items():
         rows_now = sides[NOW]
         for value, label in (("ms", "frame"), ("answer_ms", "frame with its plan")):
             ratio = statistics.median(row["first"][value] / row["warm"][value] for row in rows_now)
             cpu = statistics.median(row["first"][f"cpu_{value}"] / row["warm"][f"cpu_{value}"] for row in rows_now)
-            result.append(Target(f"{picture}: first {label} after start / a warm one", 2.0, ratio, cpu, counts=value == "ms"))
+            result.append(Target(f"{picture}: first {label} after start / a warm one", 2.0, ratio, cpu, is_required=value == "ms"))
     for picture in ("SpatialAce", "valley", "village"):
         add(f"{picture}: the sun moves / sun and camera do", 0.6, rows(picture, "sun"), rows(picture, "new"))
         add(f"{picture}: the camera moves / sun and camera do", 0.7, rows(picture, "camera"), rows(picture, "new"))
@@ -131,10 +135,10 @@ def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -
     return result
 
 
-def as_markdown(
+def format_report(
     result: dict[str, Any], frames: dict[FrameKey, Rows], first_frames: dict[str, Rows], differences: dict[FrameKey, Row]
 ) -> str:
-    """Format all tables. ``differences`` hold comparisons of pictures with those of the other commit."""
+    """Format all tables as Markdown. ``differences`` holds the comparison with the other commit's pictures by kind of frame."""
     parts = [
         f"{result['renderer']}, {result['cpus']} CPU cores, load {result['load']:.1f}, {result['repeats']} turns; before: "
         f"{result['base'] or 'not measured'}.",
@@ -142,17 +146,17 @@ def as_markdown(
         _frame_table(frames, differences),
         _plan_lines(result["plans"]),
         _first_table(first_frames) if first_frames else "",
-        *(_pass_table(key, sides) for key, sides in frames.items() if key.move == "new"),
+        *(_pass_table(key, sides) for key, sides in frames.items() if key.change == "new"),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def replace_between_marks(text: str, table: str) -> str:
     """Replace the text between the marks of a page. Raises ``ValueError`` if the page has no marks."""
-    pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
+    pattern = re.compile(re.escape(TABLES_BEGIN) + ".*?" + re.escape(TABLES_END), re.DOTALL)
     if not pattern.search(text):
-        raise ValueError(f"no marks: {BEGIN} ... {END}")
-    return pattern.sub(lambda _: f"{BEGIN}\n\n{table.strip()}\n\n{END}", text, count=1)
+        raise ValueError(f"no marks: {TABLES_BEGIN} ... {TABLES_END}")
+    return pattern.sub(lambda _: f"{TABLES_BEGIN}\n\n{table.strip()}\n\n{TABLES_END}", text, count=1)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -162,8 +166,8 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _target_table(targets: Sequence[Target]) -> str:
     rows = [
-        [target.what, f"{target.wall:.2f}{target.unit}", "" if target.cpu is None else f"{target.cpu:.2f}",
-         f"{target.most:g}{target.unit}", "" if not target.counts else "yes" if target.met else "**no**"]
+        [target.description, f"{target.value:.2f}{target.unit}", "" if target.cpu_value is None else f"{target.cpu_value:.2f}",
+         f"{target.upper_bound:g}{target.unit}", "" if not target.is_required else "yes" if target.is_met else "**no**"]
         for target in targets
     ]  # fmt: skip
     return _table(["what", "measured", "by CPU time", "at most", "met"], rows)
@@ -193,7 +197,7 @@ def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row])
             return value(rows_now) if base is None or value(base) == value(rows_now) else f"{value(base)} to {value(rows_now)}"
 
         rows.append([
-            key.picture, key.plan, MOVES.get(key.move, key.move),
+            key.picture, key.plan, CHANGES.get(key.change, key.change),
             "" if base is None else f"{median_of(base, 'ms'):.1f}", f"{median_of(rows_now, 'ms'):.1f}",
             "" if base is None else f"{paired_ratio(rows_now, base):.2f}",
             "" if base is None else f"{median_of(base, 'cpu_ms'):.1f}", f"{median_of(rows_now, 'cpu_ms'):.1f}",
@@ -201,22 +205,22 @@ def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row])
             "" if stick is None else f"{paired_ratio(rows_now, stick):.1f}",
             format_both(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
             format_both(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
-            *_format_equality(differences.get(key)),
+            *_equality_cells(differences.get(key)),
         ])  # fmt: skip
     return _table(head, rows)
 
 
-def _format_equality(differs: Row | None) -> list[str]:
+def _equality_cells(difference: Row | None) -> list[str]:
     """Return two table cells: the number of frames with equal colours, and with equal visibilities, on both sides.
 
-    If they differ, a cell also tells by how much the last frame differs.
+    If frames differ, the cells also contain the difference of the last frame.
     """
-    if differs is None:
+    if difference is None:
         return ["", ""]
-    color = f"; {differs['pixels']} pixels differ, by up to {differs['most']}" if differs["most"] else ""
-    classes = f"; {differs['classes']} pixels of another class" if differs["classes"] else ""
-    count = differs["frames"]
-    return [f"{differs['color']} of {count}{color}", f"{differs['visibility']} of {count}{classes}"]
+    color = f"; {difference['pixels']} pixels differ, by up to {difference['most']}" if difference["most"] else ""
+    classes = f"; {difference['classes']} pixels of another class" if difference["classes"] else ""
+    count = difference["frames"]
+    return [f"{difference['color']} of {count}{color}", f"{difference['visibility']} of {count}{classes}"]
 
 
 def _first_table(first_frames: dict[str, Rows]) -> str:
@@ -236,6 +240,6 @@ def _pass_table(key: FrameKey, sides: Rows) -> str:
     passes_by_side = {side: median_passes(sides[side]) for side in (BASE, NOW) if side in sides}
     names = list(dict.fromkeys(name for passes in passes_by_side.values() for name in passes))
     rows = [[name, *(f"{passes[name]:.1f}" if name in passes else "" for passes in passes_by_side.values())] for name in names]
-    return f"{key.picture}, {key.plan}, {MOVES[key.move]} moved:\n\n" + _table(
+    return f"{key.picture}, {key.plan}, {CHANGES[key.change]} moved:\n\n" + _table(
         ["pass", *(f"{side}, ms" for side in passes_by_side)], rows
     )

@@ -2,21 +2,23 @@
 
     python -P benchmarks/frame_worker.py LEVEL VIEW WIDTHxHEIGHT OVERRIDES
 
-``benchmarks.frames`` starts it, once for this checkout and once for each reference checkout. It therefore imports nothing of the
-benchmarks before a ``yardstick`` request, and from the packages only modules that older checkouts have, too. LEVEL is a bundled
-level's name or a file, OVERRIDES a JSON object: name of a plan -> its overrides. Each input line is a JSON object with ``do``:
+``benchmarks.frames`` starts it, once for this checkout and once for each reference checkout. So it imports nothing of the
+benchmarks before a ``yardstick`` request, and only modules that older checkouts also have. LEVEL is a bundled level's name or a
+file. OVERRIDES is a JSON object from plan names to their overrides. Each input line is a JSON object, whose key ``do`` names the
+request:
 
 ``plan``
-    make the plans of the view, with sun and camera at their current places;
+    Make the plans of the view for the positions ``sun`` and ``camera``.
 ``frame``
-    draw a frame by the plan named ``plan``, with sun and camera at the places with the numbers ``sun`` and ``camera``; with
-    ``clear``, a list of cache lifetimes, such caches are emptied before;
+    Draw a frame by the plan named ``plan``, with sun and camera at the positions with the numbers ``sun`` and ``camera``. Before,
+    clear the caches with the lifetimes in the list ``clear``.
 ``yardstick``
-    draw the same by ``benchmarks.yardstick``, with a depth map of ``map_size`` texels (0: none) and ``taps``;
+    Draw the same frame by ``benchmarks.yardstick``, with a depth map of ``map_size`` texels a side (0: none) and ``taps`` taps a
+    side.
 ``save``
-    write the last picture to ``path``, a PNG file, or with its visibilities (n, rows, cols) a NumPy file.
+    Write the last picture to ``path``, a PNG file, or with its visibilities (n, rows, cols) a NumPy file.
 
-The answer to each is a line with a JSON object of its costs.
+The answer to each request is a line with a JSON object of its costs.
 """
 
 from __future__ import annotations
@@ -51,25 +53,25 @@ from skugga.terrain.scene import Scene, build_scene  # noqa: E402
 IMPORTS_END_S = time.perf_counter()
 
 GOLDEN_RATIO = 0.5 * (np.sqrt(5.0) - 1.0)
-"""Place number n lies at the fraction of n * ``GOLDEN_RATIO`` of the ranges below. Places never repeat, and successive ones are
-never near."""
+"""Position number n is the fractional part of n * ``GOLDEN_RATIO``, as a share of the ranges below. Positions never repeat, and
+successive ones are far apart."""
 
-SUN_RANGE_DEG, SUN_RANGE_MIN = 4.0, 16.0
-"""The sun's range in degrees of azimuth, or in minutes if the level has a time. It begins at the level's own sun. Successive places
-differ by at least two fifths of it, as in a film of a day in steps of six minutes or more."""
+SUN_RANGE_DEG, SUN_RANGE_MINUTES = 4.0, 16.0
+"""Range of the sun in degrees of azimuth, or in minutes if the level has a time. It begins at the level's own sun. Successive
+positions differ by at least two fifths of it, as in a film of a day in steps of six minutes or more."""
 
 CAMERA_TRAVEL_M = 3.0
-"""The camera's range, to its right: steps of 1.1 to 1.9 m."""
+"""Range of the camera, to its right. Successive positions differ by 1.1 to 1.9 m."""
 
 
-class Costs:
-    """Counters of one frame: the number and bytes of reads of pictures from the device."""
+class ReadCounters:
+    """Counters of reads from the OpenGL device during one frame: their number and bytes."""
 
     def __init__(self) -> None:
         self.reads, self.read_bytes, self._within = 0, 0, 0
 
     @contextmanager
-    def read(self, array: Any) -> Iterator[None]:
+    def count_read(self, array: Any) -> Iterator[None]:
         """Count a read from the device. Reads nested in it are not counted again."""
         self._within += 1
         try:
@@ -81,7 +83,7 @@ class Costs:
             self.read_bytes += array.nbytes if isinstance(array, np.ndarray) else 0
 
 
-COSTS = Costs()
+READ_COUNTERS = ReadCounters()
 
 
 def count_reads() -> None:
@@ -101,14 +103,14 @@ def count_reads() -> None:
 def _counting_wrapper(call: Any) -> Any:
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         arrays = [argument for argument in (*args, *kwargs.values()) if isinstance(argument, np.ndarray)]
-        with COSTS.read(arrays[-1] if arrays else None):
+        with READ_COUNTERS.count_read(arrays[-1] if arrays else None):
             return call(*args, **kwargs)
 
     return wrapper
 
 
 class ViewVariants:
-    """The level's scene and view, and numbered variants of them with moved sun or camera."""
+    """The level's scene and view, and numbered variants with moved sun or camera."""
 
     def __init__(self, scene: Scene, view: PerspectiveView) -> None:
         self.scene, self.view = scene, view
@@ -120,7 +122,7 @@ class ViewVariants:
             sun, share = self.scene.sun, number * GOLDEN_RATIO % 1.0
             assert sun is not None
             if sun.time is not None:
-                spec = SunSpec(time=sun.time + timedelta(minutes=SUN_RANGE_MIN * share))
+                spec = SunSpec(time=sun.time + timedelta(minutes=SUN_RANGE_MINUTES * share))
             else:
                 spec = SunSpec(azimuth=sun.azimuth_deg + SUN_RANGE_DEG * share, altitude=sun.altitude_deg)
             self._moved = {0: self.scene, number: self.scene.with_sun(spec)}  # frames under one sun share a scene, as in a film
@@ -147,7 +149,7 @@ class Worker:
         self.yardsticks: dict[tuple[int, int], Any] = {}
         self.picture: np.ndarray | None = None
         self.visibility = np.zeros((0, 0, 0), np.float32)
-        self.built_ms = 1000.0 * (time.perf_counter() - start)
+        self.scene_ms = 1000.0 * (time.perf_counter() - start)
 
     def plan(self, request: dict[str, Any]) -> dict[str, Any]:
         scene, view = (
@@ -171,7 +173,7 @@ class Worker:
             self.variants.with_camera_number(request.get("camera", 0)),
         )
         self.picture, self.visibility = None, self.visibility[:0]  # releases the last frame before the next, as a service does
-        COSTS.reads, COSTS.read_bytes = 0, 0
+        READ_COUNTERS.reads, READ_COUNTERS.read_bytes = 0, 0
         wall, cpu = time.perf_counter(), time.process_time()
         with record_draw_calls() as calls:
             frame = render_frame(scene, view, self.plans[request["plan"]])
@@ -180,8 +182,13 @@ class Worker:
         passes = {record.name: record.ms for record in frame.passes}
         passes["outside of passes"] = took["ms"] - sum(passes.values())
         triangles = sum(record.triangles for record in frame.passes)
-        counts = {"reads": COSTS.reads, "read_mib": COSTS.read_bytes / 2**20, "draws": len(calls), "triangles": triangles}
-        digests = {"color": profile_digest([frame.color]), "visibility": profile_digest([self.visibility])}
+        counts = {
+            "reads": READ_COUNTERS.reads,
+            "read_mib": READ_COUNTERS.read_bytes / 2**20,
+            "draws": len(calls),
+            "triangles": triangles,
+        }
+        digests = {"color": array_digest([frame.color]), "visibility": array_digest([self.visibility])}
         return {**took, **counts, **digests, "passes_ms": passes, "peak_gb": peak_gb()}
 
     def yardstick(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -197,12 +204,17 @@ class Worker:
             for _ in range(3):  # compiles, and uploads
                 self.yardsticks[key].draw(scene, view)
         stick = self.yardsticks[key]
-        COSTS.reads, COSTS.read_bytes = 0, 0
+        READ_COUNTERS.reads, READ_COUNTERS.read_bytes = 0, 0
         wall, cpu = time.perf_counter(), time.process_time()
         with record_draw_calls() as calls:
             self.picture = stick.draw(scene, view)[..., :3]
         took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
-        counts = {"reads": COSTS.reads, "read_mib": COSTS.read_bytes / 2**20, "draws": len(calls), "triangles": stick.triangles}
+        counts = {
+            "reads": READ_COUNTERS.reads,
+            "read_mib": READ_COUNTERS.read_bytes / 2**20,
+            "draws": len(calls),
+            "triangles": stick.triangles,
+        }
         return {**took, **counts, "passes_ms": {}, "peak_gb": peak_gb()}
 
     def save(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -216,7 +228,7 @@ class Worker:
         return {}
 
 
-def profile_digest(arrays: list[np.ndarray]) -> str:
+def array_digest(arrays: list[np.ndarray]) -> str:
     """Return a digest of the contents of arrays, 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for array in arrays:
@@ -238,7 +250,7 @@ def main() -> None:
     answers, sys.stdout = sys.stdout, sys.stderr  # printed text is no answer
     worker = Worker(level, view, (width, height), json.loads(overrides))
     count_reads()
-    ready = {"import_ms": 1000.0 * (IMPORTS_END_S - PROCESS_START_S), "scene_ms": worker.built_ms}
+    ready = {"import_ms": 1000.0 * (IMPORTS_END_S - PROCESS_START_S), "scene_ms": worker.scene_ms}
     print(json.dumps(ready), file=answers, flush=True)
     for line in sys.stdin:
         request = json.loads(line)

@@ -7,34 +7,35 @@ All sides draw in turns, each in a process of its own: this checkout; ``--base``
 Lambert's cosine and one colour of sky. It draws without shadows, and with a depth map of 512 x 512 texels of 16 bits. The map is
 drawn again for each frame, and compared in one texel or in 3 x 3. All its data is uploaded before, and each picture is read back
 within the timed section. Ratios are medians of the ratios of successive frames, by wall time and by the CPU time of all threads.
-Only ratios of one run are comparable. The target is a ratio to the yardstick with one tap, because the plan also uses one there.
-Lines with "beside" are no targets.
+Only ratios of one run are comparable. The target is a ratio to the yardstick with one tap, because the plan also uses one tap.
+Lines that begin with "beside" give figures without a target.
 
 There are several pictures. The SpatialAce level's view ``main`` is drawn at 800 x 600 as planned, by ``shadow_map`` alone, and
 without cast shadows. The views ``valley`` and ``village`` of the wooded level are drawn at 1280 x 1024 as planned. The last picture
 shows 10 x 10 km under a million trees from 60 m above the ground, at 800 x 600 as planned. Plans follow the fixed rules for a
-device without a calibration, as in ``skugga render``. Plans are made once, outside the timed section, from the level's own view and
-sun, as for a film. The cost of a plan for another place is shown below the frames.
+device without a calibration, as in ``skugga render``. Plans are made once, outside the timed section, for the level's own view and
+sun, as for a film. The report lists the cost of a plan for another view below the frames.
 
 Changes from one frame to the next:
 
 ``new``
-    the sun moves by 1.5 or 2.5 degrees and the camera by 1.1 or 1.9 m, to new places: no cache holds anything for either.
-    Caches hold only data of the level: its nodes, meshes, trees, leaves, programs.
+    The sun moves by 1.5 or 2.5 degrees and the camera by 1.1 or 1.9 m, to new positions. Caches hold only data of the level: its
+    nodes, meshes, trees, leaves, programs.
 ``sun``, ``camera``
-    one of them moves. Data of the other one may be cached from the previous frame, on the device and in the caches of
+    One of them moves. Data of the other one may be cached from the previous frame, on the device and in the caches of
     ``skugga.terrain.cache`` with the lifetimes ``light`` (invalid when the sun moves) and ``scene``.
 ``resting``
-    nothing changes: the same frame again.
+    Nothing changes: the same frame again.
 ``all new``
-    the caches of ``light`` and ``scene`` are emptied before the same frame: data of the level's files is made again, too.
+    The caches with the lifetimes ``light`` and ``scene`` are emptied before the same frame, so data of the level's files is
+    computed again.
 
-With ``--base``, each frame's colours and visibilities are compared with those of the other commit, bit by bit. Where they differ,
-the report shows the number of differing pixels, and of those that are lit in one only, of the last frame.
+With ``--base``, each frame's colours and visibilities are compared with those of the other commit, bit by bit. For the last frame,
+the report shows the number of differing pixels, and the number of pixels that are lit in one picture only.
 
 A first frame is that of a new process with a full numba cache: load the level, make the plan, draw the frame. The process then
-plans and draws five new views. The target applies to the frame. The time of plan and frame together is shown beside it. Peak memory
-is that of a whole process that plans and draws new frames of the million trees.
+plans and draws five new views. The target applies to the frame without its plan. Peak memory is that of a whole process that plans
+and draws new frames of the million trees.
 """
 
 from __future__ import annotations
@@ -56,17 +57,17 @@ import numpy as np
 
 from benchmarks.frame_tables import (
     BASE,
-    BEGIN,
     NOW,
+    TABLES_BEGIN,
     YARDSTICK,
     FrameKey,
     Row,
     Rows,
-    as_markdown,
+    format_report,
     frame_targets,
     replace_between_marks,
 )
-from benchmarks.scenes import wooded_hills
+from benchmarks.scenes import write_wooded_hills
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKER = Path(__file__).with_name("frame_worker.py")
@@ -75,8 +76,8 @@ MILLION_TREES = "a million trees"
 YARDSTICK_VARIANTS = {"unshadowed": (0, 1), "512, 1 tap": (512, 1), "512, 3 x 3 taps": (512, 3)}
 """Sides of the yardstick's depth map and of its square of taps."""
 
-ALL_MOVES = ("new", "sun", "camera", "resting", "all new")
-FIRST_REPEATS, WARM_AFTER_FIRST = 3, 5
+ALL_CHANGES = ("new", "sun", "camera", "resting", "all new")
+FIRST_FRAME_REPEATS, WARM_FRAMES = 3, 5
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,11 @@ class Picture:
         Name of the level, name of its view, and (width, height) in pixels.
     plans
         Overrides of a level's ``shadows``, by name of the plan.
-    moves
+    changes
         Changes between frames to measure, by name of the plan.
-    turns_share
-        Number of turns, as a share of those of the SpatialAce level.
-    has_first
+    turn_share
+        Number of turns (repeats) divided by that of the SpatialAce level.
+    measures_first_frames
         Whether the first frames of new processes are measured too.
     """
 
@@ -101,21 +102,21 @@ class Picture:
     view: str
     size: tuple[int, int]
     plans: dict[str, dict[str, Any]] = field(default_factory=lambda: {"planned": {}})
-    moves: dict[str, tuple[str, ...]] = field(default_factory=lambda: {"planned": ALL_MOVES})
-    turns_share: float = 1.0
-    has_first: bool = False
+    changes: dict[str, tuple[str, ...]] = field(default_factory=lambda: {"planned": ALL_CHANGES})
+    turn_share: float = 1.0
+    measures_first_frames: bool = False
 
 
 PICTURES = {
     "SpatialAce": Picture(
         "spatialace", "main", (800, 600),
         {"planned": {}, "shadow_map": {"algorithm": "shadow_map"}, "none": {"algorithm": "none"}},
-        {"planned": ALL_MOVES, "shadow_map": ("new", "resting"), "none": ("new", "resting")},
-        has_first=True,
+        {"planned": ALL_CHANGES, "shadow_map": ("new", "resting"), "none": ("new", "resting")},
+        measures_first_frames=True,
     ),
-    "valley": Picture("jacksboro_wooded", "valley", (1280, 1024), turns_share=0.5, has_first=True),
-    "village": Picture("jacksboro_wooded", "village", (1280, 1024), turns_share=0.5),
-    MILLION_TREES: Picture("", "low", (800, 600), moves={"planned": ("new",)}, turns_share=0.5),
+    "valley": Picture("jacksboro_wooded", "valley", (1280, 1024), turn_share=0.5, measures_first_frames=True),
+    "village": Picture("jacksboro_wooded", "village", (1280, 1024), turn_share=0.5),
+    MILLION_TREES: Picture("", "low", (800, 600), changes={"planned": ("new",)}, turn_share=0.5),
 }  # fmt: skip
 
 
@@ -126,7 +127,7 @@ class FrameProcess:
         self._process, self._stderr = process, stderr
         self.ready = self._answer()
 
-    def ask(self, operation: str, **parameters: Any) -> Row:
+    def request(self, operation: str, **parameters: Any) -> Row:
         """Send a request to the process, and return the costs that it reports. Raises ``RuntimeError`` if it fails."""
         assert self._process.stdin is not None
         try:
@@ -182,7 +183,7 @@ class FrameMeasurements:
     renderer
         Name of the OpenGL renderer.
     load
-        The highest load average of the machine, over one minute.
+        The highest one-minute load average of the machine.
     """
 
     frames: dict[FrameKey, Rows] = field(default_factory=dict)
@@ -196,37 +197,37 @@ class FrameMeasurements:
 def measure_interleaved(
     name: str, picture: Picture, level: str, folders: dict[str, Path], turns: int, measurements: FrameMeasurements
 ) -> None:
-    """Draw a picture's frames. In each turn every side draws every kind of frame; the order of the sides alternates."""
+    """Draw a picture's frames in turns. In each turn every side draws every kind of frame, in alternating order."""
     with ExitStack() as stack:
         sides = {side_name: stack.enter_context(frame_process(folder, picture, level)) for side_name, folder in folders.items()}
         drawers = {side_name: process for side_name, process in sides.items() if side_name != YARDSTICK}
         for side_name, process in drawers.items():
-            planned = process.ask("plan")
+            planned = process.request("plan")
             measurements.renderer = planned["renderer"]
             measurements.plans.setdefault(name, {})[side_name] = planned
         number, sun, camera = 0, 0, 0
         pictures = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for turn_number in range(turns + 1):
             order = list(drawers.items())[:: 1 if turn_number % 2 else -1]
-            for plan, moves in picture.moves.items():
+            for plan, moves in picture.changes.items():
                 for move in moves:
                     if move in ("new", "sun", "camera"):
                         number += 1
                     sun, camera = _position_numbers(move, number, (sun, camera))
                     clear = ["light", "scene"] if move == "all new" else []
                     for side_name, process in order:
-                        row = process.ask("frame", plan=plan, sun=sun, camera=camera, clear=clear)
+                        row = process.request("frame", plan=plan, sun=sun, camera=camera, clear=clear)
                         _add_row(measurements, FrameKey(name, plan, move), side_name, row, turn_number)
                     if turn_number == turns and BASE in drawers:
                         key = FrameKey(name, plan, move)
                         measurements.differences[key] = _difference(measurements.frames[key], drawers, pictures)
             if YARDSTICK in sides:
                 for yardstick_name, (map_size, taps) in YARDSTICK_VARIANTS.items():
-                    row = sides[YARDSTICK].ask("yardstick", map_size=map_size, taps=taps, sun=number, camera=number)
+                    row = sides[YARDSTICK].request("yardstick", map_size=map_size, taps=taps, sun=number, camera=number)
                     _add_row(measurements, FrameKey(name, "yardstick", yardstick_name), YARDSTICK, row, turn_number)
         for repeat in range(3):
             for side_name, process in drawers.items():
-                row = process.ask("plan", plans=["planned"], sun=number + 1 + repeat, camera=number + 1 + repeat)
+                row = process.request("plan", plans=["planned"], sun=number + 1 + repeat, camera=number + 1 + repeat)
                 measurements.plans[name][side_name].setdefault("new_view_ms", []).append(row["ms"])
                 measurements.plans[name][side_name].setdefault("new_view_cpu_ms", []).append(row["cpu_ms"])
 
@@ -239,7 +240,7 @@ def _difference(rows: Rows, drawers: dict[str, FrameProcess], folder: Path) -> R
     }
     saved = []
     for side_name, process in drawers.items():
-        process.ask("save", path=str(folder / f"{side_name}.npz"))
+        process.request("save", path=str(folder / f"{side_name}.npz"))
         saved.append(np.load(folder / f"{side_name}.npz"))
     steps = np.abs(np.subtract(*(side_name["color"].astype(np.int16) for side_name in saved))).max(axis=2)
     lit = [side_name["visibility"] >= 0.5 for side_name in saved]
@@ -247,12 +248,14 @@ def _difference(rows: Rows, drawers: dict[str, FrameProcess], folder: Path) -> R
     return {"frames": len(rows[NOW]), **equal_counts, **counts}
 
 
-def _position_numbers(move: str, number: int, before: tuple[int, int]) -> tuple[int, int]:
-    """Return the numbers of the sun's and the camera's places in the next frame.
+def _position_numbers(change: str, number: int, previous_numbers: tuple[int, int]) -> tuple[int, int]:
+    """Return the numbers of the sun's and the camera's positions in the next frame.
 
-    ``move`` is the change between the frames. ``before`` holds the numbers of the previous frame, and ``number`` is the new one.
+    ``change`` is the change between the frames. ``previous_numbers`` are those of the previous frame. ``number`` is a new number.
     """
-    return number if move in ("new", "sun") else before[0], number if move in ("new", "camera") else before[1]
+    return number if change in ("new", "sun") else previous_numbers[0], number if change in ("new", "camera") else previous_numbers[
+        1
+    ]
 
 
 def _add_row(measurements: FrameMeasurements, key: FrameKey, side_name: str, row: Row, turn_number: int) -> None:
@@ -260,15 +263,17 @@ def _add_row(measurements: FrameMeasurements, key: FrameKey, side_name: str, row
         measurements.frames.setdefault(key, {}).setdefault(side_name, []).append(row)
 
 
-def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Path], measurements: FrameMeasurements) -> None:
+def measure_first_frames(
+    name: str, picture: Picture, level: str, folders: dict[str, Path], measurements: FrameMeasurements
+) -> None:
     """Measure the first frames of new processes, one side after the other."""
-    for _ in range(FIRST_REPEATS):
+    for _ in range(FIRST_FRAME_REPEATS):
         for side_name, folder in folders.items():
             with frame_process(folder, picture, level) as process:
                 answers = []
-                for number in range(WARM_AFTER_FIRST + 1):
-                    plan = process.ask("plan", plans=["planned"], sun=number, camera=number)
-                    row = process.ask("frame", plan="planned", sun=number, camera=number)
+                for number in range(WARM_FRAMES + 1):
+                    plan = process.request("plan", plans=["planned"], sun=number, camera=number)
+                    row = process.request("frame", plan="planned", sun=number, camera=number)
                     answer_times = {f"{clock}answer_ms": plan[f"{clock}ms"] + row[f"{clock}ms"] for clock in ("", "cpu_")}
                     answers.append({**row, **answer_times, "plan_ms": plan["ms"]})
                 clocks = ("ms", "cpu_ms", "plan_ms", "answer_ms", "cpu_answer_ms")
@@ -287,13 +292,13 @@ def measure(args: argparse.Namespace) -> FrameMeasurements:
             picture = PICTURES[name]
             width, height = picture.size
             picture = Picture(**{**vars(picture), "size": (round(width * args.scale), round(height * args.scale))})
-            level = str(wooded_hills(Path(folder), args.trees)) if name == MILLION_TREES else picture.level
-            turn_count = max(round(args.repeats * picture.turns_share), 1)
+            level = str(write_wooded_hills(Path(folder), args.trees)) if name == MILLION_TREES else picture.level
+            turn_count = max(round(args.repeats * picture.turn_share), 1)
             measure_interleaved(name, picture, level, {**folders, YARDSTICK: ROOT}, turn_count, measurements)
-            if picture.has_first and not args.no_first:
-                first_frames(name, picture, level, folders, measurements)
+            if picture.measures_first_frames and not args.no_first:
+                measure_first_frames(name, picture, level, folders, measurements)
             measurements.load = max(measurements.load, os.getloadavg()[0])
-            print(f"{name} is done; load {os.getloadavg()[0]:.1f}", file=sys.stderr, flush=True)
+            print(f"{name}: measured; load average {os.getloadavg()[0]:.1f}", file=sys.stderr, flush=True)
     return measurements
 
 
@@ -307,37 +312,43 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--base", type=Path, help="a clone of another commit")
     parser.add_argument("--pictures", nargs="+", choices=tuple(PICTURES), default=list(PICTURES))
-    parser.add_argument("--repeats", type=int, default=15, help="turns of SpatialAce's frames; half as many of the others")
+    parser.add_argument("--repeats", type=int, default=15, help="turns of SpatialAce's frames; half as many for the other pictures")
     parser.add_argument("--trees", type=int, default=1_000_000)
-    parser.add_argument("--scale", type=float, default=1.0, help="of the pictures' sides, to try it out")
+    parser.add_argument("--scale", type=float, default=1.0, help="factor of the pictures' sides, for a quick trial")
     parser.add_argument("--no-first", action="store_true", help="leave out the first frames of fresh processes")
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--markdown", type=Path, help="a page with marks, between which the tables are put, or a new file")
+    parser.add_argument("--markdown", type=Path, help="a page with marks, between which the tables are written, or a new file")
     args = parser.parse_args(arguments)
     if args.base is not None and not (args.base / "terrain").is_dir():
-        parser.error(f"--base: {args.base}: a clone of this repository, which has a folder terrain")
+        parser.error(f"--base: {args.base} has no folder terrain. Name a clone of this repository.")
     if args.repeats < 1 or not 0.0 < args.scale <= 1.0:
-        parser.error(f"--repeats {args.repeats} --scale {args.scale:g}: one turn at least, and a scale up to 1")
+        parser.error(f"--repeats {args.repeats} --scale {args.scale:g}: use at least 1 repeat and a scale in (0, 1].")
     measurements = measure(args)
     result = {
         "renderer": measurements.renderer, "cpus": os.cpu_count(), "load": measurements.load, "repeats": args.repeats,
         "now": _commit(ROOT), "base": _commit(args.base) if args.base else None, "plans": measurements.plans,
         "firsts": measurements.first_frames,
         "frames": [
-            {**key._asdict(), "rows": sides, "differs": measurements.differences.get(key)}
+            {
+                "picture": key.picture, "plan": key.plan, "move": key.change, "rows": sides,
+                "differs": measurements.differences.get(key),
+            }
             for key, sides in measurements.frames.items()
         ],
         "targets": [
-            {**target._asdict(), "met": target.met}
+            {
+                "what": target.description, "most": target.upper_bound, "wall": target.value, "cpu": target.cpu_value,
+                "unit": target.unit, "counts": target.is_required, "met": target.is_met,
+            }
             for target in frame_targets(measurements.frames, measurements.first_frames)
         ],
     }  # fmt: skip
-    table = as_markdown(result, measurements.frames, measurements.first_frames, measurements.differences)
+    table = format_report(result, measurements.frames, measurements.first_frames, measurements.differences)
     if args.json:
         args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     if args.markdown:
         page = args.markdown.read_text(encoding="utf-8") if args.markdown.exists() else ""
-        args.markdown.write_text(replace_between_marks(page, table) if BEGIN in page else table, encoding="utf-8")
+        args.markdown.write_text(replace_between_marks(page, table) if TABLES_BEGIN in page else table, encoding="utf-8")
     print(table)
     for target in frame_targets(measurements.frames, measurements.first_frames):
         print(target.line)

@@ -4,7 +4,7 @@
                                       [--markdown FILE]
 
 Every terrain or surface raster below FOLDER is drawn at its own resolution (at most ``--pixels`` a side, from its middle). Rasters
-with the steepest 95th percentile of slope come first. Truth is ray-traced on the drawn triangles, for the sweep as for all others.
+are sorted by the 95th percentile of their slope, steepest first. Truth is ray-traced on the triangles that are drawn.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
-SUNS = [(202.0, 60.0), (113.0, 30.0), (67.0, 10.0), (293.0, 3.0)]
+SUN_ANGLES_DEG = [(202.0, 60.0), (113.0, 30.0), (67.0, 10.0), (293.0, 3.0)]
 
 
-def scene_of(raster: Path, folder: Path) -> Scene:
+def raster_scene(raster: Path, folder: Path) -> Scene:
     path = folder / "level.yaml"
     path.write_text(json.dumps({"version": 1, "terrain": {"source": str(raster.resolve())}}), encoding="utf-8")
     return build_scene(load_level(path))
 
 
-def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, taps: int) -> list[dict]:
+def measure(scene: Scene, max_side_px: int, algorithm: AlgorithmName, map_size: int, taps: int) -> list[dict]:
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     unit_m = 111_320.0 if scene.map_crs.is_geographic else scene.world.metres_per_unit
-    side = min(pixels, max(scene.elevation.shape))
+    side = min(max_side_px, max(scene.elevation.shape))
     x, y = scene.view(size=(8, 8)).centre
     half = side * cell_m / unit_m / 2
     rows = []
-    for azimuth, altitude in SUNS:
+    for azimuth, altitude in SUN_ANGLES_DEG:
         lit = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
         south, north = (np.clip(v, -90, 90) if lit.map_crs.is_geographic else v for v in (y - half, y + half))
         view = lit.view(bounds=(x - half, south, x + half, north), size=(side, side))
@@ -92,9 +92,9 @@ def main() -> None:
         scenes = []
         for raster in sorted(args.folder.rglob("*.tif")):
             try:
-                scene = scene_of(raster, Path(folder))
+                scene = raster_scene(raster, Path(folder))
             except SkuggaError as error:
-                print(f"left out: {error}")
+                print(f"skipped: {error}")
                 continue
             scenes.append((slope_p95_deg(scene), raster, scene))
         scenes.sort(key=lambda item: -item[0])

@@ -3,8 +3,8 @@
     python -m benchmarks.messages                # all
     python -m benchmarks.messages InputError     # of one kind
 
-Each line has the file, the line and the texts of a call; expressions stand in braces. The list shows messages that break the rule
-"NAME: problem. Remedy." before a user sees them.
+Each line has the file, the line number and the texts of a call, with expressions in braces. Maintainers check the list against the
+rule "NAME: problem. Remedy.".
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Message:
     kind
         The error's class, with its kind if it is one of ``KINDS_OF_ERRORS``; ``warning`` or ``log``.
     path, line
-        Where it stands.
+        File and line number of the call.
     texts
         The arguments of the call, expressions in braces.
     """

@@ -4,8 +4,8 @@
     python -m benchmarks.perspective_maps times [LEVEL ...] [--size 1280 1024] [--map-size 1024] [--repeats 40] [--json FILE]
 
 The default levels are those of the thesis (J. Sindholt 2005), with all their perspective views. `errors` compares one perspective
-map with one shadow map, fitted ``tight`` and ``stable``. `times` draws a map and looks it up; the kinds of maps take turns. It
-reports ratios of medians, and bytes.
+map with one shadow map, fitted ``tight`` and ``stable``. `times` draws a map and samples it; the kinds of maps take turns. It
+reports ratios of median times, and bytes.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
+THESIS_LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
 
 FITS = ("tight", "stable")
-"""Ways of fitting the shadow map to what is visible."""
+"""Ways of fitting the shadow map to the visible points."""
 
 Row = dict[str, Any]
 
 
-def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene, str, PerspectiveView]]:
+def perspective_views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene, str, PerspectiveView]]:
     """Yield the perspective views of levels, each as name of the level, scene, name of the view, and view."""
     for name in levels:
         scene = build_scene(load_level(find_level(name)))
@@ -50,7 +50,7 @@ def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene
                 yield name, scene, view_name, scene.view(view_name, size=size)
 
 
-def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: int) -> dict[str, Plan]:
+def make_plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: int) -> dict[str, Plan]:
     """Return the plans to compare by name. All have one map of the same size, with the same filter taps and depth bits."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
     overrides = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
@@ -58,28 +58,28 @@ def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: i
     return {**maps, "perspective": make_plan(descriptor, level, {**overrides, "algorithm": "perspective_shadow_map"})}
 
 
-def errors(args: argparse.Namespace) -> list[Row]:
+def measure_errors(args: argparse.Namespace) -> list[Row]:
     keys = (
         "edge_p95", "edge_mean", "wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_parts",
         "interior_sees",
     )  # fmt: skip
     rows = []
-    for level, scene, name, view in views(args.levels, tuple(args.size)):
-        for map_name, plan in plans(scene, view, name, args.map_size, args.filter).items():
+    for level, scene, name, view in perspective_views(args.levels, tuple(args.size)):
+        for map_name, plan in make_plans(scene, view, name, args.map_size, args.filter).items():
             figures = measure_plan(scene, view, plan).figures
             rows.append({"view": f"{level} {name}", "map": map_name, **{key: figures[key] for key in keys}})
             print(*rows[-1].values(), flush=True)
     return rows
 
 
-def times(args: argparse.Namespace) -> list[Row]:
+def measure_times(args: argparse.Namespace) -> list[Row]:
     rows = []
-    for level, scene, name, view in views(args.levels, tuple(args.size)):
+    for level, scene, name, view in perspective_views(args.levels, tuple(args.size)):
         buffer = geometry_buffer(scene, view)
         casters = find_casters(scene, buffer)
         times_by_map: dict[str, list[float]] = {}
         map_bytes, notes = {}, {}
-        todo = plans(scene, view, name, args.map_size, args.filter)
+        todo = make_plans(scene, view, name, args.map_size, args.filter)
         for number in range(args.repeats + 2):
             for map_name in [*todo][:: 1 if number % 2 else -1]:
                 device().depth_targets.clear()
@@ -102,7 +102,7 @@ def times(args: argparse.Namespace) -> list[Row]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("errors", "times"))
-    parser.add_argument("levels", nargs="*", default=LEVELS)
+    parser.add_argument("levels", nargs="*", default=THESIS_LEVELS)
     parser.add_argument("--size", type=int, nargs=2)
     parser.add_argument("--map-size", type=int, default=1024)
     parser.add_argument("--filter", type=int, default=3)
@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     args.size = args.size or {"errors": (640, 512), "times": (1280, 1024)}[args.what]
-    rows = {"errors": errors, "times": times}[args.what](args)
+    rows = {"errors": measure_errors, "times": measure_times}[args.what](args)
     keys = list(rows[0])
     table = [keys, ["---"] * len(keys), *([f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows)]
     print(device().renderer, "", *(f"| {' | '.join(line)} |" for line in table), sep="\n")

@@ -1,10 +1,10 @@
 """Hashes of every layer of every view of the bundled levels. Equal hashes prove that a change of the code alters no picture.
 
     python -m benchmarks.picture_hashes write before.json     # on the commit before
-    python -m benchmarks.picture_hashes check before.json     # on the one after: names what differs, exit status 1
+    python -m benchmarks.picture_hashes check before.json     # on the commit after: lists differences, exit status 1
 
 Each view is drawn by the plan of the fixed rules, and by every algorithm that supports it, with all layers that these produce. If
-an algorithm refuses a view, the hash covers its message. Two processes take some ten minutes on two cores of llvmpipe.
+an algorithm refuses a view, the hash is that of its message. Two processes need about ten minutes on two cores with llvmpipe.
 """
 
 from __future__ import annotations
@@ -31,50 +31,52 @@ from skugga.terrain.errors import SkuggaError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-AUTO = "auto"
+AUTO_ALGORITHM = "auto"
 
 LAYERS = products_with(lambda each: each.pass_layer is None and "perspective" in each.view_kinds)
 """Products of every frame."""
 
 
-def hash_of(array: np.ndarray) -> str:
+def array_hash(array: np.ndarray) -> str:
     """Return a hash of an array's bytes, shape and data type."""
     digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
     digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 
 
-def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, str]]:
+def view_hashes(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, str]]:
     """Yield names and hashes of a view's layers, of its plan, and of its report on casters outside the view.
 
     If the algorithm refuses the view, yield the hash of its message.
     """
     view = scene.view(name)
     try:
-        plan = make_plan(describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO else {"algorithm": algorithm})
+        plan = make_plan(
+            describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO_ALGORITHM else {"algorithm": algorithm}
+        )
         left = frozenset(layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers)
         frame = render_frame(scene, view, plan, layers=left)
     except SkuggaError as error:
-        yield "refusal", hash_of(np.frombuffer(str(error).encode(), np.uint8))
+        yield "refusal", array_hash(np.frombuffer(str(error).encode(), np.uint8))
         return
-    yield "plan", hash_of(np.frombuffer(plan.model_dump_json().encode(), np.uint8))
-    yield "reach", hash_of(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
+    yield "plan", array_hash(np.frombuffer(plan.model_dump_json().encode(), np.uint8))
+    yield "reach", array_hash(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
     for layer in LAYERS:
-        yield layer, hash_of(product_of_frame(scene, frame, layer))
+        yield layer, array_hash(product_of_frame(scene, frame, layer))
     for light, visibility in frame.visibilities.items():
-        yield f"visibility of {light}", hash_of(visibility)
+        yield f"visibility of {light}", array_hash(visibility)
     for layer, by_light in sorted(frame.layers.items()):
         for light, picture in by_light.items():
-            yield f"{layer} of {light}", hash_of(picture)
+            yield f"{layer} of {light}", array_hash(picture)
 
 
-def hashes_of_level(path: Path) -> dict[str, str]:
+def level_hashes(path: Path) -> dict[str, str]:
     """Return all hashes of a level, by ``LEVEL/VIEW/ALGORITHM/LAYER``."""
     result: dict[str, str] = {}
     scene = build_scene(load_level(path))
     for view in scene.loaded.level.views:
-        for algorithm in (AUTO, *(name for name, algorithm_info in ALGORITHMS.items() if algorithm_info.is_served)):
-            for layer, value in hashes_of_view(scene, view, algorithm):
+        for algorithm in (AUTO_ALGORITHM, *(name for name, algorithm_info in ALGORITHMS.items() if algorithm_info.is_served)):
+            for layer, value in view_hashes(scene, view, algorithm):
                 result[f"{path.stem}/{view}/{algorithm}/{layer}"] = value
     print(f"{path.stem}: {len(result)} hashes", file=sys.stderr, flush=True)
     return result
@@ -83,7 +85,7 @@ def hashes_of_level(path: Path) -> dict[str, str]:
 def all_hashes() -> dict[str, str]:
     """Return the hashes of all bundled levels, sorted by name."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
-        levels = list(workers.map(hashes_of_level, bundled_levels()))
+        levels = list(workers.map(level_hashes, bundled_levels()))
     return dict(sorted((name, value) for level_hashes in levels for name, value in level_hashes.items()))
 
 

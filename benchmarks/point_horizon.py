@@ -1,12 +1,11 @@
-"""The sun at points: time of a horizon and of a day's report, cold and warm, and agreement with traced rays.
+"""Time of horizons and of reports of a day at points, cold and warm, and agreement of the horizons with traced rays.
 
 Usage: ``python -m benchmarks.point_horizon LEVEL [LEVEL ...] [--points 20] [--date 2024-10-21]``. A level is a level file, a raster
 or a bundled level's name.
 
-Cold is the first point of a newly opened scene, with loops that are compiled before. Warm are the other points, each at another
-place. Figures are medians in milliseconds of wall time and of CPU time, which other load disturbs less. The maximum of CPU time is
-shown too. The horizon is compared with Embree's rays against a mesh of the raster's own cells. The rays pass 0.02 degrees above and
-below it.
+Cold is the first point of a newly opened scene, with compiled loops. Warm are the other points, each at another place. Figures are
+medians of wall time and of CPU time in milliseconds, and the maximum of CPU time. The horizon is compared with Embree's rays
+against a mesh of the raster's own cells. The rays pass 0.02 degrees above and below the horizon.
 """
 
 from __future__ import annotations
@@ -35,19 +34,19 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 MAX_CELLS = 4_000_000
-"""The largest raster that is compared with rays."""
+"""Cells of the largest raster that is compared with rays."""
 
 ALTITUDE_OFFSET_DEG = 0.02
 
 
-def timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Return wall and CPU milliseconds of a call. On an idle machine they are equal, because the call uses one thread."""
+def measure_ms(function: Callable[[], object]) -> tuple[float, float]:
+    """Return wall and CPU milliseconds of a call."""
     start, computed = time.perf_counter(), time.process_time()
-    work()
+    function()
     return (time.perf_counter() - start) * 1000.0, (time.process_time() - computed) * 1000.0
 
 
-def places_of(scene: Scene, count: int) -> list[tuple[float, float]]:
+def random_points(scene: Scene, count: int) -> list[tuple[float, float]]:
     """Return random coordinates, in the raster's CRS, of cells with valid ground; the seed is fixed."""
     rng, elevation, result = np.random.default_rng(7), scene.elevation, []
     while len(result) < count:
@@ -58,18 +57,18 @@ def places_of(scene: Scene, count: int) -> list[tuple[float, float]]:
     return result
 
 
-def report(scene: Scene, at: tuple[float, float], crs: CRS, day: date) -> None:
+def compute_day_report(scene: Scene, xy: tuple[float, float], crs: CRS, day: date) -> None:
     """Compute the report of a day at a point: the place, its horizon, and its sun."""
-    surroundings = load_surroundings(scene, place_at(scene, at, crs, 1.6))
+    surroundings = load_surroundings(scene, place_at(scene, xy, crs, 1.6))
     sun_day(surroundings, day, clock_of("solar", surroundings.place.lon_deg, day))
 
 
-def full_horizon(scene: Scene, at: tuple[float, float], crs: CRS) -> None:
+def compute_horizon(scene: Scene, xy: tuple[float, float], crs: CRS) -> None:
     """Compute the horizon of a point in 720 directions."""
-    horizon_profile(load_surroundings(scene, place_at(scene, at, crs, 1.6)))
+    horizon_profile(load_surroundings(scene, place_at(scene, xy, crs, 1.6)))
 
 
-def share_agreeing(scene: Scene, places: list[tuple[float, float]], crs: CRS) -> float:
+def ray_agreement_share(scene: Scene, points: list[tuple[float, float]], crs: CRS) -> float:
     """Return the share of rays that agree with the horizon of the ground.
 
     Embree's rays just above the horizon must hit nothing, and those just below it must hit the ground.
@@ -79,7 +78,7 @@ def share_agreeing(scene: Scene, places: list[tuple[float, float]], crs: CRS) ->
     sheet = scene.surface(ground.grid).window(0, 0, scene.elevation.rows, scene.elevation.cols, frame).sheet
     rays = RayScene([sheet])
     agree = []
-    for at in places:
+    for at in points:
         surroundings = load_surroundings(scene, place_at(scene, at, crs, 1.6))
         bare = replace(surroundings, triangles=surroundings.triangles[:0], trees=None)
         horizon = horizon_profile(bare)
@@ -115,20 +114,20 @@ def main() -> None:
 
 
 def measure_level(name: str, count: int, day: date) -> str:
-    """Measure what a point report and a full horizon take in a level, and return them as a row of the printed table."""
+    """Measure the times of a point report and of a horizon in a level, and return a row of the printed table."""
     path = Path(name) if Path(name).exists() else find_level(name)
     scene = build_scene(load_level(path))
     crs = scene.elevation.crs
-    places = places_of(scene, count)
-    report(scene, places[0], crs, day), full_horizon(scene, places[0], crs)  # compiles
+    places = random_points(scene, count)
+    compute_day_report(scene, places[0], crs, day), compute_horizon(scene, places[0], crs)  # compiles
     clear_caches("light", "scene")
-    cold, _ = timed(lambda: report(scene, places[0], crs, day))
-    warm = np.array([timed(lambda at=at: report(scene, at, crs, day)) for at in places[1:]])
-    horizons = np.array([timed(lambda at=at: full_horizon(scene, at, crs)) for at in places[1:]])
+    cold, _ = measure_ms(lambda: compute_day_report(scene, places[0], crs, day))
+    warm = np.array([measure_ms(lambda at=at: compute_day_report(scene, at, crs, day)) for at in places[1:]])
+    horizons = np.array([measure_ms(lambda at=at: compute_horizon(scene, at, crs)) for at in places[1:]])
     agree = "-"
     if scene.elevation.rows * scene.elevation.cols <= MAX_CELLS and scene.elevation.is_north_up:
         try:
-            agree = f"{100.0 * share_agreeing(scene, places[:8], crs):.2f} %"
+            agree = f"{100.0 * ray_agreement_share(scene, places[:8], crs):.2f} %"
         except InputError:
             pass
     figures = [cold, *np.median(warm, axis=0), warm[:, 1].max(), *np.median(horizons, axis=0), horizons[:, 1].max()]

@@ -4,12 +4,12 @@
     python -m benchmarks.scale tell FILE [--workers 1000] [--money 0.04]
 
 ``measure`` draws a mosaic of a real raster with one worker (``benchmarks.seed``). It then measures the rates of the serial parts:
-the coordinator with its table of tasks (tasks without work), Dask (the same on a local cluster), and the packing of tiles into an
+the coordinator and its table of tasks with empty tasks, Dask with empty tasks on a local cluster, and the packing of tiles into an
 archive.
 
-``tell`` prints the tables of docs/scale.md from these figures: hours for a country and for the planet, bytes, and money by the
-price of a core hour. It also simulates a run of many workers task by task from the measured times. Some workers are slow, and some
-die.
+``tell`` prints the tables of docs/scale.md from these figures: hours and bytes for a country and for the planet, and costs by the
+price of a core hour (``--money``). It also simulates a run of many workers task by task from the measured times. Some workers are
+slow, and some die.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.seed import SUN, cluster, mosaic
+from benchmarks.seed import SUN_OPTIONS, dask_cluster, write_mosaic
 from skugga.api.matrices import ZoomRange
 from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
 from skugga.api.seed.messages import Task, TaskResult
@@ -39,7 +39,7 @@ from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 
-BLOCK_TILES_ALL = 16
+TILES_PER_BLOCK = 16
 
 EARTH_EQUATOR_M = 40_075_016.7
 
@@ -80,14 +80,14 @@ class PyramidArea:
     cell_m: float
 
     @property
-    def zoom(self) -> int:
+    def last_zoom(self) -> int:
         """The last zoom, whose pixels are nearest in size to the raster's cells."""
         return int(np.rint(np.log2(EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 256.0 / self.cell_m)))
 
     @property
-    def tiles(self) -> float:
+    def tile_count(self) -> float:
         """Number of tiles of the last zoom and of all lower zooms, which add a third."""
-        side_m = EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 2**self.zoom
+        side_m = EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 2**self.last_zoom
         return float(4.0 / 3.0 * self.area_km2 * 1e6 / side_m**2)
 
 
@@ -97,26 +97,26 @@ PYRAMID_AREAS = (
     PyramidArea("all land but Antarctica at 30 m", 134_600_000.0, 30.0, 30.0),
 )
 
-TIMES_OF_DAY = 24
+TIMES_PER_DAY = 24
 
 
-class IdleRunner:
-    """A ``Runner`` whose tasks take no time, so that a run takes only the time of the coordinator."""
+class NoOpRunner:
+    """A ``Runner`` whose tasks do nothing, so that only the coordinator takes time."""
 
     def __init__(self) -> None:
-        self._given: deque[Task] = deque()
+        self._submitted: deque[Task] = deque()
 
-    def free(self) -> Sequence[int]:
-        """Implement ``Runner.free``."""
-        return [0] * (2000 - len(self._given))
+    def free_lanes(self) -> Sequence[int]:
+        """Implement ``Runner.free_lanes``."""
+        return [0] * (2000 - len(self._submitted))
 
     def submit(self, task: Task, lane: int) -> None:
         """Implement ``Runner.submit``."""
-        self._given.append(task)
+        self._submitted.append(task)
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult]:
         """Implement ``Runner.wait``. It returns one task at a time, as workers finish one by one."""
-        task = self._given.popleft()
+        task = self._submitted.popleft()
         index, _ = ShardIndex.from_tiles({4**12 + 16 * task.id + i: b"tile" for i in range(16)})
         return [TaskResult(task.id, index.to_bytes(), 64, 1.0, 0.1, 0)]
 
@@ -125,23 +125,23 @@ class IdleRunner:
 
 
 def pending_tasks(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTable, PlannedRun]:
-    """Return a table of planned tasks of a raster that wait to be drawn, and the run."""
+    """Plan a run over a raster. Return the table of its waiting tasks, and the run."""
     table = TaskTable(folder / "idle" / "tasks.sqlite")
     request = SeedRequest(LevelSource(path=raster), ZoomRange(*zooms), (SunSpec(azimuth=225.0, altitude=20.0),), "color", "png")
     return table, plan_run(table, request, lambda text: None)
 
 
-def coordinator_per_s(folder: Path, raster: Path) -> float:
+def measure_coordinator_per_s(folder: Path, raster: Path) -> float:
     """Return the number of tasks per second that the coordinator dispatches and records."""
     table, run = pending_tasks(folder, raster, (8, 15))
     with table:
         count = len(table.waiting_tasks())
         start = time.perf_counter()
-        run_tasks(table, run, IdleRunner(), lambda end: None)
+        run_tasks(table, run, NoOpRunner(), lambda end: None)
         return count / (time.perf_counter() - start)
 
 
-def dask_per_s(folder: Path, tasks: int = 2000) -> float:
+def measure_dask_per_s(folder: Path, tasks: int = 2000) -> float:
     """Return the number of tasks without work per second on a Dask cluster with one worker.
 
     Two tasks are pending at a time, as in ``DaskCluster``.
@@ -149,7 +149,7 @@ def dask_per_s(folder: Path, tasks: int = 2000) -> float:
     import distributed
 
     index = bytes(448)
-    with cluster(folder, 1) as address, distributed.Client(address) as client:
+    with dask_cluster(folder, 1) as address, distributed.Client(address) as client:
         client.submit(_no_op, -1, index, pure=False).result()
         start = time.perf_counter()
         waiting_tasks = deque(range(tasks))
@@ -166,11 +166,11 @@ def _no_op(number: int, index: bytes) -> TaskResult:
     return TaskResult(number, index, 0, 0.0, 0.0, 0)
 
 
-def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tuple[float, float]:
-    """Return the bytes and the tiles per second that are packed from shards into an archive."""
+def measure_packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tuple[float, float]:
+    """Return the bytes per second and the tiles per second of packing shards into an archive."""
     body = np.random.default_rng(1).bytes(tile_bytes - 8)
     store, indexes, first = FolderStore(folder / "pack"), [], (4**12 - 1) // 3
-    for number in range(tiles // BLOCK_TILES_ALL):
+    for number in range(tiles // TILES_PER_BLOCK):
         ids = range(first + number * 16, first + number * 16 + 16)
         index, content = ShardIndex.from_tiles({tile_id: body + tile_id.to_bytes(8, "big") for tile_id in ids})
         store.write(f"{number % 256:02x}/{number}", content)
@@ -183,11 +183,11 @@ def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tup
 
 
 def measure(data: Path) -> ScaleFigures:
-    """Draw, and measure the rates."""
+    """Draw a mosaic with one worker, and measure the rates of the serial parts."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         raster, output = folder / "mosaic.tif", folder / "out.pmtiles"
-        mosaic(data / "mountain" / "bigtujunga_30m_utm11.tif", 6, raster)
+        write_mosaic(data / "mountain" / "bigtujunga_30m_utm11.tif", 6, raster)
         command = [
             sys.executable,
             "-c",
@@ -196,7 +196,7 @@ def measure(data: Path) -> ScaleFigures:
             str(raster),
             "--zooms",
             "8-13",
-            *SUN,
+            *SUN_OPTIONS,
         ]
         subprocess.run([*command, "-o", str(output), "--workers", "1", "--json"], check=True, stdout=subprocess.DEVNULL)
         log = [json.loads(line) for line in (Path(f"{output}.seed") / "log.jsonl").read_text(encoding="utf-8").splitlines()]
@@ -207,34 +207,46 @@ def measure(data: Path) -> ScaleFigures:
                 for number, _, index in table.finished_tasks("azimuth=225.0&altitude=20.0")
             }
         tasks = [(entry["zoom"], entry["seconds"], counts[entry["task"]], entry["bytes"]) for entry in finished]
-        bytes_per_s, tiles_per_s = packing(folder)
+        bytes_per_s, tiles_per_s = measure_packing(folder)
         return ScaleFigures(
-            tasks, max(entry["peak_bytes"] for entry in finished), coordinator_per_s(folder, raster), dask_per_s(folder),
+            tasks, max(entry["peak_bytes"] for entry in finished), measure_coordinator_per_s(folder, raster),
+            measure_dask_per_s(folder),
             bytes_per_s, tiles_per_s,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A run of many workers: total hours, the share of the workers' time spent on drawing, and the number of lost tasks."""
+    """Result of a simulated run of many workers.
+
+    Attributes
+    ----------
+    hours
+        Duration of the run, hours.
+    busy_share
+        Share of the workers' time that they draw.
+    lost_tasks
+        Number of tasks that were lost because their worker died.
+    """
 
     hours: float
-    busy: float
-    lost: int
+    busy_share: float
+    lost_tasks: int
 
 
 def simulate(
-    task_s: np.ndarray, tasks: int, workers: int, per_s: float, slow_share: float, slow_factor: float, deaths_per_hour: float,
-    heaviest_first: bool = True, seed: int = 1,
+    task_s: np.ndarray, task_count: int, workers: int, dispatches_per_s: float, slow_share: float, slow_factor: float,
+    deaths_per_hour: float,
+    longest_first: bool = True, seed: int = 1,
 ) -> SimulatedRun:  # fmt: skip
     """Simulate workers that run tasks of measured times.
 
-    Some workers are slow by a factor. A worker dies at a rate per hour, loses its task, and restarts after a minute. The
-    coordinator dispatches at most ``per_s`` tasks a second.
+    A share of the workers is slower by a factor. A worker dies at a rate per hour, loses its task, and restarts after a minute. The
+    coordinator dispatches at most ``dispatches_per_s`` tasks per second.
     """
     rng = np.random.default_rng(seed)
-    times = rng.choice(task_s, tasks)
-    if heaviest_first:
+    times = rng.choice(task_s, task_count)
+    if longest_first:
         times = np.sort(times)[::-1]
     waiting_times = deque(times.tolist())
     slower = np.where(rng.random(workers) < slow_share, slow_factor, 1.0)
@@ -243,7 +255,7 @@ def simulate(
     coordinator, end, busy, lost_count = 0.0, 0.0, 0.0, 0
     while waiting_times:
         at, worker = heapq.heappop(free)
-        coordinator = max(coordinator, at) + 1.0 / per_s
+        coordinator = max(coordinator, at) + 1.0 / dispatches_per_s
         duration_s = waiting_times.popleft() * slower[worker]
         dies = rng.exponential(3600.0 / deaths_per_hour) if deaths_per_hour else np.inf
         if dies < duration_s:
@@ -257,31 +269,33 @@ def simulate(
     return SimulatedRun(end / 3600.0, busy / (end * workers), lost_count)
 
 
-def tell(figures: ScaleFigures, workers: int, money: float) -> None:
-    """Print the tables."""
+def print_tables(figures: ScaleFigures, workers: int, core_hour_price: float) -> None:
+    """Print the tables of docs/scale.md. ``core_hour_price`` is the price of a core hour."""
     seconds = np.array([task[1] for task in figures.tasks])
     tiles = sum(task[2] for task in figures.tasks)
     rate, tile_bytes = tiles / seconds.sum(), sum(task[3] for task in figures.tasks) / tiles
-    full = np.array([task[1] for task in figures.tasks if task[2] == BLOCK_TILES_ALL])
-    print(f"tiles a second and core {rate:.0f}; bytes a tile {tile_bytes:.0f}; worker's peak {figures.peak_bytes / 2**20:.0f} MiB")
+    full = np.array([task[1] for task in figures.tasks if task[2] == TILES_PER_BLOCK])
+    print(f"tiles per second and core: {rate:.0f}; bytes per tile: {tile_bytes:.0f}; ", end="")
+    print(f"peak memory of a worker: {figures.peak_bytes / 2**20:.0f} MiB")
     print(
-        f"full tasks: {np.median(full):.3f} s in the median, {np.quantile(full, 0.95):.3f} in one of 20, {full.max():.3f} at most"
+        f"seconds of a task of {TILES_PER_BLOCK} tiles: median {np.median(full):.3f}, "
+        f"95th percentile {np.quantile(full, 0.95):.3f}, maximum {full.max():.3f}"
     )
-    print(f"coordinator {figures.coordinator_per_s:.0f} tasks a second, Dask {figures.dask_per_s:.0f}; ", end="")
-    print(f"packing {figures.packing_bytes_per_s / 1e6:.0f} MB and {figures.packing_tiles_per_s:.0f} tiles a second\n")
-    print(f"| place | last zoom | tiles, {TIMES_OF_DAY} times | core hours | bytes | money | packing, one disk |")
+    print(f"tasks per second: coordinator {figures.coordinator_per_s:.0f}, Dask {figures.dask_per_s:.0f}; ", end="")
+    print(f"packing: {figures.packing_bytes_per_s / 1e6:.0f} MB and {figures.packing_tiles_per_s:.0f} tiles per second\n")
+    print(f"| place | last zoom | tiles, {TIMES_PER_DAY} times | core hours | bytes | money | packing, one disk |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for place in PYRAMID_AREAS:
-        count = place.tiles * TIMES_OF_DAY
+        count = place.tile_count * TIMES_PER_DAY
         hours = count / rate / 3600.0
         packing_h = max(count * tile_bytes / figures.packing_bytes_per_s, count / figures.packing_tiles_per_s) / 3600.0
         size = count * tile_bytes / 1e9
         print(
-            f"| {place.name} | {place.zoom} | {count / 1e6:,.1f} million | {_short(hours)} | {_short(size)} GB | "
-            f"{_short(hours * money)} | {_short(packing_h)} h |"
+            f"| {place.name} | {place.last_zoom} | {count / 1e6:,.1f} million | {_format_number(hours)} | "
+            f"{_format_number(size)} GB | {_format_number(hours * core_hour_price)} | {_format_number(packing_h)} h |"
         )
-    tasks = int(PYRAMID_AREAS[-1].tiles * TIMES_OF_DAY / BLOCK_TILES_ALL)
-    print(f"\n{PYRAMID_AREAS[-1].name}, {TIMES_OF_DAY} times: {tasks} tasks of {BLOCK_TILES_ALL} tiles, {workers} workers\n")
+    tasks = int(PYRAMID_AREAS[-1].tile_count * TIMES_PER_DAY / TILES_PER_BLOCK)
+    print(f"\n{PYRAMID_AREAS[-1].name}, {TIMES_PER_DAY} times: {tasks} tasks of {TILES_PER_BLOCK} tiles, {workers} workers\n")
     print("| | minutes | workers' time that is drawing | tasks lost |\n| --- | --- | --- | --- |")
     for name, per_s, slow, deaths, heaviest in (
         ("as measured, no coordinator's limit", 1e9, 0.0, 0.0, True),
@@ -292,10 +306,10 @@ def tell(figures: ScaleFigures, workers: int, money: float) -> None:
         ("the same, tasks in any order", figures.coordinator_per_s, 0.01, 0.1, False),
     ):
         run = simulate(seconds, tasks, workers, per_s, slow, 5.0, deaths, heaviest)
-        print(f"| {name} | {60.0 * run.hours:.1f} | {run.busy:.0%} | {run.lost} |")
+        print(f"| {name} | {60.0 * run.hours:.1f} | {run.busy_share:.0%} | {run.lost_tasks} |")
 
 
-def _short(value: float) -> str:
+def _format_number(value: float) -> str:
     """Format a number with two significant digits, or as a whole number."""
     return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
 
@@ -315,7 +329,7 @@ def main() -> None:
     if args.command == "measure":
         args.json.write_text(json.dumps(asdict(measure(args.data)), indent=1) + "\n", encoding="utf-8")
     else:
-        tell(ScaleFigures(**json.loads(args.file.read_text(encoding="utf-8"))), args.workers, args.money)
+        print_tables(ScaleFigures(**json.loads(args.file.read_text(encoding="utf-8"))), args.workers, args.money)
 
 
 if __name__ == "__main__":

@@ -4,10 +4,9 @@
     python -m benchmarks.scenes trees [--trees 1000000] [--repeats 5]
     python -m benchmarks.scenes thinning [--trees 1000000]
 
-`accuracy` compares every view of the levels (default: all bundled ones) with ray-traced truth, for the first light of each. `trees`
-draws two 1280 x 1024 views of 10 x 10 km of hills under one wood, and reports medians, the process's peak memory and the device.
-`thinning` compares the share of shadow in the same views, with distant trees decimated as drawn and with every single tree. Both
-are traced with rays.
+`accuracy` compares every view of the levels (default: all bundled levels) with ray-traced truth, for the first light of each level.
+`trees` draws two 1280 x 1024 views of 10 x 10 km of hills under one wood. It reports median times, the process's peak memory and
+the device. `thinning` compares the share of ray-traced shadow in the same views, with decimated distant trees and with all trees.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ WINDOW_ORIGINS = [(row, col) for row in (400, 600, 800) for col in (100, 512, 90
 WINDOW_PX = 128
 
 
-def accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[dict]:
+def measure_accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[dict]:
     rows = []
     for path in [find_level(name) for name in levels] or bundled_levels():
         scene = build_scene(load_level(path))
@@ -52,17 +51,17 @@ def accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[di
             plan = make_plan(describe(scene, view, name), scene.loaded.level, {"algorithm": "shadow_map", "map_size": map_size})
             figures = measure_plan(scene, view, plan).figures
             rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.objects.kinds), **figures})
-            print(line(rows[-1]), flush=True)
+            print(accuracy_row(rows[-1]), flush=True)
     return rows
 
 
-def line(row: dict) -> str:
+def accuracy_row(row: dict) -> str:
     keys = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_sees", "coverage", "boundary")
     shares = " | ".join(f"{100 * row[key]:.3f}" for key in keys)
     return f"| {row['level']} | {row['view']} | {row['casters']} | {shares} | {row['edge_p95']:.2f} |"
 
 
-def wooded_hills(folder: Path, trees: int) -> Path:
+def write_wooded_hills(folder: Path, trees: int) -> Path:
     """Write a level into a folder: 10 x 10 km of hills in UTM zone 32N under one wood of ``trees`` trees."""
     y, x = np.mgrid[: int(SIDE_M / CELL_M), : int(SIDE_M / CELL_M)] * CELL_M
     heights = 300 + 120 * np.sin(x / 900) * np.cos(y / 1100) + 40 * np.sin(x / 210 + y / 330) + 15 * np.cos(y / 90)
@@ -98,10 +97,10 @@ def wooded_hills(folder: Path, trees: int) -> Path:
     return path
 
 
-def trees(count: int, repeats: int) -> None:
+def measure_tree_frames(count: int, repeats: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        scene = build_scene(load_level(wooded_hills(Path(folder), count)))
-        print(f"{device().renderer}; {len(scene.population.trees.rank)} trees", flush=True)
+        scene = build_scene(load_level(write_wooded_hills(Path(folder), count)))
+        print(f"{device().renderer}; {0 if scene.objects.trees is None else len(scene.objects.trees.rank)} trees", flush=True)
         for name in scene.loaded.level.views:
             times: list[float] = []
             for _ in range(repeats + 1):
@@ -112,17 +111,19 @@ def trees(count: int, repeats: int) -> None:
                 frame = render_frame(scene, view, plan)
                 times.append(time.perf_counter() - start)
             passes = ", ".join(f"{record.name} {record.ms:.0f}" for record in frame.passes)
-            print(f"{name}: median {np.median(times[1:]):.2f} s (first {times[0]:.1f} s), plan included; ms of the last: {passes}")
+            print(f"{name}: median {np.median(times[1:]):.2f} s with the plan (first {times[0]:.1f} s); last passes, ms: {passes}")
         print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
 
 
-def thinning(count: int) -> None:
+def measure_thinning(count: int) -> None:
     whole_px = stand_module.FULL_STAND_TREE_PX
     with tempfile.TemporaryDirectory() as folder:
         for name in ("low", "high"):
             shares = []
             for stand_module.FULL_STAND_TREE_PX in (1e-6, whole_px):
-                scene = build_scene(load_level(wooded_hills(Path(folder), count)))  # a new scene each time: the scene caches stands
+                scene = build_scene(
+                    load_level(write_wooded_hills(Path(folder), count))
+                )  # a new scene each time: the scene caches stands
                 view, tree_count, parts = scene.view(name), 0, []
                 for row, col in WINDOW_ORIGINS:
                     buffer = geometry_buffer(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
@@ -146,17 +147,17 @@ def main() -> None:
     parser.add_argument("--markdown", type=Path)
     args = parser.parse_args()
     if args.what == "trees":
-        trees(args.trees, args.repeats)
+        measure_tree_frames(args.trees, args.repeats)
     elif args.what == "thinning":
-        thinning(args.trees)
+        measure_thinning(args.trees)
     else:
         width, height = (int(part) for part in args.size.split("x"))
         shares = "wrong cast % | false % | missed % | interior % | it sees % | coverage % | boundary %"
         head = f"| level | view | casters | {shares} | edge p95 px |\n|{' --- |' * 11}"
         print(head)
-        rows = accuracy(args.levels, (width, height), args.map_size)
+        rows = measure_accuracy(args.levels, (width, height), args.map_size)
         if args.markdown:
-            args.markdown.write_text(head + "\n" + "\n".join(line(row) for row in rows) + "\n", encoding="utf-8")
+            args.markdown.write_text(head + "\n" + "\n".join(accuracy_row(row) for row in rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

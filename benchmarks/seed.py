@@ -1,14 +1,14 @@
-"""Speed of ``skugga seed``: one worker and two, a Dask cluster, and tools that tile and encode a hillshade made before.
+"""Speed of ``skugga seed`` with one worker, two workers and a Dask cluster, and of other tools that tile a finished hillshade.
 
     python -m benchmarks.seed DATA [--copies 6] [--zooms 8-13] [--gdal2tiles gdal2tiles.py] [--rio rio] [--json FILE]
 
 ``DATA`` is a folder of real rasters with ``mountain/bigtujunga_30m_utm11.tif``. The raster is mirrored into a seamless mosaic of
-``--copies`` copies a side. Everything runs in a temporary folder, one after another, in one run: compare the ratios. Loops are
-compiled before: each command runs once on a small part before it is timed.
+``--copies`` copies a side. The commands run one after another in a temporary folder. Only ratios of one run are comparable. An
+untimed run on a small part compiles all loops first.
 
-`gdal2tiles.py` (Debian's `gdal-bin` and `python3-gdal`) and `rio pmtiles` (`pip install rio-pmtiles`, beside Skugga or in an
-environment of its own: ``--rio``) get a hillshade of the same raster, made before, without cast shadows. Absent tools are named and
-left out.
+`gdal2tiles.py` (Debian's `gdal-bin` and `python3-gdal`) and `rio pmtiles` (`pip install rio-pmtiles`, in Skugga's environment or in
+one that ``--rio`` names) read a finished hillshade of the same raster, without cast shadows. Tools that are not installed are
+reported and skipped.
 """
 
 from __future__ import annotations
@@ -32,16 +32,31 @@ import numpy as np
 import rasterio
 from pmtiles.reader import MmapSource, Reader
 
-SUN = "--azimuth", "225", "--altitude", "20"
+SUN_OPTIONS = "--azimuth", "225", "--altitude", "20"
 
-SKUGGA = [sys.executable, "-c", "from skugga.api.cli.main import main; main()"]
+SKUGGA_COMMAND = [sys.executable, "-c", "from skugga.api.cli.main import main; main()"]
 
 
 @dataclass(frozen=True)
 class SeedRow:
-    """A timed run: its name, total seconds, and the number of tiles that it wrote.
+    """A timed run.
 
-    The further fields come from the summary that ``skugga seed`` prints; they are ``None`` for other tools.
+    The fields from ``drawing_s`` on come from the summary that ``skugga seed`` prints, and are ``None`` for other tools.
+
+    Attributes
+    ----------
+    name
+        Name of the run.
+    seconds
+        Total wall time, seconds.
+    tiles
+        Number of tiles that the run wrote.
+    drawing_s, publishing_s
+        Wall time of drawing tiles and of packing them into the archive, seconds.
+    task_s
+        Sum of the seconds of all tasks.
+    peak_bytes
+        Peak memory of the largest worker, bytes.
     """
 
     name: str
@@ -53,7 +68,7 @@ class SeedRow:
     peak_bytes: int | None = None
 
 
-def mosaic(source: Path, copies: int, target: Path) -> None:
+def write_mosaic(source: Path, copies: int, target: Path) -> None:
     """Write a raster mirrored ``copies`` x ``copies`` times."""
     with rasterio.open(source) as dataset:
         part, profile = dataset.read(1), dataset.profile
@@ -68,26 +83,26 @@ def mosaic(source: Path, copies: int, target: Path) -> None:
 def run_seed(folder: Path, name: str, raster: Path, zooms: str, *options: str) -> SeedRow:
     """Run ``skugga seed`` into a new archive."""
     output = folder / f"{name.replace(' ', '-')}.pmtiles"
-    command = [*SKUGGA, "seed", str(raster), "--zooms", zooms, *SUN, "-o", str(output), "--json", *options]
+    command = [*SKUGGA_COMMAND, "seed", str(raster), "--zooms", zooms, *SUN_OPTIONS, "-o", str(output), "--json", *options]
     start = time.perf_counter()
     report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
     took = time.perf_counter() - start
     log = [json.loads(line) for line in (Path(f"{output}.seed") / "log.jsonl").read_text(encoding="utf-8").splitlines()]
     tasks = [entry for entry in log if "seconds" in entry]
     return SeedRow(
-        name, took, tiles_in(output), report["drawing_s"], report["publishing_s"], sum(entry["seconds"] for entry in tasks),
+        name, took, count_tiles(output), report["drawing_s"], report["publishing_s"], sum(entry["seconds"] for entry in tasks),
         max(entry["peak_bytes"] for entry in tasks),
     )  # fmt: skip
 
 
-def tiles_in(archive: Path) -> int:
+def count_tiles(archive: Path) -> int:
     """Return the number of tiles in an archive."""
     with archive.open("rb") as file:
         return int(Reader(MmapSource(file)).header()["addressed_tiles_count"])
 
 
 @contextmanager
-def cluster(folder: Path, workers: int) -> Iterator[str]:
+def dask_cluster(folder: Path, workers: int) -> Iterator[str]:
     """Run a Dask cluster of processes on this machine."""
     with socket.socket() as probe_socket:
         probe_socket.bind(("127.0.0.1", 0))
@@ -117,7 +132,7 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
 def run_other_tools(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) -> list[SeedRow]:
     """Run tools that tile and encode a hillshade of the raster."""
     if not shutil.which("gdaldem") or not shutil.which(gdal2tiles):
-        print("gdaldem and gdal2tiles.py are absent: left out")
+        print("gdaldem or gdal2tiles.py is not installed: skipped")
         return []
     shade, rgb, result = folder / "hillshade.tif", folder / "rgb.tif", []
     quiet: dict[str, Any] = {"check": True, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -128,7 +143,7 @@ def run_other_tools(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio
     subprocess.run(command, **quiet)
     result.append(SeedRow("gdal2tiles --processes 2", time.perf_counter() - start, sum(1 for _ in tiles.rglob("*.png"))))
     if not shutil.which(rio):
-        print("rio is absent: left out")
+        print("rio is not installed: skipped")
         return result
     subprocess.run(["gdal_translate", "-b", "1", "-b", "1", "-b", "1", "-co", "TILED=YES", str(shade), str(rgb)], **quiet)
     archive = folder / "rio.pmtiles"
@@ -139,11 +154,11 @@ def run_other_tools(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio
     ]  # fmt: skip
     start = time.perf_counter()
     subprocess.run(command, **quiet)
-    result.append(SeedRow("rio pmtiles -j 2", time.perf_counter() - start, tiles_in(archive)))
+    result.append(SeedRow("rio pmtiles -j 2", time.perf_counter() - start, count_tiles(archive)))
     return result
 
 
-def report(rows: list[SeedRow]) -> None:
+def print_report(rows: list[SeedRow]) -> None:
     """Print the rows, and the targets."""
     print("| run | seconds | tiles | tiles a second | drawing | packing | largest worker |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
@@ -153,19 +168,19 @@ def report(rows: list[SeedRow]) -> None:
         print(f"| {row.name} | {row.seconds:.1f} | {row.tiles} | {row.tiles / row.seconds:.0f} | {drawing} | {packing} | {peak} |")
     by_name = {row.name: row for row in rows}
     one_worker, two_workers = by_name["one worker"], by_name["two workers"]
-    print(f"\ntwo workers: {one_worker.seconds / two_workers.seconds:.2f} times one (aim 1.8)")
+    print(f"\ntwo workers: {one_worker.seconds / two_workers.seconds:.2f} times as fast as one (target 1.8)")
     assert one_worker.task_s is not None and two_workers.publishing_s is not None and two_workers.drawing_s is not None
-    print(f"tiles a second and core, of tasks alone: {one_worker.tiles / one_worker.task_s:.0f} (target 100, stretch goal 150)")
-    print(f"packing: {two_workers.publishing_s / two_workers.seconds:.1%} of the run of two workers (aim 5 %)")
+    print(f"tiles per second and core within tasks: {one_worker.tiles / one_worker.task_s:.0f} (target 100, stretch goal 150)")
+    print(f"packing: {two_workers.publishing_s / two_workers.seconds:.1%} of the run with two workers (target at most 5 %)")
     if (dask := by_name.get("Dask, two workers")) is not None and dask.drawing_s is not None:
-        print(f"Dask: drawing takes {dask.drawing_s / two_workers.drawing_s - 1.0:+.1%} beside two workers here (aim 5 %)")
+        print(f"Dask: drawing takes {dask.drawing_s / two_workers.drawing_s - 1.0:+.1%} of two local workers (target at most +5 %)")
     for name in ("gdal2tiles --processes 2", "rio pmtiles -j 2"):
         if name in by_name:
             other = by_name[name]
             rate = (two_workers.tiles / two_workers.seconds) / (other.tiles / other.seconds)
             print(
-                f"{name}: {rate:.2f} times as many tiles a second from two workers, "
-                f"{other.seconds / two_workers.seconds:.2f} of its time"
+                f"two workers: {rate:.2f} times the tiles per second of {name}; {name} takes "
+                f"{other.seconds / two_workers.seconds:.2f} times as long"
             )
 
 
@@ -183,17 +198,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         raster, small = folder / "mosaic.tif", folder / "small.tif"
-        mosaic(source, args.copies, raster)
-        mosaic(source, 1, small)
+        write_mosaic(source, args.copies, raster)
+        write_mosaic(source, 1, small)
         with rasterio.open(raster) as dataset:
             print(f"{dataset.width} x {dataset.height} cells of {dataset.transform.a:g} m, zooms {args.zooms}\n")
         run_seed(folder, "warm-up", small, "11-13")
         rows = [run_seed(folder, f"{word} worker{'s' * (count > 1)}", raster, args.zooms, "--workers", str(count))
                 for word, count in (("one", 1), ("two", 2))]  # fmt: skip
-        with cluster(folder, 2) as address:
+        with dask_cluster(folder, 2) as address:
             rows.append(run_seed(folder, "Dask, two workers", raster, args.zooms, "--scheduler", address))
         rows += run_other_tools(folder, raster, args.zooms, args.gdal2tiles, args.rio)
-    report(rows)
+    print_report(rows)
     if args.json is not None:
         args.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
 

@@ -1,8 +1,8 @@
 """Time to the first result of a new and a used installation: wall and CPU seconds of whole processes.
 
-Empty caches are an empty home: no stored loops, no shaders, no calibration. The benchmark requests a service's pages as a browser
-does: its page, then a tile in the middle of the first level as soon as ``/readyz`` allows it, then ``/readyz`` until all loops are
-compiled.
+"Empty caches" means an empty home folder: no stored loops, no shaders, no calibration. The benchmark sends requests to a service
+like a browser: for the viewer, then for a tile in the middle of the first level as soon as ``/readyz`` answers 200, then for
+``/readyz`` until all loops are compiled.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-LIMIT_S = 900.0
-"""Timeout of a start, seconds."""
+TIMEOUT_S = 900.0
+"""Timeout of a command or of a service's start."""
 
-YARDSTICK = """
+REFERENCE_PROGRAM = """
 import time
 import numba
 @numba.njit
@@ -46,19 +46,19 @@ def smooth(a, b):
 smooth.compile("void(float64[:,::1], float64[:,::1])")
 print(time.process_time() - start)
 """
-"""Compiles one small loop that is independent of ours, to compare machines."""
+"""Program that prints the CPU seconds to compile one small loop, a reference to compare machines."""
 
 
 @dataclass(frozen=True)
-class Row:
-    """A row of the table: its label, wall seconds until each of its events, and CPU seconds until the last event."""
+class StartTime:
+    """A row of the table: its label, wall seconds from the start to each event, and CPU seconds until the last event."""
 
-    what: str
-    seconds: tuple[float, ...]
+    label: str
+    event_times_s: tuple[float, ...]
     cpu_s: float
 
 
-def table(python: str, wheel_python: str | None, one_core: bool = True) -> Iterator[str]:
+def measure_and_format(python: str, wheel_python: str | None, one_core: bool = True) -> Iterator[str]:
     """Measure everything, and yield the lines of a Markdown table.
 
     Parameters
@@ -70,40 +70,47 @@ def table(python: str, wheel_python: str | None, one_core: bool = True) -> Itera
     one_core
         Whether to start a service on one core too.
     """
-    yield f"yardstick: {float(_run([python, '-c', YARDSTICK], {})[2]):.2f} s of CPU to compile one small loop"
+    yield f"reference: {float(_run([python, '-c', REFERENCE_PROGRAM], {})[2]):.2f} CPU seconds to compile one small loop"
     yield "| what | wall, s | CPU, s |"
     yield "| --- | --- | --- |"
-    for row in _rows(python, wheel_python, one_core):
-        yield f"| {row.what} | {' / '.join(f'{elapsed_s:.2f}' for elapsed_s in row.seconds)} | {row.cpu_s:.1f} |"
+    for row in _measure_starts(python, wheel_python, one_core):
+        yield f"| {row.label} | {' / '.join(f'{elapsed_s:.2f}' for elapsed_s in row.event_times_s)} | {row.cpu_s:.1f} |"
 
 
-def _rows(python: str, wheel_python: str | None, one_core: bool) -> Iterator[Row]:
+def _measure_starts(python: str, wheel_python: str | None, one_core: bool) -> Iterator[StartTime]:
     skugga = [python, "-c", "from skugga.api.cli.main import main; main()"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         dem = write_dem(folder / "dem.tif")
         shade = ["shade", str(dem), "--azimuth", "237", "--altitude", "12", "-o", str(folder / "mask.tif")]
-        with _home(folder) as home:
-            yield Row("empty caches: first `shade`", *_command([*skugga, *shade], home))
-            yield Row("then: `shade`", *_command([*skugga, *shade], home))
-        with _home(folder) as home:
-            yield Row(
-                "empty caches: `serve dem.tif`: page / first tile / everything", *_service([*skugga, "serve", str(dem)], home)
+        with _empty_home(folder) as home:
+            yield StartTime("empty caches: first `shade`", *_measure_command([*skugga, *shade], home))
+            yield StartTime("then: `shade`", *_measure_command([*skugga, *shade], home))
+        with _empty_home(folder) as home:
+            yield StartTime(
+                "empty caches: `serve dem.tif`: page / first tile / everything",
+                *_measure_service([*skugga, "serve", str(dem)], home),
             )
-            yield Row("then: `serve dem.tif`: page / first tile / everything", *_service([*skugga, "serve", str(dem)], home))
+            yield StartTime(
+                "then: `serve dem.tif`: page / first tile / everything", *_measure_service([*skugga, "serve", str(dem)], home)
+            )
             if one_core:
-                yield Row("the same on one core", *_service(["taskset", "-c", "0", *skugga, "serve", str(dem)], home))
-            yield Row("warm: `--help`", *_command([*skugga, "--help"], home))
-            yield Row("warm: `--version`", *_command([*skugga, "--version"], home))
-            yield Row("warm: `import skugga`", *_command([python, "-c", "import skugga"], home))
-        with _home(folder) as home:
-            yield Row("empty caches: `serve`, bundled levels: page / first tile / everything", *_service([*skugga, "serve"], home))
+                yield StartTime("the same on one core", *_measure_service(["taskset", "-c", "0", *skugga, "serve", str(dem)], home))
+            yield StartTime("warm: `--help`", *_measure_command([*skugga, "--help"], home))
+            yield StartTime("warm: `--version`", *_measure_command([*skugga, "--version"], home))
+            yield StartTime("warm: `import skugga`", *_measure_command([python, "-c", "import skugga"], home))
+        with _empty_home(folder) as home:
+            yield StartTime(
+                "empty caches: `serve`, bundled levels: page / first tile / everything", *_measure_service([*skugga, "serve"], home)
+            )
         if wheel_python is not None:
             from_wheel = [str(Path(wheel_python).with_name("skugga"))]
-            with _home(folder) as home:
-                yield Row("wheel, empty home: first `shade`", *_command([*from_wheel, *shade], home, folder))
+            with _empty_home(folder) as home:
+                yield StartTime("wheel, empty home: first `shade`", *_measure_command([*from_wheel, *shade], home, folder))
                 serve = [*from_wheel, "serve", str(dem)]
-                yield Row("wheel, empty home: `serve dem.tif`: page / first tile / everything", *_service(serve, home, folder))
+                yield StartTime(
+                    "wheel, empty home: `serve dem.tif`: page / first tile / everything", *_measure_service(serve, home, folder)
+                )
 
 
 def write_dem(path: Path) -> Path:
@@ -119,7 +126,7 @@ def write_dem(path: Path) -> Path:
 
 
 @contextmanager
-def _home(folder: Path) -> Iterator[dict[str, str]]:
+def _empty_home(folder: Path) -> Iterator[dict[str, str]]:
     """Yield the environment variables of a process whose home folder is empty."""
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as home:
         yield {"HOME": home, "XDG_CACHE_HOME": f"{home}/.cache", "SKUGGA_CALIBRATE_WHEN_IDLE": "false"}
@@ -134,39 +141,43 @@ def _run(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) 
     """Run a command to its end. Return wall and CPU seconds, and its output."""
     before, start = _children_cpu_s(), clock.perf_counter()
     process = subprocess.run(
-        command, env=_environment(home), cwd=cwd, stdout=subprocess.PIPE, text=True, check=True, timeout=LIMIT_S
+        command, env=_environment(home), cwd=cwd, stdout=subprocess.PIPE, text=True, check=True, timeout=TIMEOUT_S
     )
     return clock.perf_counter() - start, _children_cpu_s() - before, process.stdout
 
 
-def _command(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[tuple[float], float]:
+def _measure_command(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[tuple[float], float]:
     wall_s, cpu_s, _ = _run(command, home, cwd)
     return (wall_s,), cpu_s
 
 
-def _service(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[tuple[float, float, float], float]:
-    """Start a service and request its pages as a browser does. Return wall seconds until three events, and CPU seconds.
+def _measure_service(
+    command: Sequence[str], home: dict[str, str], cwd: Path | None = None
+) -> tuple[tuple[float, float, float], float]:
+    """Start a service and send requests like a browser. Return wall seconds until three events, and CPU seconds.
 
-    The events are the answer with its page, the answer with its first tile, and the end of compiling.
+    The events are the response with the viewer, the response with the first tile, and the end of compilation.
     """
     port = _free_port()
     url = f"http://127.0.0.1:{port}"
     before, start = _children_cpu_s(), clock.perf_counter()
     with subprocess.Popen([*command, "--port", str(port)], env=_environment(home), cwd=cwd, stderr=subprocess.DEVNULL) as server:
         try:
-            _until(lambda: _get(f"{url}/") is not None, start, shlex.join(command))
+            _wait_until(lambda: _get(f"{url}/") is not None, start, shlex.join(command))
             page_s = clock.perf_counter() - start
-            _until(lambda: _get(f"{url}/readyz") is not None, start, shlex.join(command))
-            _until(lambda: _get(_middle_tile(url)) is not None, start, shlex.join(command))
+            _wait_until(lambda: _get(f"{url}/readyz") is not None, start, shlex.join(command))
+            _wait_until(lambda: _get(_middle_tile_url(url)) is not None, start, shlex.join(command))
             tile_s = clock.perf_counter() - start
-            _until(lambda: json.loads(_get(f"{url}/readyz") or b"{}").get("preparing", "?") is None, start, shlex.join(command))
+            _wait_until(
+                lambda: json.loads(_get(f"{url}/readyz") or b"{}").get("preparing", "?") is None, start, shlex.join(command)
+            )
             all_s = clock.perf_counter() - start
         finally:
             server.send_signal(signal.SIGINT)
     return (page_s, tile_s, all_s), _children_cpu_s() - before
 
 
-def _middle_tile(url: str) -> str:
+def _middle_tile_url(url: str) -> str:
     """Return the address of the tile in the middle of the first level, at its first zoom."""
     name = json.loads(_get(f"{url}/levels") or b"[]")[0]["name"]
     tilejson = json.loads(_get(f"{url}/levels/{name}/WebMercatorQuad/tilejson.json") or b"{}")
@@ -180,17 +191,17 @@ def _middle_tile(url: str) -> str:
 
 def _get(url: str) -> bytes | None:
     try:
-        with urllib.request.urlopen(url, timeout=LIMIT_S) as answer:
+        with urllib.request.urlopen(url, timeout=TIMEOUT_S) as answer:
             return bytes(answer.read())
     except (urllib.error.URLError, ConnectionError, TimeoutError):
         return None
 
 
-def _until(condition: object, start: float, event: str) -> None:
+def _wait_until(condition: object, start: float, event: str) -> None:
     assert callable(condition)
     while not condition():
-        if clock.perf_counter() - start > LIMIT_S:
-            raise TimeoutError(f"{event}: not done after {LIMIT_S:g} s")
+        if clock.perf_counter() - start > TIMEOUT_S:
+            raise TimeoutError(f"{event}: not ready after {TIMEOUT_S:g} s")
         clock.sleep(0.02)
 
 

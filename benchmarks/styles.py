@@ -2,7 +2,8 @@
 
     python -m benchmarks.styles FOLDER -o OUT [--picture docs/images/styles.webp] [--side 480]
 
-FOLDER has the sample rasters. OUT gets a sheet of all styles for each place and light; ``--picture`` writes the sheet of the docs.
+FOLDER has the sample rasters. The script writes a sheet of all styles for each place and light into OUT. ``--picture`` also writes
+the sheet of the docs.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class StyledPlace:
     view
         Name of the view.
     middle_share
-        Of a map, the side of the drawn square as a share of the map's shorter side.
+        Side of the central square of a map that is drawn, as a share of the map's shorter side.
     keys
         Further keys of the level file.
     """
@@ -66,7 +67,7 @@ SHOWN_PLACES = ("high mountains", "city")
 """Places of the docs' picture, in the evening."""
 
 
-def scene_of(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
+def place_scene(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
     """Return the scene of a place. For a raster, a level file is written into the folder ``scratch``."""
     if "/" not in place.source:
         return build_scene(load_level(find_level(place.source)))
@@ -76,26 +77,26 @@ def scene_of(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
     return build_scene(load_level(level))
 
 
-def picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, side: int) -> np.ndarray:
-    """Draw a place in a style under a sun: uint8 (rows, cols, 3), ``side`` pixels wide, white where no surface is."""
+def draw_picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, width_px: int) -> np.ndarray:
+    """Draw a place in a style under a sun: uint8 (rows, cols, 3), ``width_px`` pixels wide, white where no surface is."""
     scene = scene.with_sun(light).with_style(style)
     view = scene.view(place.view)
     if place.view == "map":
         west, south, east, north = view.bounds
         x, y, reach = (west + east) / 2, (south + north) / 2, place.middle_share * min(east - west, north - south) / 2
-        view = scene.view("map", (x - reach, y - reach, x + reach, y + reach), scene.map_crs.to_string(), (side, side))
+        view = scene.view("map", (x - reach, y - reach, x + reach, y + reach), scene.map_crs.to_string(), (width_px, width_px))
     else:
-        view = scene.view(place.view, size=(side, round(side * view.rows / view.cols)))
+        view = scene.view(place.view, size=(width_px, round(width_px * view.rows / view.cols)))
     frame = render_frame(scene, view, plan_of_view(scene, view, place.view, {}))
     return np.where(frame.opaque[..., None], frame.color, np.uint8(255))
 
 
-def sheet(folder: Path, name: str, light: str, side: int) -> Image.Image:
+def draw_sheet(folder: Path, name: str, light: str, width_px: int) -> Image.Image:
     """Return all styles of a place under a light, side by side."""
     place = PLACES[name]
     with tempfile.TemporaryDirectory() as scratch:
-        scene = scene_of(place, folder, Path(scratch))
-        parts = [picture(scene, place, style, LIGHTS[light], side) for style in STYLES]
+        scene = place_scene(place, folder, Path(scratch))
+        parts = [draw_picture(scene, place, style, LIGHTS[light], width_px) for style in STYLES]
     return Image.fromarray(np.concatenate(parts, axis=1))
 
 
@@ -112,10 +113,10 @@ def main() -> None:
     for name in args.places:
         for light in LIGHTS:
             target = args.output / f"{name.replace(', ', '-').replace(' ', '-')}-{light}.png"
-            sheet(args.folder.resolve(), name, light, args.side).save(target)
+            draw_sheet(args.folder.resolve(), name, light, args.side).save(target)
             print(f"{target}: {', '.join(STYLES)}", flush=True)
     if args.picture is not None:
-        rows = [np.asarray(sheet(args.folder.resolve(), name, "evening", 320)) for name in SHOWN_PLACES]
+        rows = [np.asarray(draw_sheet(args.folder.resolve(), name, "evening", 320)) for name in SHOWN_PLACES]
         Image.fromarray(np.concatenate(rows)).save(args.picture, quality=88, method=6)
         print(args.picture)
 

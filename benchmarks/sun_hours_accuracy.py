@@ -5,8 +5,8 @@
 
 FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Truth is traced for random cells of each
 raster, away from its rim and holes. Every 10 seconds of the day a ray is traced from each cell to the sun, against the same
-triangles as the sweep. `--seconds` instead measures the time for 4.2 million cells of generated mountains, on the cores that the
-process may use (`taskset -c 0` for one).
+triangles as the sweep. `--seconds` instead measures the time for 4.2 million cells of generated mountains, on all cores that the
+process may use (with `taskset -c 0` on one core).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import binary_erosion
 
-from benchmarks.sweep_speed import CELL_M, mountains
+from benchmarks.sweep_speed import CELL_M, fractal_heights_m
 from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import WindowSun, window_suns
@@ -37,14 +37,14 @@ from skugga.terrain.ground.sheet import Sheet
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-KINDS = {
+RASTERS_BY_FOLDER = {
     "mountain": ("bigtujunga_30m_utm11.tif", "sierra_30m_albers.tif", "zion_srtm_4326.tif"),
     "urban": ("essen_dom1_32_356_5699_1_nw_2020.tif", "goteborg_1m/DSM.tif"),
     "forest": ("quebec_DSM.tif", "kootenay_CHM_025m.tif"),
 }
 """Rasters of each folder: surface models, which include buildings and trees."""
 
-RAYS_MIN = 10.0 / 60.0
+RAY_STEP_MIN = 10.0 / 60.0
 
 HOLE_MARGIN_CELLS = 3
 """The least distance of a sampled cell from the rim and from any hole, in cells."""
@@ -54,7 +54,7 @@ SUNS_PER_BATCH = 100
 
 
 @dataclass(frozen=True)
-class WrongMinutes:
+class ErrorMinutes:
     """The error of a quantity over cells in minutes: the mean, and the 99th percentile."""
 
     mean: float
@@ -63,32 +63,42 @@ class WrongMinutes:
 
 @dataclass(frozen=True)
 class AccuracyRow:
-    """The errors for a raster at a step (time between two suns): of the hours, the first sun and the last sun."""
+    """Errors for a raster at a time step.
 
-    kind: str
+    Attributes
+    ----------
+    folder, raster
+        Names of the folder and of the raster.
+    step_min
+        Minutes between two suns; ``None`` for the automatic step.
+    hours, first, last
+        Errors of the hours of sun, of the time of the first sun and of the last sun.
+    """
+
+    folder: str
     raster: str
     step_min: float | None
-    hours: WrongMinutes
-    first: WrongMinutes
-    last: WrongMinutes
+    hours: ErrorMinutes
+    first: ErrorMinutes
+    last: ErrorMinutes
 
 
-def _no_plan(scene: Scene) -> NoReturn:
+def _reject_planning(scene: Scene) -> NoReturn:
     raise AssertionError("bare ground needs no plan")
 
 
-def _day(scene: Scene, day: date) -> WindowSun:
+def _sun_of_day(scene: Scene, day: date) -> WindowSun:
     return window_suns(scene.world, [daily_window(day, 0.0, 1440.0, UTC, scene.world)])[0]
 
 
-def _answers(scene: Scene, view: MapView, day: WindowSun, step_min: float | None) -> SunHours:
-    return sun_hours(scene, view, [day], SunRules(step_min=step_min), _no_plan)
+def _compute_sun_hours(scene: Scene, view: MapView, day: WindowSun, step_min: float | None) -> SunHours:
+    return sun_hours(scene, view, [day], SunRules(step_min=step_min), _reject_planning)
 
 
 class CellRays:
-    """Rays from cells (n,), in a frame in metres.
+    """Rays from cells (n,) of the surface ``sheet``, in a frame in metres.
 
-    ``start`` (n, 3) are points on the surface ``sheet``, and ``upwards`` (n, 3) the unit vectors of the vertical there.
+    ``start`` (n, 3) are the cells' points on the surface. ``upwards`` (n, 3) are the unit vectors of the vertical at these points.
     """
 
     def __init__(self, sheet: Sheet, start: np.ndarray, upwards: np.ndarray) -> None:
@@ -96,7 +106,7 @@ class CellRays:
         self._start, self._upwards = start + 2.0 * self._rays.offset_m * upwards, upwards
 
     @staticmethod
-    def over(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray) -> CellRays:
+    def from_cells(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray) -> CellRays:
         """Return rays from cells of a map's block against the triangles of the sweep, in the frame of ``bare_nodes``."""
         nodes = bare_nodes(scene, view, 1)
         window = int(view.row0) - HALO, int(view.col0) - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO
@@ -105,45 +115,45 @@ class CellRays:
         upwards = start - scene.world.up_origin(nodes.frame)
         return CellRays(surface.with_rim.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
 
-    def see(self, direction: np.ndarray, least_sine: float = 0.0) -> np.ndarray:
+    def sun_visible(self, direction: np.ndarray, min_sine: float = 0.0) -> np.ndarray:
         """Return which cells see the sun, bool (n,). ``direction`` (3,) is the unit vector to the sun.
 
-        A sun counts only if the sine of its altitude at the cell exceeds ``least_sine``.
+        A sun counts only if the sine of its altitude at the cell exceeds ``min_sine``.
         """
-        over = np.flatnonzero(self._upwards @ direction > least_sine)
+        over = np.flatnonzero(self._upwards @ direction > min_sine)
         visible = np.zeros(len(self._start), bool)
         visible[over] = ~self._rays.blocked(self._start[over], direction) if len(over) else False
         return visible
 
 
 def ray_truth(
-    scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: WindowSun, every_min: float = RAYS_MIN
+    scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: WindowSun, step_min: float = RAY_STEP_MIN
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Trace the hours of sun, and the minutes of first and last sun after the window's start, for cells (n,).
 
-    The minutes are NaN for cells without sun. ``every_min`` is the time between two rays, minutes.
+    The minutes are NaN for cells without sun. ``step_min`` is the time between two rays.
     """
-    rays, frame = CellRays.over(scene, view, row, col), bare_nodes(scene, view, 1).frame
-    times = np.arange(every_min / 2, day.window.minutes, every_min)
+    rays, frame = CellRays.from_cells(scene, view, row, col), bare_nodes(scene, view, 1).frame
+    times = np.arange(step_min / 2, day.window.minutes, step_min)
     lit_min = np.zeros(len(row))
     first, last = np.full(len(row), np.nan), np.full(len(row), np.nan)
     for begin in range(0, len(times), SUNS_PER_BATCH):
         directions = frame.directions_from_earth(day.direction(times[begin : begin + SUNS_PER_BATCH]))
         for minutes, direction in zip(times[begin : begin + SUNS_PER_BATCH], directions, strict=True):
-            visible = np.flatnonzero(rays.see(direction))
-            lit_min[visible] += every_min
-            first[visible] = np.fmin(first[visible], minutes - every_min / 2)
-            last[visible] = np.fmax(last[visible], minutes + every_min / 2)
+            visible = np.flatnonzero(rays.sun_visible(direction))
+            lit_min[visible] += step_min
+            first[visible] = np.fmin(first[visible], minutes - step_min / 2)
+            last[visible] = np.fmax(last[visible], minutes + step_min / 2)
     return lit_min / 60.0, first, last
 
 
-def _wrong_minutes(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
-    error_min = np.abs(found_min - true_min)
+def _error_minutes(measured_min: np.ndarray, true_min: np.ndarray) -> ErrorMinutes:
+    error_min = np.abs(measured_min - true_min)
     error_min = error_min[np.isfinite(error_min)]
-    return WrongMinutes(float(error_min.mean()), float(np.percentile(error_min, 99)))
+    return ErrorMinutes(float(error_min.mean()), float(np.percentile(error_min, 99)))
 
 
-def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
+def measure_raster(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
     """Yield the errors for a raster at each step."""
     scene = build_scene(load_level(path))
     view = raster_view(scene).view.as_nodes()
@@ -151,46 +161,46 @@ def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: 
     row, col = np.nonzero(valid)
     sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
     row, col = row[sample], col[sample]
-    its_day = _day(scene, day)
+    its_day = _sun_of_day(scene, day)
     hours, first, last = ray_truth(scene, view, row, col, its_day)
     for step in steps:
-        answer = _answers(scene, view, its_day, step)
+        answer = _compute_sun_hours(scene, view, its_day, step)
         yield AccuracyRow(
-            kind, path.stem, step, _wrong_minutes(60.0 * answer.hours[row, col], 60.0 * hours),
-            _wrong_minutes(answer.first[row, col], first), _wrong_minutes(answer.last[row, col], last),
+            kind, path.stem, step, _error_minutes(60.0 * answer.hours[row, col], 60.0 * hours),
+            _error_minutes(answer.first[row, col], first), _error_minutes(answer.last[row, col], last),
         )  # fmt: skip
     scene.close()
 
 
-def mountain_raster(folder: Path, side: int) -> Path:
+def write_mountains(folder: Path, side: int) -> Path:
     """Write a raster of fractal mountains."""
     path = folder / "mountains.tif"
     with rasterio.open(
         path, "w", driver="GTiff", width=side, height=side, count=1, dtype="float32", crs="EPSG:32632",
         transform=Affine(CELL_M, 0.0, 480000.0, 0.0, -CELL_M, 5200000.0),
     ) as dataset:  # fmt: skip
-        dataset.write(mountains(side).astype(np.float32), 1)
+        dataset.write(fractal_heights_m(side).astype(np.float32), 1)
     return path
 
 
-def print_seconds(day: date, steps: list[float | None]) -> None:
+def measure_seconds(day: date, steps: list[float | None]) -> None:
     """Print the seconds that 2048 x 2048 cells take in a second run, when loops are compiled and heights cached."""
     with tempfile.TemporaryDirectory() as folder:
-        scene = build_scene(load_level(mountain_raster(Path(folder), 2048)))
-        view, its_day = raster_view(scene).view.as_nodes(), _day(scene, day)
-        _answers(scene, view, its_day, 60.0)
+        scene = build_scene(load_level(write_mountains(Path(folder), 2048)))
+        view, its_day = raster_view(scene).view.as_nodes(), _sun_of_day(scene, day)
+        _compute_sun_hours(scene, view, its_day, 60.0)
         for step in steps:
             begin = time.perf_counter(), time.process_time()
-            _answers(scene, view, its_day, step)
+            _compute_sun_hours(scene, view, its_day, step)
             wall, computing = time.perf_counter() - begin[0], time.process_time() - begin[1]
-            print(f"{_named(step):>4} min: {wall:.1f} s, {computing:.1f} s of computing", flush=True)
+            print(f"step {_format_step(step):>4} min: {wall:.1f} s wall time, {computing:.1f} s CPU time", flush=True)
 
 
-def _named(step_min: float | None) -> str:
+def _format_step(step_min: float | None) -> str:
     return "auto" if step_min is None else f"{step_min:g}"
 
 
-def table(rows: list[AccuracyRow]) -> str:
+def markdown_table(rows: list[AccuracyRow]) -> str:
     """Return the errors as a Markdown table."""
     lines = [
         "| surface | raster | step, min | hours: mean, 99 % | first sun | last sun |",
@@ -198,7 +208,7 @@ def table(rows: list[AccuracyRow]) -> str:
     ]
     for row in rows:
         error_cells = " | ".join(f"{error.mean:.2f}, {error.p99:.1f}" for error in (row.hours, row.first, row.last))
-        lines.append(f"| {row.kind} | {row.raster} | {_named(row.step_min)} | {error_cells} |")
+        lines.append(f"| {row.folder} | {row.raster} | {_format_step(row.step_min)} | {error_cells} |")
     return "\n".join(lines)
 
 
@@ -214,20 +224,20 @@ def main() -> None:
     args = parser.parse_args()
     steps = [None if step == "auto" else float(step) for step in args.steps.split(",")]
     if args.seconds:
-        print_seconds(args.date, steps)
+        measure_seconds(args.date, steps)
     if args.folder is None:
         return
     rows = []
-    for kind, names in KINDS.items():
+    for kind, names in RASTERS_BY_FOLDER.items():
         for path in (args.folder / kind / name for name in names):
             if not path.exists():
-                print(f"{path}: missing")
+                print(f"{path}: missing, skipped")
                 continue
-            for row in rows_of(kind, path, args.date, steps, args.cells):
+            for row in measure_raster(kind, path, args.date, steps, args.cells):
                 rows.append(row)
-                print(table([row]).splitlines()[-1], flush=True)
+                print(markdown_table([row]).splitlines()[-1], flush=True)
     if args.markdown is not None:
-        args.markdown.write_text(table(rows) + "\n", encoding="utf-8")
+        args.markdown.write_text(markdown_table(rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,9 +5,9 @@
     python -m benchmarks.sweep_accuracy FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
 
 The middle of every raster of heights below FOLDER becomes an array in a flat world. Its holes are filled as for shadow casting, and
-its cells have the size of those at its middle latitude. Truth is traced with rays from the nodes, over quads cut along their higher
-diagonals as in the sweep. Nodes are counted if truth does not depend on the rays' offset from the ground. ``--all-azimuths`` uses
-the 360 whole degrees on the raster of that name.
+its cells have the size of the cells at its middle latitude. Truth is traced with rays from the nodes. Quads are cut along their
+higher diagonals, as in the sweep. Nodes count if truth does not depend on the rays' offset from the ground. ``--all-azimuths``
+measures the azimuths 0 to 359 degrees on the raster of that name.
 """
 
 from __future__ import annotations
@@ -34,20 +34,32 @@ from skugga.terrain.ground.sheet import Sheet, sheet_of
 EXCLUDED_NAME_PARTS = ("landcover", "rgb")
 """Parts of the names of rasters that do not hold heights."""
 
-NODE_OFFSET = 1.0 / 8.0
-"""Offset of a node's rays, in offsets of ``skugga.terrain.casters.rays``: the node is a vertex, rounded to float32 as the
-triangles are.
+NODE_OFFSET_FACTOR = 1.0 / 8.0
+"""Offset of a node's rays, as a multiple of the offset in ``skugga.terrain.casters.rays``. It is smaller, because nodes are
+vertices of the triangles, with the same rounding to float32.
 """
 
-TIE_DEG = 0.01
-"""Nodes whose class depends on this change of the sun's altitude, a fiftieth of its disc, do not count."""
+ALTITUDE_TOLERANCE_DEG = 0.01
+"""Change of the sun's altitude, a fiftieth of its disc. Truth is certain only if it does not depend on this change."""
 
 BATCH_RAYS = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """A raster: heights, float32 (rows, cols) in metres, NaN without data, and the sides (row, column) of a cell in metres."""
+    """A raster of heights in a flat world.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    height_m
+        Heights, float32 (rows, cols), NaN without data.
+    valid
+        Mask of cells with data, bool (rows, cols).
+    cell_m
+        Height and width of a cell, metres.
+    """
 
     name: str
     height_m: np.ndarray
@@ -82,7 +94,10 @@ class GridTruth:
 
 @dataclass(frozen=True)
 class SweepFigures:
-    """Errors of one raster under one sun, as shares of the decided cells. ``undecided`` is a share of all cells."""
+    """Errors of one raster under one sun, as shares of the decided cells (cells with certain truth).
+
+    ``undecided`` is the share of all cells whose truth is not certain.
+    """
 
     raster: str
     azimuth_deg: float
@@ -107,41 +122,43 @@ class GridRays:
         row, col = np.indices(padded.shape) - 1
         nodes = np.stack([col * cell_m[1], -row * cell_m[0], padded.astype(np.float64)], axis=-1)
         self._nodes = nodes[1:-1, 1:-1].reshape(-1, 3)
-        self._there = np.isfinite(height_m)
+        self._valid = np.isfinite(height_m)
         sheet = sheet_of(nodes)
-        self._drawn, self._other = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.is_cut_nw_se)])
+        self._rays_higher_diagonals, self._rays_lower_diagonals = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.is_cut_nw_se)])
 
     def truth(self, azimuth_deg: float, altitude_deg: float) -> GridTruth:
         """Return whether each node sees a sun (azimuth clockwise from north, degrees), and where that is certain.
 
-        A node is on the surface whichever way quads are cut. Its rays start at heights e and 4e above it. On a heightfield, a node
-        that is lit at height e is lit at any greater height. A node that is dark at 4e is dark at any smaller height. So these two
-        rays suffice. The rays miss casters that rise less than e above them; hence the small e.
+        A node is on the surface for either diagonal of a quad. Its rays start at heights e and 4e above it. On a heightfield, a
+        node that is lit at height e is lit at any greater height. A node in shadow at 4e is in shadow at any smaller height. So
+        these two rays suffice. The rays miss casters that rise less than e above them, so e is small.
 
-        A certain result must also be the same with the sun ``TIE_DEG`` lower and higher. Whole metres and equal cells make ties at
-        some azimuths, which rounding decides.
+        A certain result must also be the same with the sun ``ALTITUDE_TOLERANCE_DEG`` lower and higher. Whole metres and equal
+        cells make ties at some azimuths, which rounding decides.
         """
-        lower, to_sun, higher = (_direction(azimuth_deg, altitude_deg + step) for step in (-TIE_DEG, 0.0, TIE_DEG))
-        valid = np.flatnonzero(self._there)
-        lit = self._sees(self._drawn, valid, to_sun, 1.0)
+        lower, to_sun, higher = (
+            _direction(azimuth_deg, altitude_deg + step) for step in (-ALTITUDE_TOLERANCE_DEG, 0.0, ALTITUDE_TOLERANCE_DEG)
+        )
+        valid = np.flatnonzero(self._valid)
+        lit = self._sun_visible(self._rays_higher_diagonals, valid, to_sun, 1.0)
         light, dark = lit.copy(), ~lit
-        light[light] = self._sees(self._drawn, valid[light], lower, 1.0)
-        dark[dark] = ~self._sees(self._drawn, valid[dark], higher, 4.0)
+        light[light] = self._sun_visible(self._rays_higher_diagonals, valid[light], lower, 1.0)
+        dark[dark] = ~self._sun_visible(self._rays_higher_diagonals, valid[dark], higher, 4.0)
         is_certain = light | dark
-        light[light] = self._sees(self._other, valid[light], lower, 1.0)
-        dark[dark] = ~self._sees(self._other, valid[dark], higher, 4.0)
+        light[light] = self._sun_visible(self._rays_lower_diagonals, valid[light], lower, 1.0)
+        dark[dark] = ~self._sun_visible(self._rays_lower_diagonals, valid[dark], higher, 4.0)
         return GridTruth(*(self._grid(valid, values) for values in (lit, is_certain, light | dark)))
 
-    def _sees(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offsets: float) -> np.ndarray:
+    def _sun_visible(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offset_factor: float) -> np.ndarray:
         visible = np.empty(len(nodes), bool)
         for first in range(0, len(nodes), BATCH_RAYS):
             batch = slice(first, first + BATCH_RAYS)
-            start = self._nodes[nodes[batch]] + np.array([0.0, 0.0, offsets * NODE_OFFSET * rays.offset_m])
+            start = self._nodes[nodes[batch]] + np.array([0.0, 0.0, offset_factor * NODE_OFFSET_FACTOR * rays.offset_m])
             visible[batch] = ~rays.blocked(start, to_sun)
         return visible
 
     def _grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-        out = np.zeros(self._there.shape, bool)
+        out = np.zeros(self._valid.shape, bool)
         out.flat[nodes] = values
         return out
 
@@ -151,7 +168,7 @@ def _direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
-def figures_of(
+def compare_with_truth(
     raster: Raster, lit: np.ndarray, truth: GridTruth, certain: np.ndarray, azimuth_deg: float, altitude_deg: float
 ) -> SweepFigures:
     """Compare a mask of nodes that see the sun, bool (rows, cols), with truth where ``certain`` (a mask of ``truth``) is set."""
@@ -173,18 +190,18 @@ def figures_of(
     )
 
 
-def rasters_of(folder: Path, crop: int) -> Iterator[Raster]:
-    """Yield the rasters of heights below a folder, at most ``crop`` cells a side. Print the names of those that are left out."""
+def read_rasters(folder: Path, crop: int) -> Iterator[Raster]:
+    """Yield the rasters of heights below a folder, at most ``crop`` cells a side. Print the errors of unreadable rasters."""
     for path in sorted(folder.rglob("*.tif")):
         if any(word in path.stem.lower() for word in EXCLUDED_NAME_PARTS):
             continue
         try:
-            yield read(path, crop)
+            yield read_raster(path, crop)
         except SkuggaError as error:
-            print(f"left out: {error}", flush=True)
+            print(f"skipped: {error}", flush=True)
 
 
-def read(path: Path, crop: int) -> Raster:
+def read_raster(path: Path, crop: int) -> Raster:
     """Read heights from the middle of a raster, around the median position of its valid cells. Raises ``SourceError``."""
     elevation = Elevation(str(path))
     shape = elevation.shape
@@ -198,12 +215,12 @@ def read(path: Path, crop: int) -> Raster:
     if elevation.vertical.unit_from is None:  # by default heights are in the unit of the map: feet in feet
         height_m = height_m * np.float32(unit_m)
     name = f"{path.parent.name}/{path.stem}"
-    cell_m = _cell_m(elevation, first[0] + size[0] / 2, first[1] + size[1] / 2, unit_m)
+    cell_m = _cell_sides_m(elevation, first[0] + size[0] / 2, first[1] + size[1] / 2, unit_m)
     elevation.close()
     return Raster(name, height_m, valid, cell_m)
 
 
-def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tuple[float, float]:
+def _cell_sides_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tuple[float, float]:
     """Return the sides (row, column) in metres of the cell at a row and column."""
     x, y = elevation.xy(np.array([row - 0.5, row + 0.5, row, row]), np.array([col, col, col - 0.5, col + 0.5]))
     if elevation.crs.is_geographic:
@@ -218,11 +235,13 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
     figures = []
     for sun in suns:
         truth = rays.truth(*sun)
-        figures.append(figures_of(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.certain, *sun))
+        figures.append(
+            compare_with_truth(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.certain, *sun)
+        )
     return figures
 
 
-def report(rasters: list[Raster], all_figures: list[SweepFigures], lines: int) -> list[str]:
+def format_report(rasters: list[Raster], all_figures: list[SweepFigures], lines: int) -> list[str]:
     """Format Markdown: a row per raster, and a summary."""
     rows = [
         f"# The line sweep against rays: {lines} line(s) a cell",
@@ -269,25 +288,30 @@ def _summary(figures: list[SweepFigures]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--azimuths", type=int, default=24, help="evenly spread, from half a step on")
+    parser.add_argument("--azimuths", type=int, default=24, help="number of azimuths, evenly spaced from half a step on")
     parser.add_argument("--altitudes", type=float, nargs="+")
-    parser.add_argument("--all-azimuths", metavar="NAME", help="all whole degrees, on the raster with this in its name")
+    parser.add_argument(
+        "--all-azimuths", metavar="NAME", help="measure the azimuths 0 to 359 degrees on the raster whose name contains NAME"
+    )
     parser.add_argument("--lines", type=int, default=8)
     parser.add_argument("--crop", type=int)
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--markdown", type=Path)
-    parser.add_argument("--json", type=Path, help="every figure of every sun")
+    parser.add_argument("--json", type=Path, help="file for the figures under every sun")
     args = parser.parse_args()
     every = args.all_azimuths is not None
     azimuths = np.arange(360.0) if every else (np.arange(args.azimuths) + 0.5) * 360.0 / args.azimuths
     if not every and not (azimuths % 45.0).all():
-        parser.error(f"--azimuths {args.azimuths}: one of them is a multiple of 45 degrees, where errors hide; 8, 24 or 72 are not")
+        parser.error(
+            f"--azimuths: {args.azimuths} azimuths include multiples of 45 degrees, where the sweep has no errors. Use 8, 24 or 72."
+        )
     suns = [(float(a), h) for h in args.altitudes or ([10.0] if every else [3.0, 10.0, 30.0]) for a in azimuths]
-    rasters = list(rasters_of(args.folder, args.crop or (512 if every else 1024)))
+    rasters = list(read_rasters(args.folder, args.crop or (512 if every else 1024)))
     if every:
         rasters = [raster for raster in rasters if args.all_azimuths in raster.name][:1]
     if not rasters:
-        parser.error(f"no raster of heights below {args.folder}" + (f" is called {args.all_azimuths}" if every else ""))
+        name_text = f" with '{args.all_azimuths}' in its name" if every else ""
+        parser.error(f"{args.folder} contains no raster of heights{name_text}.")
     rasters.sort(key=lambda raster: -raster.height_m.size)  # the longest work first, so that no core idles at the end
     parts = [suns[first :: args.processes] for first in range(args.processes)] if every else [suns]
     start, figures = time.perf_counter(), []
@@ -297,7 +321,7 @@ def main() -> None:
             figures += future.result()
             mean, worst = (100 * f([row.wrong for row in future.result()]) for f in (np.mean, np.max))
             print(f"{time.perf_counter() - start:4.0f} s  {work[future]}: wrong {mean:.4f} %, worst {worst:.4f} %", flush=True)
-    lines = report(rasters, figures, args.lines)
+    lines = format_report(rasters, figures, args.lines)
     print("\n".join(lines))
     if args.markdown:
         args.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")

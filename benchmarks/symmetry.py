@@ -1,10 +1,10 @@
-"""Symmetry of shadows: how much they differ on mirrored and rotated ground under a sun that is transformed in the same way.
+"""Symmetry of shadows: differences between shadows on ground and sun, and on mirrored or rotated ground and sun.
 
     python -m benchmarks.symmetry FOLDER [--algorithms sweep truth shadow_map shadow_volume] [--crop 256] [--between-nodes]
                                          [--markdown FILE]
 
-The middles of rasters below FOLDER (``RASTERS``) become levels in a flat world. The side of their cells is a power of two of
-metres. With one pixel per cell, pixels then lie exactly on nodes. Each level is drawn in all eight symmetries of a square. The
+The middles of rasters below FOLDER (``CELL_M_BY_RASTER``) become levels in a flat world. The side of their cells is a power of two
+of metres. With one pixel per cell, pixels then lie exactly on nodes. Each level is drawn in all eight symmetries of a square. The
 figure is the largest share of pixels whose class (shadow or lit) differs from that of the original ground.
 """
 
@@ -29,7 +29,7 @@ from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
 
-SIDES = [
+SYMMETRIES = [
     (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)
 ]
 """The eight symmetries of a square, each as three flags: mirror from east to west, mirror from north to south, and swap rows and
@@ -38,36 +38,33 @@ columns."""
 SUNS = ((90.0, 45.0), (113.0, 30.0), (202.0, 10.0))
 """Azimuth and altitude, degrees."""
 
-RASTERS = {
+CELL_M_BY_RASTER = {
     "mountain/bigtujunga_30m_utm11.tif": 32.0, "urban/goteborg_1m/DSM.tif": 1.0, "forest/quebec_DSM.tif": 1.0,
 }  # fmt: skip
-"""Rasters, and the side of a cell that they are drawn with, metres."""
+"""Side of a cell in the flat world, metres, by raster below the folder."""
 
 SITE_CRS = 'ENGCRS["site",EDATUM["site"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
 
-Side = tuple[bool, bool, bool]
+Symmetry = tuple[bool, bool, bool]
 
 
-def transformed(values: np.ndarray, side: Side) -> np.ndarray:
+def transform_grid(values: np.ndarray, symmetry: Symmetry) -> np.ndarray:
     """Mirror and transpose values (n, m) of a grid by a symmetry."""
-    east_west, north_south, turned = side
+    east_west, north_south, turned = symmetry
     values = values.T if turned else values
     return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
 
 
-def inverse_transformed(values: np.ndarray, side: Side) -> np.ndarray:
-    """Invert ``transformed`` for values of a grid."""
-    east_west, north_south, turned = side
+def invert_grid(values: np.ndarray, symmetry: Symmetry) -> np.ndarray:
+    """Invert ``transform_grid`` for values of a grid."""
+    east_west, north_south, turned = symmetry
     values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
     return values.T if turned else values
 
 
-def azimuth_of(azimuth_deg: float, side: Side) -> float:
-    """Transform a sun's azimuth, degrees, in the same way as ``transformed`` transforms the ground.
-
-    It is reflected in the diagonal from north-west to south-east, and then mirrored.
-    """
-    east_west, north_south, turned = side
+def transform_azimuth(azimuth_deg: float, symmetry: Symmetry) -> float:
+    """Transform a sun's azimuth, degrees, like ``transform_grid`` transforms the ground."""
+    east_west, north_south, turned = symmetry
     if turned:
         azimuth_deg = 270.0 - azimuth_deg
     if north_south:
@@ -75,18 +72,15 @@ def azimuth_of(azimuth_deg: float, side: Side) -> float:
     return (-azimuth_deg if east_west else azimuth_deg) % 360.0
 
 
-def heights_of(path: Path, crop: int) -> np.ndarray:
-    """Return the middle of a raster's heights, with an even number of cells each way, at most ``crop``.
-
-    The middle of an even number of cells lies between cells.
-    """
+def read_heights(path: Path, crop: int) -> np.ndarray:
+    """Return the middle of a raster's heights, with an even number of rows and of columns, at most ``crop``."""
     with rasterio.open(path) as dataset:
         rows, cols = (min(crop, size) // 2 * 2 for size in dataset.shape)
         row, col = (dataset.height - rows) // 2, (dataset.width - cols) // 2
         return dataset.read(1, window=((row, row + rows), (col, col + cols))).astype(np.float32)
 
 
-def site(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: Path) -> Scene:
+def flat_world_scene(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: Path) -> Scene:
     """Return the scene of heights (rows, cols) in a flat world, whose origin is their south-west corner."""
     rows, cols = heights.shape
     transform = rasterio.transform.from_origin(0.0, rows * cell_m, cell_m, cell_m)
@@ -129,27 +123,27 @@ def shadow_mask(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarr
     return out
 
 
-def asymmetry(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algorithm: str, between_nodes: bool) -> float:
+def max_differing_share(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algorithm: str, between_nodes: bool) -> float:
     """Return the largest share of pixels in which one of the eight pictures, transformed back, differs from the first."""
     pictures = []
-    for side in SIDES:
-        ground = np.ascontiguousarray(transformed(heights, side))
+    for side in SYMMETRIES:
+        ground = np.ascontiguousarray(transform_grid(heights, side))
         rows, cols = (length * 3 // 2 if between_nodes else length for length in ground.shape)
         with tempfile.TemporaryDirectory() as folder:
-            scene = site(ground, cell_m, (azimuth_of(sun[0], side), sun[1]), Path(folder))
-            pictures.append(inverse_transformed(shadow_mask(scene, algorithm, (cols, rows)), side))
+            scene = flat_world_scene(ground, cell_m, (transform_azimuth(sun[0], side), sun[1]), Path(folder))
+            pictures.append(invert_grid(shadow_mask(scene, algorithm, (cols, rows)), side))
             scene.close()
     return max(float((other != pictures[0]).mean()) for other in pictures[1:])
 
 
-def report(folder: Path, algorithms: list[str], crop: int, between_nodes: bool) -> Iterator[str]:
+def format_report(folder: Path, algorithms: list[str], crop: int, between_nodes: bool) -> Iterator[str]:
     """Format Markdown: a row for each raster and algorithm, in per cent of the pixels."""
     yield "| raster | algorithm | " + " | ".join(f"{azimuth:g} / {altitude:g}" for azimuth, altitude in SUNS) + " |"
     yield "| --- | --- |" + " ---: |" * len(SUNS)
-    for name, cell_m in RASTERS.items():
-        heights = heights_of(folder / name, crop)
+    for name, cell_m in CELL_M_BY_RASTER.items():
+        heights = read_heights(folder / name, crop)
         for algorithm in algorithms:
-            shares = [100.0 * asymmetry(heights, cell_m, sun, algorithm, between_nodes) for sun in SUNS]
+            shares = [100.0 * max_differing_share(heights, cell_m, sun, algorithm, between_nodes) for sun in SUNS]
             yield f"| {name} | {algorithm} | " + " | ".join(f"{share:.4f}" for share in shares) + " |"
 
 
@@ -158,11 +152,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--algorithms", nargs="+", default=["sweep", "truth", "shadow_map", "shadow_volume"])
     parser.add_argument("--crop", type=int, default=256)
-    parser.add_argument("--between-nodes", action="store_true", help="one and a half pixels to a cell")
+    parser.add_argument("--between-nodes", action="store_true", help="draw 1.5 pixels per cell, so that pixels lie between nodes")
     parser.add_argument("--markdown", type=Path)
     args = parser.parse_args()
     lines = []
-    for line in report(args.folder, args.algorithms, args.crop, args.between_nodes):
+    for line in format_report(args.folder, args.algorithms, args.crop, args.between_nodes):
         print(line, flush=True)
         lines.append(line)
     if args.markdown:

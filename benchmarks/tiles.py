@@ -1,11 +1,11 @@
-"""The map service compared with titiler's hillshade: tiles a second from one core each, with the sun's cast shadows and without.
+"""Tiles per second of the map service with cast shadows, and of titiler's hillshade without, on one core each.
 
     python -m benchmarks.tiles --raster FILE --titiler-python PATH [--base FOLDER] [--repeats 5] [--json FILE]
 
-Both services run on loopback, each with all its processes on the same core; the client runs on another. They shade the same
-cloud-optimised GeoTIFF, made from ``--raster``, and answer requests for the same tiles of 256 x 256 pixels by the same client. The
-client sends 8 requests at a time, or one where a row says so. Each cold round starts a new service. Figures are medians over the
-repeats. The services take turns within a repeat. Only ratios within one run are comparable.
+Both services run on loopback, each with all its processes on the same core. The client runs on another core. Both shade the same
+cloud-optimised GeoTIFF, made from ``--raster``, and answer requests of one client for the same tiles of 256 x 256 pixels. The
+client sends 8 concurrent requests, or single requests in rows with "one alone". Each cold round starts a new service. Figures are
+medians over the repeats. The services take turns within a repeat. Only ratios within one run are comparable.
 
 titiler (`pip install titiler.application==2.4.0 uvicorn httptools uvloop`, in an environment of its own whose Python is
 ``--titiler-python``) runs as its manual recommends, with the GDAL settings there and one process: `hillshade`, `buffer=3`. It casts
@@ -42,7 +42,7 @@ from morecantile import tms as matrix_sets
 from rasterio.shutil import copy
 from rasterio.warp import transform_bounds
 
-from benchmarks.sweep_speed import _processor
+from benchmarks.sweep_speed import processor_name
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -50,7 +50,7 @@ MERCATOR = matrix_sets.get("WebMercatorQuad")
 ZOOMS = range(9, 15)
 CONCURRENCY = 8
 SERVICE_CORE, CLIENT_CORE = 0, 1
-LONGEST_START_S = 120.0
+START_TIMEOUT_S = 120.0
 
 TITILER_SETTINGS = {
     "CPL_TMPDIR": "/tmp", "GDAL_CACHEMAX": "75%", "GDAL_INGESTED_BYTES_AT_OPEN": "32768",
@@ -88,16 +88,26 @@ class Round:
 
 @dataclass(frozen=True)
 class RunningService:
-    """A running service: its process, its port, the seconds until it was ready, and a function from tile and sun to a path."""
+    """A running service.
+
+    Attributes
+    ----------
+    process, port
+        Its process and its port.
+    ready_s
+        Seconds from the start until it was ready.
+    path_of_tile
+        Returns the URL path of a tile under a sun.
+    """
 
     process: subprocess.Popen[bytes]
     port: int
     ready_s: float
-    path: Callable[[Tile, Sun], str]
+    path_of_tile: Callable[[Tile, Sun], str]
 
 
-def request_all(port: int, paths: list[str], at_once: int = CONCURRENCY) -> Round:
-    """Request paths over persistent connections, ``at_once`` at a time. Raises ``RuntimeError`` if an answer is no picture."""
+def request_all(port: int, paths: list[str], concurrency: int = CONCURRENCY) -> Round:
+    """Request paths over ``concurrency`` persistent connections. Raises ``RuntimeError`` for a status other than 200."""
     left, took_s, sizes = list(reversed(paths)), [], []
 
     async def client() -> None:
@@ -116,7 +126,7 @@ def request_all(port: int, paths: list[str], at_once: int = CONCURRENCY) -> Roun
         writer.close()
 
     async def all_clients() -> None:
-        await asyncio.gather(*(client() for _ in range(at_once)))
+        await asyncio.gather(*(client() for _ in range(concurrency)))
 
     start = time.perf_counter()
     asyncio.run(all_clients())
@@ -129,7 +139,9 @@ def request_all(port: int, paths: list[str], at_once: int = CONCURRENCY) -> Roun
 
 
 @contextmanager
-def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun], str], **env: str) -> Iterator[RunningService]:
+def run_service(
+    command: list[str], port: int, ready_path: str, path_of_tile: Callable[[Tile, Sun], str], **env: str
+) -> Iterator[RunningService]:
     """Run a service on one core, as a context manager. Raises ``RuntimeError`` if it does not start."""
     start = time.perf_counter()
     with tempfile.TemporaryFile() as output:
@@ -139,22 +151,22 @@ def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun
         )  # fmt: skip
         try:
             while True:
-                if process.poll() is not None or time.perf_counter() - start > LONGEST_START_S:
+                if process.poll() is not None or time.perf_counter() - start > START_TIMEOUT_S:
                     output.seek(0)
                     raise RuntimeError(f"{command[0]} did not start: {output.read()[-2000:].decode()}")
                 try:
-                    with urlopen(f"http://127.0.0.1:{port}{ready}") as answer:
+                    with urlopen(f"http://127.0.0.1:{port}{ready_path}") as answer:
                         if answer.status == 200:
                             break
                 except OSError:
                     time.sleep(0.02)
-            yield RunningService(process, port, time.perf_counter() - start, path)
+            yield RunningService(process, port, time.perf_counter() - start, path_of_tile)
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(20)
 
 
-def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[RunningService]:
+def run_skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[RunningService]:
     """Run Skugga's service of a raster with one render process and default settings."""
     level = folder / "cog.yaml"
     level.write_text(json.dumps({"version": 1, "terrain": {"source": str(cog)}, "sun": {"azimuth": 225, "altitude": 30}}))
@@ -164,12 +176,12 @@ def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[
         return f"/levels/cog/tiles/WebMercatorQuad/{z}/{x}/{y}.png?azimuth={sun[0]:g}&altitude={sun[1]:g}"
 
     command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(level), "--port", str(port)]
-    return service(
+    return run_service(
         command, port, "/readyz", path, PYTHONPATH=str(ROOT), SKUGGA_CALIBRATE_WHEN_IDLE="false", SKUGGA_PROBE_WHEN_IDLE="false"
     )
 
 
-def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[RunningService]:
+def run_titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[RunningService]:
     """Run titiler with one process."""
 
     def path(tile: Tile, sun: Sun) -> str:
@@ -180,10 +192,10 @@ def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager
         )
 
     command = [str(python), "-m", "uvicorn", "titiler.application.main:app", "--port", str(port), "--log-level", "warning"]
-    return service(command, port, "/healthz", path, **TITILER_SETTINGS)
+    return run_service(command, port, "/healthz", path, **TITILER_SETTINGS)
 
 
-def tiles_of(cog: Path) -> list[Tile]:
+def tiles_over_raster(cog: Path) -> list[Tile]:
     """Return the tiles of all zooms that show a part of a raster, row by row."""
     with rasterio.open(cog) as dataset:
         bounds = transform_bounds(dataset.crs, "OGC:CRS84", *dataset.bounds)
@@ -192,19 +204,19 @@ def tiles_of(cog: Path) -> list[Tile]:
     )
 
 
-def served_by_both(tiles: list[Tile], running: RunningService) -> list[Tile]:
-    """Return the tiles that titiler serves too. It clips the corners of a tilted raster more tightly than Skugga."""
+def tiles_served_by_titiler(tiles: list[Tile], running: RunningService) -> list[Tile]:
+    """Return the tiles that titiler serves too. It clips the corners of a rotated raster more tightly than Skugga."""
     result = []
     for tile in tiles:
         try:
-            urlopen(f"http://127.0.0.1:{running.port}{running.path(tile, SUNS[0])}").read()
+            urlopen(f"http://127.0.0.1:{running.port}{running.path_of_tile(tile, SUNS[0])}").read()
         except OSError:
             continue
         result.append(tile)
     return result
 
 
-def viewport(tiles: list[Tile]) -> list[Tile]:
+def central_tiles(tiles: list[Tile]) -> list[Tile]:
     """Return the tiles that fill a screen at the zoom before the last: 6 x 4 tiles in the middle of the raster."""
     zoom = ZOOMS[-2]
     xs, ys = ([tile[axis] for tile in tiles if tile[0] == zoom] for axis in (1, 2))
@@ -213,20 +225,22 @@ def viewport(tiles: list[Tile]) -> list[Tile]:
 
 
 Rounds = dict[str, list[Round]]
-Start = Callable[[], AbstractContextManager[RunningService]]
+ServiceFactory = Callable[[], AbstractContextManager[RunningService]]
 
 
-def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, scalar_figures: dict[str, list[float]]) -> None:
+def measure_service(
+    tiles: list[Tile], start_service: ServiceFactory, has_cache: bool, rounds: Rounds, scalar_figures: dict[str, list[float]]
+) -> None:
     """Run all rounds of requests once with a service, and add their results to ``rounds`` and ``scalar_figures``.
 
-    A service without a cache gets the repeated requests only once.
+    A service without a cache receives the repeated requests only once.
     """
-    shuffled, viewport_tiles = random.Random(23).sample(tiles, len(tiles)), viewport(tiles)
-    with start() as running:
+    shuffled, viewport_tiles = random.Random(23).sample(tiles, len(tiles)), central_tiles(tiles)
+    with start_service() as running:
         scalar_figures.setdefault("ready s", []).append(running.ready_s)
 
         def run_round(name: str, tile_requests: list[tuple[Tile, Sun]], at_once: int = CONCURRENCY) -> Round:
-            result = request_all(running.port, [running.path(*tile_request) for tile_request in tile_requests], at_once)
+            result = request_all(running.port, [running.path_of_tile(*tile_request) for tile_request in tile_requests], at_once)
             rounds.setdefault(name, []).append(result)
             return result
 
@@ -238,16 +252,16 @@ def measure(tiles: list[Tile], start: Start, has_cache: bool, rounds: Rounds, sc
         if has_cache:
             run_round("again, one alone", [(tile, SUNS[6]) for tile in tiles], 1)
         rate = rounds["24 suns"][-1].per_second / 2
-        paths = [running.path(tile, (sun[0] + 1.0, sun[1])) for sun in SUNS[::3] for tile in viewport_tiles]
-        rounds.setdefault("24 suns, half the peak", []).append(asyncio.run(paced(running.port, paths, rate)))
-    with start() as running:
+        paths = [running.path_of_tile(tile, (sun[0] + 1.0, sun[1])) for sun in SUNS[::3] for tile in viewport_tiles]
+        rounds.setdefault("24 suns, half the peak", []).append(asyncio.run(request_at_rate(running.port, paths, rate)))
+    with start_service() as running:
         run_round("cold, random order", [(tile, SUNS[6]) for tile in shuffled])
-    with start() as running:
+    with start_service() as running:
         sampled_tiles = [tile for n, tile in enumerate(tiles) if n % 9 == 0]
         run_round("cold, one alone", [(tile, SUNS[6]) for tile in sampled_tiles], 1)
 
 
-async def paced(port: int, paths: list[str], per_second: float) -> Round:
+async def request_at_rate(port: int, paths: list[str], requests_per_s: float) -> Round:
     """Send requests at a steady rate, even while earlier ones are still pending."""
     took_s: list[float] = []
     sizes: list[int] = []
@@ -263,10 +277,10 @@ async def paced(port: int, paths: list[str], per_second: float) -> Round:
     tasks = []
     for path in paths:
         tasks.append(asyncio.create_task(one(path)))
-        await asyncio.sleep(1.0 / per_second)
+        await asyncio.sleep(1.0 / requests_per_s)
     await asyncio.gather(*tasks)
     ordered = sorted(took_s)
-    return Round(per_second, 1e3 * statistics.median(ordered), 1e3 * ordered[int(0.99 * len(ordered))], statistics.mean(sizes))
+    return Round(requests_per_s, 1e3 * statistics.median(ordered), 1e3 * ordered[int(0.99 * len(ordered))], statistics.mean(sizes))
 
 
 BLOCK_PROGRAM = """
@@ -334,7 +348,7 @@ print(json.dumps(out))
 loops."""
 
 
-def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
+def measure_block_cpu_ms(folder: Path, level: Path, zoom: int) -> dict[str, float]:
     """Return CPU milliseconds of a block, computed by the code in ``folder``: cold, and the median of new suns.
 
     If the code has a function that encodes tiles, the milliseconds to encode a tile of 512 x 512 pixels are added.
@@ -351,13 +365,13 @@ def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
     return {"cold": times_ms["cold"], **medians}
 
 
-def versions(python: Path) -> dict[str, str]:
+def software_versions(python: Path) -> dict[str, str]:
     """Return versions of the software and the machine."""
     modules = "titiler.application, rio_tiler, rasterio, uvicorn"
     program = f"import {modules}; print(*(m.__version__ for m in ({modules})), rasterio.__gdal_version__)"
     package_versions = subprocess.run([str(python), "-c", program], capture_output=True, text=True, check=True).stdout.split()
     names = ("titiler", "rio-tiler", "rasterio", "uvicorn", "GDAL")
-    return {**dict(zip(names, package_versions, strict=True)), "Python": platform.python_version(), "processor": _processor()}
+    return {**dict(zip(names, package_versions, strict=True)), "Python": platform.python_version(), "processor": processor_name()}
 
 
 def median_round(rounds: list[Round]) -> Round:
@@ -367,7 +381,7 @@ def median_round(rounds: list[Round]) -> Round:
     )
 
 
-def _medians(values: list[dict[str, float]]) -> dict[str, float]:
+def _median_by_name(values: list[dict[str, float]]) -> dict[str, float]:
     return {name: statistics.median(entry[name] for entry in values) for name in values[0]}
 
 
@@ -385,24 +399,26 @@ def main() -> None:
         folder = Path(name)
         cog = folder / "cog.tif"
         copy(args.raster, cog, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=256, OVERVIEW_RESAMPLING="AVERAGE")
-        with titiler(cog, args.titiler_python) as running:
-            tiles = served_by_both(tiles_of(cog), running)
+        with run_titiler(cog, args.titiler_python) as running:
+            tiles = tiles_served_by_titiler(tiles_over_raster(cog), running)
         rounds_by_service: dict[str, Rounds] = {"titiler": {}, "Skugga": {}}
         rest: dict[str, dict[str, list[float]]] = {"titiler": {}, "Skugga": {}}
         blocks: dict[str, list[dict[str, float]]] = {}
-        with skugga(cog, folder):
+        with run_skugga(cog, folder):
             pass  # loops are compiled, and the device is calibrated, once on a machine
         for _ in range(args.repeats):
-            measure(tiles, lambda: titiler(cog, args.titiler_python), False, rounds_by_service["titiler"], rest["titiler"])
-            measure(tiles, lambda: skugga(cog, folder), True, rounds_by_service["Skugga"], rest["Skugga"])
+            measure_service(
+                tiles, lambda: run_titiler(cog, args.titiler_python), False, rounds_by_service["titiler"], rest["titiler"]
+            )
+            measure_service(tiles, lambda: run_skugga(cog, folder), True, rounds_by_service["Skugga"], rest["Skugga"])
             bare, wooded = (ROOT / "configs" / f"jacksboro{kind}.yaml" for kind in ("", "_wooded"))
             of_blocks = {"now": (ROOT, folder / "cog.yaml"), "village's ground": (ROOT, bare), "village": (ROOT, wooded)}
             if args.base is not None:
                 of_blocks["base"] = args.base, folder / "cog.yaml"
             for key, (code, level) in of_blocks.items():
-                blocks.setdefault(key, []).append(block_cpu(code, level, ZOOMS[-1]))
+                blocks.setdefault(key, []).append(measure_block_cpu_ms(code, level, ZOOMS[-1]))
         result = {
-            "versions": versions(args.titiler_python), "tiles": len(tiles), "repeats": args.repeats,
+            "versions": software_versions(args.titiler_python), "tiles": len(tiles), "repeats": args.repeats,
             "rounds": {
                 service_name: {name: asdict(median_round(samples)) for name, samples in rounds.items()}
                 for service_name, rounds in rounds_by_service.items()
@@ -411,7 +427,7 @@ def main() -> None:
                 service_name: {name: statistics.median(samples) for name, samples in values.items()}
                 for service_name, values in rest.items()
             },
-            "block CPU ms": {key: _medians(values) for key, values in blocks.items()},
+            "block CPU ms": {key: _median_by_name(values) for key, values in blocks.items()},
         }  # fmt: skip
     if args.json:
         args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -1,6 +1,6 @@
 """A minimal forward renderer of one vertex and one fragment shader, the reference for frame times.
 
-It is what a tutorial would write:
+It works like the renderer of a tutorial:
 
 * The triangles of ground and meshes are uploaded once.
 * So are the trees. A tree is an upright quad that turns to the eye, or to the sun in the depth map. It is alpha-tested with the
@@ -9,8 +9,7 @@ It is what a tutorial would write:
 * With a shadow, all casters are drawn again into a depth map for every frame.
 * Every picture is read back, since the frame would otherwise not reach the caller.
 
-It omits what the engine is for: right shadows, smooth edges, detail of the ground, haze, the sky's gradient, and the choice of what
-is drawn.
+It omits exact shadows, antialiasing, detail of the ground, haze, the sky's gradient, and level of detail.
 """
 
 from __future__ import annotations
@@ -32,19 +31,19 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of, daylight_in_frame
 from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
-MAP_BITS = 16
+DEPTH_MAP_BITS = 16
 NEAR_M, FAR_M = 0.5, 20_000.0
 
-SHADOWED_M = 400.0
-"""The reach of the depth map: half the side of a square, and how far its middle lies ahead of the eye."""
+DEPTH_MAP_EXTENT_M = 400.0
+"""Side of the square that the depth map covers. The middle of the square lies half of this ahead of the eye."""
 
 SLOPE_BIAS = 1.5
-"""Bias in slopes of a triangle over a texel, for each tap along a side (glPolygonOffset). Some steps of depth are added."""
+"""Factor of glPolygonOffset, in slopes of a triangle over a texel, for each tap along a side."""
 
-SKY = (0.62, 0.74, 0.88)
-"""The one colour of the sky, sRGB."""
+SKY_COLOR = (0.62, 0.74, 0.88)
+"""Uniform colour of the sky, sRGB."""
 
-VERTEX = """
+VERTEX_SHADER = """
 #version 430
 #ifdef TREES
 in vec3 base;
@@ -79,7 +78,7 @@ void main() {
 }
 """
 
-FRAGMENT = """
+FRAGMENT_SHADER = """
 #version 430
 #ifdef TREES
 uniform sampler2DArray leaves;
@@ -126,7 +125,7 @@ void main() {
 }
 """
 
-DEPTH_FRAGMENT = """
+DEPTH_FRAGMENT_SHADER = """
 #version 430
 #ifdef TREES
 uniform sampler2DArray leaves;
@@ -147,7 +146,7 @@ class ProgramArrays(NamedTuple):
 
 
 class Yardstick:
-    """A scene on the device, as seen from a view's eye and from places near it.
+    """A scene on the device, seen from the eye of a view or from near it.
 
     ``map_size`` is the side of the depth map in texels (0: no shadows). A shadow look-up compares ``taps`` x ``taps`` texels.
     """
@@ -160,7 +159,7 @@ class Yardstick:
             [gl.ctx.texture((view.cols, view.rows), 4)], gl.ctx.depth_renderbuffer((view.cols, view.rows))
         )
         ground = ground_mesh(scene, view)
-        vertices, indices = _opaque(scene, view, ground, self._frame)
+        vertices, indices = _opaque_mesh(scene, view, ground, self._frame)
         self._vertices, self._indices = gl.ctx.buffer(vertices), gl.ctx.buffer(indices)
         self.triangles = len(indices)
         self._instances: moderngl.Buffer | None = None
@@ -176,34 +175,36 @@ class Yardstick:
             self._leaves = gl.srgb_texture_array(foliage().mip_levels)
             bounds[1] = bounds[1] + [0.0, 0.0, float(tree_instances.shape[:, 2].max())]
         self._bounds = np.array(bounds)
-        self._colour = self._drawn(FRAGMENT.replace("TAPS", str(taps if map_size else 0)))
-        self._depth = self._drawn(DEPTH_FRAGMENT) if map_size else None
+        self._color_arrays = self._vertex_arrays(FRAGMENT_SHADER.replace("TAPS", str(taps if map_size else 0)))
+        self._depth_arrays = self._vertex_arrays(DEPTH_FRAGMENT_SHADER) if map_size else None
 
     def draw(self, scene: Scene, view: PerspectiveView) -> np.ndarray:
-        """Draw a view near that eye under any sun, and return its picture, uint8 (rows, cols, 4)."""
+        """Draw a view near the first view's eye under the scene's sun, and return its picture, uint8 (rows, cols, 4)."""
         gl = device()
         eye, camera_from_frame = view.in_frame(self._frame)
         light = daylight_in_frame(scene, self._frame)
         to_sun = np.asarray(light.to_sun_frame, np.float64)
-        map_from_frame = self._map(eye, camera_from_frame, to_sun)
-        if self._depth is not None:
-            target = gl.depth_target(self._map_size, self._map_size, MAP_BITS)
+        map_from_frame = self._depth_map_matrix(eye, camera_from_frame, to_sun)
+        if self._depth_arrays is not None:
+            target = gl.depth_target(self._map_size, self._map_size, DEPTH_MAP_BITS)
             with gl.depth_pass(target, (SLOPE_BIAS * self._taps, 4.0)):
-                self._render(self._depth, map_from_frame, map_from_frame, to_sun[:2], {})
+                self._render(self._depth_arrays, map_from_frame, map_from_frame, to_sun[:2], {})
             target.depth_attachment.use(1)
         self._target.use()
-        self._target.clear(*SKY, 1.0, depth=1.0)
+        self._target.clear(*SKY_COLOR, 1.0, depth=1.0)
         gl.ctx.enable_only(moderngl.DEPTH_TEST)
         uniforms = {"to_sun": tuple(to_sun), "sun": tuple(light.sun), "sky": tuple(light.sky), "depth_map": 1}
-        self._render(self._colour, _clip_matrix(view, eye, camera_from_frame), map_from_frame, camera_from_frame[2, :2], uniforms)
+        self._render(
+            self._color_arrays, _clip_matrix(view, eye, camera_from_frame), map_from_frame, camera_from_frame[2, :2], uniforms
+        )
         gl.ctx.enable_only(moderngl.NOTHING)
         return gl.read(self._target, 0, "f1", 4)
 
-    def _drawn(self, fragment: str) -> ProgramArrays:
+    def _vertex_arrays(self, fragment: str) -> ProgramArrays:
         gl, arrays = device(), []
         for kind in ("OPAQUE", "TREES"):
             define = f"#version 430\n#define {kind}"
-            vertex, fragment_source = (text.strip().replace("#version 430", define) for text in (VERTEX, fragment))
+            vertex, fragment_source = (text.strip().replace("#version 430", define) for text in (VERTEX_SHADER, fragment))
             program = gl.program(vertex, fragment_source)
             names = ("position", "normal", "albedo") if kind == "OPAQUE" else ("base", "shape", "look")
             layout = "3f 3f 3f" if kind == "OPAQUE" else "3f 4f 1f/i"
@@ -232,16 +233,16 @@ class Yardstick:
             self._leaves.use(0)
             gl.render(arrays.trees, vertices=6, instances=self.trees)
 
-    def _map(self, eye: np.ndarray, camera_from_frame: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
+    def _depth_map_matrix(self, eye: np.ndarray, camera_from_frame: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
         """Return the matrix (4, 4) from the scene's frame to the clip space of the depth map."""
         right = np.cross([0.0, 0.0, 1.0], to_sun)
         right = right / max(float(np.linalg.norm(right)), 1e-9)
         axes = np.stack([right, np.cross(to_sun, right), -to_sun])
         forward = np.array([*camera_from_frame[2, :2], 0.0])
-        middle = axes @ (eye + forward * (0.5 * SHADOWED_M / max(float(np.linalg.norm(forward)), 1e-9)))
+        middle = axes @ (eye + forward * (0.5 * DEPTH_MAP_EXTENT_M / max(float(np.linalg.norm(forward)), 1e-9)))
         corners = np.stack(np.meshgrid(*self._bounds.T, indexing="ij"), axis=-1).reshape(-1, 3) @ axes.T
         near, far = corners[:, 2].min(), corners[:, 2].max()
-        half = 0.5 * SHADOWED_M
+        half = 0.5 * DEPTH_MAP_EXTENT_M
         scale = np.array([1.0 / half, 1.0 / half, 2.0 / (far - near)])
         out = np.eye(4)
         out[:3, :3] = axes * scale[:, None]
@@ -249,7 +250,7 @@ class Yardstick:
         return out
 
 
-def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
+def _opaque_mesh(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertices and triangles of the ground and the meshes.
 
     Vertices are float32 (n, 9): point, normal and albedo. Triangles are int32 (m, 3).

@@ -1,15 +1,15 @@
-"""Shadow of a mountain map by zoom, time of a block of coarse pixels, and errors of distant casters.
+"""Mean shadow of a mountain map by zoom, time of a block of coarse pixels, and errors of distant casters at lower detail.
 
     python -m benchmarks.zoom FOLDER [--raster mountain/bigtujunga_30m_utm11.tif] [--sun 113 20] [--repeats 5] [--far-suns 0.7 3]
 
-A coarse pixel covers several cells. The engine averages the visibility of sample points in it. The former method used a single
-point per pixel, the pixel's own, on ground averaged to the pixel's size.
+A coarse pixel covers several cells. The engine averages the visibility of several sample points per pixel (supersampling). For
+comparison, ``points`` uses a single sample point per pixel, its centre, on ground averaged to the pixel's size.
 
-**Shares.** Mean shadow of the raster below FOLDER in tiles of its native zoom and of lower zooms: as drawn, by the pixels' own
-points, and as a mask.
+**Shares.** Mean shadow of the raster below FOLDER in tiles of its native zoom and of lower zooms: supersampled, by single points,
+and as a mask.
 
-**Time and memory.** The raster is mirrored and repeated, until it fills blocks two zooms below the native one. A block as drawn and
-one by own points take turns. Figures are medians in one process.
+**Time and memory.** The raster is mirrored and repeated until it fills blocks two zooms below the native zoom. Supersampled blocks
+and blocks of single points take turns. Figures are medians in one process.
 
 **Distant casters.** Ground more than ``FULL_DETAIL_NODES`` from a block is read at lower and lower detail. The benchmark compares a
 block at the native zoom with and without this reduction, under suns so low that shadows are long. It also compares with a quarter
@@ -47,17 +47,17 @@ MERCATOR = matrix_sets.get("WebMercatorQuad")
 ZOOMS_BELOW = 5
 
 MOSAIC_CELLS = 4608
-"""Cells a side of the ground under the timed blocks."""
+"""Cells a side of the mosaic under the timed blocks."""
 
 
-def scene_of(raster: Path, folder: Path, sun: tuple[float, float]) -> Scene:
+def raster_scene(raster: Path, folder: Path, sun: tuple[float, float]) -> Scene:
     """Return the scene of a raster under a sun (azimuth, altitude)."""
     level = {"version": 1, "terrain": {"source": str(raster.resolve())}, "sun": {"azimuth": sun[0], "altitude": sun[1]}}
     (folder / "level.yaml").write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
     return build_scene(load_level(folder / "level.yaml"))
 
 
-def mosaic_of(raster: Path, folder: Path) -> Path:
+def write_mosaic(raster: Path, folder: Path) -> Path:
     """Write a raster's middle, mirrored and repeated, as a raster in a folder, and return its path."""
     with rasterio.open(raster) as dataset:
         rows, cols = (size // 2 * 2 for size in dataset.shape)
@@ -70,17 +70,17 @@ def mosaic_of(raster: Path, folder: Path) -> Path:
     return folder / "mosaic.tif"
 
 
-def own_zoom(scene: Scene) -> int:
-    """Return the lowest zoom of Web Mercator at which a pixel has only its own sample point, and is about as wide as a cell."""
-    return next(zoom for zoom in range(25) if subdivision_level(scene, block_of(scene, zoom)) == 0 and is_narrow(scene, zoom))
+def native_zoom(scene: Scene) -> int:
+    """Return the lowest zoom of Web Mercator at which a pixel has a single sample point and is about as wide as a cell."""
+    return next(zoom for zoom in range(25) if subdivision_level(scene, block_view(scene, zoom)) == 0 and is_fine_zoom(scene, zoom))
 
 
-def is_narrow(scene: Scene, zoom: int) -> bool:
+def is_fine_zoom(scene: Scene, zoom: int) -> bool:
     """Return whether pixels of a zoom are less than 1.5 cells wide."""
     return scene.surface(tile_grid(MERCATOR, zoom)).cells_per_step < 1.5
 
 
-def whole_view(scene: Scene, zoom: int) -> MapView:
+def full_view(scene: Scene, zoom: int) -> MapView:
     """Return the view of the whole level with pixels of a zoom."""
     grid = tile_grid(MERCATOR, zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
@@ -88,17 +88,17 @@ def whole_view(scene: Scene, zoom: int) -> MapView:
     return MapView(grid, float(row), float(col), 1.0, 1.0, int(np.ceil(south)) - row + 1, int(np.ceil(east)) - col + 1)
 
 
-def block_of(scene: Scene, zoom: int, east: float = 0.5) -> MapView:
+def block_view(scene: Scene, zoom: int, east_share: float = 0.5) -> MapView:
     """Return the view of a block of tiles at a zoom, around the level's middle from south to north.
 
-    ``east`` is the position of its middle from west to east, as a share of the level's width.
+    ``east_share`` is the position of its middle from west to east, as a share of the level's width.
     """
-    view = whole_view(scene, zoom)
-    row, col = view.row0 + view.rows // 2 - BLOCK_PX // 2, view.col0 + int(view.cols * east) - BLOCK_PX // 2
+    view = full_view(scene, zoom)
+    row, col = view.row0 + view.rows // 2 - BLOCK_PX // 2, view.col0 + int(view.cols * east_share) - BLOCK_PX // 2
     return MapView(view.grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
-def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, algorithm: str) -> np.ndarray:
+def ground_visibility(scene: Scene, view: MapView, pixel_sampling: PixelSampling, algorithm: str) -> np.ndarray:
     """Return the visibility (n,) of all pixels that show ground."""
     overrides = {} if algorithm == "auto" else {"algorithm": algorithm}
     plan = make_plan(describe(scene, view, pixel_sampling=pixel_sampling), scene.loaded.level, overrides)
@@ -106,13 +106,13 @@ def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, al
     return frame.visibility[frame.valid]
 
 
-def shares(scene: Scene, algorithm: str) -> None:
+def print_shares(scene: Scene, algorithm: str) -> None:
     """Print the mean shadow by zoom."""
-    finest_zoom = own_zoom(scene)
-    print("| zoom | pieces of a pixel | shadow, % | own points, % | mask, % |\n| --- | --- | --- | --- | --- |")
+    finest_zoom = native_zoom(scene)
+    print("| zoom | samples per pixel | shadow, % | single points, % | mask, % |\n| --- | --- | --- | --- | --- |")
     for zoom in range(finest_zoom, finest_zoom - ZOOMS_BELOW - 1, -1):
-        view = whole_view(scene, zoom)
-        mean_visibility, point_visibility = (visibility_of(scene, view, show, algorithm) for show in ("means", "points"))  # type: ignore[arg-type]
+        view = full_view(scene, zoom)
+        mean_visibility, point_visibility = (ground_visibility(scene, view, show, algorithm) for show in ("means", "points"))  # type: ignore[arg-type]
         side = 2 ** subdivision_level(scene, view)
         mask = (mean_visibility < 0.5).mean()
         print(
@@ -124,12 +124,12 @@ def shares(scene: Scene, algorithm: str) -> None:
         )
 
 
-def times(scene: Scene, repeats: int) -> None:
+def print_times(scene: Scene, repeats: int) -> None:
     """Print times of blocks of coarse pixels."""
-    finest_zoom = own_zoom(scene)
-    print("| zoom | pieces of a pixel | block, ms | by own points, ms | ratio |\n| --- | --- | --- | --- | --- |")
+    finest_zoom = native_zoom(scene)
+    print("| zoom | samples per pixel | block, ms | single points, ms | ratio |\n| --- | --- | --- | --- | --- |")
     for zoom in range(finest_zoom - 1, finest_zoom - 5, -1):
-        view, runs_by_sampling = block_of(scene, zoom), {}
+        view, runs_by_sampling = block_view(scene, zoom), {}
         samplings: tuple[PixelSampling, ...] = ("means", "points")
         plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
         for repeat in range(repeats + 1):
@@ -149,13 +149,13 @@ def times(scene: Scene, repeats: int) -> None:
             for show in samplings:
                 log = runs_by_sampling[show][-1][1]
                 print(f"  {show}: " + ", ".join(f"{name} {record.ms:.0f} ms" for name, record in log.records.items()))
-    print(f"peak of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
+    print(f"peak memory of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 
-def far_casters(scene: Scene, sun: tuple[float, float]) -> None:
-    """Print which share of pixels misses shadow or has false shadow, because distant casters are read at lower detail."""
+def print_far_caster_errors(scene: Scene, sun: tuple[float, float]) -> None:
+    """Print the shares of missed and of false shadow that result from the lower detail of distant casters."""
     scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
-    view = block_of(scene, own_zoom(scene), east=0.12)
+    view = block_view(scene, native_zoom(scene), east_share=0.12)
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
     shadow_masks, nodes = [], reach.FULL_DETAIL_NODES
     limits = nodes, nodes // 4, nodes // 8
@@ -185,14 +185,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         raster = args.folder / args.raster
         if args.only in (None, "shares"):
-            shares(scene_of(raster, Path(folder), tuple(args.sun)), args.algorithm)
+            print_shares(raster_scene(raster, Path(folder), tuple(args.sun)), args.algorithm)
         if args.only != "shares":
-            scene = scene_of(mosaic_of(raster, Path(folder)), Path(folder), tuple(args.sun))
+            scene = raster_scene(write_mosaic(raster, Path(folder)), Path(folder), tuple(args.sun))
             if args.only in (None, "times"):
-                times(scene, args.repeats)
+                print_times(scene, args.repeats)
             if args.only in (None, "far"):
                 for altitude_deg in args.far_suns:
-                    far_casters(scene, (90.0, altitude_deg))
+                    print_far_caster_errors(scene, (90.0, altitude_deg))
 
 
 if __name__ == "__main__":

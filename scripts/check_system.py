@@ -1,7 +1,6 @@
-"""Check whether this machine has the system libraries that Skugga needs; print one line and exit with status 1 if not.
+"""Check that this machine has the system libraries that Skugga needs. Print one line, and exit with status 1 if one is missing.
 
-The check imports the compiled packages and creates an OpenGL context like the renderer. The presence of a library file would not
-show whether a driver works.
+The check imports the compiled packages and creates an OpenGL context like the renderer, which also shows that the driver works.
 """
 
 import importlib

@@ -23,13 +23,13 @@ from skugga.terrain.errors import SkuggaError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-SHEET = Path(__file__).parents[1] / "docs" / "images" / "scenes.webp"
+SHEET_PATH = Path(__file__).parents[1] / "docs" / "images" / "scenes.webp"
 ASPECT = 5 / 4
 """Width over height of a picture's cell on the sheet: that of 1280 x 1024."""
 
 GAP_PX, LABEL_PX, TEXT_PX = 12, 28, 16
-PAPER, INK = (255, 255, 255), (32, 32, 32)
-QUALITIES = range(85, 9, -5)
+PAGE_COLOR, TEXT_COLOR = (255, 255, 255), (32, 32, 32)
+WEBP_QUALITIES = range(85, 9, -5)
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class LabelledPicture:
     label: str
 
 
-def pictures(levels: Sequence[Path], width: int) -> Iterator[LabelledPicture]:
-    """Yield every view of some levels. Levels with the most views come first, so that rows of four hold one level each."""
+def labelled_pictures(levels: Sequence[Path], width: int) -> Iterator[LabelledPicture]:
+    """Yield a labelled picture of every view of some levels. Levels with the most views come first."""
     loaded = sorted((load_level(path) for path in levels), key=lambda level: -len(level.level.views))
     for scene in map(build_scene, loaded):
         for name in scene.loaded.level.views:
@@ -58,7 +58,7 @@ def render_view(scene: Scene, name: str, width: int) -> Image.Image:
     view = scene.view(name, size=size)
     frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level, {}))
     picture = Image.fromarray(product_of_frame(scene, frame, "color")).convert("RGBA")
-    return Image.alpha_composite(Image.new("RGBA", picture.size, (*PAPER, 255)), picture).convert("RGB")
+    return Image.alpha_composite(Image.new("RGBA", picture.size, (*PAGE_COLOR, 255)), picture).convert("RGB")
 
 
 def make_sheet(entries: Sequence[LabelledPicture], columns: int, width: int) -> Image.Image:
@@ -66,18 +66,18 @@ def make_sheet(entries: Sequence[LabelledPicture], columns: int, width: int) -> 
     height = round(width / ASPECT)
     step_x, step_y = width + GAP_PX, height + LABEL_PX + GAP_PX
     rows = -(-len(entries) // columns)
-    page = Image.new("RGB", (columns * step_x + GAP_PX, rows * step_y + GAP_PX), PAPER)
+    page = Image.new("RGB", (columns * step_x + GAP_PX, rows * step_y + GAP_PX), PAGE_COLOR)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
     for number, entry in enumerate(entries):
         x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
-        page.paste(ImageOps.pad(entry.picture, (width, height), color=PAPER), (x, y))
-        draw.text((x, y + height + LABEL_PX // 2), entry.label, INK, font, anchor="lm")
+        page.paste(ImageOps.pad(entry.picture, (width, height), color=PAGE_COLOR), (x, y))
+        draw.text((x, y + height + LABEL_PX // 2), entry.label, TEXT_COLOR, font, anchor="lm")
     return page
 
 
 def encode_webp(page: Image.Image, max_bytes: int) -> bytes:
     """Return the page as WebP at the best quality that fits into ``max_bytes``; at the lowest quality if none does."""
-    for quality in QUALITIES:
+    for quality in WEBP_QUALITIES:
         buffer = BytesIO()
         page.save(buffer, "WEBP", quality=quality, method=6)
         if buffer.tell() <= max_bytes:
@@ -88,13 +88,13 @@ def encode_webp(page: Image.Image, max_bytes: int) -> bytes:
 def main() -> int:
     parser = argparse.ArgumentParser(description="Render every view of the bundled levels onto one sheet.")
     parser.add_argument("levels", nargs="*", type=Path, help="level files; default: all bundled levels")
-    parser.add_argument("-o", "--output", type=Path, default=SHEET, help="the WebP file to write")
+    parser.add_argument("-o", "--output", type=Path, default=SHEET_PATH, help="the WebP file to write")
     parser.add_argument("--columns", type=int, default=4)
     parser.add_argument("--width", type=int, default=480, help="pixels of a picture")
-    parser.add_argument("--most", type=int, default=600, help="upper bound of the file's size, kilobytes")
+    parser.add_argument("--most", type=int, default=600, help="maximum size of the file, kilobytes")
     arguments = parser.parse_args()
     try:
-        entries = list(pictures(arguments.levels or bundled_levels(), arguments.width))
+        entries = list(labelled_pictures(arguments.levels or bundled_levels(), arguments.width))
     except SkuggaError as error:
         parser.exit(1, f"contact_sheet: {error}\n")
     arguments.output.write_bytes(encode_webp(make_sheet(entries, arguments.columns, arguments.width), arguments.most * 1000))

@@ -1,10 +1,10 @@
 """Record the numba loops that each product compiles, with their argument types, in ``terrain/compiling/signatures.json``.
 
     python scripts/record_signatures.py                          # all products, some minutes
-    python scripts/record_signatures.py "hours of sun" points    # entries of other products stay
+    python scripts/record_signatures.py "hours of sun" points    # keeps the entries of other products
 
-Each product is computed in its own process, without stored machine code, so that all its loops are compiled, callees too. The
-script writes rasters as input: projected and geographic ones, floats and integers, with and without nodata. Bundled levels cover
+The script computes each product in its own process, without stored machine code, so that all its loops and their callees are
+compiled. The input rasters are projected and geographic, of floats and integers, with and without nodata. Bundled levels cover
 trees and buildings.
 """
 
@@ -59,7 +59,7 @@ def write_rasters(folder: Path) -> list[Path]:
     return paths
 
 
-def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
+def _draw_blocks(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
     """Draw one block of tiles of each level for each zoom and layer.
 
     Colours are drawn at the coarsest, the native and the finest zoom, under the level's sun and ``suns`` (azimuth, altitude). The
@@ -90,7 +90,7 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
             run_job(block.model_copy(update={"format": suffix, "request": request}), state)
 
 
-def _command(*words: object) -> None:
+def _run_command(*words: object) -> None:
     from skugga.api.cli.main import main
 
     sys.argv = ["skugga", *map(str, words)]
@@ -100,30 +100,30 @@ def _command(*words: object) -> None:
         assert not end.code, words
 
 
-def _sun(raster: Path) -> list[object]:
+def _sun_options(raster: Path) -> list[object]:
     """Return a command's options for the sun. A flat world needs angles instead of a time."""
     return ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
 
 
-def maps(rasters: Sequence[Path], folder: Path) -> None:
-    _draw(rasters, ["shadow"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
+def compute_maps(rasters: Sequence[Path], folder: Path) -> None:
+    _draw_blocks(rasters, ["shadow"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
 
 
-def maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
+def compute_maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
     from skugga.api.catalogue import find_level
 
-    _draw([find_level("jacksboro_wooded"), find_level("jacksboro_alpine")], ["shadow"])
+    _draw_blocks([find_level("jacksboro_wooded"), find_level("jacksboro_alpine")], ["shadow"])
 
 
-def pictures(rasters: Sequence[Path], folder: Path) -> None:
-    _draw(rasters, ["mask", "visibility", "terrain-rgb"])
+def compute_pictures(rasters: Sequence[Path], folder: Path) -> None:
+    _draw_blocks(rasters, ["mask", "visibility", "terrain-rgb"])
     for raster in rasters:
-        _command("render", raster, *_sun(raster), "--size", "600x600", "-o", folder / "out.png")
+        _run_command("render", raster, *_sun_options(raster), "--size", "600x600", "-o", folder / "out.png")
         for layer in ("visibility", "shadow", "color", "cosi"):
-            _command("shade", raster, "--layer", layer, *_sun(raster), "-o", folder / "out.tif")
+            _run_command("shade", raster, "--layer", layer, *_sun_options(raster), "-o", folder / "out.tif")
 
 
-def views(rasters: Sequence[Path], folder: Path) -> None:
+def compute_views(rasters: Sequence[Path], folder: Path) -> None:
     from skugga.api.catalogue import bundled_levels
     from skugga.api.cli.snapshot import snapshot
     from skugga.api.request import ProductRequest
@@ -135,12 +135,12 @@ def views(rasters: Sequence[Path], folder: Path) -> None:
                 snapshot(path, name, ProductRequest(), {}, (480, 384))
 
 
-def masks(rasters: Sequence[Path], folder: Path) -> None:
+def compute_masks(rasters: Sequence[Path], folder: Path) -> None:
     for raster in rasters:
-        _command("shade", raster, *_sun(raster), "-o", folder / "out.tif")
+        _run_command("shade", raster, *_sun_options(raster), "-o", folder / "out.tif")
 
 
-def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
+def compute_sun_hours(rasters: Sequence[Path], folder: Path) -> None:
     from skugga.api.http.server.first_blocks import first_blocks
     from skugga.api.http.state.served_levels import ServedLevels
     from skugga.api.products.sun_hours import SunHoursOptions
@@ -151,7 +151,7 @@ def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
 
     for raster in rasters[:2]:
         for quantity in ("hours", "first", "longest"):
-            _command("sunhours", raster, "--date", "2024-12-21", "--quantity", quantity, "-o", folder / "out.tif")
+            _run_command("sunhours", raster, "--date", "2024-12-21", "--quantity", quantity, "-o", folder / "out.tif")
     state = WorkerState("")
     for block in first_blocks(ServedLevels(rasters[:2])):
         place = block.model_dump(include={"matrix_set", "zoom", "block_x", "block_y"})
@@ -159,7 +159,7 @@ def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
         run_job(BlockJob(level=block.level, **place, request=ProductRequest(product="sunhours", options=options)), state)
 
 
-def points(rasters: Sequence[Path], folder: Path) -> None:
+def compute_points(rasters: Sequence[Path], folder: Path) -> None:
     from skugga.api.catalogue import find_level
     from skugga.api.point.report import point_report
     from skugga.api.point.values import PointQuery
@@ -178,12 +178,12 @@ def points(rasters: Sequence[Path], folder: Path) -> None:
 
 
 PRODUCERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
-    MAPS: maps, MAPS_OF_CASTERS: maps_of_casters, PICTURES: pictures, MASKS: masks, SUN_HOURS: sun_hours, POINTS: points,
-    VIEWS: views,
+    MAPS: compute_maps, MAPS_OF_CASTERS: compute_maps_of_casters, PICTURES: compute_pictures, MASKS: compute_masks,
+    SUN_HOURS: compute_sun_hours, POINTS: compute_points, VIEWS: compute_views,
 }  # fmt: skip
 
 
-def record(product: str) -> list[tuple[str, Any]]:
+def record_loops(product: str) -> list[tuple[str, Any]]:
     """Compute a product in this process, and return the loops that it compiled with their encoded argument types.
 
     The process must have no stored machine code.
@@ -210,7 +210,7 @@ def record(product: str) -> list[tuple[str, Any]]:
 
 
 def main(products: Sequence[str]) -> None:
-    """Record products, two at a time, and write the signatures. Each runs in a process without stored machine code."""
+    """Record the loops of products, two at a time, and write the signatures."""
     from skugga.terrain.compiling.signatures import SIGNATURES_FILE, recorded_signatures
 
     def recorded(product: str) -> list[tuple[str, Any]]:
@@ -243,6 +243,6 @@ def main(products: Sequence[str]) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--one"]:
-        Path(sys.argv[3]).write_text(json.dumps(record(sys.argv[2])), encoding="utf-8")
+        Path(sys.argv[3]).write_text(json.dumps(record_loops(sys.argv[2])), encoding="utf-8")
     else:
         main(sys.argv[1:] or PRODUCTS)

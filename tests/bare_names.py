@@ -19,10 +19,10 @@ class BareNameFinder(MetaPathFinder):
 
     def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
         if fullname.partition(".")[0] in PACKAGE_FOLDERS:
-            raise ImportError(f"{fullname} is a second copy of skugga.{fullname}; import that", name=fullname)
+            raise ImportError(f"{fullname} would be a second copy of skugga.{fullname}. Import skugga.{fullname}.", name=fullname)
         return None
 
 
 def refuse_bare_names() -> None:
-    """Refuse bare names from now on, in this process."""
+    """Refuse imports by bare names in this process."""
     sys.meta_path.insert(0, BareNameFinder())

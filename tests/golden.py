@@ -17,7 +17,7 @@ from PIL import Image
 RENDERER = "llvmpipe"
 TOLERANCE = 1
 
-TOLERANCE_ELSEWHERE, MAX_DIFFERING_SHARE_ELSEWHERE = 32, 0.005
+OTHER_RENDERER_TOLERANCE, OTHER_RENDERER_MAX_DIFFERING_SHARE = 32, 0.005
 """On another renderer than ``RENDERER`` five pixels in a thousand may differ by more than 32 of 255.
 
 OpenGL does not specify the rounding of vertices, the interpolation of depths, and the pixels that a line covers. So a pixel whose
@@ -42,8 +42,8 @@ def assert_golden(
     if not is_reference_renderer:
         assert not regenerate, f"golden pictures are made on {RENDERER}; this is {renderer}"
         tolerance, max_differing_share = (
-            max(tolerance, TOLERANCE_ELSEWHERE),
-            max(max_differing_share, MAX_DIFFERING_SHARE_ELSEWHERE),
+            max(tolerance, OTHER_RENDERER_TOLERANCE),
+            max(max_differing_share, OTHER_RENDERER_MAX_DIFFERING_SHARE),
         )
     path = FOLDER / f"{name}.png"
     if regenerate or (not path.is_file() and not os.environ.get("CI") and is_reference_renderer):

@@ -88,7 +88,7 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
             pipe.send(Snapshot(body, 0.0, payload, (), 0.0, 0.0, False, "told"))
 
 
-def command(*arguments: str) -> tuple[int, str, str]:
+def run_skugga(*arguments: str) -> tuple[int, str, str]:
     """Return exit status, standard output and standard error of ``skugga``."""
     sys.argv = ["skugga", *arguments]
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
@@ -141,7 +141,7 @@ def probe_setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     chosen = pins(plan, descriptor, loaded.level)
     picture = level.with_name("picture.png")
     stats = level.with_name("stats.json")
-    render_output = command(
+    render_output = run_skugga(
         "render",
         str(level),
         "--size",
@@ -159,10 +159,10 @@ def probe_setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     params = {"gloss": "bright"}
     return {
         "level file": [load_level(glossy_level).level.shadows.model_dump()["gloss"], refusal],
-        "help": {name: command(name, "--help")[1] for name in ("render", "select")},
+        "help": {name: run_skugga(name, "--help")[1] for name in ("render", "select")},
         "render": [render_output, json.loads(stats.read_text())["plan"]["reasons"]],
-        "select": command("select", str(level), "--policy", "rules", "--gloss", "bright", "--json"),
-        "refused": command("select", str(level), "--gloss", "loud"),
+        "select": run_skugga("select", str(level), "--policy", "rules", "--gloss", "bright", "--json"),
+        "refused": run_skugga("select", str(level), "--gloss", "loud"),
         "openapi": parameter_by_path(client.get("/openapi.json").json(), "gloss"),
         "http": {
             "tile": client.get(TILE, params=params).headers["x-skugga-algorithm"],
@@ -222,7 +222,7 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
         part = picture[rows[0] + 4 : rows[-1] - 3, cols[0] + 4 : cols[-1] - 3]
         return np.unique(part.reshape(-1, 4), axis=0).tolist()
 
-    output = command("compute", str(level), "--product", "steepness", "--gain", "2", "-o", str(raster))
+    output = run_skugga("compute", str(level), "--product", "steepness", "--gain", "2", "-o", str(raster))
     assert output[0] == 0, output
     with rasterio.open(raster) as dataset, skugga.open_level(level) as opened:
         command_array, python_array = dataset.read(1), opened.compute("steepness", gain=2.0)
@@ -232,7 +232,7 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
         "SERVICE": "WMS", "REQUEST": "GetMap", "LAYERS": "hills:steepness", "CRS": "EPSG:3857", "BBOX": ",".join(map(str, bounds)),
         "WIDTH": 200, "HEIGHT": 200, "FORMAT": "image/png", "TRANSPARENT": "TRUE", "GAIN": 2,
     }  # fmt: skip
-    output = command(
+    output = run_skugga(
         "seed", str(level), "--zooms", "12-12", "--layer", "steepness", "--gain", "2", "--workers", "1", "-o", str(archive)
     )
     assert output[0] == 0, output
@@ -258,17 +258,17 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
         "tilejson": {"tiles": tilejson["tiles"][0], "legend": tilejson["skugga"]["legend"]["title"]},
         "legend": [client.get(f"/levels/hills/legend.{kind}", params=params).headers["content-type"] for kind in ("png", "svg")],
         **{f"{name} capabilities": ["hills:steepness" in text, "LegendURL" in text] for name, text in documents.items()},
-        "help": " ".join(command("compute", "--help")[1].split()),
+        "help": " ".join(run_skugga("compute", "--help")[1].split()),
         "openapi": parameter_by_path(client.get("/openapi.json").json(), "gain"), "docs": product_table(),
         "tags": [client.get(TILE, params={**params, "gain": gain}).headers["etag"] for gain in (2, 3)],
         "refusals": [
             client.get(TILE, params=query).json() for query in ({"gain": 2}, {**params, "gain": 99}, {**params, "gain": "x"})
         ],
         "refused": [
-            command("compute", str(level), *mask),
-            command("compute", str(level), "--product", "steepness", "--gain", "99", "-o", str(raster)),
+            run_skugga("compute", str(level), *mask),
+            run_skugga("compute", str(level), "--product", "steepness", "--gain", "99", "-o", str(raster)),
         ],
-        "in perspective": command("render", str(level), "--view", "across", "--layer", "steepness", "-o", str(raster)),
+        "in perspective": run_skugga("render", str(level), "--view", "across", "--layer", "steepness", "-o", str(raster)),
     }  # fmt: skip
 
 

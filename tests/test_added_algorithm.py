@@ -1,7 +1,7 @@
-"""A new algorithm is one record: the made-up one here is validated, planned, refused, drawn, cached, compared, calibrated
+"""A new algorithm needs a single record: a made-up algorithm is validated, planned, refused, drawn, cached, compared, calibrated
 and chosen.
 
-The existing algorithms are named in few places.
+Few modules name the existing algorithms.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ PASSES = ("coarse rays",)
 REFUSAL_REASON = "coarse rays are for what is far away, as the sun is"
 
 visibility_caches: dict[str, Cache[np.ndarray]] = {}
-"""The algorithm's cache while it is registered. Other caches belong to all tests of a process."""
+"""The made-up algorithm's cache by name, filled while the algorithm is registered."""
 
 ray_counts: list[int] = []
 """Number of rays that each call cast."""
 
 
 class CoarseRaysSettings(AlgorithmSettings):
-    """Settings of one ray for each square of so many pixels a side."""
+    """Settings of one ray for each square of ``square_px`` x ``square_px`` pixels."""
 
     square_px: int
 
@@ -96,7 +96,7 @@ def resolve(request: SettingsRequest) -> ResolvedSettings:
     return CoarseRaysSettings(square_px=side), [NamedReason(name=f"square_px {side}", reason="fewer rays would be seen")]
 
 
-def work(task: Workload, settings: CoarseRaysSettings) -> Work:
+def estimate_work(task: Workload, settings: CoarseRaysSettings) -> Work:
     return {"coarse rays": {"blocks": 1.0, "rays": task.visible_pixels / settings.square_px**2, "triangles": task.all_triangles}}
 
 
@@ -114,7 +114,7 @@ ALGORITHM = Algorithm(
     cache_names=("tests.coarse_rays",),
     search=Search(compared_overrides=({"map_size": 4096}, {"map_size": 512})),
     cost=Cost(
-        work,
+        estimate_work,
         calibration_settings=lambda descriptor, light, calibration_extent: [
             CoarseRaysSettings(square_px=side) for side in (1, 4, 16)
         ],
@@ -125,7 +125,7 @@ ALGORITHM = Algorithm(
 
 
 @pytest.fixture
-def registered() -> Iterator[Callable[[Algorithm], None]]:
+def register() -> Iterator[Callable[[Algorithm], None]]:
     """Yield a function that registers an algorithm for the duration of a test."""
     before, names = dict(ALGORITHMS), list(ALGORITHM_NAMES)
     yield register_algorithm
@@ -135,8 +135,8 @@ def registered() -> Iterator[Callable[[Algorithm], None]]:
 
 
 @pytest.fixture
-def coarse_rays(registered) -> Iterator[None]:
-    registered(ALGORITHM)
+def coarse_rays(register) -> Iterator[None]:
+    register(ALGORITHM)
     visibility_caches["kept"] = Cache("tests.coarse_rays", "light", 2**26)
     ray_counts.clear()
     yield
@@ -163,7 +163,7 @@ def scene(tmp_path: Path) -> Scene:
     return build_scene(load_level(level_file(tmp_path, lights={})))
 
 
-def plan_by(scene: Scene, view, **overrides) -> Plan:
+def coarse_rays_plan(scene: Scene, view, **overrides) -> Plan:
     return make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **overrides})
 
 
@@ -183,7 +183,7 @@ def test_an_unregistered_algorithm_is_refused(tmp_path):
 
 def test_a_plan_has_the_new_settings_and_survives_json(coarse_rays, scene):
     view = scene.view(size=(64, 64))
-    plan, coarser = plan_by(scene, view), plan_by(scene, view, map_size=512)
+    plan, coarser = coarse_rays_plan(scene, view), coarse_rays_plan(scene, view, map_size=512)
     assert plan.settings[SUN]["relief"] == CoarseRaysSettings(square_px=4)
     assert coarser.settings[SUN]["relief"] == CoarseRaysSettings(square_px=8)
     assert "sun/relief: coarse rays" in plan.passes
@@ -209,21 +209,21 @@ def test_a_new_algorithm_is_refused_where_unsupported(coarse_rays, tmp_path):
 def test_a_new_algorithm_draws_and_its_cache_is_cleared(gl, coarse_rays, scene):
     render_points = partial(render_frame, pixel_sampling="points")  # antialiasing of edges would cast more rays
     view = scene.view(size=(64, 64))
-    fine_visibility = render_points(scene, view, plan_by(scene, view, map_size=4096)).visibility
+    fine_visibility = render_points(scene, view, coarse_rays_plan(scene, view, map_size=4096)).visibility
     truth = render_points(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
     assert np.array_equal(fine_visibility, truth, equal_nan=True) and 0.05 < (truth == 0.0).mean() < 0.95
-    frame = render_points(scene, view, plan_by(scene, view))
+    frame = render_points(scene, view, coarse_rays_plan(scene, view))
     assert [record.name for record in frame.passes] == frame.plan.passes
     differs = frame.visibility[frame.valid] != truth[frame.valid]
     assert 0.0 < differs.mean() < 0.2 and len(ray_counts) == 2
-    cached_frame = render_points(scene, view, plan_by(scene, view))
+    cached_frame = render_points(scene, view, coarse_rays_plan(scene, view))
     assert np.array_equal(cached_frame.visibility, frame.visibility, equal_nan=True) and len(ray_counts) == 2  # it was cached
 
     (cache,) = (light_cache for light_cache in caches("light") if light_cache.name in ALGORITHM.cache_names)
     assert len(cache) > 0
     ALGORITHM.clear_caches()
     assert len(cache) == 0
-    render_points(scene, view, plan_by(scene, view))
+    render_points(scene, view, coarse_rays_plan(scene, view))
     assert len(cache) > 0 and len(ray_counts) == 3
     clear_caches("light")
     assert len(cache) == 0
@@ -233,7 +233,7 @@ def test_a_new_algorithm_is_compared(gl, coarse_rays, scene):
     view = scene.view(size=(96, 96))
     names = {name_of(plan) for plan in candidates(scene, view)}
     assert {"coarse_rays-4", "coarse_rays-1", "coarse_rays-8"} <= names
-    plans = [plan_by(scene, view, map_size=size) for size in (4096, 1024, 256)]
+    plans = [coarse_rays_plan(scene, view, map_size=size) for size in (4096, 1024, 256)]
     rows = compare(scene, view, plans=plans).rows
     cast_errors = [row.figures["wrong_cast"] for row in rows]
     assert [row.figures["algorithm"][SUN]["relief"] for row in rows] == ["coarse_rays"] * 3
@@ -255,7 +255,7 @@ def test_a_new_algorithm_is_calibrated(gl, coarse_rays, monkeypatch):
     assert sum(profile.rates_ns["coarse rays"].values()) > 0.0
 
 
-def device(**rates: dict[str, float]) -> DeviceProfile:
+def slow_device(**rates: dict[str, float]) -> DeviceProfile:
     """Return a device on which maps and volumes are slow."""
     slow_rates_ns = {
         "shadow_map, map": {"blocks": 90e6}, "silhouettes, map": {"blocks": 90e6}, "counting, map": {"blocks": 90e6},
@@ -275,17 +275,17 @@ def ridges(scene) -> Descriptor:
     return describe(scene, scene.view(size=(64, 64)))
 
 
-def test_a_new_algorithm_is_chosen_by_its_error_model(coarse_rays, registered, ridges, scene):
+def test_a_new_algorithm_is_chosen_by_its_error_model(coarse_rays, register, ridges, scene):
     level = scene.loaded.level
-    plan = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
+    plan = predicted_plan(ridges, level, {"max_error": 0.02}, slow_device(**RATES))
     assert plan.algorithm[SUN]["relief"] == "coarse_rays" and plan.predicted is not None and plan.predicted.ms == pytest.approx(1.0)
     assert plan.predicted.wrong_cast == pytest.approx(ACCURATE_CONSTANTS.floor)
 
     worse_constants = replace(
         ACCURATE_CONSTANTS, floor=10.0 * ACCURATE_CONSTANTS.floor
     )  # the planner trusts this wrong error model, and rejects it
-    registered(replace(ALGORITHM, accuracy=Accuracy(constants={"coarse_rays": worse_constants})))
-    revised_plan = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
+    register(replace(ALGORITHM, accuracy=Accuracy(constants={"coarse_rays": worse_constants})))
+    revised_plan = predicted_plan(ridges, level, {"max_error": 0.02}, slow_device(**RATES))
     assert revised_plan.algorithm[SUN]["relief"] == "sweep"
     rejection_reasons = {entry.name: entry.reason for entry in revised_plan.rejected}
     assert "chance of an error over 2 %" in rejection_reasons["coarse_rays"] or rejection_reasons["coarse_rays"].startswith(
@@ -293,21 +293,21 @@ def test_a_new_algorithm_is_chosen_by_its_error_model(coarse_rays, registered, r
     )
 
 
-def test_a_probe_detects_a_wrong_error_model(gl, coarse_rays, registered, scene):
+def test_a_probe_detects_a_wrong_error_model(gl, coarse_rays, register, scene):
     """The error model claims a tenth of the real error. The planner trusts it until the probe draws once."""
     view, level = scene.view(size=(64, 64)), scene.loaded.level
     square = {"map_size": 256}  # a ray for each square of 16 pixels
     probe_result = probed_plan(
-        scene, view, overrides={"algorithm": "coarse_rays", **square, "max_error": 0.9}, device=device(**RATES)
+        scene, view, overrides={"algorithm": "coarse_rays", **square, "max_error": 0.9}, device=slow_device(**RATES)
     )
     real_error = probe_result.plan.predicted.wrong_cast
     assert real_error > 0.05 and not any(measurement.interior_noise for measurement in probe_result.observations[SUN])
     claimed_constants = replace(ACCURATE_CONSTANTS, floor=real_error / 10.0)
-    registered(replace(ALGORITHM, resolve=resolve_coarse, accuracy=Accuracy(constants={"coarse_rays": claimed_constants})))
+    register(replace(ALGORITHM, resolve=resolve_coarse, accuracy=Accuracy(constants={"coarse_rays": claimed_constants})))
     overrides = {"max_error": real_error / 3.0}
-    predicted = predicted_plan(describe(scene, view), level, overrides, device(**RATES))
+    predicted = predicted_plan(describe(scene, view), level, overrides, slow_device(**RATES))
     assert predicted.algorithm[SUN]["relief"] == "coarse_rays" and predicted.target.met
-    probed = probed_plan(scene, view, overrides=overrides, device=device(**RATES)).plan
+    probed = probed_plan(scene, view, overrides=overrides, device=slow_device(**RATES)).plan
     assert probed.policy == "probe" and probed.algorithm[SUN]["relief"] != "coarse_rays" and probed.target.met
     reasons = {entry.name: entry.reason for entry in probed.reasons}
     assert "sun: probed coarse_rays" in reasons and "(expected: " in reasons["sun: probed coarse_rays"]
@@ -327,10 +327,10 @@ def resolve_coarse(request: SettingsRequest) -> ResolvedSettings:
     ],
 )
 def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
-    coarse_rays, registered, ridges, scene, change, rates, why
+    coarse_rays, register, ridges, scene, change, rates, why
 ):  # fmt: skip
-    registered(replace(ALGORITHM, **change))
-    level, measured = scene.loaded.level, device(**rates)
+    register(replace(ALGORITHM, **change))
+    level, measured = scene.loaded.level, slow_device(**rates)
     plan = predicted_plan(ridges, level, None, measured)
     assert plan.policy == "predict" and plan.algorithm[SUN]["relief"] == "sweep"
     assert {entry.name: entry.reason for entry in plan.rejected}["coarse_rays"] == why
@@ -344,7 +344,7 @@ def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
     assert reason == f"no prediction is possible, so fixed rules choose: coarse_rays: {why}"
 
 
-OWN_PATHS = {
+PATH_BY_ALGORITHM = {
     "shadow_map": "shadows/maps/",
     "perspective_shadow_map": "shadows/maps/",
     "shadow_volume": "shadows/volumes/",
@@ -362,29 +362,33 @@ ALLOWED_MODULES = {
 """Modules outside an algorithm's own package that name one, and the reason."""
 
 
-def named_elsewhere(root: Path) -> dict[str, set[str]]:
+def algorithm_names_by_module(root: Path) -> dict[str, set[str]]:
     """Return modules outside an algorithm's own package with its name as a word -> those names."""
     names_by_module: dict[str, set[str]] = {}
     for package in ("terrain", "shadows", "selector", "api"):
         for path in (root / package).rglob("*.py"):
             name = path.relative_to(root).as_posix()
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Constant) and node.value in OWN_PATHS and not name.startswith(OWN_PATHS[str(node.value)]):
+                if (
+                    isinstance(node, ast.Constant)
+                    and node.value in PATH_BY_ALGORITHM
+                    and not name.startswith(PATH_BY_ALGORITHM[str(node.value)])
+                ):
                     names_by_module.setdefault(name, set()).add(str(node.value))
     return names_by_module
 
 
 def test_algorithms_are_named_in_three_other_modules_only():
-    assert set(OWN_PATHS) | {"none"} == set(ALGORITHMS)
-    assert set(named_elsewhere(ROOT)) == set(ALLOWED_MODULES)
+    assert set(PATH_BY_ALGORITHM) | {"none"} == set(ALGORITHMS)
+    assert set(algorithm_names_by_module(ROOT)) == set(ALLOWED_MODULES)
 
 
-def test_a_planted_chain_over_names_is_found(tmp_path):
+def test_a_module_that_names_an_algorithm_is_found(tmp_path):
     (tmp_path / "selector").mkdir()
     (tmp_path / "selector" / "chain.py").write_text(
         'def taps(name):\n    return 3 if name == "shadow_map" else 1\n', encoding="utf-8"
     )
-    assert named_elsewhere(tmp_path) == {"selector/chain.py": {"shadow_map"}}
+    assert algorithm_names_by_module(tmp_path) == {"selector/chain.py": {"shadow_map"}}
 
 
 def test_caches_of_algorithm_packages_are_listed_in_records(gl):

@@ -1,6 +1,6 @@
-"""The files that an addition touches, tested on a copy: a shadow setting, a product, a query parameter of a picture.
+"""Additions to a copy of the repository: a shadow setting, a product, and a query parameter of a picture.
 
-Each is added only in the files named here, and appears in every interface. ``docs/contributing.md`` has the same numbers of
+Each addition edits only the files named here, and appears in every interface. ``docs/contributing.md`` states the same numbers of
 files.
 """
 
@@ -97,7 +97,7 @@ def probe_output(tmp_path: Path):
 
 
 def test_additions_edit_the_documented_number_of_files():
-    """``docs/contributing.md`` has these numbers. Code that reads the new thing is extra."""
+    """``docs/contributing.md`` states these numbers. They do not include code that uses the addition."""
     assert [len(edits) for edits in (A_SETTING, A_PRODUCT, A_PARAMETER)] == [1, 1, 2]
 
 

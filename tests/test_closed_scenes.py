@@ -93,7 +93,7 @@ ALL_OVERRIDES = [
 
 
 def draw_with_everything(scene: Scene) -> list[object]:
-    """Fill all caches. Return the objects that are keys of some caches, since entries end with them."""
+    """Fill all caches. Return the objects that are weakly referenced keys of some caches."""
     for view in (scene.view(size=(64, 64)), scene.view("eye")):
         descriptor = describe(scene, view)
         for overrides in ALL_OVERRIDES:

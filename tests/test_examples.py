@@ -18,7 +18,7 @@ NOTEBOOK = ROOT / "docs" / "a-winters-day.ipynb"
 SCRIPT = ROOT / "examples" / "a_winters_day.py"
 
 
-def run(example: Path, folder: Path) -> str:
+def run_example(example: Path, folder: Path) -> str:
     """Run an example in a folder as a user does, and return its output."""
     variables = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)}
     process = subprocess.run([sys.executable, example], cwd=folder, env=variables, capture_output=True, text=True, timeout=600)
@@ -89,7 +89,7 @@ def day_length_h(date: str, lat_deg: float) -> float:
 @pytest.mark.long
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_and_prints_correct_figures(example: Path, tmp_path: Path) -> None:
-    OUTPUT_CHECKS[example.stem](run(example, tmp_path))
+    OUTPUT_CHECKS[example.stem](run_example(example, tmp_path))
 
 
 def test_every_example_is_listed() -> None:

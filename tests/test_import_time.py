@@ -162,7 +162,7 @@ def run_and_list_imports(code: str, folder: Path, **environment: str) -> tuple[i
     return status, SLOW_MODULES & set(modules), process.stdout + process.stderr
 
 
-def run(arguments: list[str], folder: Path) -> tuple[int, set[str], str]:
+def run_skugga(arguments: list[str], folder: Path) -> tuple[int, set[str], str]:
     return run_and_list_imports(COMMAND_SCRIPT.format(argv=["skugga", *arguments]), folder)
 
 
@@ -172,14 +172,14 @@ def test_answers_without_work_import_nothing_heavy(name, tmp_path, monkeypatch):
     monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
     arguments, status, allowed = INSTANT_ARGUMENTS[name]
     (tmp_path / "x.tif").touch()
-    exit_status, imported_modules, output = run(arguments, tmp_path)
+    exit_status, imported_modules, output = run_skugga(arguments, tmp_path)
     assert exit_status == status, output
     assert imported_modules <= allowed, output
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_a_command_imports_nothing_heavy(command, tmp_path):
-    status, imported_modules, output = run([command, "--help"], tmp_path)
+    status, imported_modules, output = run_skugga([command, "--help"], tmp_path)
     assert status == 0 and f"Usage: skugga {command}" in output
     assert imported_modules <= HELP_MODULES[command]
 
@@ -205,7 +205,7 @@ def test_completion_imports_nothing_heavy(shell, name, tmp_path):
 @pytest.mark.parametrize("name", COMMAND_ARGUMENTS)
 def test_commands_import_only_the_libraries_they_need(name, folder):
     arguments, allowed = COMMAND_ARGUMENTS[name]
-    status, imported_modules, output = run(arguments, folder)
+    status, imported_modules, output = run_skugga(arguments, folder)
     assert status == 0 or name == "doctor", output
     assert imported_modules <= allowed
 

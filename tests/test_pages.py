@@ -14,10 +14,10 @@ import pytest
 import typer
 
 from benchmarks.peers import figures as peer_figures
-from benchmarks.peers.pages import page, short_table
+from benchmarks.peers.pages import format_page, short_table
 from benchmarks.seeds import __main__ as seeds
 from benchmarks.sun_questions.figures import SunComparison
-from benchmarks.sun_questions.words import sun_page
+from benchmarks.sun_questions.words import format_sun_page
 from skugga.api.cli.main import app
 
 ROOT = Path(__file__).parent.parent
@@ -31,19 +31,19 @@ def stored_figures(name: str) -> dict:
 def test_the_page_of_seeds_is_up_to_date():
     figures = stored_figures("seeds/seeds.json")
     assert list(next(iter(figures.values()))["experiments"]) == list(seeds.EXPERIMENTS), "every experiment was made"
-    assert (DOCS / "seeds.md").read_text(encoding="utf-8") == seeds.page(figures)
+    assert (DOCS / "seeds.md").read_text(encoding="utf-8") == seeds.format_page(figures)
 
 
 def test_the_page_of_peers_is_up_to_date():
     figures = peer_figures.PeerComparison.read(stored_figures("peers/peers.json"))
-    assert (DOCS / "peers.md").read_text(encoding="utf-8") == page(figures, "images/peers.webp")
+    assert (DOCS / "peers.md").read_text(encoding="utf-8") == format_page(figures, "images/peers.webp")
     table = "\n".join(short_table(figures))
     assert table in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_page_of_sun_questions_is_up_to_date():
     figures = SunComparison.read(stored_figures("sun_questions/sun_questions.json"))
-    assert (DOCS / "sun-questions.md").read_text(encoding="utf-8") == sun_page(figures)
+    assert (DOCS / "sun-questions.md").read_text(encoding="utf-8") == format_sun_page(figures)
 
 
 def test_no_peer_is_both_faster_and_more_accurate():

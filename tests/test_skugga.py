@@ -18,7 +18,7 @@ import skugga
 ROOT = Path(__file__).parents[1]
 
 
-def run(code: str) -> str:
+def run_python(code: str) -> str:
     """Return the output of a new Python process.
 
     Warnings are errors there, except for those of affine, which rioxarray causes.
@@ -34,7 +34,7 @@ def run(code: str) -> str:
     return process.stdout.strip()
 
 
-def typed_names() -> dict[str, tuple[str, str]]:
+def names_for_type_checkers() -> dict[str, tuple[str, str]]:
     """Return the names of ``skugga`` as type checkers see them: module and name there."""
     (block,) = (node for node in ast.parse((ROOT / "skugga" / "__init__.py").read_text("utf-8")).body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
@@ -42,7 +42,7 @@ def typed_names() -> dict[str, tuple[str, str]]:
 
 
 def test_every_name_is_the_one_that_type_checkers_see():
-    typed = typed_names()
+    typed = names_for_type_checkers()
     assert sorted(typed) == sorted(skugga.__all__)
     for name, (module, attribute) in typed.items():
         assert getattr(skugga, name) is getattr(importlib.import_module(module), attribute), name
@@ -50,11 +50,11 @@ def test_every_name_is_the_one_that_type_checkers_see():
 
 def test_names_are_listed_before_they_are_used():
     """``dir`` lists them, and so does completion in a shell."""
-    assert run("import skugga; print(set(skugga.__all__) <= set(dir(skugga)), 'shadow' in vars(skugga))") == "True False"
+    assert run_python("import skugga; print(set(skugga.__all__) <= set(dir(skugga)), 'shadow' in vars(skugga))") == "True False"
 
 
 def test_version_is_that_of_the_installation():
-    assert run("import skugga; print(skugga.__version__)") == version("skugga")
+    assert run_python("import skugga; print(skugga.__version__)") == version("skugga")
 
 
 def test_unknown_name_is_an_attribute_error():
@@ -65,7 +65,7 @@ def test_unknown_name_is_an_attribute_error():
 
 
 def test_names_are_imported_by_star():
-    assert run("from skugga import *; print(shadow.__name__, OpenLevel.__name__)") == "shadow OpenLevel"
+    assert run_python("from skugga import *; print(shadow.__name__, OpenLevel.__name__)") == "shadow OpenLevel"
 
 
 def test_help_shows_every_name():
@@ -90,13 +90,13 @@ print(int(array.rio.write_crs("EPSG:32633").skugga.shadow(azimuth=180, altitude=
 
 @pytest.mark.parametrize("imports", ["import skugga, xarray", "import xarray, skugga", "import skugga, rioxarray, xarray"])
 def test_arrays_of_xarray_have_the_accessor(imports):
-    """This holds for each order of imports. Warnings are errors there."""
+    """This holds for each order of imports. Warnings are errors."""
     pytest.importorskip("rioxarray")
-    assert run(f"{imports}\n{SHADE_SCRIPT}") == "True"
+    assert run_python(f"{imports}\n{SHADE_SCRIPT}") == "True"
 
 
 def test_xarray_is_not_imported_for_its_accessor():
-    assert run("import skugga, sys; print('xarray' in sys.modules)") == "False"
+    assert run_python("import skugga, sys; print('xarray' in sys.modules)") == "False"
 
 
 def test_accessor_is_imported_when_it_is_used():
@@ -105,21 +105,24 @@ def test_accessor_is_imported_when_it_is_used():
         "import skugga, xarray, sys; name = 'skugga.api.library.accessor'; before = name in sys.modules;"
         "print(hasattr(xarray.DataArray, 'skugga'), before, type(xarray.DataArray([1]).skugga).__name__)"
     )
-    assert run(code) == "True False SkuggaAccessor"
+    assert run_python(code) == "True False SkuggaAccessor"
 
 
 def test_accessor_is_registered_once_after_a_reload():
     pytest.importorskip("rioxarray")
-    assert run("import skugga, xarray, importlib; importlib.reload(skugga); print(xarray.DataArray.skugga.__name__)") == "_accessor"
+    assert (
+        run_python("import skugga, xarray, importlib; importlib.reload(skugga); print(xarray.DataArray.skugga.__name__)")
+        == "_accessor"
+    )
 
 
 def test_there_is_no_accessor_without_rioxarray():
     pytest.importorskip("xarray")
     assert (
-        run("import sys; sys.modules['rioxarray'] = None; import skugga, xarray; print(hasattr(xarray.DataArray, 'skugga'))")
+        run_python("import sys; sys.modules['rioxarray'] = None; import skugga, xarray; print(hasattr(xarray.DataArray, 'skugga'))")
         == "False"
     )
 
 
 def test_xarray_need_not_be_installed():
-    assert run("import sys; sys.modules['xarray'] = None; import skugga; print(skugga.shadow.__name__)") == "shadow"
+    assert run_python("import sys; sys.modules['xarray'] = None; import skugga; print(skugga.shadow.__name__)") == "shadow"

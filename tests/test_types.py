@@ -41,9 +41,9 @@ def unannotated_functions(node: ast.AST) -> Iterator[str]:
         yield from unannotated_functions(child)
 
 
-@pytest.mark.parametrize("floor", PACKAGES)
-def test_functions_without_annotations_are_compiled(floor: str) -> None:
-    paths = sorted((ROOT / floor).rglob("*.py"))
+@pytest.mark.parametrize("package", PACKAGES)
+def test_functions_without_annotations_are_compiled(package: str) -> None:
+    paths = sorted((ROOT / package).rglob("*.py"))
     assert paths
     names_by_path = {
         str(path.relative_to(ROOT)): [*unannotated_functions(ast.parse(path.read_text(encoding="utf-8")))] for path in paths

@@ -1,4 +1,4 @@
-"""Forbidden names, and the form of commit subjects."""
+"""Tests of ``scripts/check_words.py``: forbidden names, and the form of commit subjects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def check(*arguments: str) -> tuple[int, str]:
+def run_check(*arguments: str) -> tuple[int, str]:
     """Return the exit status and the messages of the check."""
     command = [sys.executable, str(ROOT / "scripts/check_words.py"), *arguments]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -31,17 +31,17 @@ def check(*arguments: str) -> tuple[int, str]:
 )
 def test_a_planted_name_is_found(tmp_path, source, name, term):
     (tmp_path / "planted.py").write_text("x = 1\n" + source)
-    status, messages = check(str(tmp_path / "planted.py"))
+    status, messages = run_check(str(tmp_path / "planted.py"))
     assert status == 1 and f"'{name}'" in messages and term in messages and "planted.py:" in messages
 
 
 def test_comments_texts_and_longer_names_are_allowed(tmp_path):
     (tmp_path / "plain.py").write_text('# there\nx = "there"\nis_there_yet = 1\nALMOST_DONE = 2\n')
-    assert check(str(tmp_path / "plain.py")) == (0, "")
+    assert run_check(str(tmp_path / "plain.py")) == (0, "")
 
 
 def test_no_file_has_a_forbidden_name():
-    assert check() == (0, "")
+    assert run_check() == (0, "")
 
 
 @pytest.mark.parametrize(
@@ -55,5 +55,5 @@ def test_no_file_has_a_forbidden_name():
 )
 def test_commit_subjects_are_short_and_separated(tmp_path, message, fault):
     (tmp_path / "message").write_text(message)
-    status, messages = check("--commit-message", str(tmp_path / "message"))
+    status, messages = run_check("--commit-message", str(tmp_path / "message"))
     assert (status == 0) == (fault is None) and (fault or "") in messages

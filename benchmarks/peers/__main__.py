@@ -2,18 +2,17 @@
 
     python -m benchmarks.peers [--python PATH] [--repeats 3] [--side 2048] [--json FILE] [--markdown FILE] [--readme] [--write-only]
 
-There are two rasters: SRTM of the Jacksboro fault, and fractal mountains. Three suns stand on the grid's axes and diagonals, and
-three off them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask. One runs at a time, and they take
-turns. A tool only takes part if its shadow of a pole lies where it should.
+There are two rasters: SRTM of the Jacksboro fault, and fractal mountains. Three sun azimuths are multiples of 45 degrees, three are
+not. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask. Only one tool runs at a time, and the tools
+take turns. A tool is skipped if its shadow of a pole has the wrong direction or length.
 
-Truth is traced with rays from the nodes over quads that are cut along their higher diagonals, as Skugga cuts them. Cells are
-counted if truth does not depend on the rays' offset from the ground. For the other tools, truth must not depend on the choice of
-the diagonal either.
+Truth is traced with rays from the nodes. Quads are cut along their higher diagonals, as in Skugga. Cells count if truth does not
+depend on the rays' offset from the ground. For the other tools, truth must not depend on the choice of the diagonal either.
 
 ``--python`` is the interpreter of the Python packages (`pip install insolation numba topocalc solweig whitebox-workflows
-rasterio`), which may have an environment of their own; the others are Debian's `grass-core`, `saga`, `pktools` and `gdal-bin`.
-Absent tools are named and left out. ``--side`` makes smaller rasters, for trials; ``--readme`` prints the short table;
-``--write-only`` measures nothing and writes the page and its picture again.
+rasterio`), which may have an environment of their own. The other tools are in Debian's packages `grass-core`, `saga`, `pktools` and
+`gdal-bin`. Tools that are not installed are reported and skipped. ``--side`` makes smaller rasters, for trials; ``--readme`` prints
+the short table; ``--write-only`` measures nothing and writes the page and its picture again.
 """
 
 from __future__ import annotations
@@ -30,24 +29,24 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.peers.figures import PeerComparison, SunShares, TestRaster, ToolRecord, ToolResult
-from benchmarks.peers.pages import page, short_table
-from benchmarks.peers.picture import picture
-from benchmarks.peers.tools import Tool, ToolJob, ToolRun, check_pole, tools_of, write_dem
+from benchmarks.peers.pages import format_page, short_table
+from benchmarks.peers.picture import write_plot
+from benchmarks.peers.tools import Tool, ToolJob, ToolRun, check_pole, make_tools, write_dem
 from benchmarks.sweep_accuracy import GridRays, GridTruth
-from benchmarks.sweep_speed import CELL_M, _processor, mountains
+from benchmarks.sweep_speed import CELL_M, fractal_heights_m, processor_name
 from skugga.terrain.level.bundled import BUNDLED
 
 HERE = Path(__file__).parent
 DOCS = HERE.parents[1] / "docs"
 
-SUNS = [(315.0, 30.0), (135.0, 10.0), (90.0, 3.0), (202.0, 30.0), (113.0, 10.0), (67.0, 3.0)]
-"""Azimuth and altitude, degrees: the first three on the grid's axes and diagonals."""
+SUN_ANGLES_DEG = [(315.0, 30.0), (135.0, 10.0), (90.0, 3.0), (202.0, 30.0), (113.0, 10.0), (67.0, 3.0)]
+"""Azimuth and altitude, degrees. The first three azimuths are those of the grid's axes and diagonals."""
 
-SLOW_S = 2.0
-"""Seconds above which a process runs only once. It is then too far behind to need a median."""
+MAX_REPEATED_RUN_S = 2.0
+"""Longest run, seconds, that is repeated. A slower tool runs only once, without a median."""
 
 
-def jacksboro() -> tuple[np.ndarray, float]:
+def read_jacksboro() -> tuple[np.ndarray, float]:
     """Return SRTM heights in UTM 16N without the incomplete rim, float32 (rows, cols) in metres, and the side of a cell."""
     with BUNDLED["jacksboro_utm"]().open() as source:
         height_m, cell_m = source.read(1), source.transform.a
@@ -58,69 +57,69 @@ def jacksboro() -> tuple[np.ndarray, float]:
     return height_m, cell_m
 
 
-def rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
+def test_rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
     """Return by name the heights, float32 (rows, cols) in metres, and the side of a cell in metres.
 
     Rasters have at most ``side`` cells a side.
     """
-    height_m, cell_m = jacksboro()
-    return {"Jacksboro": (np.ascontiguousarray(height_m[:side, :side]), cell_m), "fractal": (mountains(side), CELL_M)}
+    height_m, cell_m = read_jacksboro()
+    return {"Jacksboro": (np.ascontiguousarray(height_m[:side, :side]), cell_m), "fractal": (fractal_heights_m(side), CELL_M)}
 
 
 def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str], list[ToolRecord]]:
-    """Return the usable tools, the left-out tools, and records of the usable ones.
+    """Check all tools. Return the usable tools, the skipped tools, and the records of the usable ones.
 
-    The first dictionary has the least seconds of a tool's process on the small raster of the pole. The second has the reason why a
-    tool is left out.
+    The first dictionary has the least wall time of a tool's process on the small raster of the pole, seconds. The second has the
+    reason why a tool is skipped.
     """
     start_s: dict[Tool, float] = {}
     left_out: dict[str, str] = {}
     records = []
-    for tool in tools_of(python):
+    for tool in make_tools(python):
         version = tool.installed_version()
         if version is None:
             left_out[tool.name] = "absent"
-            print(f"{tool.name}: absent", flush=True)
+            print(f"{tool.name}: not installed, skipped", flush=True)
             continue
         try:
-            start_s[tool] = min(run.whole_s for run in check_pole(tool, folder))
+            start_s[tool] = min(run.wall_s for run in check_pole(tool, folder))
         except RuntimeError as error:
             left_out[tool.name] = str(error)
-            print(f"{tool.name}: left out: {error}", flush=True)
+            print(f"{tool.name}: skipped: {error}", flush=True)
             continue
-        records.append(ToolRecord(tool.name, version, tool.algorithm, tool.ours, tool.lit is not None, start_s[tool]))
-        print(f"{tool.name} {version}: the pole's shadow lies where it should", flush=True)
+        records.append(ToolRecord(tool.name, version, tool.algorithm, tool.is_skugga, tool.decode_mask is not None, start_s[tool]))
+        print(f"{tool.name} {version}: the pole's shadow is right", flush=True)
     return start_s, left_out, records
 
 
-def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
+def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
     """Return a raster's description, and the truth under each sun.
 
-    Its shares count cells that are decided for tools that cut quads differently.
+    The shares in the description count cells whose truth is certain for either diagonal of a quad.
     """
     rays = GridRays(height_m, (cell_m, cell_m))
-    truths = [rays.truth(*sun) for sun in SUNS]
+    truths = [rays.truth(*sun) for sun in SUN_ANGLES_DEG]
     under = [
         SunShares(
             *sun,
             float((~truth.lit & truth.certain_for_any_cut).sum() / truth.certain_for_any_cut.sum()),
             float((~truth.certain_for_any_cut).mean()),
         )
-        for sun, truth in zip(SUNS, truths, strict=True)
+        for sun, truth in zip(SUN_ANGLES_DEG, truths, strict=True)
     ]
     rows, cols = height_m.shape
     return TestRaster(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), under), truths
 
 
-def errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
-    """Return false and missed shadow, as shares of the cells in the mask ``certain``. It is one of the masks of ``truth``."""
+def shadow_errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
+    """Return false and missed shadow as shares of the cells in ``certain``, which is one of the masks of ``truth``."""
     count = certain.sum()
     false, missed = (certain & (truth.lit == sunny) & (lit != sunny) for sunny in (True, False))
     return float(false.sum() / count), float(missed.sum() / count)
 
 
 def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
-    """Measure everything: the check of conventions, truth, and the tools in turns."""
+    """Check the tools, trace truth, run the tools in turns, and return all results."""
     begin = time.perf_counter()
     runs: dict[tuple[Tool, str, int], list[ToolRun]] = {}
     error_shares: dict[tuple[Tool, str, int], tuple[float, float]] = {}
@@ -128,41 +127,43 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
         folder = Path(folder_name)
         tools, left_out, records = check_tools(python, folder)
         terrains, truths = [], {}
-        for name, (height_m, cell_m) in rasters(side).items():
-            terrain, truths[name] = terrain_of(name, height_m, cell_m)
+        for name, (height_m, cell_m) in test_rasters(side).items():
+            terrain, truths[name] = describe_raster(name, height_m, cell_m)
             terrains.append(terrain)
             write_dem(folder / f"{name}.tif", height_m, cell_m)
             print(f"{time.perf_counter() - begin:4.0f} s  truth of {name}", flush=True)
         for repeat in range(repeats):
             for name in truths:
-                for k, sun in enumerate(SUNS):
+                for k, sun in enumerate(SUN_ANGLES_DEG):
                     job = ToolJob(folder / f"{name}.tif", *sun, folder / "mask.tif")
                     for tool in [*tools][:: -1 if repeat % 2 else 1]:
                         key = tool, name, k
-                        if repeat and max(run.whole_s for run in runs[key]) > SLOW_S:
+                        if repeat and max(run.wall_s for run in runs[key]) > MAX_REPEATED_RUN_S:
                             continue
                         try:
                             runs.setdefault(key, []).append(tool.run(job))
                         except RuntimeError as error:
                             left_out[tool.name] = f"{name} under the sun {' / '.join(job.sun)}: {error}"
-                            print(f"{tool.name}: left out: {left_out[tool.name]}", flush=True)
+                            print(f"{tool.name}: skipped: {left_out[tool.name]}", flush=True)
                             del tools[tool]
                             continue
-                        if tool.lit is not None and key not in error_shares:
+                        if tool.decode_mask is not None and key not in error_shares:
                             truth = truths[name][k]
-                            error_shares[key] = errors(
-                                tool.mask(job), truth, truth.certain if tool.ours else truth.certain_for_any_cut
+                            error_shares[key] = shadow_errors(
+                                tool.mask(job), truth, truth.certain if tool.is_skugga else truth.certain_for_any_cut
                             )
                 print(f"{time.perf_counter() - begin:4.0f} s  round {repeat + 1} of {repeats}: {name}", flush=True)
     answers = [
-        _answer(*key[:2], SUNS[key[2]], key_runs, error_shares.get(key)) for key, key_runs in runs.items() if key[0] in tools
+        _tool_result(*key[:2], SUN_ANGLES_DEG[key[2]], key_runs, error_shares.get(key))
+        for key, key_runs in runs.items()
+        if key[0] in tools
     ]
     records = [record for record in records if record.name not in left_out]
-    machine = f"{_processor()}, {os.cpu_count()} cores"
-    return PeerComparison(machine, repeats, SLOW_S, time.perf_counter() - begin, terrains, records, left_out, answers)
+    machine = f"{processor_name()}, {os.cpu_count()} cores"
+    return PeerComparison(machine, repeats, MAX_REPEATED_RUN_S, time.perf_counter() - begin, terrains, records, left_out, answers)
 
 
-def _answer(
+def _tool_result(
     tool: Tool, name: str, sun: tuple[float, float], runs: list[ToolRun], error_shares: tuple[float, float] | None
 ) -> ToolResult:
     compute_s = [run.compute_s for run in runs if run.compute_s is not None]
@@ -173,7 +174,7 @@ def _answer(
         altitude_deg=sun[1],
         runs=len(runs),
         compute_s=float(np.median(compute_s)) if compute_s else None,
-        whole_s=float(np.median([run.whole_s for run in runs])),
+        whole_s=float(np.median([run.wall_s for run in runs])),
         peak_mb=max(run.peak_mb for run in runs),
         cores=float(np.median([run.cores for run in runs])),
         false_shadow=error_shares[0] if error_shares else None,
@@ -183,9 +184,13 @@ def _answer(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--python", default=sys.executable, metavar="PATH", help="the interpreter that has the others' packages")
+    parser.add_argument(
+        "--python", default=sys.executable, metavar="PATH", help="the interpreter that has the packages of the other tools"
+    )
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--side", type=int, default=2048, help="cells a side of the fractal mountains, and at most of the other")
+    parser.add_argument(
+        "--side", type=int, default=2048, help="cells a side of the fractal mountains, and maximum of the other raster"
+    )
     parser.add_argument("--json", type=Path, default=HERE / "peers.json", metavar="FILE")
     parser.add_argument("--markdown", type=Path, default=DOCS / "peers.md", metavar="FILE")
     parser.add_argument("--picture", type=Path, default=DOCS / "images" / "peers.webp", metavar="FILE")
@@ -196,8 +201,8 @@ def main() -> None:
         comparison = measure_all(args.python, args.side, args.repeats)
         args.json.write_text(json.dumps(asdict(comparison), indent=1) + "\n", "utf-8")
     comparison = PeerComparison.read(json.loads(args.json.read_text("utf-8")))
-    args.markdown.write_text(page(comparison, Path(os.path.relpath(args.picture, args.markdown.parent)).as_posix()), "utf-8")
-    picture(comparison, args.picture)
+    args.markdown.write_text(format_page(comparison, Path(os.path.relpath(args.picture, args.markdown.parent)).as_posix()), "utf-8")
+    write_plot(comparison, args.picture)
     if args.readme:
         print("\n".join(short_table(comparison)))
 

@@ -11,9 +11,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SunShares:
-    """A raster under one sun: the share of its decided cells that are in shadow, and the share of cells that are not decided.
+    """Shares of a raster's cells under one sun.
 
-    A cell is decided if truth does not depend on details of the method (``benchmarks.sweep_accuracy.GridTruth``).
+    Attributes
+    ----------
+    azimuth_deg, altitude_deg
+        The sun's angles.
+    shadow
+        Share of the decided cells that are in shadow. A cell is decided if its truth is certain
+        (``benchmarks.sweep_accuracy.GridTruth``).
+    undecided
+        Share of all cells whose truth is not certain.
     """
 
     azimuth_deg: float
@@ -24,7 +32,21 @@ class SunShares:
 
 @dataclass(frozen=True)
 class TestRaster:
-    """A raster: its cells, their side and its lowest and highest height in metres, and its shares of cells under each sun."""
+    """Description of a raster.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    rows, cols
+        Its size in cells.
+    cell_m
+        Side of a cell, metres.
+    lowest_m, highest_m
+        Its lowest and its highest height, metres.
+    under
+        Shares of its cells under each sun.
+    """
 
     name: str
     rows: int
@@ -37,7 +59,21 @@ class TestRaster:
 
 @dataclass(frozen=True)
 class ToolRecord:
-    """A tool that ran. ``start_s`` is the least time of its process for a tiny raster, in seconds."""
+    """A tool that ran.
+
+    Attributes
+    ----------
+    name, version
+        Its name and its installed version.
+    algorithm
+        Description of its algorithm in a few words.
+    ours
+        Whether it is part of Skugga.
+    casts
+        Whether it computes cast shadows.
+    start_s
+        Least wall time of its process for a tiny raster, seconds.
+    """
 
     name: str
     version: str
@@ -49,7 +85,27 @@ class ToolRecord:
 
 @dataclass(frozen=True)
 class ToolResult:
-    """A tool's result for a raster under one sun: median seconds, peak memory, and errors as shares of the decided cells."""
+    """A tool's result for a raster under one sun.
+
+    Attributes
+    ----------
+    tool, terrain
+        Names of the tool and of the raster.
+    azimuth_deg, altitude_deg
+        The sun's angles.
+    runs
+        Number of runs.
+    compute_s
+        Median seconds of computing that the tool reports; ``None`` if it reports none.
+    whole_s
+        Median wall time of the whole process, seconds.
+    peak_mb
+        Peak memory, MB.
+    cores
+        CPU time divided by wall time, median of the runs.
+    false_shadow, missed_shadow
+        Errors as shares of the decided cells; ``None`` if the tool casts no shadows.
+    """
 
     tool: str
     terrain: str
@@ -70,7 +126,7 @@ class ToolResult:
         return self.false_shadow + self.missed_shadow
 
     @property
-    def on_axis(self) -> bool:
+    def is_on_axis(self) -> bool:
         """Whether the sun stands on an axis or diagonal of the grid."""
         return self.azimuth_deg % 45.0 == 0.0
 
@@ -82,7 +138,23 @@ class ToolResult:
 
 @dataclass(frozen=True)
 class PeerComparison:
-    """All results. ``left_out`` maps names of tools to the reason why they were left out."""
+    """All results.
+
+    Attributes
+    ----------
+    where
+        Processor and number of cores of the machine.
+    repeats
+        Number of runs of each tool in each case.
+    slow_s
+        Longest run, seconds, that was repeated.
+    took_s
+        Duration of the whole measurement, seconds.
+    terrains, tools, answers
+        The rasters, the tools that ran, and their results.
+    left_out
+        Names of skipped tools, with the reason.
+    """
 
     where: str
     repeats: int
@@ -100,12 +172,12 @@ class PeerComparison:
         tools, answers = [ToolRecord(**entry) for entry in values["tools"]], [ToolResult(**entry) for entry in values["answers"]]
         return PeerComparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
 
-    def of(self, tool: ToolRecord, terrain: str | None = None, on_axis: bool | None = None) -> list[ToolResult]:
+    def results_of(self, tool: ToolRecord, terrain: str | None = None, on_axis: bool | None = None) -> list[ToolResult]:
         """Return a tool's results, optionally only those of one raster, and only those on or off the grid's axes and diagonals."""
         return [
             answer
             for answer in self.answers
-            if answer.tool == tool.name and terrain in (None, answer.terrain) and on_axis in (None, answer.on_axis)
+            if answer.tool == tool.name and terrain in (None, answer.terrain) and on_axis in (None, answer.is_on_axis)
         ]
 
     def compute_s(self, tool: ToolRecord, answer: ToolResult) -> float:
@@ -115,30 +187,31 @@ class PeerComparison:
         """
         return answer.compute_s if answer.compute_s is not None else max(answer.whole_s - tool.start_s, 0.0)
 
-    def bounded(self, tool: ToolRecord) -> bool:
+    def has_upper_bounds(self, tool: ToolRecord) -> bool:
         """Return whether a tool's seconds of computing are only upper bounds."""
-        return any(answer.compute_s is None for answer in self.of(tool))
+        return any(answer.compute_s is None for answer in self.results_of(tool))
 
     @property
-    def largest(self) -> TestRaster:
+    def largest_raster(self) -> TestRaster:
         """The raster with the most cells."""
         return max(self.terrains, key=lambda terrain: terrain.rows * terrain.cols)
 
     @property
-    def casting(self) -> list[ToolRecord]:
+    def casting_tools(self) -> list[ToolRecord]:
         """The tools that cast shadows."""
         return [tool for tool in self.tools if tool.casts]
 
 
 CLOCKS: dict[str, Callable[[PeerComparison, ToolRecord, ToolResult], float]] = {
-    "computing": lambda found, tool, answer: found.compute_s(tool, answer),
-    "whole process": lambda found, tool, answer: answer.whole_s,
+    "computing": lambda comparison, tool, answer: comparison.compute_s(tool, answer),
+    "whole process": lambda comparison, tool, answer: answer.whole_s,
 }
+"""Functions that return the seconds by which tools are compared, by name."""
 
 
 @dataclass(frozen=True)
 class ToolStanding:
-    """A tool in a case (a raster under a sun, or a mean): seconds, and wrong cells as a share."""
+    """A tool's seconds and its share of wrong cells in a case: a raster under a sun, or a mean over several."""
 
     tool: ToolRecord
     seconds: float
@@ -149,17 +222,17 @@ class ToolStanding:
         return self.seconds < other.seconds and self.wrong < other.wrong
 
 
-def cases(comparison: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
+def standings_by_case(comparison: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
     """Return the tools' standings in each case: every raster under every sun, and means over the suns off the grid's axes.
 
     ``clock`` selects the seconds to compare.
     """
     out: dict[str, list[ToolStanding]] = {}
-    for tool in comparison.casting:
-        for answer in comparison.of(tool):
+    for tool in comparison.casting_tools:
+        for answer in comparison.results_of(tool):
             out.setdefault(answer.case, []).append(ToolStanding(tool, CLOCKS[clock](comparison, tool, answer), answer.wrong))
         for name in [terrain.name for terrain in comparison.terrains] + [None]:
-            results = comparison.of(tool, name, on_axis=False)
+            results = comparison.results_of(tool, name, on_axis=False)
             seconds = float(np.mean([CLOCKS[clock](comparison, tool, answer) for answer in results]))
             wrong_share = float(np.mean([answer.wrong for answer in results]))
             out.setdefault(f"{name or 'all'}, mean off the axes", []).append(ToolStanding(tool, seconds, wrong_share))
@@ -171,30 +244,30 @@ def dominated_results(comparison: PeerComparison, clock: str) -> list[tuple[str,
 
     A peer beats a row if it is both faster and more accurate.
     """
-    return dominated_rows(cases(comparison, clock))
+    return dominated_rows(standings_by_case(comparison, clock))
 
 
 def unmatched_results(comparison: PeerComparison, clock: str) -> list[tuple[str, str]]:
     """Return pairs of a peer and a case in which the peer is faster and more accurate than every row of Skugga."""
-    return unmatched_peers(cases(comparison, clock))
+    return unmatched_peers(standings_by_case(comparison, clock))
 
 
-def dominated_rows(standings_by_case: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
+def dominated_rows(case_standings: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
     """Return triples of a row of Skugga, a peer that is both faster and more accurate, and the case."""
     return [
         (our_row.tool.name, peer.tool.name, case)
-        for case, standings in standings_by_case.items()
+        for case, standings in case_standings.items()
         for our_row in standings
         for peer in standings
         if our_row.tool.ours and not peer.tool.ours and peer.beats(our_row)
     ]
 
 
-def unmatched_peers(standings_by_case: dict[str, list[ToolStanding]]) -> list[tuple[str, str]]:
+def unmatched_peers(case_standings: dict[str, list[ToolStanding]]) -> list[tuple[str, str]]:
     """Return pairs of a peer and a case in which the peer is faster and more accurate than every row of Skugga."""
     return [
         (peer.tool.name, case)
-        for case, standings in standings_by_case.items()
+        for case, standings in case_standings.items()
         for peer in standings
         if not peer.tool.ours and all(peer.beats(our_row) for our_row in standings if our_row.tool.ours)
     ]

@@ -1,4 +1,4 @@
-"""Tables and the verdict of `benchmarks.peers`, formatted from its results. The module measures nothing and has no figures."""
+"""Format the tables and the verdict of `benchmarks.peers` from its results. This module measures nothing."""
 
 from __future__ import annotations
 
@@ -6,17 +6,25 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from benchmarks.peers.figures import CLOCKS, PeerComparison, ToolRecord, ToolStanding, cases, dominated_results, unmatched_results
-from benchmarks.seeds.claims import table
+from benchmarks.peers.figures import (
+    CLOCKS,
+    PeerComparison,
+    ToolRecord,
+    ToolStanding,
+    dominated_results,
+    standings_by_case,
+    unmatched_results,
+)
+from benchmarks.seeds.claims import markdown_table
 
 
-def percent(share: float) -> str:
-    """Format a share in per cent with two significant digits; a plain 0 for none."""
+def format_percent(share: float) -> str:
+    """Format a share in per cent with two significant digits; an exact zero as 0."""
     value = 100.0 * share
     return "0" if value == 0.0 else f"{value:.2f}" if value >= 0.1 else f"{value:.1g}" if value < 1e-3 else f"{value:.2g}"
 
 
-def seconds(value: float) -> str:
+def format_seconds(value: float) -> str:
     """Format seconds with two or three significant digits."""
     return (
         f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 2.0 else f"{value:.2f}" if value >= 0.1 else f"{value:.3f}"
@@ -30,14 +38,14 @@ def format_range(values: Iterable[float], format_value: Callable[[float], str]) 
     return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
-def bound_prefix(comparison: PeerComparison, tool: ToolRecord) -> str:
+def upper_bound_prefix(comparison: PeerComparison, tool: ToolRecord) -> str:
     """Return the prefix that marks seconds of computing as an upper bound; empty if they are exact."""
-    return "≤ " if comparison.bounded(tool) else ""
+    return "≤ " if comparison.has_upper_bounds(tool) else ""
 
 
-def mean_wrong(comparison: PeerComparison, tool: ToolRecord, on_axis: bool) -> float:
+def mean_wrong_share(comparison: PeerComparison, tool: ToolRecord, on_axis: bool) -> float:
     """Return a tool's mean share of wrong cells over rasters, for suns on or off the grid's axes and diagonals."""
-    return float(np.mean([answer.wrong for answer in comparison.of(tool, on_axis=on_axis)]))
+    return float(np.mean([answer.wrong for answer in comparison.results_of(tool, on_axis=on_axis)]))
 
 
 def time_table(comparison: PeerComparison) -> list[str]:
@@ -46,29 +54,29 @@ def time_table(comparison: PeerComparison) -> list[str]:
     for tool in comparison.tools:
         row = {"tool": tool.name, "version": tool.version, "how": tool.algorithm}
         for terrain in comparison.terrains:
-            answers = comparison.of(tool, terrain.name)
-            computing = format_range((comparison.compute_s(tool, answer) for answer in answers), seconds)
-            row[f"{terrain.name}: computing s"] = bound_prefix(comparison, tool) + computing if tool.casts else "-"
+            answers = comparison.results_of(tool, terrain.name)
+            computing = format_range((comparison.compute_s(tool, answer) for answer in answers), format_seconds)
+            row[f"{terrain.name}: computing s"] = upper_bound_prefix(comparison, tool) + computing if tool.casts else "-"
             row["whole s" if terrain is comparison.terrains[0] else "whole s "] = format_range(
-                (answer.whole_s for answer in answers), seconds
+                (answer.whole_s for answer in answers), format_seconds
             )
-        row["peak MB"] = f"{max(answer.peak_mb for answer in comparison.of(tool)):.0f}"
-        row["cores"] = f"{max(answer.cores for answer in comparison.of(tool)):.1f}"
-        wrong_shares = [answer.wrong for answer in comparison.of(tool)] if tool.casts else []
-        row["wrong %, on the axes"] = percent(mean_wrong(comparison, tool, True)) if wrong_shares else "-"
-        row["off them"] = percent(mean_wrong(comparison, tool, False)) if wrong_shares else "-"
-        row["worst"] = percent(max(wrong_shares)) if wrong_shares else "-"
+        row["peak MB"] = f"{max(answer.peak_mb for answer in comparison.results_of(tool)):.0f}"
+        row["cores"] = f"{max(answer.cores for answer in comparison.results_of(tool)):.1f}"
+        wrong_shares = [answer.wrong for answer in comparison.results_of(tool)] if tool.casts else []
+        row["wrong %, on the axes"] = format_percent(mean_wrong_share(comparison, tool, True)) if wrong_shares else "-"
+        row["off them"] = format_percent(mean_wrong_share(comparison, tool, False)) if wrong_shares else "-"
+        row["worst"] = format_percent(max(wrong_shares)) if wrong_shares else "-"
         rows.append(row)
-    return table(rows)
+    return markdown_table(rows)
 
 
 def error_table(comparison: PeerComparison) -> list[str]:
     """Format a line for each tool that casts shadows: false and missed shadow in every case."""
-    return table([
+    return markdown_table([
         {"tool": tool.name}
-        | {answer.case: (f"{percent(answer.false_shadow or 0)} / "
-            f"{percent(answer.missed_shadow or 0)}") for answer in comparison.of(tool)}
-        for tool in comparison.casting
+        | {answer.case: (f"{format_percent(answer.false_shadow or 0)} / "
+            f"{format_percent(answer.missed_shadow or 0)}") for answer in comparison.results_of(tool)}
+        for tool in comparison.casting_tools
     ])  # fmt: skip
 
 
@@ -76,43 +84,45 @@ def short_table(comparison: PeerComparison) -> list[str]:
     """Format the short table: seconds for the largest raster, and means over the suns off the grid's axes and diagonals."""
     rows = []
     for tool in comparison.tools:
-        if tool.ours and tool.name not in SHORT_OURS:
+        if tool.ours and tool.name not in SHORT_TABLE_ROWS:
             continue
-        answers = comparison.of(tool, comparison.largest.name, on_axis=False)
+        answers = comparison.results_of(tool, comparison.largest_raster.name, on_axis=False)
         computing, process_s = (float(np.mean([CLOCKS[clock](comparison, tool, answer) for answer in answers])) for clock in CLOCKS)
         rows.append({
             "mask of a DEM": f"**{tool.name}**" if tool.ours else tool.name if tool.casts else f"{tool.name} (casts none)",
-            "computing, s": bound_prefix(comparison, tool) + seconds(computing) if tool.casts else "-",
-            "whole process, s": seconds(process_s),
-            "wrong cells off the axes, %": percent(mean_wrong(comparison, tool, False)) if tool.casts else "-",
+            "computing, s": upper_bound_prefix(comparison, tool) + format_seconds(computing) if tool.casts else "-",
+            "whole process, s": format_seconds(process_s),
+            "wrong cells off the axes, %": format_percent(mean_wrong_share(comparison, tool, False)) if tool.casts else "-",
         })  # fmt: skip
-    return table(rows)
+    return markdown_table(rows)
 
 
-SHORT_OURS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
+SHORT_TABLE_ROWS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 """Skugga's rows in the short table."""
 
 
 def format_verdict(comparison: PeerComparison) -> str:
     """Describe whether Skugga is on the Pareto front of time and error among all tools, and the exceptions."""
-    peers = [tool for tool in comparison.casting if not tool.ours]
+    peers = [tool for tool in comparison.casting_tools if not tool.ours]
     if not peers:
         return "Open: there was no peer to compare with."
-    right = [tool for tool in comparison.casting if not any(answer.wrong for answer in comparison.of(tool, on_axis=True))]
+    right = [
+        tool for tool in comparison.casting_tools if not any(answer.wrong for answer in comparison.results_of(tool, on_axis=True))
+    ]
     names = ["Skugga" for tool in right if tool.ours][:1] + [tool.name for tool in right if not tool.ours]
     parts = [_pareto_text(comparison, clock, len(peers)) for clock in CLOCKS]
-    if all(tool in right for tool in comparison.casting if tool.ours):
+    if all(tool in right for tool in comparison.casting_tools if tool.ours):
         parts.append(f"On the axes these have no wrong cell in any row: {_join_names(names)}. Off the axes:")
     return "\n\n".join([*parts, _compare_best_peers(comparison)])
 
 
 def _pareto_text(comparison: PeerComparison, clock: str, peers: int) -> str:
-    """Describe the verdict by one measure of time, ``clock``."""
+    """Format the verdict for one measure of time, a key of ``CLOCKS``."""
     title, count = (
         f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**",
-        len(cases(comparison, clock)),
+        len(standings_by_case(comparison, clock)),
     )
-    our_count = sum(tool.ours for tool in comparison.casting)
+    our_count = sum(tool.ours for tool in comparison.casting_tools)
     dominated, over = dominated_results(comparison, clock), unmatched_results(comparison, clock)
     if not dominated:
         return (
@@ -133,22 +143,23 @@ def _compare_best_peers(comparison: PeerComparison) -> str:
 
     The figures are means over the suns off the grid's axes and diagonals.
     """
-    standings = cases(comparison, "computing")["all, mean off the axes"]
+    standings = standings_by_case(comparison, "computing")["all, mean off the axes"]
     peer_places, our_places = ([standing for standing in standings if standing.tool.ours == is_ours] for is_ours in (False, True))
 
-    def line(merit: str, word: str) -> str:
-        peer, our_place = (min(group, key=lambda standing: getattr(standing, merit)) for group in (peer_places, our_places))
+    def line(metric: str, adjective: str) -> str:
+        peer, our_place = (min(group, key=lambda standing: getattr(standing, metric)) for group in (peer_places, our_places))
         return (
-            f"- the {word} peer is {peer.tool.name}: {seconds(peer.seconds)} s of computing, {percent(peer.wrong)} % wrong; "
-            f"Skugga's {word} row is {_lines(our_place)}: {seconds(our_place.seconds)} s "
+            f"- the {adjective} peer is {peer.tool.name}: {format_seconds(peer.seconds)} s of computing, "
+            f"{format_percent(peer.wrong)} % wrong; "
+            f"Skugga's {adjective} row is {_line_count_text(our_place)}: {format_seconds(our_place.seconds)} s "
             f"({our_place.seconds / peer.seconds:.2g} of that time), "
-            f"{percent(our_place.wrong)} % wrong;"
+            f"{format_percent(our_place.wrong)} % wrong;"
         )
 
     return "\n".join([line("seconds", "fastest"), line("wrong", "most accurate")]).removesuffix(";") + "."
 
 
-def _lines(standing: ToolStanding) -> str:
+def _line_count_text(standing: ToolStanding) -> str:
     return standing.tool.name.removeprefix("Skugga sweep, ")
 
 
@@ -156,7 +167,7 @@ def _join_names(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def page(comparison: PeerComparison, image: str) -> str:
+def format_page(comparison: PeerComparison, image: str) -> str:
     """Format the page in Markdown. ``image`` is the picture's address relative to the page."""
     parts = [
         "# Masks of a DEM: Skugga beside other tools",
@@ -193,8 +204,8 @@ def _method_text(comparison: PeerComparison) -> str:
         _join_names([f"{sun.azimuth_deg:g}/{sun.altitude_deg:g}" for sun in suns if (sun.azimuth_deg % 45.0 == 0.0) == axis])
         for axis in (True, False)
     )
-    undecided = format_range((sun.undecided for terrain in comparison.terrains for sun in terrain.under), percent)
-    shadow = format_range((sun.shadow for terrain in comparison.terrains for sun in terrain.under), percent)
+    undecided = format_range((sun.undecided for terrain in comparison.terrains for sun in terrain.under), format_percent)
+    shadow = format_range((sun.shadow for terrain in comparison.terrains for sun in terrain.under), format_percent)
     return f"""**Rasters.** {rasters}. Every tool gets the same GeoTIFF,
 in a flat world, on a grid whose north is true north.
 
@@ -224,25 +235,25 @@ RASTER_TITLES = {
 
 def _notes_text(comparison: PeerComparison) -> list[str]:
     valid = {tool.name for tool in comparison.tools}
-    notes = [note for name, note in NOTES if name in valid]
-    if slower := [tool.name for tool in comparison.casting if _low_sun_ratio(comparison, tool) > LOW_SUN]:
+    notes = [note for name, note in TOOL_NOTES if name in valid]
+    if slower := [tool.name for tool in comparison.casting_tools if _low_sun_ratio(comparison, tool) > MIN_LOW_SUN_RATIO]:
         notes.append(
-            f"The lower the sun, the longer the shadows: on the largest raster computing takes more than {LOW_SUN:g} times as long "
-            f"under the lowest suns as under the highest with {_join_names(slower)}."
+            "The lower the sun, the longer the shadows: on the largest raster computing takes more than "
+            f"{MIN_LOW_SUN_RATIO:g} times as long under the lowest suns as under the highest with {_join_names(slower)}."
         )
     absent = [name for name, reason in comparison.left_out.items() if reason == "absent"]
     notes += [f"{name} was left out: {reason}." for name, reason in comparison.left_out.items() if reason != "absent"]
     if absent:
         notes.append(f"Absent when this was measured: {_join_names(absent)}.")
-    return [*notes, NOT_COMPARED]
+    return [*notes, EXCLUDED_TOOLS_NOTE]
 
 
-LOW_SUN = 2.0
+MIN_LOW_SUN_RATIO = 2.0
 
 
 def _low_sun_ratio(comparison: PeerComparison, tool: ToolRecord) -> float:
     """Return the ratio of computing times under the lowest and the highest suns, on the largest raster."""
-    answers = comparison.of(tool, comparison.largest.name)
+    answers = comparison.results_of(tool, comparison.largest_raster.name)
     heights = [answer.altitude_deg for answer in answers]
     low, high = (
         sum(comparison.compute_s(tool, answer) for answer in answers if answer.altitude_deg == height)
@@ -251,7 +262,7 @@ def _low_sun_ratio(comparison: PeerComparison, tool: ToolRecord) -> float:
     return low / high if high else 1.0
 
 
-NOTES = [
+TOOL_NOTES = [
     (
         "Skugga sweep, 8 lines",
         "Skugga's rows differ in the number of lines per cell that follow the sun's azimuth; the default is 8. They measure the "
@@ -276,7 +287,7 @@ NOTES = [
 ]
 """Notes on tools, shown if they ran."""
 
-NOT_COMPARED = (
+EXCLUDED_TOOLS_NOTE = (
     "Not compared: tools without a package that installs by itself (HORAYZON, rayshader), those that need a GPU (xarray-spatial), "
     "a desktop or a licence (QGIS, ArcGIS, Blender), and GRASS r.sunmask, which is too slow for rasters of this size."
 )

@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from PIL import Image
 
-from benchmarks.peers.figures import PeerComparison, TestRaster, ToolStanding, cases
+from benchmarks.peers.figures import PeerComparison, TestRaster, ToolStanding, standings_by_case
 
-OURS, THEIRS, INK, SETTING_GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
+SKUGGA_COLOR, PEER_COLOR, TEXT_COLOR, GRID_COLOR = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
 """Blue and vermilion of Okabe and Ito, which are safe for colour-blind readers; the shapes of the points differ, too."""
 
-MIN_PERCENT = 1e-6
-"""The position of points without any wrong cell on logarithmic axes."""
+ZERO_ERROR_PERCENT = 1e-6
+"""Position on the logarithmic axis of tools without any wrong cell."""
 
 LABEL_OFFSETS = [(8, 0), (-8, 0), (0, 8), (0, -8), (6, 6), (-6, 6), (6, -6), (-6, -6)]
 """Candidate positions of a label at its point: offsets in points."""
@@ -28,54 +28,58 @@ LABEL_MARGIN_PX = 14.0
 """The margin of other labels around a point, to either side."""
 
 
-def picture(comparison: PeerComparison, path: Path) -> None:
+def write_plot(comparison: PeerComparison, path: Path) -> None:
     """Write the plot, with a panel for each raster, as WebP."""
-    with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK}):
+    with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10, "text.color": TEXT_COLOR, "axes.edgecolor": TEXT_COLOR}):
         figure = Figure(figsize=(11.5, 5.4), dpi=140, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         panels = np.atleast_1d(figure.subplots(1, len(comparison.terrains), sharex=True, sharey=True))
         for axes, terrain in zip(panels, comparison.terrains, strict=True):
-            _panel(axes, comparison, terrain)
+            _draw_panel(axes, comparison, terrain)
         panels[0].set_ylabel("wrong cells off the grid's axes, %")
         figure.suptitle("Cast shadows of a DEM: time against error. Faster is left, more accurate is down", fontsize=13)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # labels are placed at the final positions of points
         for axes, terrain in zip(panels, comparison.terrains, strict=True):
-            _draw_labels(axes, canvas, _standings_of(comparison, terrain))
+            _draw_labels(axes, canvas, _raster_standings(comparison, terrain))
         png = io.BytesIO()
         figure.savefig(png, format="png")
     Image.open(png).convert("RGB").save(path, quality=90, method=6)
 
 
-def _standings_of(comparison: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
-    return cases(comparison, "computing")[f"{terrain.name}, mean off the axes"]
+def _raster_standings(comparison: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
+    return standings_by_case(comparison, "computing")[f"{terrain.name}, mean off the axes"]
 
 
 def _plot_xy(standing: ToolStanding) -> tuple[float, float]:
-    return max(standing.seconds, 1e-3), max(100.0 * standing.wrong, MIN_PERCENT)
+    return max(standing.seconds, 1e-3), max(100.0 * standing.wrong, ZERO_ERROR_PERCENT)
 
 
-def _panel(axes: Axes, comparison: PeerComparison, terrain: TestRaster) -> None:
+def _draw_panel(axes: Axes, comparison: PeerComparison, terrain: TestRaster) -> None:
     axes.set(xscale="log", yscale="log", xlabel="seconds of computing, mean of three suns")
     axes.set_title(f"{terrain.name}, {terrain.rows * terrain.cols / 1e6:.1f} million cells", fontsize=11)
-    axes.grid(color=SETTING_GRID)
+    axes.grid(color=GRID_COLOR)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    standings = _standings_of(comparison, terrain)
+    standings = _raster_standings(comparison, terrain)
     our_positions = np.array([_plot_xy(standing) for standing in standings if standing.tool.ours])
-    axes.plot(*our_positions.T, "-o", color=OURS, markersize=8, linewidth=1.5, label="Skugga")
+    axes.plot(*our_positions.T, "-o", color=SKUGGA_COLOR, markersize=8, linewidth=1.5, label="Skugga")
     for bounded, label in ((False, "others"), (True, "others: at most so long")):
         positions = np.array(
             [
                 _plot_xy(standing)
                 for standing in standings
-                if not standing.tool.ours and comparison.bounded(standing.tool) == bounded
+                if not standing.tool.ours and comparison.has_upper_bounds(standing.tool) == bounded
             ]
         )
         if len(positions):
-            axes.plot(*positions.T, "D", color=THEIRS, markersize=7, markerfacecolor="white" if bounded else THEIRS, label=label)
+            axes.plot(
+                *positions.T, "D", color=PEER_COLOR, markersize=7, markerfacecolor="white" if bounded else PEER_COLOR, label=label
+            )
     axes.margins(x=0.12, y=0.12)
-    axes.yaxis.set_major_formatter(lambda value, _: "none" if value < 1.5 * MIN_PERCENT else f"{value:.6f}".rstrip("0").rstrip("."))
+    axes.yaxis.set_major_formatter(
+        lambda value, _: "none" if value < 1.5 * ZERO_ERROR_PERCENT else f"{value:.6f}".rstrip("0").rstrip(".")
+    )
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
     axes.legend(loc="lower right", frameon=False)
@@ -91,7 +95,7 @@ def _draw_labels(axes: Axes, canvas: FigureCanvasAgg, standings: list[ToolStandi
     occupied.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
     inside = axes.get_window_extent(renderer)
     for standing in standings:
-        color = OURS if standing.tool.ours else THEIRS
+        color = SKUGGA_COLOR if standing.tool.ours else PEER_COLOR
         name = standing.tool.name.removeprefix("Skugga sweep, ") if standing.tool.ours else standing.tool.name.split()[0]
         candidates = []
         for x, y in LABEL_OFFSETS:

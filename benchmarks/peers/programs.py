@@ -1,11 +1,11 @@
 """Programs that compute a shadow mask of a raster with one tool. `benchmarks.peers` runs them as processes, in any interpreter.
 
-    PYTHON peer_programs.py TOOL dem.tif AZIMUTH ALTITUDE mask.tif [LINES]
-    PYTHON peer_programs.py --version PACKAGE MODULE
+    PYTHON programs.py TOOL dem.tif AZIMUTH ALTITUDE mask.tif [LINES]
+    PYTHON programs.py --version PACKAGE MODULE
 
-A program reads the raster, compiles its loops on a few cells, computes, and writes 1 where the sun is visible and 0 elsewhere. It
-prints the seconds of computing. Only Skugga's own rows import Skugga, so that the other packages may have an environment of their
-own. ``r.horizon`` runs inside a GRASS session, and writes angles.
+A program reads the raster, compiles its loops on a few cells, computes the mask, and writes 1 where the sun is visible and 0
+elsewhere. It prints the seconds of computing. Only the program ``sweep`` imports Skugga, so the other packages may be installed in
+an environment of their own. ``r.horizon`` runs inside a GRASS session, and writes angles.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 TINY_CELLS = 64
 """Cells a side of the terrain that loops are compiled on."""
 
-COMPILED = ("insolation", "sweep")
+COMPILED_PROGRAMS = ("insolation", "sweep")
 """Programs whose loops are compiled on the first call."""
 
 
@@ -99,7 +99,7 @@ def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
 def sweep(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
     """Return a function of a sun that computes the mask by Skugga's line sweep, on all cores.
 
-    The number of lines per cell is the command line's.
+    The last argument of the command line is the number of lines per cell.
     """
     from skugga.shadows.sweep.grid import sunlit
 
@@ -107,7 +107,7 @@ def sweep(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
     return lambda azimuth_deg, altitude_deg: sunlit(height_m, cell_m, azimuth_deg, altitude_deg, lines=lines, cores=cores)
 
 
-PREPARE: dict[str, Callable[[str, np.ndarray, float], MaskFunction]] = {
+MASK_FUNCTION_FACTORIES: dict[str, Callable[[str, np.ndarray, float], MaskFunction]] = {
     "insolation": insolation,
     "topocalc": topocalc,
     "solweig": solweig,
@@ -116,17 +116,17 @@ PREPARE: dict[str, Callable[[str, np.ndarray, float], MaskFunction]] = {
 }
 
 
-def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: str) -> float:
+def write_mask(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: str) -> float:
     """Write the mask of a raster by the tool ``name``, and return the seconds of computing."""
     import numpy as np
     import rasterio
 
     with rasterio.open(path) as source:
         height_m, cell_m, profile = source.read(1), source.transform.a, source.profile
-    if name in COMPILED:
+    if name in COMPILED_PROGRAMS:
         tiny_m = np.random.default_rng(1).random((TINY_CELLS, TINY_CELLS), np.float32)
-        PREPARE[name](path, tiny_m, cell_m)(azimuth_deg, altitude_deg)
-    compute_mask = PREPARE[name](path, height_m, cell_m)
+        MASK_FUNCTION_FACTORIES[name](path, tiny_m, cell_m)(azimuth_deg, altitude_deg)
+    compute_mask = MASK_FUNCTION_FACTORIES[name](path, height_m, cell_m)
     start = time.perf_counter()
     lit = compute_mask(azimuth_deg, altitude_deg)
     taken_s = time.perf_counter() - start
@@ -135,7 +135,7 @@ def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: s
     return taken_s
 
 
-def r_horizon(path: str, azimuth_deg: float, out: str) -> float:
+def write_horizon_angles(path: str, azimuth_deg: float, out: str) -> float:
     """Write horizon angles in degrees with GRASS r.horizon, inside a GRASS session. Return the seconds that the module takes.
 
     Its directions are 0 in the east and grow anticlockwise.
@@ -160,8 +160,8 @@ def main(arguments: list[str]) -> Any:
         return version(arguments[1])
     name, path, azimuth_deg, altitude_deg, out, *_ = arguments
     if name == "r.horizon":
-        return r_horizon(path, float(azimuth_deg), out)
-    return answer(name, path, float(azimuth_deg), float(altitude_deg), out)
+        return write_horizon_angles(path, float(azimuth_deg), out)
+    return write_mask(name, path, float(azimuth_deg), float(altitude_deg), out)
 
 
 if __name__ == "__main__":

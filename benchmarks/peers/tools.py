@@ -15,16 +15,16 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-PROGRAMS = Path(__file__).with_name("programs.py")
+PROGRAMS_FILE = Path(__file__).with_name("programs.py")
 
 CRS = "EPSG:32616"
-MIDDLE_M = (500_000.0, 0.0)
-"""Middles of rasters: on the central meridian and the equator, where grid north is true north, which r.horizon uses."""
+MIDDLE_XY_M = (500_000.0, 0.0)
+"""Middle of the rasters, on the central meridian and the equator. There grid north is true north, which r.horizon uses."""
 
-POLE_CELLS, POLE_WIDTH, POLE_M, POLE_CELL_M, FLOOR_M = 201, 5, 150.0, 10.0, 100.0
-"""The check of conventions: cells of the floor and of the block in its middle, its height, a cell's side, the floor's height."""
+FLOOR_SIDE_CELLS, POLE_WIDTH_CELLS, POLE_HEIGHT_M, FLOOR_CELL_M, FLOOR_HEIGHT_M = 201, 5, 150.0, 10.0, 100.0
+"""Geometry of the check of conventions: a square floor with a block (the pole) in its middle."""
 
-POLE_SUNS = [(azimuth, 10.0) for azimuth in (315.0, 202.0, 113.0, 67.0)]
+POLE_SUN_ANGLES_DEG = [(azimuth, 10.0) for azimuth in (315.0, 202.0, 113.0, 67.0)]
 POLE_TOLERANCE_CELLS = 2.0
 """The tolerance of a pole's shadow in length and position, in cells."""
 
@@ -49,7 +49,7 @@ class ToolRun:
 
     Attributes
     ----------
-    whole_s
+    wall_s
         Wall time of the process, seconds.
     compute_s
         Seconds of computing that the process itself reports; ``None`` if it reports none.
@@ -59,7 +59,7 @@ class ToolRun:
         CPU time divided by wall time.
     """
 
-    whole_s: float
+    wall_s: float
     compute_s: float | None
     peak_mb: float
     cores: float
@@ -67,7 +67,7 @@ class ToolRun:
     @property
     def cpu_s(self) -> float:
         """CPU time of the process and of its children."""
-        return self.cores * self.whole_s
+        return self.cores * self.wall_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,27 +80,27 @@ class Tool:
         Name.
     algorithm
         Description of its algorithm in a few words.
-    version
+    version_command
         Command that prints its version, and fails if the tool is absent.
     command
         Returns the command for a job.
-    lit
-        Returns the mask (rows, cols) of cells that see the sun, from the values that the tool wrote and the job; ``None`` if the
-        tool casts no shadows.
-    ours
+    decode_mask
+        Function of the values that the tool wrote and of the job. It returns the mask (rows, cols) of cells that see the sun.
+        ``None`` if the tool casts no shadows.
+    is_skugga
         Whether it is part of Skugga.
     """
 
     name: str
     algorithm: str
-    version: list[str]
+    version_command: list[str]
     command: Callable[[ToolJob], list[str]]
-    lit: Callable[[np.ndarray, ToolJob], np.ndarray] | None
-    ours: bool = False
+    decode_mask: Callable[[np.ndarray, ToolJob], np.ndarray] | None
+    is_skugga: bool = False
 
     def installed_version(self) -> str | None:
         """Return the tool's version, or ``None`` if it is absent."""
-        return version_in_output(self.version)
+        return installed_version(self.version_command)
 
     def run(self, job: ToolJob) -> ToolRun:
         """Run the tool. Raises the errors of ``run_process``."""
@@ -108,13 +108,13 @@ class Tool:
 
     def mask(self, job: ToolJob) -> np.ndarray:
         """Read the tool's output, and return where the sun is visible, bool (rows, cols)."""
-        assert self.lit is not None
+        assert self.decode_mask is not None
         with rasterio.open(job.out) as dataset:
-            return self.lit(dataset.read(1), job)
+            return self.decode_mask(dataset.read(1), job)
 
 
-def version_in_output(command: list[str]) -> str | None:
-    """Return the first number with dots in a command's output; ``None`` if the command is absent or fails."""
+def installed_version(command: list[str]) -> str | None:
+    """Return the first version number in a command's output; ``None`` if the command is missing or fails."""
     if shutil.which(command[0]) is None:
         return None
     process = subprocess.run(command, capture_output=True, text=True)
@@ -131,30 +131,30 @@ def run_process(command: list[str], out: Path) -> ToolRun:
     out.unlink(missing_ok=True)
     process = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *command], capture_output=True, text=True)
     usage = json.loads(process.stdout or "{}")
-    stderr = usage.get("said", process.stderr)
+    output = usage.get("output", process.stderr)
     if usage.get("code", process.returncode) or not out.exists():
-        raise RuntimeError(([line for line in stderr.splitlines() if line.strip()] or ["no answer"])[-1].strip())
-    seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", stderr, re.MULTILINE)
+        raise RuntimeError(([line for line in output.splitlines() if line.strip()] or ["no output"])[-1].strip())
+    seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", output, re.MULTILINE)
     return ToolRun(usage["wall_s"], float(seconds[-1]) if seconds else None, usage["peak_mb"], usage["cpu_s"] / usage["wall_s"])
 
 
 LAUNCHER = """
 import json, os, subprocess, sys, tempfile, time
-with tempfile.TemporaryFile("w+") as said:
+with tempfile.TemporaryFile("w+") as output:
     start = time.perf_counter()
-    child = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT)
+    child = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT)
     _, status, usage = os.wait4(child.pid, 0)
     wall_s = time.perf_counter() - start
-    said.seek(0)
+    output.seek(0)
     print(json.dumps({"wall_s": wall_s, "cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss * 1024 / 1e6,
-                      "code": os.waitstatus_to_exitcode(status), "said": said.read()}))
+                      "code": os.waitstatus_to_exitcode(status), "output": output.read()}))
 """
-"""Program of a small parent process of a tool. It is needed because a process's peak memory begins with that of its parent."""
+"""Program of the parent process of a tool. The parent must be small, because a process's peak memory begins with its parent's."""
 
 
-def tools_of(python: str) -> list[Tool]:
+def make_tools(python: str) -> list[Tool]:
     """Return all tools. Python packages are those of the interpreter ``python``."""
-    programs_file = str(PROGRAMS)
+    programs_file = str(PROGRAMS_FILE)
 
     def package(name: str, algorithm: str, program: str, distribution: str, module: str) -> Tool:
         return Tool(
@@ -172,7 +172,7 @@ def tools_of(python: str) -> list[Tool]:
             [sys.executable, programs_file, "--version", "skugga", "skugga.shadows.sweep.grid"],
             lambda job: [sys.executable, programs_file, "sweep", str(job.dem), *job.sun, str(job.out), str(lines)],
             lambda values, job: values > 0,
-            ours=True,
+            is_skugga=True,
         )
 
     return [
@@ -216,7 +216,7 @@ def tools_of(python: str) -> list[Tool]:
     ]  # fmt: skip
 
 
-def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, middle_m: tuple[float, float] = MIDDLE_M) -> None:
+def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, middle_m: tuple[float, float] = MIDDLE_XY_M) -> None:
     """Write heights, float32 (rows, cols) in metres, as a GeoTIFF with square cells. ``middle_m`` is the position of its middle."""
     rows, cols = height_m.shape
     corner = middle_m[0] - cols * cell_m / 2, middle_m[1] + rows * cell_m / 2
@@ -232,31 +232,35 @@ def check_pole(tool: Tool, folder: Path) -> list[ToolRun]:
 
     Raises ``RuntimeError`` if a shadow differs by more than ``POLE_TOLERANCE_CELLS`` cells, or if the tool fails.
     """
-    height_m = np.full((POLE_CELLS, POLE_CELLS), FLOOR_M, np.float32)
-    middle, half = POLE_CELLS // 2, POLE_WIDTH // 2
-    height_m[middle - half : middle + half + 1, middle - half : middle + half + 1] += POLE_M
+    height_m = np.full((FLOOR_SIDE_CELLS, FLOOR_SIDE_CELLS), FLOOR_HEIGHT_M, np.float32)
+    middle, half = FLOOR_SIDE_CELLS // 2, POLE_WIDTH_CELLS // 2
+    height_m[middle - half : middle + half + 1, middle - half : middle + half + 1] += POLE_HEIGHT_M
     dem = folder / "pole.tif"
-    write_dem(dem, height_m, POLE_CELL_M)
+    write_dem(dem, height_m, FLOOR_CELL_M)
     runs = []
-    for azimuth_deg, altitude_deg in POLE_SUNS:
+    for azimuth_deg, altitude_deg in POLE_SUN_ANGLES_DEG:
         job = ToolJob(dem, azimuth_deg, altitude_deg, folder / "pole_mask.tif")
         runs.append(tool.run(job))
-        if tool.lit is not None:
+        if tool.decode_mask is not None:
             _check_shadow(tool.mask(job), azimuth_deg, altitude_deg)
     return runs
 
 
 def _check_shadow(lit: np.ndarray, azimuth_deg: float, altitude_deg: float) -> None:
-    dark = np.argwhere(~lit) - POLE_CELLS // 2
+    dark = np.argwhere(~lit) - FLOOR_SIDE_CELLS // 2
     if not len(dark):
-        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole throws no shadow")
+        raise RuntimeError(f"azimuth {azimuth_deg:g}: the pole casts no shadow")
     azimuth = np.radians(azimuth_deg)
     distance, sideways = (
         dark @ np.array(direction) for direction in ((np.cos(azimuth), -np.sin(azimuth)), (np.sin(azimuth), np.cos(azimuth)))
     )
-    corner = (POLE_WIDTH // 2) * (abs(np.sin(azimuth)) + abs(np.cos(azimuth)))
-    expected = corner + POLE_M / np.tan(np.radians(altitude_deg)) / POLE_CELL_M
+    corner = (POLE_WIDTH_CELLS // 2) * (abs(np.sin(azimuth)) + abs(np.cos(azimuth)))
+    expected = corner + POLE_HEIGHT_M / np.tan(np.radians(altitude_deg)) / FLOOR_CELL_M
     if abs(distance.max() - expected) > POLE_TOLERANCE_CELLS:
-        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow ends {distance.max():.1f} cells away, not {expected:.1f}")
+        raise RuntimeError(
+            f"azimuth {azimuth_deg:g}: the pole's shadow is {distance.max():.1f} cells long instead of {expected:.1f}"
+        )
     if np.abs(sideways).max() > corner + POLE_TOLERANCE_CELLS:
-        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow lies {np.abs(sideways).max():.1f} cells beside its place")
+        raise RuntimeError(
+            f"azimuth {azimuth_deg:g}: the pole's shadow deviates from its direction by {np.abs(sideways).max():.1f} cells"
+        )

@@ -3,8 +3,8 @@
     python -m benchmarks.reports DATA [--only NAME ...] [--time-limit S]     twelve minutes on two cores, for all
     python -m benchmarks.reports --write-only                                write the page again from the stored figures
 
-DATA is the folder of sample rasters. Each scene has a process of its own: if one fails, its error is printed and the others
-continue. Figures are stored by scene (reports.json), so that ``--only`` updates one.
+DATA is the folder of sample rasters. Each scene is measured in a process of its own. If one fails, its error is printed and the
+others continue. Figures are stored by scene (reports.json), so that ``--only`` updates single scenes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reports.measure import measure_scene
-from benchmarks.reports.page import comparisons
+from benchmarks.reports.page import format_comparisons
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import with_tables
 
@@ -35,10 +35,10 @@ def stored_records() -> dict[str, dict[str, Any]]:
 
 def write_page() -> None:
     """Write the page from the stored figures."""
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(stored_records())), encoding="utf-8")
+    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), format_comparisons(stored_records())), encoding="utf-8")
 
 
-def make(name: str, data: Path, time_limit_s: float | None) -> None:
+def make_report(name: str, data: Path, time_limit_s: float | None) -> None:
     """Measure a scene, and write its report, its plot and its figures."""
     scene_record = measure_scene(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
     RECORDS_FILE.write_text(json.dumps(stored_records() | {name: scene_record}, indent=1) + "\n", encoding="utf-8")
@@ -48,8 +48,8 @@ def make(name: str, data: Path, time_limit_s: float | None) -> None:
     )
 
 
-def make_all(names: list[str], options: list[str]) -> list[str]:
-    """Run each scene in a process of its own; return the names of those that failed."""
+def make_reports(names: list[str], options: list[str]) -> list[str]:
+    """Measure each scene in a process of its own, and return the names of the scenes that failed."""
     failed = []
     for name in names:
         status = subprocess.run([sys.executable, "-m", "benchmarks.reports", *options, "--only", name], check=False).returncode
@@ -63,21 +63,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", help="the folder of sample rasters")
     parser.add_argument("--only", nargs="+", choices=SCENES, default=list(SCENES), metavar="NAME", help=", ".join(SCENES))
-    parser.add_argument("--time-limit", type=float, metavar="S", help="of each scene, seconds; default: its own")
+    parser.add_argument("--time-limit", type=float, metavar="S", help="time limit of each scene, seconds; default: the scene's own")
     parser.add_argument("--write-only", action="store_true")
     args = parser.parse_args()
     if args.write_only:
         write_page()
         return
     if args.data is None:
-        parser.error("DATA is needed: the folder of sample rasters")
+        parser.error("DATA is missing. Name the folder of sample rasters.")
     if len(args.only) == 1:
-        make(args.only[0], args.data, args.time_limit)
+        make_report(args.only[0], args.data, args.time_limit)
         write_page()
         return
     limit = [] if args.time_limit is None else ["--time-limit", f"{args.time_limit:g}"]
-    if failed := make_all(args.only, [str(args.data), *limit]):
-        raise SystemExit(f"failed: {', '.join(failed)}; again: python -m benchmarks.reports DATA --only {' '.join(failed)}")
+    if failed := make_reports(args.only, [str(args.data), *limit]):
+        raise SystemExit(f"failed: {', '.join(failed)}. Repeat them: python -m benchmarks.reports DATA --only {' '.join(failed)}")
 
 
 if __name__ == "__main__":

@@ -23,13 +23,13 @@ MAX_BYTES = 1_000_000
 Figures = dict[str, Any]
 
 ROW_KEYS = ("wrong_cast", "coverage", "soft_error", "interior", "cold", "pareto", "pareto_soft")
-"""Stored values of a row, beside its time and its name."""
+"""Stored values of a row, in addition to its time and its name."""
 
 
 def measure_scene(scene: ReportScene, data: Path, report: Path, plot: Path, time_limit_s: float | None = None) -> Figures:
     """Compare the algorithms in a scene, write the report and the plot, and return the figures to store.
 
-    Raises ``RuntimeError`` for a report that is too large, which is not written.
+    Raises ``RuntimeError``, and writes nothing, if the report is too large.
     """
     load, start = os.getloadavg()[0], time.perf_counter()
     sun = None if scene.sun is None else SunSpec(azimuth=scene.sun[0], altitude=scene.sun[1])
@@ -40,27 +40,27 @@ def measure_scene(scene: ReportScene, data: Path, report: Path, plot: Path, time
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "report.html"
         write_page(opened, comparison, page, scene.view, scene.command, MAX_BYTES)
-        publish(page.read_text(encoding="utf-8"), report)
+        write_report(page.read_text(encoding="utf-8"), report)
     write_plot(opened, comparison, plot, scene.view)
-    return record(scene, comparison, comparison_facts(opened, comparison, scene.view)) | {
+    return stored_figures(scene, comparison, comparison_facts(opened, comparison, scene.view)) | {
         "time_limit_s": limit_s, "took_s": round(took_s), "load": round(load, 1),
     }  # fmt: skip
 
 
-def publish(text: str, report: Path) -> None:
+def write_report(text: str, report: Path) -> None:
     """Write the text of a report to a file. Raises ``RuntimeError`` if it is larger than the limit."""
     size = len(text.encode())
     if size >= MAX_BYTES:
-        raise RuntimeError(f"{report}: {size} bytes; a published report has less than {MAX_BYTES}")
+        raise RuntimeError(f"{report}: {size} bytes. A published report must have less than {MAX_BYTES} bytes.")
     write_atomically(report, text)
 
 
-def record(scene: ReportScene, comparison: Comparison, report_facts: dict[str, str]) -> Figures:
+def stored_figures(scene: ReportScene, comparison: Comparison, report_facts: dict[str, str]) -> Figures:
     """Return the figures of a comparison to store. ``report_facts`` are the report's facts about the run."""
     return {
         "command": scene.command,
         "title": scene.title,
-        "data": scene.data,
+        "data": scene.data_attribution,
         **{
             key: report_facts[key] for key in ("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made")
         },

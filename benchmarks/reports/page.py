@@ -1,4 +1,4 @@
-"""The measured part of docs/comparisons.md, formatted from the stored figures."""
+"""Format the measured part of docs/comparisons.md from the stored figures."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from skugga.selector.formatting import format_duration, format_list, format_perc
 
 Figures = dict[str, Any]
 
-TARGETS = [goal for goal in GOALS if goal.time_share is None]
+ERROR_GOALS = [goal for goal in GOALS if goal.time_share is None]
 """Goals without a time limit."""
 
 
-def comparisons(records: Mapping[str, Figures]) -> str:
+def format_comparisons(records: Mapping[str, Figures]) -> str:
     """Format all tables, and the findings in each scene, as Markdown."""
     first = next(iter(records.values()))
     devices = list(dict.fromkeys(f"{record['device']}, {record['processors']} processors" for record in records.values()))
@@ -25,33 +25,36 @@ def comparisons(records: Mapping[str, Figures]) -> str:
         "\n## The scenes\n",
         markdown_table(
             ["report", "view", "light", "pixels", "in cast shadow", "noise floor", "rows judged"],
-            [[_link(name, record), *_scene(record)] for name, record in records.items()],
+            [[_report_link(name, record), *_scene_cells(record)] for name, record in records.items()],
         ),
         "\n## The cheapest row that reaches an error\n",
         markdown_table(
-            ["scene", "error", *(f"{goal.name} or less" for goal in TARGETS)],
-            [[name, f"`{record['error']}`", *(_cheapest(record, goal) for goal in TARGETS)] for name, record in records.items()],
+            ["scene", "error", *(f"{goal.name} or less" for goal in ERROR_GOALS)],
+            [
+                [name, f"`{record['error']}`", *(_cheapest_row_text(record, goal) for goal in ERROR_GOALS)]
+                for name, record in records.items()
+            ],
         ),
         "\n## What is taken where nothing is asked\n",
         markdown_table(
             ["scene", "default row", "error", "`soft_error`", "time", "its place"],
-            [[name, *_default(record)] for name, record in records.items()],
+            [[name, *_default_row_cells(record)] for name, record in records.items()],
         ),
         *(_section(name, record) for name, record in records.items()),
     ]
     return "\n".join(parts) + "\n"
 
 
-def commands(record: Figures) -> list[str]:
-    """Return for each row that was left out the command that measures it."""
+def omitted_row_commands(record: Figures) -> list[str]:
+    """Return the commands that measure the rows without a measurement, one for each row."""
     return [f"{record['command']} --only {shlex.quote(name)}" for name in record["left_out"]]
 
 
-def _link(name: str, record: Figures) -> str:
+def _report_link(name: str, record: Figures) -> str:
     return f"[{name}](compare/{name}.html): {record['title'][:1].lower()}{record['title'][1:]}"
 
 
-def _scene(record: Figures) -> list[str]:
+def _scene_cells(record: Figures) -> list[str]:
     view = f"`{record['level'].partition(':')[0]}`, {record['view']}"
     shares = [format_percent(record["cast"]), format_percent(record["noise_floor"])]
     return [view, record["light"], record["size"].removesuffix(" pixels"), *shares, _row_count(record)]
@@ -65,23 +68,23 @@ def _row_count(record: Figures) -> str:
     )
 
 
-def _cheapest(record: Figures, goal: Goal) -> str:
+def _cheapest_row_text(record: Figures, goal: Goal) -> str:
     row = GoalInstance(record, goal, None).cheapest
-    return "none" if row is None else f"`{row}`, {_time(record['rows'][row])}"
+    return "none" if row is None else f"`{row}`, {_format_time(record['rows'][row])}"
 
 
-def _default(record: Figures) -> list[str]:
+def _default_row_cells(record: Figures) -> list[str]:
     row = record["rows"].get(record["default"])
     if row is None:
         return ["none casts", "", "", "", ""]
-    figures = [format_percent(row[record["error"]]), format_percent(row["soft_error"]), _time(row)]
-    return [f"`{record['default']}`", *figures, _pareto_place(record, row)]
+    figures = [format_percent(row[record["error"]]), format_percent(row["soft_error"]), _format_time(row)]
+    return [f"`{record['default']}`", *figures, _pareto_text(record, row)]
 
 
-def _pareto_place(record: Figures, row: Figures) -> str:
+def _pareto_text(record: Figures, row: Figures) -> str:
     """Describe on which Pareto fronts a row lies.
 
-    If it is on none, name a row that dominates it: one at least as fast and as accurate by both errors, or by one of them.
+    If it is on none, name a row that dominates it: a row at least as fast and as accurate by both errors, or by one error.
     """
     fronts = [f"`{by}`" for front, by in (("pareto", record["error"]), ("pareto_soft", "soft_error")) if row[front]]
     if fronts:
@@ -95,7 +98,7 @@ def _pareto_place(record: Figures, row: Figures) -> str:
     return "on no front"
 
 
-def _time(row: Figures) -> str:
+def _format_time(row: Figures) -> str:
     return f"{format_duration(row['ms'])}{'?' if row['cold'] else ''}"
 
 
@@ -108,17 +111,17 @@ def _section(name: str, record: Figures) -> str:
         f"[The report](compare/{name}.html), which `{record['command']} --time-limit {record['time_limit_s']:g} -o DIR` makes, "
         f"too. Data: {record['data']}. Made {record['made']} in {record['took_s']} s; load average before: {record['load']}.",
         "",
-        *(f"* {sentence}" for sentence in _coded_sentences(record)),
+        *(f"* {sentence}" for sentence in _sentences_with_code(record)),
     ]
     if record["left_out"]:
         lines += ["", f"Left out for want of time: {len(record['left_out'])}. Each is measured by:", ""]
-        lines += ["```sh", *commands(record), "```"]
+        lines += ["```sh", *omitted_row_commands(record), "```"]
     else:
         lines += ["", "No variant was left out."]
     return "\n".join(lines)
 
 
-def _coded_sentences(record: Figures) -> list[str]:
+def _sentences_with_code(record: Figures) -> list[str]:
     """Return the sentences of the report with names of rows as Markdown code, since `_` and `*` have a meaning in Markdown."""
     names = sorted([*record["rows"], *record["left_out"]], key=len, reverse=True)
     return [_with_code(sentence, names) for sentence in [*record["summary"], *record["remarks"]]]

@@ -1,4 +1,4 @@
-"""The scenes of the published comparisons, one of each kind. They are arguments of ``skugga compare``."""
+"""The scenes of the published comparisons, one of each kind, as arguments of ``skugga compare``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SAMPLES = "DATA/"
 """The prefix of a level's path for files in the folder of sample data, wherever it is."""
 
 PERSPECTIVE_PX = (640, 512)
-"""Width and height of perspective views: forty rows take minutes, and a small report can hold their pictures pixel by pixel."""
+"""Width and height of perspective views. At this size forty rows take minutes, and a report contains their pictures losslessly."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class ReportScene:
         Width and height of the picture, pixels.
     time_limit_s
         Time limit of the comparison on two cores of its own, seconds.
-    data
+    data_attribution
         Owner of the data.
     sun
         Azimuth and altitude of the sun, degrees; ``None`` uses the level's own light.
@@ -41,13 +41,13 @@ class ReportScene:
     view: str
     size: tuple[int, int]
     time_limit_s: float
-    data: str
+    data_attribution: str
     sun: tuple[float, float] | None = None
     bounds: tuple[float, float, float, float] | None = None
 
     @property
-    def words(self) -> list[str]:
-        """The command line of the comparison as words. The commands that measure single rows begin with them."""
+    def command_words(self) -> list[str]:
+        """The words of the command line of the comparison."""
         words = ["skugga", "compare", self.level, "--view", self.view, "--size", "x".join(map(str, self.size))]
         if self.sun is not None:
             words += ["--azimuth", f"{self.sun[0]:g}", "--altitude", f"{self.sun[1]:g}"]
@@ -57,7 +57,7 @@ class ReportScene:
 
     @property
     def command(self) -> str:
-        return shlex.join(self.words)
+        return shlex.join(self.command_words)
 
     def level_path(self, data: Path) -> str:
         """Return the path of the scene's raster in the folder ``data``, or the name of its bundled level."""

@@ -1,4 +1,4 @@
-"""Replications of the experiments in the texts that Skugga is based on: each claim beside our measurement.
+"""Replications of the experiments in the texts that Skugga is based on: claims of the texts and our measurements.
 
     python -m benchmarks.seeds [EXPERIMENT ...] [--json benchmarks/seeds/seeds.json] [--markdown docs/seeds.md] [--write-only]
         [--without DEVICE]
@@ -6,12 +6,12 @@
 The texts are J. Sindholt, A comparison of Shadow Algorithms (DTU 2005); a thesis at Chalmers on shadows for the GIS SpatialAce; and
 a bachelor's report of Copenhagen on shadow volumes and shadow maps.
 
-Without names all experiments run, one after the other. With names, the figures of the other experiments are taken from the JSON
-file. `--write-only` measures nothing and writes the page from the file. Times are ratios within one run, since milliseconds do not
-compare between machines.
+Without names all experiments run, one after the other. With names, the stored figures of the other experiments stay in the JSON
+file. `--write-only` measures nothing and writes the page from the file. Times are ratios within one run, since milliseconds are not
+comparable between machines.
 
 The experiments measure the device that commands draw with (`SKUGGA_EGL_DEVICE`). Figures of other devices stay in the file, and the
-page shows all of them; `--without` removes a device from both.
+page shows all of them. `--without` removes a device from the file and from the page.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from benchmarks.seeds import speed as seeds_speed
 from benchmarks.seeds import thin as seeds_thin
 from benchmarks.seeds import tree as seeds_tree
 from benchmarks.seeds.claims import Experiment
-from benchmarks.seeds.devices import Measured, about_devices, add_figures, read_measured, section_of
-from benchmarks.seeds.pictures import write_pictures
-from benchmarks.seeds.verdicts import DRAW_FACTOR, whole_percent
+from benchmarks.seeds.devices import FiguresByDevice, add_figures, format_devices, format_experiment, read_figures
+from benchmarks.seeds.pictures import enable_pictures
+from benchmarks.seeds.verdicts import DRAW_FACTOR, format_whole_percent
 from skugga.terrain.gl.device import device
 
 EXPERIMENTS = {
@@ -56,7 +56,7 @@ EXPERIMENTS = {
 }
 """Experiments in the order of the page."""
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 
 INTRODUCTION = f"""# The seeds' experiments, made again
 
@@ -65,7 +65,7 @@ experiments in levels built after their scenes, and compares each claim with wha
 today's devices is a result, too.
 
 Verdicts follow from the figures, by the condition in brackets. If the deciding figure lies within
-{whole_percent(DRAW_FACTOR - 1.0)} of its limit, the claim stays open: a draw. SM, PSM and SV are `shadow_map`,
+{format_whole_percent(DRAW_FACTOR - 1.0)} of its limit, the claim stays open: a draw. SM, PSM and SV are `shadow_map`,
 `perspective_shadow_map` and `shadow_volume`. Figures such as `wrong_cast`, `false_shadow` and `edge_p95` are those of
 `skugga compare`, against ray-traced truth. Figures over ground with relief (`spatialace`, Jacksboro) were measured before the
 rules of shared points, cuts and smooth ground of [accuracy.md](accuracy.md) held."""
@@ -74,29 +74,29 @@ rules of shared points, cuts and smooth ground of [accuracy.md](accuracy.md) hel
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=", ".join(EXPERIMENTS))
-    parser.add_argument("--json", type=Path, default=HERE / "seeds.json", metavar="FILE")
-    parser.add_argument("--markdown", type=Path, default=HERE.parents[1] / "docs" / "seeds.md", metavar="FILE")
+    parser.add_argument("--json", type=Path, default=FOLDER / "seeds.json", metavar="FILE")
+    parser.add_argument("--markdown", type=Path, default=FOLDER.parents[1] / "docs" / "seeds.md", metavar="FILE")
     parser.add_argument("--write-only", action="store_true")
-    parser.add_argument("--without", metavar="DEVICE", help="OpenGL's name of a device, as the page has it")
+    parser.add_argument("--without", metavar="DEVICE", help="OpenGL's name of the device to remove, as on the page")
     args = parser.parse_args()
     if unknown := set(args.experiments) - set(EXPERIMENTS):
-        parser.error(f"no such experiment: {', '.join(sorted(unknown))}; there are {', '.join(EXPERIMENTS)}")
-    measured = read_measured(args.json)
+        parser.error(f"no such experiment: {', '.join(sorted(unknown))}. Allowed: {', '.join(EXPERIMENTS)}.")
+    measured = read_figures(args.json)
     if args.without is not None and measured.pop(args.without, None) is None:
-        parser.error(f"there are no figures of {args.without}; there are of {'; '.join(measured)}")
+        parser.error(f"--without: the file has no figures of {args.without}. It has figures of: {'; '.join(measured)}.")
     for name in [] if args.write_only else args.experiments or EXPERIMENTS:
         start = time.perf_counter()
-        write_pictures(not measured or device().renderer == next(iter(measured)))
+        enable_pictures(not measured or device().renderer == next(iter(measured)))
         add_figures(measured, device(), name, round_figures(EXPERIMENTS[name].measure()))
         args.json.write_text(json.dumps(measured) + "\n", "utf-8")
         print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
     if args.without is not None:
         args.json.write_text(json.dumps(measured) + "\n", "utf-8")
-    args.markdown.write_text(page(measured), "utf-8")
+    args.markdown.write_text(format_page(measured), "utf-8")
 
 
 def round_figures(figures: Any) -> Any:
-    """Round all numbers in nested figures to the number of significant digits that the file stores."""
+    """Round all numbers in nested figures to six significant digits."""
     if isinstance(figures, dict):
         return {name: round_figures(value) for name, value in figures.items()}
     if isinstance(figures, list | tuple):
@@ -104,10 +104,10 @@ def round_figures(figures: Any) -> Any:
     return float(f"{figures:.6g}") if isinstance(figures, float) else figures
 
 
-def page(measured: Measured) -> str:
-    """Format the page: all measured experiments in order, with the figures of all devices."""
-    sections = (section_of(name, experiment, measured) for name, experiment in EXPERIMENTS.items())
-    head = "\n\n".join([INTRODUCTION, about_devices(measured)])
+def format_page(measured: FiguresByDevice) -> str:
+    """Format the page of all measured experiments, with the figures of all devices."""
+    sections = (format_experiment(name, experiment, measured) for name, experiment in EXPERIMENTS.items())
+    head = "\n\n".join([INTRODUCTION, format_devices(measured)])
     return head + "\n\n" + "\n".join(section for section in sections if section is not None)
 
 

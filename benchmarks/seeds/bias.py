@@ -1,4 +1,4 @@
-"""Replication of the bachelor's report of Copenhagen: the bias of shadow maps, culling, and filter taps."""
+"""Replication of the bachelor's report of Copenhagen: bias, culling and filter taps of shadow maps."""
 
 from __future__ import annotations
 
@@ -7,59 +7,80 @@ from typing import Any
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, factor, listed_by_scene, opposite, percent, reason
-from benchmarks.seeds.views import ShadowOverrides, ViewWithTruth, bundled, one_map, settings_of, view_with_truth
+from benchmarks.seeds.verdicts import (
+    COPENHAGEN_REPORT,
+    all_of,
+    at_least,
+    at_most,
+    choose_reason,
+    format_by_scene,
+    format_percent,
+    format_ratio,
+    negate,
+)
+from benchmarks.seeds.views import (
+    ShadowOverrides,
+    ViewWithTruth,
+    bundled_scene,
+    shared_settings,
+    single_map_overrides,
+    view_with_truth,
+)
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import sun_maps
 from skugga.shadows.passes import PassLog
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.level.level import SUN
 
-LEVELS = {
+VIEWS = {
     "street": ("thesis_street_sun", "main"),
     "rocks": ("thesis_rocks_sun", "main"),
     "alpine": ("jacksboro_alpine", "map"),
 }
 CLOSED_SCENES = ("street", "rocks")
-"""Scenes in which only closed meshes cast shadows. In the third scene the ground casts shadows on itself."""
+"""Scenes in which only closed meshes cast shadows. In the other scene the ground casts shadows on itself."""
 
-SIZE, TEXELS = (512, 512), 1024
+SIZE_PX, MAP_SIZE = (512, 512), 1024
 COARSE_MAP_SIZE = 256
-"""A coarser map for the search of the best bias."""
+"""Size of a coarser map, on which the formulas of the bias are compared too."""
 
-TAPS = (1, 2, 3)
-SCALES = (0.0, 0.25, 1.0, 4.0, 16.0)
+TAPS_PER_SIDE = (1, 2, 3)
+BIAS_SCALES = (0.0, 0.25, 1.0, 4.0, 16.0)
 MAX_SLOPE_BIAS = 0.005
 """The report's upper bound of the bias, in depths from 0 to 1."""
 
 BIAS_CONSTANTS = tuple(float(b) for b in np.geomspace(1e-6, 3e-2, 16))
 """Constants b of the report's formula that are compared."""
 
-FORMULAS = ("constant", "slope", "clamped")
-ACNE, TWICE, ALIKE = 10.0, 2.0, 1.5
-"""Ratios of an error to that of the derived bias. The first marks acne, the second peter-panning. Up to the last, two biases count
-as equally good."""
+BIAS_FORMULAS = ("constant", "slope", "clamped")
+MIN_ACNE_RATIO, MIN_PETER_PANNING_RATIO, MAX_EQUAL_RATIO = 10.0, 2.0, 1.5
+"""Ratios of two errors. From the first on, false shadow counts as acne. From the second on, missed shadow counts as peter-panning.
+Up to the last, two errors count as equal."""
 
-NO_BIAS, SLOPE, TOO_MUCH = (f"polygon_offset x {scale:g}" for scale in (0.0, 1.0, 16.0))
-BODIES, BARE_BODIES, CULLED = "bodies x 1", "bodies x 0", "bodies, front culled x 0"
+NO_BIAS_ROW, SLOPE_BIAS_ROW, EXCESSIVE_BIAS_ROW = (f"polygon_offset x {scale:g}" for scale in (0.0, 1.0, 16.0))
+MESHES_BIASED_ROW, MESHES_UNBIASED_ROW, FRONT_CULLED_ROW = "bodies x 1", "bodies x 0", "bodies, front culled x 0"
 
 
 def measure() -> Figures:
     figures: Figures = {}
-    for scene, (level, name) in LEVELS.items():
-        truth_view = view_with_truth(bundled(level), name, SIZE)
+    for scene, (level, name) in VIEWS.items():
+        truth_view = view_with_truth(bundled_scene(level), name, SIZE_PX)
         rows: dict[str, ShadowOverrides] = {
-            f"{bias}, {taps}": {"bias": bias, "filter": taps} for bias in ("receiver_plane", "polygon_offset") for taps in TAPS
+            f"{bias}, {taps}": {"bias": bias, "filter": taps}
+            for bias in ("receiver_plane", "polygon_offset")
+            for taps in TAPS_PER_SIDE
         }
-        rows |= {f"polygon_offset x {scale:g}": {"bias": "polygon_offset", "bias_scale": scale} for scale in SCALES}
+        rows |= {f"polygon_offset x {scale:g}": {"bias": "polygon_offset", "bias_scale": scale} for scale in BIAS_SCALES}
         rows |= {f"normal_offset x {scale:g}": {"bias": "normal_offset", "bias_scale": scale} for scale in (1.0, 4.0)}
         if scene in CLOSED_SCENES:
             bodies = {"algorithm": {"meshes": "shadow_map"}, "bias": "polygon_offset"}
-            rows |= {BARE_BODIES: {**bodies, "bias_scale": 0.0}, BODIES: {**bodies, "bias_scale": 1.0}}
-            rows |= {CULLED: {**bodies, "bias_scale": 0.0, "culling": "front"}}
+            rows |= {MESHES_UNBIASED_ROW: {**bodies, "bias_scale": 0.0}, MESHES_BIASED_ROW: {**bodies, "bias_scale": 1.0}}
+            rows |= {FRONT_CULLED_ROW: {**bodies, "bias_scale": 0.0, "culling": "front"}}
         figures[scene] = {
-            "rows": {row: _errors_with_bias(truth_view, one_map(TEXELS, **overrides)) for row, overrides in rows.items()},
-            "formulas": {str(size): _by_formulas(truth_view, size) for size in (COARSE_MAP_SIZE, TEXELS)},
+            "rows": {
+                row: _errors_with_bias(truth_view, single_map_overrides(MAP_SIZE, **overrides)) for row, overrides in rows.items()
+            },
+            "formulas": {str(size): _wrong_cast_by_formula(truth_view, size) for size in (COARSE_MAP_SIZE, MAP_SIZE)},
         }
     return figures
 
@@ -68,7 +89,7 @@ def _errors_with_bias(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> 
     """Return the errors of a shadow map with some overrides, such as its bias.
 
     Two further figures describe the visibility of points that face the sun. ``partial`` is the share of points with a visibility
-    strictly between 0 and 1. ``off`` is the mean absolute difference from the ray-traced visibility.
+    strictly between 0 and 1. ``off`` is the mean absolute error of the visibility.
     """
     visibility, decided = truth_view.visibility(truth_view.plan(overrides)), truth_view.truth.decidable & truth_view.receivers
     partial = (visibility > 0.0) & (visibility < 1.0) & truth_view.receivers
@@ -86,19 +107,19 @@ def _errors_with_bias(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> 
     }
 
 
-def _by_formulas(truth_view: ViewWithTruth, size: int) -> dict[str, Any]:
+def _wrong_cast_by_formula(truth_view: ViewWithTruth, size: int) -> dict[str, Any]:
     """Return the share of wrong pixels (``wrong_cast``) for three formulas of the depth bias, with each constant b.
 
     The formulas are b itself, b tan(acos(n.l)), and the latter clamped to the report's bound. All use the same drawn map of
     ``size`` texels a side, with one tap per point. ``texel`` is the side of a texel as a share of the map's range of depths.
     """
     plan, log = (
-        truth_view.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)),
+        truth_view.plan(single_map_overrides(size, bias="polygon_offset", bias_scale=0.0)),
         PassLog(requested_layers=frozenset({"shadow-map"})),
     )
     truth_view.visibility(plan, log)
     (depths,) = log.layers["shadow-map", SUN]
-    settings = settings_of(truth_view, plan)
+    settings = shared_settings(truth_view, plan)
     assert isinstance(settings, ShadowMapSettings)
     (shadow_map,) = sun_maps(truth_view.buffer, truth_view.scene, settings, None)
     rotation = np.reshape(shadow_map.uniforms["light_from_frame"], (3, 3)).T
@@ -117,7 +138,7 @@ def _by_formulas(truth_view: ViewWithTruth, size: int) -> dict[str, Any]:
 
 
 def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
-    """Return ``skugga.shadows.truth.metrics.ErrorMetrics.wrong_cast`` alone, without the slower figures on distances of edges."""
+    """Return ``wrong_cast`` of ``skugga.shadows.truth.metrics.ErrorMetrics`` without computing the slower edge distances."""
     truth = truth_view.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
@@ -125,10 +146,10 @@ def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
 
 def section(figures: Figures) -> Section:
     def shares(values: dict[str, float]) -> str:
-        return listed_by_scene(values, percent)
+        return format_by_scene(values, format_percent)
 
-    def of(row: str, figure: str, scenes: tuple[str, ...] = tuple(LEVELS)) -> dict[str, float]:
-        return {scene: figures[scene]["rows"][row][figure] for scene in scenes}
+    def of(row: str, metric: str, scenes: tuple[str, ...] = tuple(VIEWS)) -> dict[str, float]:
+        return {scene: figures[scene]["rows"][row][metric] for scene in scenes}
 
     def at_least_times(scene_values: dict[str, float], ratio: float, reference_values: dict[str, float]) -> bool | None:
         return all_of(at_least(scene_values[scene], ratio * reference_values[scene]) for scene in scene_values)
@@ -136,78 +157,83 @@ def section(figures: Figures) -> Section:
     def at_most_times(scene_values: dict[str, float], ratio: float, reference_values: dict[str, float]) -> bool | None:
         return all_of(at_most(scene_values[scene], ratio * reference_values[scene]) for scene in scene_values)
 
-    acne, panning = of(NO_BIAS, "false_shadow"), of(TOO_MUCH, "missed_shadow")
-    regret = {name: _regret(figures, name) for name in FORMULAS}
-    best = {name: _best(figures, name) for name in FORMULAS}
+    acne, panning = of(NO_BIAS_ROW, "false_shadow"), of(EXCESSIVE_BIAS_ROW, "missed_shadow")
+    regret = {name: _min_worst_regret(figures, name) for name in BIAS_FORMULAS}
+    best = {name: _mean_best_wrong_share(figures, name) for name in BIAS_FORMULAS}
     texels = [case["texel"] for case in _formula_cases(figures)]
-    shows_acne = at_least_times(acne, ACNE, of(SLOPE, "false_shadow"))
-    shows_panning = at_least_times(panning, TWICE, of(SLOPE, "missed_shadow"))
-    none_fits = opposite(at_most(regret["constant"], ALIKE))
+    shows_acne = at_least_times(acne, MIN_ACNE_RATIO, of(SLOPE_BIAS_ROW, "false_shadow"))
+    shows_panning = at_least_times(panning, MIN_PETER_PANNING_RATIO, of(SLOPE_BIAS_ROW, "missed_shadow"))
+    none_fits = negate(at_most(regret["constant"], MAX_EQUAL_RATIO))
     slope_helps = at_most(regret["slope"], regret["constant"])
     clamp_helps = at_most(best["clamped"], best["slope"])
-    culled, biased, bare = (of(row, "wrong_cast", CLOSED_SCENES) for row in (CULLED, BODIES, BARE_BODIES))
-    spares = at_most_times(culled, ALIKE, biased)
-    missed, ground, bodies = (
-        [of(row, f"missed_{part}", CLOSED_SCENES) for row in (CULLED, BODIES)] for part in ("cast", "ground", "bodies")
+    culled, biased, bare = (
+        of(row, "wrong_cast", CLOSED_SCENES) for row in (FRONT_CULLED_ROW, MESHES_BIASED_ROW, MESHES_UNBIASED_ROW)
     )
-    no_panning = at_most_times(missed[0], ALIKE, missed[1])
+    spares = at_most_times(culled, MAX_EQUAL_RATIO, biased)
+    missed, ground, bodies = (
+        [of(row, f"missed_{part}", CLOSED_SCENES) for row in (FRONT_CULLED_ROW, MESHES_BIASED_ROW)]
+        for part in ("cast", "ground", "bodies")
+    )
+    no_panning = at_most_times(missed[0], MAX_EQUAL_RATIO, missed[1])
     cull_reason = (
         f"on the ground {shares(ground[0])} is missed, with the slope's bias {shares(ground[1])}; on the bodies "
         f"{shares(bodies[0])}, and {shares(bodies[1])}"
     )
-    soft = {taps: of(f"receiver_plane, {taps}", "partial") for taps in TAPS}
+    soft = {taps: of(f"receiver_plane, {taps}", "partial") for taps in TAPS_PER_SIDE}
     softer = all_of(
-        all_of((soft[1][scene] == 0.0, soft[2][scene] > 0.0, at_least(soft[3][scene], soft[2][scene]))) for scene in LEVELS
+        all_of((soft[1][scene] == 0.0, soft[2][scene] > 0.0, at_least(soft[3][scene], soft[2][scene]))) for scene in VIEWS
     )
     claims = [
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "with too little bias there is acne",
-            f"false shadow without bias: {shares(acne)}; with the slope's: {shares(of(SLOPE, 'false_shadow'))} (held if at least "
-            f"{ACNE:g} times that)",
+            f"false shadow without bias: {shares(acne)}; with the slope's: {shares(of(SLOPE_BIAS_ROW, 'false_shadow'))} (held if "
+            "at least "
+            f"{MIN_ACNE_RATIO:g} times that)",
             shows_acne,
-            reason(
+            choose_reason(
                 shows_acne,
                 "a texel's depth is that of its centre, which lies nearer to the sun than about half of the points in the texel",
                 "something else keeps surfaces from shading themselves",
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "with too much there is peter-panning: shadow begins away from what throws it",
-            f"missed shadow at {SCALES[-1]:g} times the slope's bias: {shares(panning)}; at the slope's own: "
-            f"{shares(of(SLOPE, 'missed_shadow'))} (held if at least {TWICE:g} times that)",
+            f"missed shadow at {BIAS_SCALES[-1]:g} times the slope's bias: {shares(panning)}; at the slope's own: "
+            f"{shares(of(SLOPE_BIAS_ROW, 'missed_shadow'))} (held if at least {MIN_PETER_PANNING_RATIO:g} times that)",
             shows_panning,
-            reason(
+            choose_reason(
                 shows_panning,
                 "what lies less behind its caster than the bias counts as lit",
                 "few points lie so little behind their casters",
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "no one bias is right: it depends on the scene and on the map's resolution",
-            f"the constant that serves all scenes and both maps ({COARSE_MAP_SIZE} and {TEXELS}) best has up to "
-            f"{factor(regret['constant'])} times the wrong share of each one's own best (held if over {ALIKE:g})",
+            f"the constant that serves all scenes and both maps ({COARSE_MAP_SIZE} and {MAP_SIZE}) best has up to "
+            f"{format_ratio(regret['constant'])} times the wrong share of each one's own best (held if over {MAX_EQUAL_RATIO:g})",
             none_fits,
-            f"what is needed goes with the texel, as a share of the range of depths {percent(min(texels))} to "
-            f"{percent(max(texels))} here"
-            + reason(
+            f"what is needed goes with the texel, as a share of the range of depths {format_percent(min(texels))} to "
+            f"{format_percent(max(texels))} here"
+            + choose_reason(
                 none_fits,
                 "",
-                f", but too much costs little: in each case the constants within {ALIKE:g} times of its best span a factor of "
-                f"{factor(_tolerance(figures))} or more apart, and these ranges overlap",
-                f", and the constant that serves all is about {ALIKE:g} times as wrong as the best",
+                f", but too much costs little: in each case the constants within {MAX_EQUAL_RATIO:g} times of its best span a "
+                "factor of "
+                f"{format_ratio(_min_tolerated_range(figures))} or more apart, and these ranges overlap",
+                f", and the constant that serves all is about {MAX_EQUAL_RATIO:g} times as wrong as the best",
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "the bias has to follow the slope: b tan(acos(n.l))",
-            f"the b that serves all best has up to {factor(regret['slope'])} times the wrong share of each one's own best, a "
-            f"constant {factor(regret['constant'])} times (held if less); each with its own best, the mean wrong share is "
-            f"{percent(best['slope'])} and {percent(best['constant'])}",
+            f"the b that serves all best has up to {format_ratio(regret['slope'])} times the wrong share of each one's own best, a "
+            f"constant {format_ratio(regret['constant'])} times (held if less); each with its own best, the mean wrong share is "
+            f"{format_percent(best['slope'])} and {format_percent(best['constant'])}",
             slope_helps,
-            reason(
+            choose_reason(
                 slope_helps,
                 "a plane's depth changes by the tangent over a texel, so one b is right on all slopes of a scene; the texel is "
                 "still in it",
@@ -216,12 +242,13 @@ def section(figures: Figures) -> Section:
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             f"held to at most {MAX_SLOPE_BIAS} of the depths it is best",
-            f"mean wrong share, each with its own best b: {percent(best['clamped'])} with the bound, {percent(best['slope'])} "
+            f"mean wrong share, each with its own best b: {format_percent(best['clamped'])} with the bound, "
+            f"{format_percent(best['slope'])} "
             "without (held if less)",
             clamp_helps,
-            reason(
+            choose_reason(
                 clamp_helps,
                 "without a bound grazing surfaces are moved past all that touches them",
                 "the bound belongs to the report's own maps: where texels are larger it cuts off bias that is needed, and acne "
@@ -230,24 +257,24 @@ def section(figures: Figures) -> Section:
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "in a map of the back faces of closed meshes alone, with the normals asked, no bias is needed",
             f"wrong of the cast shadow, front faces culled and no bias: {shares(culled)}; with the slope's bias and no culling: "
-            f"{shares(biased)}; neither: {shares(bare)} (held if at most {ALIKE:g} times the second)",
+            f"{shares(biased)}; neither: {shares(bare)} (held if at most {MAX_EQUAL_RATIO:g} times the second)",
             spares,
-            reason(
+            choose_reason(
                 spares,
                 "what is lit lies a body's thickness before what the map holds",
                 "bodies touch and pass into one another: where a lit face lies on a back face or just behind one, the two fight",
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "and there is no peter-panning then",
             f"cast shadow that is missed, front faces culled and no bias: {shares(missed[0])}; with the slope's bias: "
-            f"{shares(missed[1])} (held if at most {ALIKE:g} times that)",
+            f"{shares(missed[1])} (held if at most {MAX_EQUAL_RATIO:g} times that)",
             no_panning,
-            reason(
+            choose_reason(
                 no_panning,
                 f"nothing is moved, so shadow begins where the back face does: {cull_reason}",
                 f"{cull_reason}. Nothing is moved, so on the ground shadow begins where it should; but bodies that touch or pass "
@@ -255,7 +282,7 @@ def section(figures: Figures) -> Section:
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "2 x 2 and 3 x 3 taps make edges ever softer",
             f"points in half shadow, by taps a side: "
             f"{'; '.join(f'{taps}: {shares(tap_values)}' for taps, tap_values in soft.items())} "
@@ -271,15 +298,16 @@ def section(figures: Figures) -> Section:
         (
             f"`{level} --view {name}`",
             [
-                {"map": row, **{key: percent(row_figures[key]) for key in keys}}
+                {"map": row, **{key: format_percent(row_figures[key]) for key in keys}}
                 for row, row_figures in figures[scene]["rows"].items()
             ],
         )
-        for scene, (level, name) in LEVELS.items()
+        for scene, (level, name) in VIEWS.items()
     ]
     return Section(
         "Bias, culling and taps",
-        f"{SIZE[0]} x {SIZE[1]} pixels, one map of {TEXELS} and 24 bits, one tap or as many a side as named. `x` is the scale of "
+        f"{SIZE_PX[0]} x {SIZE_PX[1]} pixels, one map of {MAP_SIZE} and 24 bits, one tap or as many a side as named. `x` is the "
+        "scale of "
         "the bias (0: none). `bodies` are maps of the meshes alone, without the level ground. `partial` is the share of points "
         "facing the sun that are neither lit nor in shadow; `off` is the error of their visibility. The report's formulas use "
         f"the same maps as drawn, for {len(BIAS_CONSTANTS)} values of b from {BIAS_CONSTANTS[0]:g} to {BIAS_CONSTANTS[-1]:g} of "
@@ -290,30 +318,29 @@ def section(figures: Figures) -> Section:
 
 
 def _formula_cases(figures: Figures) -> list[dict[str, Any]]:
-    """Return the results of ``_by_formulas``, one for each scene and map size."""
-    return [case for scene in LEVELS for case in figures[scene]["formulas"].values()]
+    """Return the results of ``_wrong_cast_by_formula``, one for each scene and map size."""
+    return [case for scene in VIEWS for case in figures[scene]["formulas"].values()]
 
 
-def _regret(figures: Figures, formula: str) -> float:
-    """Return the worst ratio of wrong shares that a single constant must accept.
+def _min_worst_regret(figures: Figures, formula: str) -> float:
+    """Return the worst regret of the single constant whose worst regret is least.
 
-    The ratio compares a case's wrong share with that of the case's own best constant. The constant is the one whose worst ratio is
-    least.
+    The regret of a constant in a case is the ratio of its wrong share to that of the case's own best constant.
     """
     wrong_shares = np.array([case[formula] for case in _formula_cases(figures)])
     return float((wrong_shares / wrong_shares.min(axis=1, keepdims=True)).max(axis=0).min())
 
 
-def _tolerance(figures: Figures) -> float:
-    """Return how freely the constant bias may be chosen, as a ratio of its largest to its smallest good value.
+def _min_tolerated_range(figures: Figures) -> float:
+    """Return the ratio of the largest to the smallest good constant bias, the minimum over the cases.
 
-    A value is good if its wrong share is at most ``ALIKE`` times the least one. The ratio is the smallest one among the cases.
+    A constant is good if its wrong share is at most ``MAX_EQUAL_RATIO`` times the least wrong share of the case.
     """
     wrong_shares = (np.array(case["constant"]) for case in _formula_cases(figures))
-    near_best = [np.flatnonzero(row <= ALIKE * row.min()) for row in wrong_shares]
+    near_best = [np.flatnonzero(row <= MAX_EQUAL_RATIO * row.min()) for row in wrong_shares]
     return min(BIAS_CONSTANTS[alike[-1]] / BIAS_CONSTANTS[alike[0]] for alike in near_best)
 
 
-def _best(figures: Figures, formula: str) -> float:
-    """Return the mean wrong share of a formula if each case uses its own best constant."""
+def _mean_best_wrong_share(figures: Figures, formula: str) -> float:
+    """Return the mean wrong share of a formula over the cases, each with its own best constant."""
     return float(np.mean([min(case[formula]) for case in _formula_cases(figures)]))

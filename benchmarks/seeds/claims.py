@@ -1,4 +1,4 @@
-"""Claims of the texts and our findings: the results that an experiment gives to its page."""
+"""Results of an experiment: claims of the texts with our measurements, and their format in Markdown."""
 
 from __future__ import annotations
 
@@ -12,27 +12,47 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of a source in our words, our finding with its figures, whether the claim holds here, and the reason.
+    """A claim of a text, and our result.
 
-    ``verdict`` is ``None`` if the experiment cannot decide the claim.
+    Attributes
+    ----------
+    source
+        The text and its section.
+    statement
+        The claim in our words.
+    measured_result
+        Our figures, and the condition of the verdict.
+    verdict
+        Whether the claim holds here; ``None`` if the experiment cannot decide it.
+    reason
+        The reason for the verdict.
     """
 
     source: str
     statement: str
-    finding: str
+    measured_result: str
     verdict: bool | None
     reason: str
 
 
 Tables = list[tuple[str, list[dict[str, str]]]]
-"""Titles, and rows with the same keys: the columns."""
+"""Titles of tables with their rows. The keys of the rows are the columns."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: its method, tables, claims, pictures.
+    """A section of the page.
 
-    Pictures are names of files in ``docs/images`` with their captions.
+    Attributes
+    ----------
+    title
+        Heading.
+    method
+        Description of the experiment.
+    tables, claims
+        Tables of figures, and the claims that they decide.
+    pictures
+        Names of files in ``docs/images`` with their captions.
     """
 
     title: str
@@ -44,32 +64,32 @@ class Section:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment. ``measure`` takes seconds to minutes; ``section`` formats its figures for the page and measures nothing."""
+    """An experiment: ``measure`` returns its figures, ``section`` formats stored figures as a section of the page."""
 
     measure: Callable[[], Figures]
     section: Callable[[Figures], Section]
 
 
-def markdown(section: Section) -> str:
+def format_section(section: Section) -> str:
     """Format a section as Markdown."""
     parts = [f"## {section.title}", section.method]
     for title, rows in section.tables:
-        parts.append("\n".join([f"**{title}**", "", *table(rows)]))
+        parts.append("\n".join([f"**{title}**", "", *markdown_table(rows)]))
     if section.claims:
-        parts.append("\n".join(claims_table(section.claims)))
+        parts.append("\n".join(format_claims(section.claims)))
     parts += [f"![{caption}](images/{name})\n\n*{caption}*" for name, caption in section.pictures]
     return "\n\n".join(parts) + "\n"
 
 
-def claims_table(claims: list[Claim]) -> list[str]:
+def format_claims(claims: list[Claim]) -> list[str]:
     """Return the lines of a Markdown table of claims."""
-    words = {True: "held", False: "**not held**", None: "open"}
-    return table(
+    verdict_texts = {True: "held", False: "**not held**", None: "open"}
+    return markdown_table(
         [
             {
                 "claim": f"{claim.statement} ({claim.source})",
-                "found here": claim.finding,
-                "": words[claim.verdict],
+                "found here": claim.measured_result,
+                "": verdict_texts[claim.verdict],
                 "why": claim.reason,
             }
             for claim in claims
@@ -77,7 +97,7 @@ def claims_table(claims: list[Claim]) -> list[str]:
     )
 
 
-def table(rows: list[dict[str, str]]) -> list[str]:
+def markdown_table(rows: list[dict[str, str]]) -> list[str]:
     """Return lines of a Markdown table; the keys of the first row are the columns."""
     if not rows:
         return []

@@ -14,40 +14,40 @@ from scipy.stats import spearmanr
 
 from benchmarks.algorithms import COMPARED_VARIANTS
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.times import LIGHTS, measure_times, ratio
+from benchmarks.seeds.times import LIGHT_BY_SUFFIX, measure_times, time_ratio
 from benchmarks.seeds.verdicts import (
-    DRAW,
+    ABBREVIATIONS,
     DRAW_FACTOR,
-    FOUR,
+    DRAW_TEXT,
     HYBRID,
     PSM,
-    SCENES,
-    SHORT,
+    SCENE_TITLES,
     SM,
     SV,
     THESIS,
+    THESIS_ALGORITHMS,
     at_least,
     at_most,
-    opposite,
-    percent,
-    reason,
-    whole_percent,
+    choose_reason,
+    format_percent,
+    format_whole_percent,
+    negate,
 )
-from benchmarks.seeds.views import ViewWithTruth, bundled, with_truth
+from benchmarks.seeds.views import ViewWithTruth, bundled_scene, trace_view_truth
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.resolve import FOREST
 from skugga.terrain.geo.camera import PerspectiveView
 
-ERROR_SIZE = (640, 512)
+ERROR_SIZE_PX = (640, 512)
 
 CAMERA_MOVES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 """Small moves of the camera to its right, as a share of the median distance of the visible points."""
 
-MAX_RIGHT_SHARE = 0.001
-"""Shares of the cast shadow, or of the decidable pixels, below this count as zero error."""
+MAX_ZERO_ERROR_SHARE = 0.001
+"""Errors up to this share of the cast shadow, or of the decidable pixels, count as zero."""
 
 MIN_RANK_CORRELATION = 0.5
-"""The least rank correlation that counts as agreement."""
+"""Minimum rank correlation that counts as agreement."""
 
 GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
     SM: {"boxgrid": (5, 2, 4), "rocks": (5, 3, 5), "street": (5, 2, 5), "room": (5, 4, 4), "water_tower": (5, 1, 5)},
@@ -58,10 +58,10 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 """The thesis's grades, 1 to 5, in speed, quality and robustness (table 2)."""
 
 
-def errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = FOUR) -> Figures:
-    """Return errors by algorithm, with two figures on its wrong pixels.
+def algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
+    """Return errors by algorithm, with two figures on the wrong pixels.
 
-    ``on_foliage`` is the share of them that lies on foliage. ``texel_px`` is their median number of pixels per texel of the map.
+    ``on_foliage`` is the share of wrong pixels on foliage. ``texel_px`` is the median size of a shadow map texel at wrong pixels.
     """
     result: Figures = {}
     for key in algorithms:
@@ -76,36 +76,38 @@ def errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = FOUR) -> Fig
 
 
 @cache
-def along_path(level: str) -> list[Figures]:
+def errors_by_camera_move(level: str) -> list[Figures]:
     """Return the errors in a level's main view from several camera positions.
 
     The camera moves to its right by each of ``CAMERA_MOVES``, shares of the median distance of the visible points.
     """
-    scene = bundled(level)
-    view = scene.view("main", size=ERROR_SIZE)
+    scene = bundled_scene(level)
+    view = scene.view("main", size=ERROR_SIZE_PX)
     assert isinstance(view, PerspectiveView)
     aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
     moved_views = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in CAMERA_MOVES]
-    return [errors(with_truth(scene, moved_view, "main")) for moved_view in moved_views]
+    return [algorithm_errors(trace_view_truth(scene, moved_view, "main")) for moved_view in moved_views]
 
 
 def measure() -> Figures:
     return {
-        "paths": {scene: along_path(f"thesis_{scene}") for scene in SCENES},
-        "times": {f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
+        "paths": {scene: errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
+        "times": {
+            f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
+        },
     }
 
 
-def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
+def _figures_by_column(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
     """Return for each column of the thesis's grades the figures to compare it with, by scene and algorithm. Smaller is better."""
-    paths, pairs = figures["paths"], [(scene, key) for scene in SCENES for key in FOUR]
+    paths, pairs = figures["paths"], [(scene, key) for scene in SCENE_TITLES for key in THESIS_ALGORITHMS]
 
     def of(scene: str, key: str, name: str) -> list[float]:
         return [place[key][name] for place in paths[scene]]
 
     return {
-        "speed": {(scene, key): ratio(figures["times"][scene], key, SM) for scene, key in pairs},
-        "speed_sun": {(scene, key): ratio(figures["times"][f"{scene}_sun"], key, SM) for scene, key in pairs},
+        "speed": {(scene, key): time_ratio(figures["times"][scene], key, SM) for scene, key in pairs},
+        "speed_sun": {(scene, key): time_ratio(figures["times"][f"{scene}_sun"], key, SM) for scene, key in pairs},
         "wrong_cast": {(scene, key): float(np.mean(of(scene, key, "wrong_cast"))) for scene, key in pairs},
         "edge_p95": {(scene, key): float(np.mean(of(scene, key, "edge_p95"))) for scene, key in pairs},
         "robustness": {
@@ -114,8 +116,8 @@ def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
     }
 
 
-GRADE_COLUMNS = {"speed": 0, "speed_sun": 0, "wrong_cast": 1, "edge_p95": 1, "robustness": 2}
-"""Measured figure -> the grade that it is compared with."""
+GRADE_INDEX_BY_COLUMN = {"speed": 0, "speed_sun": 0, "wrong_cast": 1, "edge_p95": 1, "robustness": 2}
+"""Index of the grade with which each measured figure is compared."""
 
 
 SAME_ORDER_REASON = "the order of the grades is that of the figures, by and large"
@@ -123,7 +125,7 @@ CLOSE_RANKS_REASON = "edges are within a pixel or two for all of them, so that r
 HYBRID_SAVES_REASON = "the hybrid saves more of its volumes than it did then"
 COARSE_PSM_REASON = "texels of PSM are coarse far away"
 
-REASONS: dict[str, dict[str, str]] = {
+REASONS_BY_COLUMN: dict[str, dict[str, str]] = {
     "speed": {
         "SM": "SM's map costs less to make than PSM's",
         "PSM": "SM's look-up tests the triangle anew for each tap of a spot's map, PSM works it out once for each pixel",
@@ -142,7 +144,7 @@ REASONS: dict[str, dict[str, str]] = {
         "SV": "volumes are exact",
         "hybrid": "the hybrid is as right as SV, since its mask marks what its map does not prove",
     },
-    "edge_p95": dict.fromkeys(SHORT.values(), CLOSE_RANKS_REASON),
+    "edge_p95": dict.fromkeys(ABBREVIATIONS.values(), CLOSE_RANKS_REASON),
     "robustness": {
         "SM": COARSE_PSM_REASON,
         "PSM": "PSM errs and changes about as little as SM",
@@ -150,47 +152,44 @@ REASONS: dict[str, dict[str, str]] = {
         "hybrid": "the hybrid is as right as SV",
     },
 }
-"""Reasons, by column and by the algorithm that is better here than its grade."""
+"""Reasons for differences, by column and by the algorithm that is better here than its grade."""
 
 
-def agreement(column: str, measured: dict[tuple[str, str], float]) -> float:
-    """Return Spearman's rank correlation of a column of grades with the figures.
-
-    It is 1 if better grades always go with smaller figures.
-    """
-    grades = [GRADES[key][scene][GRADE_COLUMNS[column]] for scene, key in measured]
+def rank_correlation(column: str, measured: dict[tuple[str, str], float]) -> float:
+    """Return Spearman's rank correlation of grades and figures: 1 if better grades always have smaller figures."""
+    grades = [GRADES[key][scene][GRADE_INDEX_BY_COLUMN[column]] for scene, key in measured]
     return float(spearmanr(grades, np.round([-value for value in measured.values()], 4)).statistic)
 
 
-def contradictions(column: str, measured: dict[tuple[str, str], float]) -> dict[str, list[str]]:
-    """Return by scene the pairs of algorithms that grades and figures order differently."""
+def contradicted_pairs(column: str, measured: dict[tuple[str, str], float]) -> dict[str, list[str]]:
+    """Return by scene the pairs of algorithms that grades and figures rank differently."""
     result: dict[str, list[str]] = {}
-    for scene in SCENES:
-        for algorithm, other in permutations(FOUR, 2):
-            better = GRADES[algorithm][scene][GRADE_COLUMNS[column]] > GRADES[other][scene][GRADE_COLUMNS[column]]
+    for scene in SCENE_TITLES:
+        for algorithm, other in permutations(THESIS_ALGORITHMS, 2):
+            better = GRADES[algorithm][scene][GRADE_INDEX_BY_COLUMN[column]] > GRADES[other][scene][GRADE_INDEX_BY_COLUMN[column]]
             if better and measured[scene, algorithm] > measured[scene, other] * DRAW_FACTOR + (
-                0.0 if GRADE_COLUMNS[column] == 0 else MAX_RIGHT_SHARE
+                0.0 if GRADE_INDEX_BY_COLUMN[column] == 0 else MAX_ZERO_ERROR_SHARE
             ):
-                result.setdefault(scene, []).append(f"{SHORT[algorithm]} before {SHORT[other]}")
+                result.setdefault(scene, []).append(f"{ABBREVIATIONS[algorithm]} before {ABBREVIATIONS[other]}")
     return result
 
 
 def section(figures: Figures) -> Section:
-    measured = _grade_figures(figures)
+    measured = _figures_by_column(figures)
     rows = []
-    for scene in SCENES:
-        for key in FOUR:
+    for scene in SCENE_TITLES:
+        for key in THESIS_ALGORITHMS:
             grade = GRADES[key][scene]
             rows.append(
                 {
-                    "scene": SCENES[scene],
+                    "scene": SCENE_TITLES[scene],
                     "algorithm": key,
                     "grades": " / ".join(map(str, grade)),
                     "time of SM's": f"{measured['speed'][scene, key]:.2f}",
                     "under the sun": f"{measured['speed_sun'][scene, key]:.2f}",
-                    "wrong_cast": percent(measured["wrong_cast"][scene, key]),
+                    "wrong_cast": format_percent(measured["wrong_cast"][scene, key]),
                     "edge_p95": f"{measured['edge_p95'][scene, key]:.1f} px",
-                    "interior and change": percent(measured["robustness"][scene, key]),
+                    "interior and change": format_percent(measured["robustness"][scene, key]),
                 }
             )
     texts = {
@@ -202,16 +201,18 @@ def section(figures: Figures) -> Section:
     }
     claims = []
     for column, values in measured.items():
-        rho, against = agreement(column, values), contradictions(column, values)
-        contradictions_text = "; ".join(f"{SCENES[scene]}: {', '.join(pairs)}" for scene, pairs in against.items()) or "nowhere"
+        rho, against = rank_correlation(column, values), contradicted_pairs(column, values)
+        contradictions_text = (
+            "; ".join(f"{SCENE_TITLES[scene]}: {', '.join(pairs)}" for scene, pairs in against.items()) or "nowhere"
+        )
         verdict = at_least(rho, MIN_RANK_CORRELATION)
         turned = {pair.split(" before ")[1] for pairs in against.values() for pair in pairs}
-        reasons = "; ".join(REASONS[column][key] for key in SHORT.values() if key in turned)
-        reason_text = reason(
+        reasons = "; ".join(REASONS_BY_COLUMN[column][key] for key in ABBREVIATIONS.values() if key in turned)
+        reason_text = choose_reason(
             verdict,
             SAME_ORDER_REASON,
             reasons or "the figures differ by too little to be ranked",
-            f"{DRAW}; {reasons}" if reasons else DRAW,
+            f"{DRAW_TEXT}; {reasons}" if reasons else DRAW_TEXT,
         )
         if verdict and reasons:
             reason_text += f"; where it is not: {reasons}"
@@ -221,29 +222,30 @@ def section(figures: Figures) -> Section:
         )
         claims.append(Claim(f"{THESIS}, table 2", texts[column], finding, verdict, reason_text))
     mean = {
-        key: {column: float(np.mean([values[scene, key] for scene in SCENES])) for column, values in measured.items()}
-        for key in FOUR
+        key: {column: float(np.mean([values[scene, key] for scene in SCENE_TITLES])) for column, values in measured.items()}
+        for key in THESIS_ALGORITHMS
     }
-    shaky = max(FOUR, key=lambda key: mean[key]["robustness"])
+    shaky = max(THESIS_ALGORITHMS, key=lambda key: mean[key]["robustness"])
     most_others = max(mean[key]["robustness"] for key in (SM, SV, HYBRID))
     least_robust = at_least(mean[PSM]["robustness"], most_others)
-    quality = agreement("wrong_cast", measured["wrong_cast"])
-    untestable = opposite(at_least(quality, MIN_RANK_CORRELATION))
+    quality = rank_correlation("wrong_cast", measured["wrong_cast"])
+    untestable = negate(at_least(quality, MIN_RANK_CORRELATION))
     separates_edges = at_most(
         max(mean[SV]["wrong_cast"], mean[HYBRID]["wrong_cast"]), min(mean[SM]["wrong_cast"], mean[PSM]["wrong_cast"])
     )
     per, moved_text = (
-        ", ".join(f"{SHORT[key]} {percent(mean[key][column])}" for key in FOUR) for column in ("wrong_cast", "robustness")
+        ", ".join(f"{ABBREVIATIONS[key]} {format_percent(mean[key][column])}" for key in THESIS_ALGORITHMS)
+        for column in ("wrong_cast", "robustness")
     )
     thin = measured["wrong_cast"]["water_tower", HYBRID] - measured["wrong_cast"]["water_tower", SV]
-    loses = at_least(thin, MAX_RIGHT_SHARE)
+    loses = at_least(thin, MAX_ZERO_ERROR_SHARE)
     claims += [
         Claim(
             f"{THESIS}, 7.4",
             "SV and the hybrid are high in quality, SM and PSM low",
             f"mean `wrong_cast`: {per} (held if both of the former are less than both of the latter)",
             separates_edges,
-            reason(
+            choose_reason(
                 separates_edges,
                 "volumes decide at edges, where maps are wrong",
                 "what volumes decide is no better than what maps do",
@@ -254,18 +256,20 @@ def section(figures: Figures) -> Section:
             "PSM is the least robust of the four",
             f"mean of interior error and change: {moved_text} (held if PSM's is the largest)",
             least_robust,
-            reason(
+            choose_reason(
                 least_robust,
                 "its map is another one for every place of the camera, and its texels far away are coarse",
-                f"{SHORT[shaky]} is: its texels stay coarse wherever the camera is, and what they get wrong is more to begin with",
+                f"{ABBREVIATIONS[shaky]} is: its texels stay coarse wherever the camera is, and what they get wrong is more to "
+                "begin with",
             ),
         ),
         Claim(
             f"{THESIS}, 7.2.3",
             "the hybrid loses thin casters (Water Tower) and is worse than SV there",
-            f"`wrong_cast` of the hybrid less that of SV: {percent(thin)} (held if at least {percent(MAX_RIGHT_SHARE)})",
+            f"`wrong_cast` of the hybrid less that of SV: {format_percent(thin)} (held if at least "
+            f"{format_percent(MAX_ZERO_ERROR_SHARE)})",
             loses,
-            reason(
+            choose_reason(
                 loses,
                 "its map misses what is thinner than a texel",
                 "the mask is conservative: what its map does not prove is left to volumes, however thin (`mask: original` misses "
@@ -278,7 +282,7 @@ def section(figures: Figures) -> Section:
             f"`wrong_cast` orders the pictures as the author's eye does with a rank correlation of {quality:.2f} (held if under "
             f"{MIN_RANK_CORRELATION})",
             untestable,
-            reason(
+            choose_reason(
                 untestable,
                 "the figure does not say what an eye says",
                 "truth can be traced now: what is right is known for each pixel",
@@ -288,10 +292,13 @@ def section(figures: Figures) -> Section:
     return Section(
         "The grades (table 2)",
         "The thesis's subjective grades (speed / quality / robustness, 5 is best) beside figures under the same kind of light, "
-        f"the spot. Speed: times as above. Quality: errors against ray-traced truth in {ERROR_SIZE[0]} x {ERROR_SIZE[1]}, means "
-        f"over {len(CAMERA_MOVES)} places of the camera within {whole_percent(max(CAMERA_MOVES))} of its distance to either side. "
+        f"the spot. Speed: times as above. Quality: errors against ray-traced truth in {ERROR_SIZE_PX[0]} x {ERROR_SIZE_PX[1]}, "
+        "means "
+        f"over {len(CAMERA_MOVES)} places of the camera within {format_whole_percent(max(CAMERA_MOVES))} of its distance to "
+        "either side. "
         "Robustness: the sum of the largest interior error on the way and the change of `wrong_cast` (largest less least). "
-        f"Correlations are Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {MIN_RANK_CORRELATION} "
+        f"Correlations are Spearman's over the {len(SCENE_TITLES) * len(THESIS_ALGORITHMS)} pairs of scene and algorithm; "
+        f"{MIN_RANK_CORRELATION} "
         f"counts as agreement.",
         [("Grades and figures", rows)],
         claims,

@@ -1,7 +1,7 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), replication of figures 54 and 55: perspective maps by light.
 
-Every picture is compared with ray-traced truth (``skugga.shadows.truth.metrics``). Maps have one tap. Some rows are *controls*: an
-algorithm without one of its parts. They show by experiment which part causes a difference.
+Every picture is compared with ray-traced truth (``skugga.shadows.truth.metrics``). Maps have one tap. Some rows are *controls*
+(ablations): an algorithm without one of its parts. They show which part causes a difference.
 """
 
 from __future__ import annotations
@@ -18,62 +18,79 @@ import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, draw_errors, write_sheet
-from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, factor, percent, reason
-from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
+from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, choose_reason, format_percent, format_ratio
+from benchmarks.seeds.views import (
+    DrawnVariant,
+    Variant,
+    ViewWithTruth,
+    draw_variant,
+    read_bundled_level,
+    view_with_truth,
+    write_and_build_scene,
+)
 from skugga.shadows.maps import perspective_shadow_map, post_perspective
 from skugga.shadows.maps.post_perspective import PostPerspective
 from skugga.terrain.scene import Scene
 
-SIZE = (960, 768)
-TEXELS = 512
+SIZE_PX = (960, 768)
+MAP_SIZE = 512
 """Map size."""
 
-LIGHT_M = (113.0, 54.0)
-"""Distance and height of the spot of figure 54, metres, over the middle circle: as in the bundled level."""
+SPOT_DISTANCE_AND_HEIGHT_M = (113.0, 54.0)
+"""Horizontal distance and height of the spot light of figure 54 from the middle circle, as in the bundled level."""
 
 SUN_ALTITUDE_DEG = 28.0
-FLOOR_M = 280.0
-"""The bundled floor of 200 m ends before a light that stands ahead of the viewer."""
+FLOOR_SIDE_M = 280.0
+"""Side of the floor, metres. The bundled floor of 200 m does not reach a light ahead of the viewer."""
 
 EQUAL_FACTOR = 1.25
 """Errors that differ by at most this factor count as about equal."""
 
 WORSE_FACTOR = 1.5
 
-DISTANCE_SHARES = (1.5, 0.5, 0.25)
-"""Distances of the spot in figure 55 from the objects, as shares of the camera's."""
+NEAR_SPOT_DISTANCE_SHARES = (1.5, 0.5, 0.25)
+"""Distances of the spot light from the objects in figure 55, as shares of the camera's distance."""
 
-NEAR_PLACES = ((180.0, 45.0), (45.0, 70.0), (315.0, 70.0))
-"""Directions of the spot in figure 55 from the objects: degrees clockwise of the view's direction, and degrees of altitude."""
+NEAR_SPOT_DIRECTIONS_DEG = ((180.0, 45.0), (45.0, 70.0), (315.0, 70.0))
+"""Directions from the objects to the spot light in figure 55: degrees clockwise from the view direction, and altitude."""
 
-NEAR_CUTOFF_DEG = 75.0
-SHOWN_CASE = NEAR_PLACES[0][0], DISTANCE_SHARES[-1]
-"""Direction and distance of the pictures in the sheet of figure 55."""
+NEAR_SPOT_CUTOFF_DEG = 75.0
+SHOWN_CASE = NEAR_SPOT_DIRECTIONS_DEG[0][0], NEAR_SPOT_DISTANCE_SHARES[-1]
+"""Direction and distance of the spot light in the pictures of figure 55."""
 
 DIRECTION_CROP: CropBox = (80, 330, 400, 270)
-BAD_CROP: CropBox = (240, 230, 480, 360)
+BAD_CASE_CROP: CropBox = (240, 230, 480, 360)
 
-UNIFORM, OURS = "shadow_map", "perspective_shadow_map"
-FITTED, BARE, ALWAYS = "fitted, no perspective", "perspective, no slide-back", "perspective, best slide-back"
-MAP_VARIANTS = (UNIFORM, FITTED, BARE, ALWAYS, OURS)
+UNIFORM_MAP, PERSPECTIVE_MAP = "shadow_map", "perspective_shadow_map"
+FITTED_UNIFORM_MAP, SHORTEST_SLIDE_BACK, BEST_SLIDE_BACK = (
+    "fitted, no perspective",
+    "perspective, no slide-back",
+    "perspective, best slide-back",
+)
+MAP_VARIANTS = (UNIFORM_MAP, FITTED_UNIFORM_MAP, SHORTEST_SLIDE_BACK, BEST_SLIDE_BACK, PERSPECTIVE_MAP)
 
-RIGHT, WIDE, FRONT, NEAR = "spot at the right", "wide spot at the right", "spot in front", "spot in front, near"
-BEHIND, EYE = "spot behind", "spot at the eye"
+SPOT_RIGHT, WIDE_SPOT_RIGHT, SPOT_FRONT, NEAR_SPOT_FRONT = (
+    "spot at the right",
+    "wide spot at the right",
+    "spot in front",
+    "spot in front, near",
+)
+SPOT_BEHIND, SPOT_AT_EYE = "spot behind", "spot at the eye"
 SUN_RIGHT, SUN_FRONT, SUN_BEHIND = "sun at the right", "sun in front", "sun behind"
 
 LIGHTS: dict[str, tuple[float, float | None, float, dict[str, float]]] = {
-    RIGHT: (90.0, *LIGHT_M, {}),
-    WIDE: (90.0, *LIGHT_M, {"cutoff": 62.0}),
-    FRONT: (0.0, *LIGHT_M, {}),
-    NEAR: (0.0, 30.0, 15.0, {}),
-    BEHIND: (180.0, *LIGHT_M, {}),
-    EYE: (180.0, 34.0, 11.0, {}),
+    SPOT_RIGHT: (90.0, *SPOT_DISTANCE_AND_HEIGHT_M, {}),
+    WIDE_SPOT_RIGHT: (90.0, *SPOT_DISTANCE_AND_HEIGHT_M, {"cutoff": 62.0}),
+    SPOT_FRONT: (0.0, *SPOT_DISTANCE_AND_HEIGHT_M, {}),
+    NEAR_SPOT_FRONT: (0.0, 30.0, 15.0, {}),
+    SPOT_BEHIND: (180.0, *SPOT_DISTANCE_AND_HEIGHT_M, {}),
+    SPOT_AT_EYE: (180.0, 34.0, 11.0, {}),
     SUN_RIGHT: (90.0, None, SUN_ALTITUDE_DEG, {}),
     SUN_FRONT: (0.0, None, SUN_ALTITUDE_DEG, {}),
     SUN_BEHIND: (180.0, None, SUN_ALTITUDE_DEG, {}),
 }
-"""Lights of figure 54: degrees clockwise from the view, distance on the ground and height, metres, and the keys that differ
-from the bundled level; a sun's altitude, degrees.
+"""Lights of figure 54: degrees clockwise from the view direction, horizontal distance in metres, height in metres, and keys that
+differ from the bundled level. A light without a distance is a sun, with its altitude in degrees instead of a height.
 """
 
 
@@ -86,13 +103,13 @@ def without_perspective() -> Iterator[None]:
 
 @contextmanager
 def without_uniform_maps() -> Iterator[None]:
-    """Use uniform maps only if no slide-back of the camera is possible, even where they would have smaller texels.
+    """Use uniform maps only if no slide-back is possible, even where they would have smaller texels.
 
     Slide-back moves the eye of the map's perspective back, which weakens the perspective.
     """
 
-    def penalized_uniform(*of: Any) -> PostPerspective:
-        fit = PostPerspective(*of)
+    def penalized_uniform(*arguments: Any) -> PostPerspective:
+        fit = PostPerspective(*arguments)
         return replace(fit, texel=np.inf) if fit.kind is None else fit
 
     with patch.object(post_perspective, "PostPerspective", penalized_uniform):
@@ -101,7 +118,7 @@ def without_uniform_maps() -> Iterator[None]:
 
 @contextmanager
 def without_slide_back() -> Iterator[None]:
-    """Use the camera's own perspective, or the shortest slide-back by which the map contains everything."""
+    """Use the camera's own perspective, or the shortest slide-back with which the map contains everything."""
     ranked = perspective_shadow_map.post_perspectives
 
     def shortest_first(*args: Any) -> list[PostPerspective]:
@@ -111,28 +128,29 @@ def without_slide_back() -> Iterator[None]:
         yield
 
 
-def variants() -> dict[str, Variant]:
+def map_variants() -> dict[str, Variant]:
     """Return the variants of shadow maps to compare, by name.
 
-    One map shows everything that the light reaches. Four maps show only what is visible: without and with the camera's perspective.
+    One map covers everything that the light reaches. Four maps cover only visible points, without and with the camera's
+    perspective.
     """
-    overrides = {"map_size": TEXELS, "filter": 1}
+    overrides = {"map_size": MAP_SIZE, "filter": 1}
     perspective = {**overrides, "algorithm": "perspective_shadow_map"}
     return {
-        UNIFORM: Variant({**overrides, "algorithm": "shadow_map", "cascades": 1}),
-        FITTED: Variant(perspective, without_perspective),
-        BARE: Variant(perspective, without_slide_back),
-        ALWAYS: Variant(perspective, without_uniform_maps),
-        OURS: Variant(perspective),
+        UNIFORM_MAP: Variant({**overrides, "algorithm": "shadow_map", "cascades": 1}),
+        FITTED_UNIFORM_MAP: Variant(perspective, without_perspective),
+        SHORTEST_SLIDE_BACK: Variant(perspective, without_slide_back),
+        BEST_SLIDE_BACK: Variant(perspective, without_uniform_maps),
+        PERSPECTIVE_MAP: Variant(perspective),
     }
 
 
-def thirds(truth_view: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
+def wrong_shares_of_thirds(truth_view: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
     """Return the wrong pixels in the nearest and in the farthest third of true cast shadow, as shares of that third.
 
-    The mask ``dark`` (rows, cols) is the shadow to judge. Thirds have equal numbers of pixels of cast shadow.
+    ``dark`` is the shadow mask to compare with truth (rows, cols). Each third has the same number of pixels in cast shadow.
     """
-    truth, ahead_m = truth_view.truth, truth_view.ahead_m
+    truth, ahead_m = truth_view.truth, truth_view.view_depth_m
     cast = truth.decidable & ~truth.lit & truth_view.receivers
     wrong_pixels = truth.decidable & (dark == truth.lit) & truth_view.buffer.valid
     first_m, last_m = np.quantile(ahead_m[cast], [1 / 3, 2 / 3])
@@ -140,27 +158,29 @@ def thirds(truth_view: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
     return {name: float((wrong_pixels & part).sum() / max(int((cast & part).sum()), 1)) for name, part in parts.items()}
 
 
-def stone_circles(folder: Path, view: str, turn_deg: float, distance_m: float | None, up: float, **lamp: Any) -> Scene:
-    """Return the scene of the stone circles under a light whose direction is ``turn_deg`` degrees clockwise of a view's.
+def stone_circle_scene(
+    folder: Path, view: str, clockwise_deg: float, distance_m: float | None, height_m_or_altitude_deg: float, **lamp: Any
+) -> Scene:
+    """Return the scene of the stone circles under a light whose direction is ``clockwise_deg`` degrees clockwise from a view's.
 
     The light is a spot light at a distance and a height, metres, from the view's target. Without a distance it is the sun at an
-    altitude of ``up`` degrees.
+    altitude in degrees.
     """
-    level = level_of("thesis_rocks_sun" if distance_m is None else "thesis_rocks")
-    level["terrain"]["flat"]["size"] = [FLOOR_M, FLOOR_M]
+    level = read_bundled_level("thesis_rocks_sun" if distance_m is None else "thesis_rocks")
+    level["terrain"]["flat"]["size"] = [FLOOR_SIDE_M, FLOOR_SIDE_M]
     (x, y, _), (eye_x, eye_y, _) = level["views"][view]["target"], level["views"][view]["eye"]
-    azimuth = np.arctan2(x - eye_x, y - eye_y) + np.radians(turn_deg)
+    azimuth = np.arctan2(x - eye_x, y - eye_y) + np.radians(clockwise_deg)
     if distance_m is None:
-        level["sun"] = {"azimuth": float(np.degrees(azimuth)) % 360.0, "altitude": up}
+        level["sun"] = {"azimuth": float(np.degrees(azimuth)) % 360.0, "altitude": height_m_or_altitude_deg}
     else:
-        position = [float(x + distance_m * np.sin(azimuth)), float(y + distance_m * np.cos(azimuth)), up]
+        position = [float(x + distance_m * np.sin(azimuth)), float(y + distance_m * np.cos(azimuth)), height_m_or_altitude_deg]
         level["lights"]["lamp"] |= {"position": position, "target": [x, y, 0.0], **lamp}
-    return scene_of(level, folder)
+    return write_and_build_scene(level, folder)
 
 
-def _row(truth_view: ViewWithTruth, name: str, variant: Variant, place: dict[str, Any]) -> tuple[DrawnVariant, dict[str, Any]]:
+def _draw_row(truth_view: ViewWithTruth, name: str, variant: Variant, case: dict[str, Any]) -> tuple[DrawnVariant, dict[str, Any]]:
     drawn_variant = draw_variant(truth_view, variant)
-    return drawn_variant, {**place, "map": name, **drawn_variant.figures, "note": drawn_variant.note}
+    return drawn_variant, {**case, "map": name, **drawn_variant.figures, "note": drawn_variant.note}
 
 
 def measure_light_direction() -> Figures:
@@ -171,37 +191,40 @@ def measure_light_direction() -> Figures:
     rows, cells = [], []
     with TemporaryDirectory() as folder:
         for light, (turn_deg, distance_m, up, lamp) in LIGHTS.items():
-            truth_view = view_with_truth(stone_circles(Path(folder), "main", turn_deg, distance_m, up, **lamp), "main", SIZE)
-            farthest_m = float(truth_view.ahead_m[truth_view.receivers].max())
-            for name, variant in variants().items():
-                drawn_variant, row = _row(truth_view, name, variant, {"light": light, "farthest_m": farthest_m})
-                rows.append({**row, **thirds(truth_view, drawn_variant.dark)})
-                if light in (RIGHT, FRONT, EYE) and name in (UNIFORM, OURS):
-                    text = f"{light}, {name}: {percent(row['wrong_cast'])} wrong"
+            truth_view = view_with_truth(
+                stone_circle_scene(Path(folder), "main", turn_deg, distance_m, up, **lamp), "main", SIZE_PX
+            )
+            farthest_m = float(truth_view.view_depth_m[truth_view.receivers].max())
+            for name, variant in map_variants().items():
+                drawn_variant, row = _draw_row(truth_view, name, variant, {"light": light, "farthest_m": farthest_m})
+                rows.append({**row, **wrong_shares_of_thirds(truth_view, drawn_variant.is_dark)})
+                if light in (SPOT_RIGHT, SPOT_FRONT, SPOT_AT_EYE) and name in (UNIFORM_MAP, PERSPECTIVE_MAP):
+                    text = f"{light}, {name}: {format_percent(row['wrong_cast'])} wrong"
                     cells.append(CaptionedPicture(draw_errors(truth_view, drawn_variant, DIRECTION_CROP), text))
     write_sheet("seeds-light-direction.webp", cells, 2)
     return {"rows": rows}
 
 
 def measure_bad_case() -> Figures:
-    """Measure the stone circles from afar, with a spot light that comes nearer to them than the camera."""
-    spec, rows, cells = level_of("thesis_rocks")["views"]["overview"], [], []
+    """Measure the stone circles from afar, with a spot light nearer to them than the camera."""
+    spec, rows, cells = read_bundled_level("thesis_rocks")["views"]["overview"], [], []
     distance_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
     with TemporaryDirectory() as folder:
-        for turn_deg, high_deg in NEAR_PLACES:
-            for share in DISTANCE_SHARES:
+        for turn_deg, high_deg in NEAR_SPOT_DIRECTIONS_DEG:
+            for share in NEAR_SPOT_DISTANCE_SHARES:
                 flat, up = share * distance_m * np.cos(np.radians(high_deg)), share * distance_m * np.sin(np.radians(high_deg))
-                scene = stone_circles(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_CUTOFF_DEG)
-                truth_view = view_with_truth(scene, "overview", SIZE)
-                for name, variant in variants().items():
-                    drawn_variant, row = _row(
+                scene = stone_circle_scene(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_SPOT_CUTOFF_DEG)
+                truth_view = view_with_truth(scene, "overview", SIZE_PX)
+                for name, variant in map_variants().items():
+                    drawn_variant, row = _draw_row(
                         truth_view, name, variant, {"turn_deg": turn_deg, "high_deg": high_deg, "share": share}
                     )
                     rows.append(row)
-                    if (turn_deg, share) == SHOWN_CASE and name != BARE:
+                    if (turn_deg, share) == SHOWN_CASE and name != SHORTEST_SLIDE_BACK:
                         cells.append(
                             CaptionedPicture(
-                                draw_errors(truth_view, drawn_variant, BAD_CROP), f"{name}: {percent(row['wrong_cast'])} wrong"
+                                draw_errors(truth_view, drawn_variant, BAD_CASE_CROP),
+                                f"{name}: {format_percent(row['wrong_cast'])} wrong",
                             )
                         )
     write_sheet("seeds-bad-case.webp", cells, 2)
@@ -215,58 +238,67 @@ def section_light_direction(figures: Figures) -> Section:
         return row_by_key[light, map_name][key] / max(row_by_key[light, other][key], 1e-9)
 
     def right(name: str, part: str) -> str:
-        return percent(row_by_key[RIGHT, name][part])
+        return format_percent(row_by_key[SPOT_RIGHT, name][part])
 
-    nearest, farthest = (ratio(RIGHT, ALWAYS, FITTED, part) for part in ("near", "far"))
-    nearer = all_of((at_most(nearest, 1.0), at_most(ratio(RIGHT, OURS, UNIFORM, "near"), 1.0)))
+    nearest, farthest = (ratio(SPOT_RIGHT, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP, part) for part in ("near", "far"))
+    nearer = all_of((at_most(nearest, 1.0), at_most(ratio(SPOT_RIGHT, PERSPECTIVE_MAP, UNIFORM_MAP, "near"), 1.0)))
     farther = at_least(farthest, 1.0)
-    front = {light: ratio(light, ALWAYS, FITTED) for light in (FRONT, NEAR, SUN_FRONT)}
-    equal = all_of((at_most(front[FRONT], EQUAL_FACTOR), at_least(front[FRONT], 1.0 / EQUAL_FACTOR)))
-    off_px = {light: row_by_key[light, UNIFORM]["cast_edge_mean"] for light in (RIGHT, FRONT, NEAR, BEHIND)}
-    eye_px, at_eye = row_by_key[EYE, UNIFORM]["cast_edge_mean"], ratio(EYE, ALWAYS, FITTED)
+    front = {light: ratio(light, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP) for light in (SPOT_FRONT, NEAR_SPOT_FRONT, SUN_FRONT)}
+    equal = all_of((at_most(front[SPOT_FRONT], EQUAL_FACTOR), at_least(front[SPOT_FRONT], 1.0 / EQUAL_FACTOR)))
+    off_px = {
+        light: row_by_key[light, UNIFORM_MAP]["cast_edge_mean"] for light in (SPOT_RIGHT, SPOT_FRONT, NEAR_SPOT_FRONT, SPOT_BEHIND)
+    }
+    eye_px, at_eye = row_by_key[SPOT_AT_EYE, UNIFORM_MAP]["cast_edge_mean"], ratio(SPOT_AT_EYE, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP)
     miner = all_of((at_least(at_eye, 1.0 / EQUAL_FACTOR), at_most(eye_px, min(off_px.values()))))
-    gain = {light: ratio(light, FITTED, ALWAYS) for light in (RIGHT, WIDE, SUN_RIGHT)}
-    farthest_m = {light: row_by_key[light, OURS]["farthest_m"] for light in gain}
-    sun_better = at_least(gain[SUN_RIGHT], max(gain[RIGHT], gain[WIDE]))
+    gain = {light: ratio(light, FITTED_UNIFORM_MAP, BEST_SLIDE_BACK) for light in (SPOT_RIGHT, WIDE_SPOT_RIGHT, SUN_RIGHT)}
+    farthest_m = {light: row_by_key[light, PERSPECTIVE_MAP]["farthest_m"] for light in gain}
+    sun_better = at_least(gain[SUN_RIGHT], max(gain[SPOT_RIGHT], gain[WIDE_SPOT_RIGHT]))
     claims = [
         Claim(
             f"{THESIS}, figure 54",
             "with the light at the right perspective maps make near shadows better",
-            f"wrong in the nearest third of the shadows: {right(OURS, 'near')}, beside {right(FITTED, 'near')} of a map fitted to "
-            f"what is seen without perspective and {right(UNIFORM, 'near')} of one for the whole cone (held if less than both)",
+            f"wrong in the nearest third of the shadows: {right(PERSPECTIVE_MAP, 'near')}, beside "
+            f"{right(FITTED_UNIFORM_MAP, 'near')} of a map fitted to "
+            f"what is seen without perspective and {right(UNIFORM_MAP, 'near')} of one for the whole cone (held if less than both)",
             nearer,
-            f"the perspective alone multiplies near errors by {factor(nearest)}, the fit to what is seen does the rest",
+            f"the perspective alone multiplies near errors by {format_ratio(nearest)}, the fit to what is seen does the rest",
         ),
         Claim(
             f"{THESIS}, figure 54",
             "at the cost of shadows far away",
-            f"wrong in the farthest third: {right(OURS, 'far')}, beside {right(FITTED, 'far')} fitted without perspective (and "
-            f"{right(UNIFORM, 'far')} for the whole cone; held if more than the former)",
+            f"wrong in the farthest third: {right(PERSPECTIVE_MAP, 'far')}, beside {right(FITTED_UNIFORM_MAP, 'far')} fitted "
+            "without perspective (and "
+            f"{right(UNIFORM_MAP, 'far')} for the whole cone; held if more than the former)",
             farther,
-            f"the perspective alone multiplies far errors by {factor(farthest)}; beside a map of the whole cone the fit hides that",
+            f"the perspective alone multiplies far errors by {format_ratio(farthest)}; beside a map of the whole cone the fit "
+            "hides that",
         ),
         Claim(
             f"{THESIS}, 7.2.2",
             "with the light in front both are about equal: near objects are far from a spot, and the two perspectives cancel",
-            f"wrong with perspective over without, both fitted: {factor(front[FRONT])} under a spot {LIGHTS[FRONT][1]:.0f} m "
-            f"ahead (held if within a factor of {EQUAL_FACTOR}), {factor(front[NEAR])} under one {LIGHTS[NEAR][1]:.0f} m ahead, "
-            f"{factor(front[SUN_FRONT])} under the sun",
+            f"wrong with perspective over without, both fitted: {format_ratio(front[SPOT_FRONT])} under a spot "
+            f"{LIGHTS[SPOT_FRONT][1]:.0f} m "
+            f"ahead (held if within a factor of {EQUAL_FACTOR}), {format_ratio(front[NEAR_SPOT_FRONT])} under one "
+            f"{LIGHTS[NEAR_SPOT_FRONT][1]:.0f} m ahead, "
+            f"{format_ratio(front[SUN_FRONT])} under the sun",
             equal,
-            reason(
+            choose_reason(
                 equal,
                 "the two perspectives cancel",
                 "a spot as far away as in the bundled level sees near and far objects at much the same distance, so there is "
-                "little to cancel" + ("; one that stands nearer takes some of the gain away" if front[NEAR] > front[FRONT] else ""),
+                "little to cancel"
+                + ("; one that stands nearer takes some of the gain away" if front[NEAR_SPOT_FRONT] > front[SPOT_FRONT] else ""),
             ),
         ),
         Claim(
             f"{THESIS}, 7.2.2",
             "with the light behind, a miner's lamp, uniform maps are nearly perfect and perspective adds nothing",
             f"with the spot just behind the eye uniform edges are off by {eye_px:.2f} px in the mean, from elsewhere by "
-            f"{min(off_px.values()):.2f} to {max(off_px.values()):.2f} px; wrong with perspective over without: {factor(at_eye)} "
+            f"{min(off_px.values()):.2f} to {max(off_px.values()):.2f} px; wrong with perspective over without: "
+            f"{format_ratio(at_eye)} "
             f"(held if off by the least, and perspective lowers errors by at most a factor of {EQUAL_FACTOR})",
             miner,
-            reason(
+            choose_reason(
                 miner,
                 "lamp and eye see distances alike, so texels are as even in the picture as pixels are; what shadow is seen at "
                 "all lies along outlines, so that few pixels are wrong, though a large share of it",
@@ -276,31 +308,36 @@ def section_light_direction(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, 7.2.2",
             "directional light suits perspective maps better than spots",
-            f"with the light at the right perspective divides errors by {factor(gain[SUN_RIGHT])} under the sun, by "
-            f"{factor(gain[RIGHT])} under the spot, and by {factor(gain[WIDE])} under that spot opened to "
-            f"{LIGHTS[WIDE][3]['cutoff']:.0f}° (held if by most under the sun)",
+            f"with the light at the right perspective divides errors by {format_ratio(gain[SUN_RIGHT])} under the sun, by "
+            f"{format_ratio(gain[SPOT_RIGHT])} under the spot, and by {format_ratio(gain[WIDE_SPOT_RIGHT])} under that spot "
+            "opened to "
+            f"{LIGHTS[WIDE_SPOT_RIGHT][3]['cutoff']:.0f}° (held if by most under the sun)",
             sun_better,
-            reason(
+            choose_reason(
                 sun_better,
                 "even where a spot lights as much ground, its rays spread against the camera's perspective",
                 "what counts is how far the light reaches from near to far in what is seen: under the sun up to "
-                f"{farthest_m[SUN_RIGHT]:.0f} m, under the spot {farthest_m[RIGHT]:.0f} m, opened {farthest_m[WIDE]:.0f} m",
+                f"{farthest_m[SUN_RIGHT]:.0f} m, under the spot {farthest_m[SPOT_RIGHT]:.0f} m, opened "
+                f"{farthest_m[WIDE_SPOT_RIGHT]:.0f} m",
             ),
         ),
     ]
     table = [
         {"light": light}
         | {
-            name: " / ".join(percent(row_by_key[light, name][key]) for key in ("wrong_cast", "near", "far"))
+            name: " / ".join(format_percent(row_by_key[light, name][key]) for key in ("wrong_cast", "near", "far"))
             for name in MAP_VARIANTS
         }
         for light in LIGHTS
     ]
     return Section(
         "Perspective maps by the light's direction (figure 54)",
-        f"The stone circles in their main view, {SIZE[0]} x {SIZE[1]} pixels, maps of {TEXELS} texels a side, one tap. Three "
-        f"controls lie between the algorithms; each leaves one idea out. *{FITTED}* is the same fit without the camera's "
-        f"perspective. *{BARE}* is the camera's own perspective, or the shortest slide-back that is possible. *{ALWAYS}* takes a "
+        f"The stone circles in their main view, {SIZE_PX[0]} x {SIZE_PX[1]} pixels, maps of {MAP_SIZE} texels a side, one tap. "
+        "Three "
+        f"controls lie between the algorithms; each leaves one idea out. *{FITTED_UNIFORM_MAP}* is the same fit without the "
+        "camera's "
+        f"perspective. *{SHORTEST_SLIDE_BACK}* is the camera's own perspective, or the shortest slide-back that is possible. "
+        f"*{BEST_SLIDE_BACK}* takes a "
         "slide-back even where a uniform map has the smaller texels. Statements about the perspective alone compare the last "
         "control with the first.",
         [("wrong_cast / wrong share of the nearest third of the shadows / of the farthest third", table)],
@@ -321,35 +358,40 @@ def section_bad_case(figures: Figures) -> Section:
 
     def to_uniform(variant: str) -> list[float]:
         return [
-            row_by_key[*place, variant]["wrong_cast"] / max(row_by_key[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer
+            row_by_key[*place, variant]["wrong_cast"] / max(row_by_key[*place, UNIFORM_MAP]["wrong_cast"], 1e-9) for place in nearer
         ]
 
     worst = {variant: max(to_uniform(variant)) for variant in MAP_VARIANTS}
-    is_bad = at_least(worst[OURS], WORSE_FACTOR)
-    stretched = all_of((at_least(worst[BARE], WORSE_FACTOR), at_most(worst[FITTED], WORSE_FACTOR)))
-    fallen_back = sum(row_by_key[*place, OURS]["note"].startswith("a uniform map") for place in nearer)
+    is_bad = at_least(worst[PERSPECTIVE_MAP], WORSE_FACTOR)
+    stretched = all_of((at_least(worst[SHORTEST_SLIDE_BACK], WORSE_FACTOR), at_most(worst[FITTED_UNIFORM_MAP], WORSE_FACTOR)))
+    fallen_back = sum(row_by_key[*place, PERSPECTIVE_MAP]["note"].startswith("a uniform map") for place in nearer)
     claims = [
         Claim(
             f"{THESIS}, figure 55",
             "where the light is nearer to the objects than the camera is, perspective maps are often far worse",
-            f"in {sum(ratio > WORSE_FACTOR for ratio in to_uniform(OURS))} of {len(nearer)} such places over {WORSE_FACTOR:g} "
-            f"times the errors of the uniform map; at worst {factor(worst[OURS])} times (held if over {WORSE_FACTOR:g} anywhere)",
+            f"in {sum(ratio > WORSE_FACTOR for ratio in to_uniform(PERSPECTIVE_MAP))} of {len(nearer)} such places over "
+            f"{WORSE_FACTOR:g} "
+            f"times the errors of the uniform map; at worst {format_ratio(worst[PERSPECTIVE_MAP])} times (held if over "
+            f"{WORSE_FACTOR:g} anywhere)",
             is_bad,
-            reason(
+            choose_reason(
                 is_bad,
                 "the slide-back with the smallest texels in the mean has large ones where the shadows lie",
                 f"a uniform map, fitted to what is seen, is among those that are chosen from, and is taken in {fallen_back} of "
-                f"these places; were the best slide-back taken always, the worst would be {factor(worst[ALWAYS])} times",
+                f"these places; were the best slide-back taken always, the worst would be {format_ratio(worst[BEST_SLIDE_BACK])} "
+                "times",
             ),
         ),
         Claim(
             f"{THESIS}, 7.2.2",
             "because the camera's transformation stretches the objects until they are small in the map",
-            f"the camera's perspective with the shortest slide-back has up to {factor(worst[BARE])} times the errors of the "
-            f"uniform map; the same receivers without perspective up to {factor(worst[FITTED])} times (held if the former is "
+            f"the camera's perspective with the shortest slide-back has up to {format_ratio(worst[SHORTEST_SLIDE_BACK])} times "
+            "the errors of the "
+            f"uniform map; the same receivers without perspective up to {format_ratio(worst[FITTED_UNIFORM_MAP])} times (held if "
+            "the former is "
             f"over, the latter at most {WORSE_FACTOR:g})",
             stretched,
-            reason(
+            choose_reason(
                 stretched,
                 "with all else alike, taking the perspective out takes the errors away",
                 "in these places the fit to what is seen makes up for the stretching",
@@ -358,12 +400,13 @@ def section_bad_case(figures: Figures) -> Section:
     ]
     table = [
         {"spot": f"{turn_deg:.0f}° off, {high:.0f}° high, {share:g} of the camera's distance"}
-        | {name: percent(row_by_key[turn_deg, high, share, name]["wrong_cast"]) for name in MAP_VARIANTS}
+        | {name: format_percent(row_by_key[turn_deg, high, share, name]["wrong_cast"]) for name in MAP_VARIANTS}
         for turn_deg, high, share in places
     ]
     return Section(
         "A bad case for perspective maps (figure 55)",
-        f"The stone circles from afar, {SIZE[0]} x {SIZE[1]} pixels, maps of {TEXELS}, under a spot of {NEAR_CUTOFF_DEG:.0f}° that "
+        f"The stone circles from afar, {SIZE_PX[0]} x {SIZE_PX[1]} pixels, maps of {MAP_SIZE}, under a spot of "
+        f"{NEAR_SPOT_CUTOFF_DEG:.0f}° that "
         "comes nearer and nearer to the middle circle. The thesis does not say where its light stood; these places have strong "
         "stretching. Controls as above.",
         [("wrong_cast", table)],

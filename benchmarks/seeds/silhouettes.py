@@ -15,19 +15,19 @@ import numpy as np
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import interleaved_times
 from benchmarks.seeds.verdicts import (
-    REPORT,
+    COPENHAGEN_REPORT,
     all_of,
     any_of,
     at_least,
     at_most,
-    factor,
-    format_largest,
-    listed_by_scene,
-    percent,
-    reason,
-    titled,
+    choose_reason,
+    format_by_scene,
+    format_max_percent,
+    format_percent,
+    format_ratio,
+    scene_title,
 )
-from benchmarks.seeds.views import ViewWithTruth, bundled, view_with_truth
+from benchmarks.seeds.views import ViewWithTruth, bundled_scene, view_with_truth
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes.drawing import count
 from skugga.shadows.volumes.edges import Edges, closed_parts, edges_of
@@ -40,7 +40,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.level.level import SUN
 
 LEVELS = ("thesis_street_sun", "thesis_water_tower_sun", "thesis_rocks_sun", "thesis_boxgrid_sun")
-SIZE = (640, 512)
+SIZE_PX = (640, 512)
 REPEATS = 7
 SHADOWED_EYE_VIEW = "thesis_boxgrid_sun", "close"
 """A level and its view whose eye is in the shadow."""
@@ -49,23 +49,23 @@ SAME_PICTURE_SHARE = 1e-4
 """Pictures count as the same if at most this share of their pixels differs."""
 
 MAX_WRONG_SHARE = 0.001
-"""The tolerated wrong share of the cast shadow where counting is right."""
+"""Maximum wrong share of the cast shadow of a correct method."""
 
 CountingSetting = Literal["auto", "z_fail"]
 
 
 def measure() -> Figures:
-    scenes = {level.removeprefix("thesis_").removesuffix("_sun"): _volumes_of(level) for level in LEVELS}
-    return {"scenes": scenes, "inside": _inside()}
+    scenes = {level.removeprefix("thesis_").removesuffix("_sun"): _measure_volumes(level) for level in LEVELS}
+    return {"scenes": scenes, "inside": _measure_shadowed_eye()}
 
 
-def _volumes_of(level: str) -> dict[str, float]:
-    """Measure shadow volumes that are built from silhouettes, or from every side of every triangle.
+def _measure_volumes(level: str) -> dict[str, float]:
+    """Measure shadow volumes that are built from silhouettes, or from every edge of every triangle.
 
-    Both are counted by z-fail over the same shadow-casting triangles. The engine's own volumes are measured too: counted by z-fail,
-    by the engine's own choice, and by that choice without caps.
+    Both are counted by z-fail over the same shadow-casting triangles. The engine's own volumes are measured too: by z-fail, by the
+    engine's choice of z-pass or z-fail, and by that choice without caps.
     """
-    truth_view = view_with_truth(bundled(level), "main", SIZE)
+    truth_view = view_with_truth(bundled_scene(level), "main", SIZE_PX)
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     vertices, triangles = caster_solids(truth_view.scene.objects, truth_view.buffer.frame)
     shared, separate_edges = edges_of(vertices, triangles), edges_without_sharing(triangles)
@@ -77,7 +77,7 @@ def _volumes_of(level: str) -> dict[str, float]:
         orientations_of(facing(vertices, triangles, light), rule)  # the work for each new sun
         return [extruded_volumes(vertices, silhouette(triangles, edges, group), light) for group in groups]
 
-    silhouettes, polygons, engine_volumes = built(shared), built(separate_edges), _engines(truth_view, light)
+    silhouettes, polygons, engine_volumes = built(shared), built(separate_edges), _engine_volumes(truth_view, light)
     sides = [
         replace(volume, faces=volume.faces[: volume.first_cap], part=volume.part[: volume.first_cap], casting=0)
         for volume in engine_volumes
@@ -86,13 +86,13 @@ def _volumes_of(level: str) -> dict[str, float]:
         "silhouettes": (silhouettes, "z_fail"), "polygons": (polygons, "z_fail"),
         "auto": (engine_volumes, "auto"), "z_fail": (engine_volumes, "z_fail"), "sides": (sides, "auto"),
     }  # fmt: skip
-    counts = {name: _counted(truth_view, light, *method) for name, method in methods.items()}
+    counts = {name: _count_volumes(truth_view, light, *method) for name, method in methods.items()}
     tasks: dict[str, Callable[[], object]] = {
         "structure": lambda: closed_parts(edges_of(vertices, triangles)),
         "build_silhouettes": lambda: built(shared),
         "build_polygons": lambda: built(separate_edges),
     }
-    tasks |= {f"fill_{name}": lambda method=method: _counted(truth_view, light, *method) for name, method in methods.items()}
+    tasks |= {f"fill_{name}": lambda method=method: _count_volumes(truth_view, light, *method) for name, method in methods.items()}
     neighbours_by_search(shared.ends[shared.triangle_edges[:1]])  # compiles
     start = time.perf_counter()
     neighbours_by_search(shared.ends[shared.triangle_edges])
@@ -108,12 +108,12 @@ def _volumes_of(level: str) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _engines(truth_view: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
+def _engine_volumes(truth_view: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
     """Return the shadow volumes that the engine builds for a view's meshes."""
     return volumes_of(truth_view.buffer, truth_view.scene, light, ("meshes",), truth_view.casters, PassRecord(""))
 
 
-def _counted(
+def _count_volumes(
     truth_view: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], counting: CountingSetting
 ) -> tuple[np.ndarray, int]:
     """Return the number of volumes that contain each point facing the sun (rows, cols), and the number of drawn faces."""
@@ -127,7 +127,7 @@ def _counted(
 def edges_without_sharing(triangles: np.ndarray) -> Edges:
     """Return the edges of triangles (m, 3) as if no two triangles shared an edge.
 
-    The silhouette of such a mesh includes all sides of each triangle.
+    The silhouette of such a mesh includes all edges of each triangle.
     """
     start, end = triangles, np.roll(triangles, -1, axis=1)
     ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=-1).reshape(-1, 2)
@@ -135,26 +135,28 @@ def edges_without_sharing(triangles: np.ndarray) -> Edges:
     return Edges(ends.astype(np.int32), np.arange(triangles.size, dtype=np.int32).reshape(-1, 3), directions)
 
 
-def extruded_volumes(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes:
+def extruded_volumes(vertices: np.ndarray, outline: Silhouette, light: np.ndarray) -> Volumes:
     """Return the sun's shadow volume of a silhouette, as one caster.
 
-    It consists of the caps, and of a triangle from each silhouette edge to the point at infinity.
+    The volume consists of the caps, and of a triangle from each silhouette edge to the point at infinity.
     """
     count = len(vertices)
-    a, b = np.repeat(of.edges, of.multiplicity, axis=0).T
+    a, b = np.repeat(outline.edges, outline.multiplicity, axis=0).T
     sides = np.column_stack([b, a, np.full(len(a), count)])
     points = np.vstack([np.column_stack([vertices, np.ones(count)]), np.append(-light[:3], 0.0)])
-    cap_vertices = vertices[of.caps.ravel()]
-    faces = np.concatenate([sides, of.caps]).astype(np.int32)
+    cap_vertices = vertices[outline.caps.ravel()]
+    faces = np.concatenate([sides, outline.caps]).astype(np.int32)
     low, high = cap_vertices.min(axis=0)[None], cap_vertices.max(axis=0)[None]
-    return Volumes(points.astype(np.float32), faces, np.zeros(len(faces), np.int32), low, high, of.edges, len(sides), len(of.caps))
+    return Volumes(
+        points.astype(np.float32), faces, np.zeros(len(faces), np.int32), low, high, outline.edges, len(sides), len(outline.caps)
+    )
 
 
 @compiled
 def neighbours_by_search(ends):
-    """Return the neighbouring triangle of each side of triangles, int (m, 3), by exhaustive comparison; -1 for none.
+    """Return the neighbouring triangle at each edge of triangles, int (m, 3), by exhaustive comparison; -1 for none.
 
-    ``ends`` (m, 3, 2) are the vertices at the ends of the sides.
+    ``ends`` (m, 3, 2) are the vertices at the ends of the edges.
     """
     count = len(ends)
     out = np.full((count, 3), -1, np.int32)
@@ -168,12 +170,12 @@ def neighbours_by_search(ends):
     return out
 
 
-def _inside() -> dict[str, float]:
-    """Measure shadow volumes with the eye in shadow: the share of wrong cast shadow for z-pass, z-fail and the engine's choice."""
+def _measure_shadowed_eye() -> dict[str, float]:
+    """Measure ``wrong_cast`` with the eye in shadow, for z-pass, z-fail and the engine's choice between them."""
     level, name = SHADOWED_EYE_VIEW
-    truth_view = view_with_truth(bundled(level), name, SIZE)
+    truth_view = view_with_truth(bundled_scene(level), name, SIZE_PX)
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
-    engine_volumes = _engines(truth_view, light)
+    engine_volumes = _engine_volumes(truth_view, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: z-pass counts everything
     by_pass = [replace(volume, low_m=volume.low_m - beyond_m, high_m=volume.high_m - beyond_m) for volume in engine_volumes]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
@@ -183,7 +185,7 @@ def _inside() -> dict[str, float]:
     }
     wrong_shares = {}
     for key, method in methods.items():
-        layers, _ = _counted(truth_view, light, *method)
+        layers, _ = _count_volumes(truth_view, light, *method)
         wrong_shares[key] = truth_view.errors(truth_view.with_attached_shadow((layers == 0).astype(np.float32)))["wrong_cast"]
     return wrong_shares
 
@@ -192,8 +194,8 @@ def section(figures: Figures) -> Section:
     scenes, inside = figures["scenes"], figures["inside"]
     rows = scenes.values()
 
-    def span(of: Callable[[dict[str, float]], float]) -> str:
-        return listed_by_scene({name: of(row) for name, row in scenes.items()})
+    def span(value_of: Callable[[dict[str, float]], float]) -> str:
+        return format_by_scene({name: value_of(row) for name, row in scenes.items()})
 
     def polygons_ms(row: dict[str, float]) -> float:
         return row["build_polygons_ms"] + row["fill_polygons_ms"]
@@ -212,39 +214,39 @@ def section(figures: Figures) -> Section:
     robust = all_of((at_most(inside["z_fail"], MAX_WRONG_SHARE), at_least(inside["z_pass"], MAX_WRONG_SHARE)))
     claims = [
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "silhouettes need fewer volumes than one for each polygon (11 instead of 24), for the same shadow",
             f"sides that are drawn, as a share of those without: {span(lambda row: row['sides'] / row['sides_polygons'])}; of "
-            f"the pixels {format_largest(differing_polygons)} differ (held if fewer everywhere, and at most "
-            f"{percent(SAME_PICTURE_SHARE)} differ)",
+            f"the pixels {format_max_percent(differing_polygons)} differ (held if fewer everywhere, and at most "
+            f"{format_percent(SAME_PICTURE_SHARE)} differ)",
             fewer,
-            reason(
+            choose_reason(
                 fewer,
                 "the two sides at an edge between two casting triangles cancel; only those are left whose neighbour faces away",
                 "casters share too few edges",
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "made badly, silhouettes make volumes slower than none: there by finding neighbours through comparing all edges",
             "time with silhouettes over time without, when every side is held against every other: "
             f"{span(lambda row: relative_cost(row, 'search'))} (held if over 1 anywhere)",
             slower,
-            reason(
+            choose_reason(
                 slower,
                 "the search grows with the square of the triangles "
-                f"({listed_by_scene({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves "
+                f"({format_by_scene({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves "
                 "grows with their number",
                 "at so few triangles the search is cheaper than the filling that it saves",
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "a better structure of edges would make them much faster",
             "time over that without silhouettes, the edge table made anew each time: "
             f"{span(lambda row: relative_cost(row, 'structure'))} (held if under 1 everywhere)",
             faster,
-            reason(
+            choose_reason(
                 faster,
                 "a hash of vertex pairs finds all edges in one pass over the triangles ("
                 f"{span(lambda row: row['search_ms'] / row['structure_ms'])} times as fast as the search), and what is filled "
@@ -253,10 +255,10 @@ def section(figures: Figures) -> Section:
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "z-pass draws fewer faces than z-fail, since it needs no caps",
             f"faces without caps over those of z-fail: {span(lambda row: row['faces_sides'] / row['faces_z_fail'])} (held if "
-            f"under 1 everywhere); of the pixels {format_largest(differing_sides)} differ without caps",
+            f"under 1 everywhere); of the pixels {format_max_percent(differing_sides)} differ without caps",
             fewer_faces,
             (
                 "a cap lies on a surface that is drawn, and is never before what is seen. "
@@ -268,12 +270,12 @@ def section(figures: Figures) -> Section:
             f"{span(lambda row: row['faces_auto'] / row['faces_z_fail'])} of z-fail's",
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "z-pass is faster than z-fail",
             f"time of filling, z-pass without caps over z-fail: {span(lambda row: row['fill_sides_ms'] / row['fill_z_fail_ms'])} "
             f"(held if under 1 everywhere); by default {span(lambda row: row['fill_auto_ms'] / row['fill_z_fail_ms'])}",
             quicker,
-            reason(
+            choose_reason(
                 quicker,
                 "fewer faces pass over fewer pixels",
                 "faces are not what filling takes: either way the same stencil is cleared, given depths and read, and faces "
@@ -282,13 +284,13 @@ def section(figures: Figures) -> Section:
             ),
         ),
         Claim(
-            REPORT,
+            COPENHAGEN_REPORT,
             "z-pass is wrong with the eye in a volume; z-fail is right",
-            f"wrong of the cast shadow with the eye in the shadow: z-pass {percent(inside['z_pass'])}, z-fail "
-            f"{percent(inside['z_fail'])}, caster by caster {percent(inside['auto'])} (held if z-fail gets at most "
-            f"{percent(MAX_WRONG_SHARE)} wrong and z-pass more)",
+            f"wrong of the cast shadow with the eye in the shadow: z-pass {format_percent(inside['z_pass'])}, z-fail "
+            f"{format_percent(inside['z_fail'])}, caster by caster {format_percent(inside['auto'])} (held if z-fail gets at most "
+            f"{format_percent(MAX_WRONG_SHARE)} wrong and z-pass more)",
             robust,
-            reason(
+            choose_reason(
                 robust,
                 "z-pass counts from the eye and starts at 0, though the eye is in volumes already; z-fail starts at infinity, "
                 "where there are none. By default each caster whose volume may reach the near plane is counted by z-fail, the "
@@ -299,21 +301,22 @@ def section(figures: Figures) -> Section:
     ]
     table = [
         {
-            "scene": titled(name),
+            "scene": scene_title(name),
             "triangles": str(row["triangles"]),
             "casting": str(row["casting"]),
             "sides (polygons)": f"{row['sides']} ({row['sides_polygons']})",
-            "search": factor(row["search_ms"] / polygons_ms(row)),
-            "edge table": factor(row["structure_ms"] / polygons_ms(row)),
-            "build": factor(row["build_silhouettes_ms"] / polygons_ms(row)),
-            "fill": factor(row["fill_silhouettes_ms"] / polygons_ms(row)),
-            "table, build and fill": factor(relative_cost(row, "structure")),
+            "search": format_ratio(row["search_ms"] / polygons_ms(row)),
+            "edge table": format_ratio(row["structure_ms"] / polygons_ms(row)),
+            "build": format_ratio(row["build_silhouettes_ms"] / polygons_ms(row)),
+            "fill": format_ratio(row["fill_silhouettes_ms"] / polygons_ms(row)),
+            "table, build and fill": format_ratio(relative_cost(row, "structure")),
         }
         for name, row in scenes.items()
     ]
     return Section(
         "Silhouettes, z-pass and z-fail",
-        f"Main views of the thesis's scenes under the sun, {SIZE[0]} x {SIZE[1]}. Volumes of the same triangles (those of closed "
+        f"Main views of the thesis's scenes under the sun, {SIZE_PX[0]} x {SIZE_PX[1]}. Volumes of the same triangles (those of "
+        "closed "
         "bodies that face the sun) are built twice by the same code: once with the edges that neighbours share, once with every "
         "side of a triangle as an edge of its own, one volume per triangle. Both are counted by z-fail, as in the report. Times "
         f"are ratios to building and filling one volume per polygon, taken in turns, medians of {REPEATS} (the search is timed "

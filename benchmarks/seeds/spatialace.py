@@ -1,6 +1,6 @@
 """Replication of the SpatialAce thesis (Chalmers) on the cost of shadow maps.
 
-It measures frames with redrawn and cached maps by map size, and the benefit of 16 bits and 512 texels.
+It measures frames with redrawn and cached maps by map size, and the errors with 16 bits and 512 texels.
 """
 
 from __future__ import annotations
@@ -9,17 +9,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.algorithms import frames_of_sizes
+from benchmarks.algorithms import measure_frames_by_map_size
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import interleaved_times
-from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, factor, format_largest, percent, reason, whole_percent
+from benchmarks.seeds.verdicts import (
+    SPATIALACE,
+    all_of,
+    at_least,
+    at_most,
+    choose_reason,
+    format_max_percent,
+    format_percent,
+    format_ratio,
+    format_whole_percent,
+)
 from benchmarks.seeds.views import (
     ShadowOverrides,
     ViewWithTruth,
-    bundled,
-    one_map,
-    sees_sun_after_move,
-    settings_of,
+    bundled_scene,
+    sees_sun_when_moved,
+    shared_settings,
+    single_map_overrides,
     view_with_truth,
 )
 from skugga.shadows.maps.settings import ShadowMapSettings
@@ -30,38 +40,38 @@ from skugga.shadows.truth.truth import coverage_truth
 from skugga.terrain.cache import clear_caches
 
 REPEATS = 11
-FRAME = (800, 600)
-SIZES = (64, 128, 256, 512, 1024)
-CHOSEN_SIZE = "512"
+FRAME_SIZE_PX = (800, 600)
+MAP_SIZES = (64, 128, 256, 512, 1024)
+THESIS_MAP_SIZE = "512"
 """The size that the thesis chooses."""
 
-THEIR_FPS_WITHOUT = 58.88
-THEIR_FPS = {"redrawn": (12.35, 10.21, 6.03, 2.22, 0.83), "kept": (16.68, 16.68, 16.68, 16.41, 16.15)}
+THESIS_FPS_WITHOUT_SHADOWS = 58.88
+THESIS_FPS = {"redrawn": (12.35, 10.21, 6.03, 2.22, 0.83), "kept": (16.68, 16.68, 16.68, 16.41, 16.15)}
 """The thesis's frames a second, without shadows and by map size."""
 
 BLOCK_PX = 16
 """Side of the blocks whose shadow shares are compared."""
 
-HIDDEN_TEXELS = 2.0
-"""Distance in texels of the map up to which a point counts as part of the terminator's edge."""
+TERMINATOR_TEXELS = 2.0
+"""Distance behind the first hit of a ray from the sun, in texels, up to which a point counts as near the terminator."""
 
-STEEP, FLAT_SCENE, TWICE = 1.5, 1.1, 2.0
-"""Ratios of costs and gains. From the smallest map to the largest, a cost grows steeply at the first ratio or more, and hardly
-below the second. A gain is large at the third or more."""
+MIN_STEEP_GROWTH, MAX_FLAT_GROWTH, MIN_LARGE_GAIN = 1.5, 1.1, 2.0
+"""Ratios of costs between the largest and the smallest map: a growth is steep from the first on, and flat up to the second. A gain
+is large from the third ratio on."""
 
 MAX_COVERAGE_ERROR = 0.03
 """The engine's default target error (``shadows.max_error``)."""
 
 MAX_DEPTH_CHANGE = 0.1
-"""Largest change of the error by the number of depth bits, as a share of the error."""
+"""Largest change of the error between 16 and 24 depth bits, as a share of the error."""
 
-MIN_LEAK = 0.01
-"""Least share of lit points on surfaces that face away from the sun. Below it there is no acne to hide."""
+MIN_LIT_SHARE = 0.01
+"""Minimum share of lit points on surfaces that face away from the sun. Below it the map has no acne there."""
 
 
 def measure() -> Figures:
-    truth_view = view_with_truth(bundled("spatialace"), "main", FRAME)
-    rows = frames_of_sizes(REPEATS, SIZES, depth_bits=16)
+    truth_view = view_with_truth(bundled_scene("spatialace"), "main", FRAME_SIZE_PX)
+    rows = measure_frames_by_map_size(REPEATS, MAP_SIZES, depth_bits=16)
     true_shares = coverage_truth(truth_view.buffer, truth_view.scene, truth_view.casters, BLOCK_PX)
 
     def quality(overrides: ShadowOverrides) -> dict[str, float]:
@@ -70,16 +80,19 @@ def measure() -> Figures:
         return {"wrong_cast": wrong_cast, "coverage": coverage_error(block_shares(1.0 - visibility), true_shares)}
 
     def soft(size: int, bits: int) -> ShadowOverrides:
-        return one_map(size, depth_bits=bits, filter="auto")
+        return single_map_overrides(size, depth_bits=bits, filter="auto")
 
     return {
         "times": {f"{name} {size}": {"ratio": row["ratio"], "draws": row["map_draws"]} for (name, size), row in rows.items()},
-        "passes_ms": _passes_ms(truth_view, {size: truth_view.plan(soft(size, 16)) for size in SIZES}),
-        "quality": {str(size): quality(soft(size, 16)) for size in SIZES},
-        "deeper": {str(size): quality(soft(size, 24)) for size in SIZES},
+        "passes_ms": _passes_ms(truth_view, {size: truth_view.plan(soft(size, 16)) for size in MAP_SIZES}),
+        "quality": {str(size): quality(soft(size, 16)) for size in MAP_SIZES},
+        "deeper": {str(size): quality(soft(size, 24)) for size in MAP_SIZES},
         "without": quality({"algorithm": "none"}),
         "hidden": {
-            str(size): _hidden(truth_view, truth_view.plan(one_map(size, depth_bits=16, bias="polygon_offset"))) for size in SIZES
+            str(size): _measure_away_facing_surfaces(
+                truth_view, truth_view.plan(single_map_overrides(size, depth_bits=16, bias="polygon_offset"))
+            )
+            for size in MAP_SIZES
         },
     }
 
@@ -103,13 +116,13 @@ def _passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, d
     }
 
 
-def _hidden(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
-    """Measure what a shadow map alone decides on surfaces that face away from the sun, with the former bias.
+def _measure_away_facing_surfaces(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
+    """Measure the result of a shadow map alone on surfaces that face away from the sun, with the bias ``polygon_offset``.
 
-    Their normals are flipped, so that the map treats them as receivers. ``polygon_offset`` does not use normals. The figures are:
+    Their normals are flipped, so that the map treats them as receivers. The figures are:
 
     * ``lit``: the share of such surfaces that the map leaves lit.
-    * ``near``: the share that lies within ``HIDDEN_TEXELS`` texels, along the rays, behind the first hit from the sun.
+    * ``near``: the share that lies within ``TERMINATOR_TEXELS`` texels, along the rays, behind the first hit from the sun.
     * ``lit_near``: the same share among the surfaces that are left lit.
     """
     turned = truth_view.faces_away
@@ -117,10 +130,10 @@ def _hidden(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
         truth_view.buffer, normal_frame=np.where(turned[..., None], -1.0, 1.0).astype(np.float32) * truth_view.buffer.normal_frame
     )
     leaks = turned & (replace(truth_view, buffer=flipped).visibility(plan) >= 0.5)
-    settings = settings_of(truth_view, plan)
+    settings = shared_settings(truth_view, plan)
     assert isinstance(settings, ShadowMapSettings)
     texel_m = max(settings.cascades[0].texel_m)
-    near = sees_sun_after_move(truth_view, flipped, HIDDEN_TEXELS * texel_m) & turned
+    near = sees_sun_when_moved(truth_view, flipped, TERMINATOR_TEXELS * texel_m) & turned
     return {
         "texel_m": texel_m,
         "turned": float(turned.sum() / truth_view.buffer.valid.sum()),
@@ -132,41 +145,45 @@ def _hidden(truth_view: ViewWithTruth, plan: Plan) -> dict[str, float]:
 
 def section(figures: Figures) -> Section:
     frame, ms, quality = figures["times"], figures["passes_ms"], figures["quality"]
-    first, last = str(SIZES[0]), str(SIZES[-1])
-    growth = {mode: frame[f"{mode} {last}"]["ratio"] / frame[f"{mode} {first}"]["ratio"] for mode in THEIR_FPS}
-    thesis_gain = {mode: fps[0] / fps[-1] for mode, fps in THEIR_FPS.items()}
-    cached_ratio, redrawn_ratio = (frame[f"{mode} {CHOSEN_SIZE}"]["ratio"] for mode in ("kept", "redrawn"))
-    place = SIZES.index(int(CHOSEN_SIZE))
-    their_gain = THEIR_FPS["kept"][place] / THEIR_FPS["redrawn"][place]
+    first, last = str(MAP_SIZES[0]), str(MAP_SIZES[-1])
+    growth = {mode: frame[f"{mode} {last}"]["ratio"] / frame[f"{mode} {first}"]["ratio"] for mode in THESIS_FPS}
+    thesis_gain = {mode: fps[0] / fps[-1] for mode, fps in THESIS_FPS.items()}
+    cached_ratio, redrawn_ratio = (frame[f"{mode} {THESIS_MAP_SIZE}"]["ratio"] for mode in ("kept", "redrawn"))
+    place = MAP_SIZES.index(int(THESIS_MAP_SIZE))
+    their_gain = THESIS_FPS["kept"][place] / THESIS_FPS["redrawn"][place]
     map_share = {size: pass_ms["depth map"] / (pass_ms["depth map"] + pass_ms["visibility"]) for size, pass_ms in ms.items()}
     steep, flat, pays = (
-        at_least(growth["redrawn"], STEEP),
-        at_most(growth["kept"], FLAT_SCENE),
-        at_least(redrawn_ratio / cached_ratio, TWICE),
+        at_least(growth["redrawn"], MIN_STEEP_GROWTH),
+        at_most(growth["kept"], MAX_FLAT_GROWTH),
+        at_least(redrawn_ratio / cached_ratio, MIN_LARGE_GAIN),
     )
-    coverage, coverage_without = quality[CHOSEN_SIZE]["coverage"], figures["without"]["coverage"]
+    coverage, coverage_without = quality[THESIS_MAP_SIZE]["coverage"], figures["without"]["coverage"]
     deeper = max(abs(pass_ms["coverage"] - figures["deeper"][size]["coverage"]) for size, pass_ms in quality.items())
     suffices = all_of(
         (
             at_most(coverage, MAX_COVERAGE_ERROR),
-            at_least(coverage_without, TWICE * coverage),
+            at_least(coverage_without, MIN_LARGE_GAIN * coverage),
             at_most(deeper, MAX_DEPTH_CHANGE * coverage),
         ),
     )
-    hidden_figures = figures["hidden"][CHOSEN_SIZE]
+    hidden_figures = figures["hidden"][THESIS_MAP_SIZE]
     hides = all_of(
-        (at_least(hidden_figures["lit"], MIN_LEAK), at_least(hidden_figures["lit_near"], TWICE * hidden_figures["near"]))
+        (
+            at_least(hidden_figures["lit"], MIN_LIT_SHARE),
+            at_least(hidden_figures["lit_near"], MIN_LARGE_GAIN * hidden_figures["near"]),
+        )
     )
     claims = [
         Claim(
             SPATIALACE,
-            f"redrawing the map for each frame costs the more the larger it is: {factor(thesis_gain['redrawn'])} times as much at "
+            f"redrawing the map for each frame costs the more the larger it is: {format_ratio(thesis_gain['redrawn'])} times as "
+            "much at "
             f"{last} as at {first}",
-            f"{factor(growth['redrawn'])} times as much (held from {STEEP:g} on)",
+            f"{format_ratio(growth['redrawn'])} times as much (held from {MIN_STEEP_GROWTH:g} on)",
             steep,
-            f"making the map is {whole_percent(map_share[first])} of the shadow's time at {first} texels a side and "
-            f"{whole_percent(map_share[last])} at {last}"
-            + reason(
+            f"making the map is {format_whole_percent(map_share[first])} of the shadow's time at {first} texels a side and "
+            f"{format_whole_percent(map_share[last])} at {last}"
+            + choose_reason(
                 steep,
                 ", so its texels are what a frame pays for",
                 "; the rest is looking it up at each pixel, of which there are as many whatever its size. By the thesis's own "
@@ -177,40 +194,45 @@ def section(figures: Figures) -> Section:
         ),
         Claim(
             SPATIALACE,
-            f"while nothing moves a kept map costs hardly more the larger it is: {factor(thesis_gain['kept'])} "
+            f"while nothing moves a kept map costs hardly more the larger it is: {format_ratio(thesis_gain['kept'])} "
             f"times as much at {last} "
             f"as at {first}",
-            f"{factor(growth['kept'])} times as much (held up to {FLAT_SCENE:g})",
+            f"{format_ratio(growth['kept'])} times as much (held up to {MAX_FLAT_GROWTH:g})",
             flat,
-            reason(
+            choose_reason(
                 flat,
                 "a pixel looks up the same number of texels whatever the size",
-                f"looking it up takes {factor(ms[last]['visibility'] / ms[first]['visibility'])} times as long at {last} as at "
+                f"looking it up takes {format_ratio(ms[last]['visibility'] / ms[first]['visibility'])} times as long at {last} "
+                "as at "
                 f"{first}",
             ),
         ),
         Claim(
             SPATIALACE,
-            f"keeping the map is what makes a map of {CHOSEN_SIZE} bearable: redrawn frames take {factor(their_gain)} times as "
+            f"keeping the map is what makes a map of {THESIS_MAP_SIZE} bearable: redrawn frames take {format_ratio(their_gain)} "
+            "times as "
             f"long",
-            f"{factor(redrawn_ratio / cached_ratio)} times as long (held from {TWICE:g} on)",
+            f"{format_ratio(redrawn_ratio / cached_ratio)} times as long (held from {MIN_LARGE_GAIN:g} on)",
             pays,
-            reason(
+            choose_reason(
                 pays,
                 "drawing is most of what the shadow costs",
-                f"the look-up is paid either way: a kept frame takes {factor(cached_ratio)} times as long as one without shadows, "
-                f"a redrawn one {factor(redrawn_ratio)} times",
+                f"the look-up is paid either way: a kept frame takes {format_ratio(cached_ratio)} times as long as one without "
+                "shadows, "
+                f"a redrawn one {format_ratio(redrawn_ratio)} times",
             ),
         ),
         Claim(
             SPATIALACE,
-            f"16 bits of depth and {CHOSEN_SIZE} texels a side suffice: a little coarse, but far better than none",
-            f"blocks' shadow shares are off by {percent(coverage)}, without shadows by {percent(coverage_without)}; 24 bits change "
-            f"that by {format_largest(deeper)} at any size (held if off by at most {percent(MAX_COVERAGE_ERROR)}, by at most half "
-            f"of that without, and if bits change at most {whole_percent(MAX_DEPTH_CHANGE)} of it)",
+            f"16 bits of depth and {THESIS_MAP_SIZE} texels a side suffice: a little coarse, but far better than none",
+            f"blocks' shadow shares are off by {format_percent(coverage)}, without shadows by "
+            f"{format_percent(coverage_without)}; 24 bits change "
+            f"that by {format_max_percent(deeper)} at any size (held if off by at most {format_percent(MAX_COVERAGE_ERROR)}, by "
+            "at most half "
+            f"of that without, and if bits change at most {format_whole_percent(MAX_DEPTH_CHANGE)} of it)",
             suffices,
             f"a texel is {hidden_figures['texel_m']:.1f} m wide, "
-            + reason(
+            + choose_reason(
                 suffices,
                 "next to which a step of 16 bits is small",
                 "and edges are off by as much",
@@ -220,13 +242,17 @@ def section(figures: Figures) -> Section:
         Claim(
             SPATIALACE,
             "a map's self-shadow does not reach the edges; giving what is turned away from the sun the shadow's shade hides that",
-            f"of the surface turned away a biased map of {CHOSEN_SIZE} alone leaves {percent(hidden_figures['lit'])} lit, and "
-            f"{whole_percent(hidden_figures['lit_near'])} of that lies within {HIDDEN_TEXELS:g} texels, along the rays, of what "
-            f"the sun meets first, where {whole_percent(hidden_figures['near'])} of all that is turned away lies; decided by the "
-            f"normal, none of it is lit (held if at least {percent(MIN_LEAK)} is lit, near there at least {TWICE:g} times as often "
+            f"of the surface turned away a biased map of {THESIS_MAP_SIZE} alone leaves {format_percent(hidden_figures['lit'])} "
+            "lit, and "
+            f"{format_whole_percent(hidden_figures['lit_near'])} of that lies within {TERMINATOR_TEXELS:g} texels, along the "
+            "rays, of what "
+            f"the sun meets first, where {format_whole_percent(hidden_figures['near'])} of all that is turned away lies; decided "
+            "by the "
+            f"normal, none of it is lit (held if at least {format_percent(MIN_LIT_SHARE)} is lit, near there at least "
+            f"{MIN_LARGE_GAIN:g} times as often "
             f"as elsewhere)",
             hides,
-            reason(
+            choose_reason(
                 hides,
                 "where a surface has just turned away the map holds its own lit side, less than the bias before it; that is why "
                 "attached shadow is decided before any algorithm here",
@@ -237,21 +263,23 @@ def section(figures: Figures) -> Section:
     table = [
         {
             "map": size,
-            "redrawn": factor(frame[f"redrawn {size}"]["ratio"]),
-            "kept": factor(frame[f"kept {size}"]["ratio"]),
-            "theirs redrawn": factor(THEIR_FPS_WITHOUT / THEIR_FPS["redrawn"][k]),
-            "theirs kept": factor(THEIR_FPS_WITHOUT / THEIR_FPS["kept"][k]),
-            "map made": whole_percent(map_share[size]),
-            "wrong_cast": percent(quality[size]["wrong_cast"]),
-            "coverage": percent(quality[size]["coverage"]),
-            "turned away, lit by the map": percent(figures["hidden"][size]["lit"]),
+            "redrawn": format_ratio(frame[f"redrawn {size}"]["ratio"]),
+            "kept": format_ratio(frame[f"kept {size}"]["ratio"]),
+            "theirs redrawn": format_ratio(THESIS_FPS_WITHOUT_SHADOWS / THESIS_FPS["redrawn"][k]),
+            "theirs kept": format_ratio(THESIS_FPS_WITHOUT_SHADOWS / THESIS_FPS["kept"][k]),
+            "map made": format_whole_percent(map_share[size]),
+            "wrong_cast": format_percent(quality[size]["wrong_cast"]),
+            "coverage": format_percent(quality[size]["coverage"]),
+            "turned away, lit by the map": format_percent(figures["hidden"][size]["lit"]),
         }
-        for k, size in enumerate(map(str, SIZES))
+        for k, size in enumerate(map(str, MAP_SIZES))
     ]
     return Section(
         "SpatialAce: maps redrawn and kept",
-        f"`spatialace --view main`, {FRAME[0]} x {FRAME[1]}, one map of 16 bits. Times are those of whole frames, taken in turns, "
-        f"medians of {REPEATS}, as ratios to frames without shadows (the thesis's: {THEIR_FPS_WITHOUT} frames a second over those "
+        f"`spatialace --view main`, {FRAME_SIZE_PX[0]} x {FRAME_SIZE_PX[1]}, one map of 16 bits. Times are those of whole "
+        "frames, taken in turns, "
+        f"medians of {REPEATS}, as ratios to frames without shadows (the thesis's: {THESIS_FPS_WITHOUT_SHADOWS} frames a second "
+        "over those "
         "with the map). `map made` is the share of fitting and drawing the map in the shadow time; `coverage` is the error of "
         "shadow shares in blocks.",
         [("Frames against frames without shadows, and errors", table)],

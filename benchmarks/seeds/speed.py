@@ -1,84 +1,94 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): replication of its times, and of its use of the stencil buffer.
 
-`benchmarks/seeds` runs it as ``stages`` (figure 47, section 7.1 and chapter 2's statements on frames) and ``stencil`` (figure 22),
-beside ``grades`` and ``advice``.
+`benchmarks/seeds` runs it as the experiments ``stages`` (figure 47, section 7.1 and the statements on frames in chapter 2) and
+``stencil`` (figure 22).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.algorithms import COMPARED_VARIANTS, benchmark_view, plans_of
+from benchmarks.algorithms import COMPARED_VARIANTS
+from benchmarks.benchmark_views import benchmark_view, make_plans
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, interleaved_times, measure_times, medians, ratio
+from benchmarks.seeds.times import (
+    LIGHT_BY_SUFFIX,
+    REPEATS,
+    SIZE_PX,
+    STAGE_NAMES,
+    interleaved_times,
+    measure_times,
+    median_times,
+    time_ratio,
+)
 from benchmarks.seeds.verdicts import (
-    DRAW,
+    ABBREVIATIONS,
     DRAW_FACTOR,
-    FOUR,
+    DRAW_TEXT,
     HYBRID,
     PSM,
-    SCENES,
-    SHORT,
+    SCENE_TITLES,
     SM,
     SV,
     THESIS,
+    THESIS_ALGORITHMS,
     ClaimVerdict,
     all_of,
     at_least,
     at_most,
-    factor,
+    choose_reason,
+    format_by_scene,
+    format_percent,
+    format_ratio,
+    format_whole_percent,
     join_scene_names,
-    listed_by_scene,
-    percent,
-    reason,
-    titled,
-    whole_percent,
+    scene_title,
 )
-from benchmarks.seeds.views import bundled
+from benchmarks.seeds.views import bundled_scene
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.cache import clear_caches
 from skugga.terrain.describe import describe
 
-HALF_SIZE = 640, 512
+HALF_SIZE_PX = 640, 512
 STENCIL_REPEATS, FRAME_REPEATS = 7, 4
 MAP_SIZES = 256, 1024
-THEIR_GROWTH = 260.0 / 200.0
-"""Ratio of the thesis's frame times with the larger and the smaller of these maps."""
+THESIS_GROWTH = 260.0 / 200.0
+"""Ratio of the thesis's frame times with the larger and the smaller map of ``MAP_SIZES``."""
 
-THEIR_MAP_SHARE = 0.25, 0.45
-"""The range that counts as about 35 %, the map's share of the thesis's frames."""
+THESIS_MAP_SHARE_RANGE = 0.25, 0.45
+"""Range of the shadow map's share of a frame that counts as about 35 %, the thesis's figure."""
 
-MAX_NEAR_RATIO = 1.5
-"""Largest ratio of two times that counts as a little slower."""
+MAX_SLIGHTLY_SLOWER_RATIO = 1.5
+"""Largest ratio of two times that counts as "a little slower"."""
 
 MIN_EQUAL_RATIO = 0.8
-"""Least ratio of two times that count as about equal."""
+"""Smallest ratio of two times that count as about equal."""
 
 MAX_INDEPENDENT_RATIO = 1.25
-"""A time does not depend on the pixels if four times as many increase it by at most this ratio."""
+"""A time does not depend on the number of pixels if four times the pixels increase it by at most this ratio."""
 
 STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
 
 
-def timed_sizes(level: str) -> Figures:
+def times_by_picture_size(level: str) -> Figures:
     """Return times in a level's main view by algorithm and picture size: full size, and a quarter of the pixels."""
     runs = {}
-    for size in (SIZE, HALF_SIZE):
+    for size in (SIZE_PX, HALF_SIZE_PX):
         view_shot = benchmark_view(level, "main", size)
-        plans = plans_of(view_shot, {key: COMPARED_VARIANTS[key] for key in FOUR})
+        plans = make_plans(view_shot, {key: COMPARED_VARIANTS[key] for key in THESIS_ALGORITHMS})
         runs |= {f"{key} {size[0]}": (view_shot, plan) for key, plan in plans.items()}
-    return medians(runs, REPEATS)
+    return median_times(runs, REPEATS)
 
 
-def whole_frames(level: str) -> Figures:
+def measure_whole_frames(level: str) -> Figures:
     """Return median milliseconds of whole frames, and the share that drawing the shadow map takes.
 
     Frames are drawn without shadows, and with a redrawn map for each of ``MAP_SIZES``.
     """
-    scene = bundled(level)
-    view = scene.view("main", size=SIZE)
+    scene = bundled_scene(level)
+    view = scene.view("main", size=SIZE_PX)
     descriptor = describe(scene, view, "main")
     variants = {"none": {"algorithm": "none"}} | {str(size): COMPARED_VARIANTS[SM] | {"map_size": size} for size in MAP_SIZES}
     plans = {key: make_plan(descriptor, scene.loaded.level, overrides) for key, overrides in variants.items()}
@@ -94,9 +104,11 @@ def whole_frames(level: str) -> Figures:
 
 def measure_stages() -> Figures:
     return {
-        "views": {f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
-        "sizes": timed_sizes("thesis_water_tower"),
-        "frames": whole_frames("thesis_water_tower"),
+        "views": {
+            f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
+        },
+        "sizes": times_by_picture_size("thesis_water_tower"),
+        "frames": measure_whole_frames("thesis_water_tower"),
     }
 
 
@@ -107,51 +119,57 @@ def measure_stencil() -> Figures:
 
 def section_stages(figures: Figures) -> Section:
     tables, claims = [], []
-    for sun, light in LIGHTS.items():
-        views = {scene: figures["views"][f"{scene}{sun}"] for scene in SCENES}
-        rows = [_stage_row(scene, key, times) for scene, times in views.items() for key in FOUR]
+    for sun, light in LIGHT_BY_SUFFIX.items():
+        views = {scene: figures["views"][f"{scene}{sun}"] for scene in SCENE_TITLES}
+        rows = [_stage_row(scene, key, times) for scene, times in views.items() for key in THESIS_ALGORITHMS]
         tables.append((f"Under {light}: times of shadow_map, and the shares of the stages", rows))
         claims += _timing_claims(views, light)
     return Section(
         "Times of the four algorithms (figure 47)",
-        f"The five scenes in their main views, {SIZE[0]} x {SIZE[1]}, maps of 1024 (the hybrid has its own size), everything made "
+        f"The five scenes in their main views, {SIZE_PX[0]} x {SIZE_PX[1]}, maps of 1024 (the hybrid has its own size), "
+        "everything made "
         f"anew for each frame, medians of {REPEATS} turns. Our passes correspond to the thesis's stages like this. *map*: placing "
         "the map and drawing the scene from the light. *look-up*: rendering with the map; in the hybrid, finding the silhouette "
         "pixels. *volumes*: finding silhouettes and building volumes. *counting*: drawing volumes into the stencil. *between*: "
         "time outside of all passes; in the hybrid mainly finding which points lie on lit faces of casters. The thesis's times "
-        f"include drawing the scene, ours are the shadow alone. Times within {whole_percent(DRAW_FACTOR - 1.0)} count as the same: "
+        f"include drawing the scene, ours are the shadow alone. Times within {format_whole_percent(DRAW_FACTOR - 1.0)} count as "
+        "the same: "
         "a draw.",
         tables,
         [*claims, *_size_claims(figures["sizes"]), *_frame_claims(figures["frames"])],
     )
 
 
-def _stage_row(scene: str, key: str, at: Figures) -> dict[str, str]:
-    stages = at[key]["redrawn"]["stages"]
+def _stage_row(scene: str, key: str, times: Figures) -> dict[str, str]:
+    stages = times[key]["redrawn"]["stages"]
     total_ms = sum(stages.values())
-    cells = {name: whole_percent(stages[name] / total_ms) if stages[name] / total_ms >= 0.005 else "" for name in STAGE_NAMES}
-    return {"scene": SCENES[scene], "algorithm": key, "of shadow_map": f"{ratio(at, key, SM):.2f}", **cells}
+    cells = {
+        name: format_whole_percent(stages[name] / total_ms) if stages[name] / total_ms >= 0.005 else "" for name in STAGE_NAMES
+    }
+    return {"scene": SCENE_TITLES[scene], "algorithm": key, "of shadow_map": f"{time_ratio(times, key, SM):.2f}", **cells}
 
 
 def _timing_claims(views: Figures, light: str) -> list[Claim]:
     def over(algorithm: str, other: str) -> dict[str, float]:
-        return {scene: ratio(at, algorithm, other) for scene, at in views.items()}
+        return {scene: time_ratio(at, algorithm, other) for scene, at in views.items()}
 
-    def stage_ms(at: Figures, key: str, *stages: str) -> float:
-        return sum(at[key]["redrawn"]["stages"][name] for name in stages)
+    def stage_ms(times: Figures, key: str, *stages: str) -> float:
+        return sum(times[key]["redrawn"]["stages"][name] for name in stages)
 
     def median_share(key: str, stage: str) -> str:
-        return whole_percent(float(np.median([stage_ms(at, key, stage) / at[key]["redrawn"]["ms"] for at in views.values()])))
+        return format_whole_percent(
+            float(np.median([stage_ms(at, key, stage) / at[key]["redrawn"]["ms"] for at in views.values()]))
+        )
 
     def claim(statement: str, finding: str, verdict: ClaimVerdict, reason_text: str) -> Claim:
         return Claim(f"{THESIS}, 7.1, {light}", statement, finding, verdict, reason_text)
 
-    fastest_other = {scene: min(ratio(at, key, SM) for key in FOUR[1:]) for scene, at in views.items()}
+    fastest_other = {scene: min(time_ratio(at, key, SM) for key in THESIS_ALGORITHMS[1:]) for scene, at in views.items()}
     psm_ratios, volume_ratios, hybrid_ratios = over(PSM, SM), over(SV, PSM), over(HYBRID, SV)
     looked = float(np.median([stage_ms(at, PSM, "look-up") / stage_ms(at, SM, "look-up") for at in views.values()]))
     stages = (
         f"making the map is {median_share(SM, 'map')} of SM's time (medians) and {median_share(PSM, 'map')} of PSM's; PSM's "
-        f"look-up takes {factor(looked)} times as long as SM's"
+        f"look-up takes {format_ratio(looked)} times as long as SM's"
     )
     if light == "the spot" and looked * DRAW_FACTOR < 1.0:
         stages += (
@@ -163,10 +181,13 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
     }
     loses = [scene for scene in views if hybrid_ratios[scene] > DRAW_FACTOR]
     bare = {scene: stage_ms(views[scene], HYBRID, "volumes", "counting") / views[scene][SV]["redrawn"]["ms"] for scene in loses}
-    lead = {scene: ratio(at, HYBRID, max((SM, PSM, SV), key=lambda key, at=at: ratio(at, key, SM))) for scene, at in views.items()}
-    last = {scene: max(FOUR, key=lambda key, at=at: ratio(at, key, SM)) for scene, at in views.items()}
+    lead = {
+        scene: time_ratio(at, HYBRID, max((SM, PSM, SV), key=lambda key, at=at: time_ratio(at, key, SM)))
+        for scene, at in views.items()
+    }
+    last = {scene: max(THESIS_ALGORITHMS, key=lambda key, at=at: time_ratio(at, key, SM)) for scene, at in views.items()}
     fastest = all_of(at_least(value, 1.0) for value in fastest_other.values())
-    near = all_of(all_of((at_least(value, 1.0), at_most(value, MAX_NEAR_RATIO))) for value in psm_ratios.values())
+    near = all_of(all_of((at_least(value, 1.0), at_most(value, MAX_SLIGHTLY_SLOWER_RATIO))) for value in psm_ratios.values())
     street = all_of(at_most(value, 1.0) if scene == "street" else at_least(value, 1.0) for scene, value in volume_ratios.items())
     boxgrid = all_of(at_most(value, 1.0) if scene == "boxgrid" else at_least(value, 1.0) for scene, value in hybrid_ratios.items())
     cheaper = all_of(
@@ -178,21 +199,22 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
     return [
         claim(
             "SM is the fastest everywhere",
-            f"time of the fastest other, of SM's: {listed_by_scene(fastest_other)} (held if over 1 everywhere)",
+            f"time of the fastest other, of SM's: {format_by_scene(fastest_other)} (held if over 1 everywhere)",
             fastest,
-            reason(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW}: {stages}"),
+            choose_reason(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW_TEXT}: {stages}"),
         ),
         claim(
             "PSM is a little behind SM in all scenes",
-            f"time of PSM, of SM's: {listed_by_scene(psm_ratios)} (held if over 1 and at most {MAX_NEAR_RATIO:g} everywhere)",
+            f"time of PSM, of SM's: {format_by_scene(psm_ratios)} (held if over 1 and at most {MAX_SLIGHTLY_SLOWER_RATIO:g} "
+            "everywhere)",
             near,
-            reason(near, stages, stages, f"{DRAW}: {stages}"),
+            choose_reason(near, stages, stages, f"{DRAW_TEXT}: {stages}"),
         ),
         claim(
             "SV beats PSM in Street, and only there",
-            f"time of SV, of PSM's: {listed_by_scene(volume_ratios)} (held if under 1 in Street, over 1 elsewhere)",
+            f"time of SV, of PSM's: {format_by_scene(volume_ratios)} (held if under 1 in Street, over 1 elsewhere)",
             street,
-            reason(
+            choose_reason(
                 street,
                 "Street's volumes have few faces, which draw in less time than pixels are looked up",
                 "beside Street there are scenes in which volumes cover little of the picture"
@@ -203,9 +225,9 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "SV beats the hybrid in all scenes but BoxGrid",
-            f"time of the hybrid, of SV's: {listed_by_scene(hybrid_ratios)} (held if under 1 in BoxGrid, over 1 elsewhere)",
+            f"time of the hybrid, of SV's: {format_by_scene(hybrid_ratios)} (held if under 1 in BoxGrid, over 1 elsewhere)",
             boxgrid,
-            reason(
+            choose_reason(
                 boxgrid,
                 "only there volumes cover the picture so often that leaving them out pays for map and mask",
                 "what the hybrid leaves out would be filled by the processor here, which fills slowly: that pays for map and "
@@ -214,11 +236,11 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "the volumes alone (made and drawn) are cheaper in the hybrid in BoxGrid and Water Tower, about as dear elsewhere",
-            f"time of the hybrid's volumes and counting, of SV's: {listed_by_scene(volume)} (held if under 1 in "
+            f"time of the hybrid's volumes and counting, of SV's: {format_by_scene(volume)} (held if under 1 in "
             "these two, and within a "
             f"factor of {1.0 / MIN_EQUAL_RATIO:g} elsewhere)",
             cheaper,
-            reason(
+            choose_reason(
                 cheaper,
                 "shadow upon shadow is what the mask saves",
                 "they are drawn in rectangles of marked tiles alone, with the faces that matter there: so the hybrid saves in "
@@ -227,24 +249,24 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "where the hybrid is slower, it is for its map and its search for silhouette pixels",
-            f"its volumes and counting alone, of SV's whole time, where it is slower: {listed_by_scene(bare)} "
+            f"its volumes and counting alone, of SV's whole time, where it is slower: {format_by_scene(bare)} "
             "(held if under 1 everywhere)"
             if loses
             else "it is slower nowhere",
             for_map,
-            reason(
+            choose_reason(
                 for_map,
                 "with all that makes its map and its mask taken off it would not be slower",
                 "what it draws of its volumes is no less than all of them",
-                DRAW if loses else "nothing to explain",
+                DRAW_TEXT if loses else "nothing to explain",
             ),
         ),
         claim(
             "the hybrid is the slowest of the four where shadows are plain (Rocks, Street)",
-            f"time of the hybrid, of the slowest other's: {listed_by_scene(lead)} (held if over 1 in these two); slowest: "
-            f"{', '.join(f'{SCENES[scene]} {SHORT[key]}' for scene, key in last.items())}",
+            f"time of the hybrid, of the slowest other's: {format_by_scene(lead)} (held if over 1 in these two); slowest: "
+            f"{', '.join(f'{SCENE_TITLES[scene]} {ABBREVIATIONS[key]}' for scene, key in last.items())}",
             slowest,
-            reason(
+            choose_reason(
                 slowest,
                 "map and mask come on top of volumes that cost little",
                 "where SV is slower, what the hybrid's map decides saves more than map and mask cost; where SM is, its look-up "
@@ -255,8 +277,11 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
 
 
 def _size_claims(sizes: Figures) -> list[Claim]:
-    grown = {key: sizes[f"{key} {SIZE[0]}"]["redrawn"]["ms"] / sizes[f"{key} {HALF_SIZE[0]}"]["redrawn"]["ms"] for key in FOUR}
-    per = ", ".join(f"{SHORT[key]} {value:.1f}" for key, value in grown.items())
+    grown = {
+        key: sizes[f"{key} {SIZE_PX[0]}"]["redrawn"]["ms"] / sizes[f"{key} {HALF_SIZE_PX[0]}"]["redrawn"]["ms"]
+        for key in THESIS_ALGORITHMS
+    }
+    per = ", ".join(f"{ABBREVIATIONS[key]} {value:.1f}" for key, value in grown.items())
     finding = f"times with four times the pixels, of those before (Water Tower, the spot): {per}"
     maps_are_independent, hybrid_grows_less = (
         at_most(max(grown[SM], grown[PSM]), MAX_INDEPENDENT_RATIO),
@@ -268,7 +293,7 @@ def _size_claims(sizes: Figures) -> list[Claim]:
             "SM and PSM do not depend on the screen's resolution",
             f"{finding} (held if at most {MAX_INDEPENDENT_RATIO:g} for both)",
             maps_are_independent,
-            reason(
+            choose_reason(
                 maps_are_independent,
                 "the map costs most",
                 "every pixel is looked up, and on a processor pixels are what costs; only the map itself does not depend on them",
@@ -279,7 +304,7 @@ def _size_claims(sizes: Figures) -> list[Claim]:
             "a higher resolution hits the hybrid less than SV",
             f"{finding} (held if less for the hybrid)",
             hybrid_grows_less,
-            reason(
+            choose_reason(
                 hybrid_grows_less,
                 "its map stays as it is, and marked pixels grow with the length of edges",
                 "what is common to both, depths and the read-back of the stencil, grows with the pixels and outweighs what is "
@@ -292,17 +317,18 @@ def _size_claims(sizes: Figures) -> list[Claim]:
 def _frame_claims(frames: Figures) -> list[Claim]:
     small, large = (frames[str(size)] for size in MAP_SIZES)
     grown = large["ms"] / small["ms"]
-    half_as_steep = 1.0 + (THEIR_GROWTH - 1.0) / 2.0
-    near = all_of((at_least(large["map"], THEIR_MAP_SHARE[0]), at_most(large["map"], THEIR_MAP_SHARE[1])))
+    half_as_steep = 1.0 + (THESIS_GROWTH - 1.0) / 2.0
+    near = all_of((at_least(large["map"], THESIS_MAP_SHARE_RANGE[0]), at_most(large["map"], THESIS_MAP_SHARE_RANGE[1])))
     steep = at_least(grown, half_as_steep)
     return [
         Claim(
             f"{THESIS}, 2.1 and 2.2.10",
             "making the map takes 45 % of a frame by copying, 35 % when drawn into a texture",
-            f"drawn into a texture {percent(large['map'])} of a finished frame (Water Tower, the spot, a map of {MAP_SIZES[1]}; "
-            f"held from {whole_percent(THEIR_MAP_SHARE[0])} to {whole_percent(THEIR_MAP_SHARE[1])})",
+            f"drawn into a texture {format_percent(large['map'])} of a finished frame (Water Tower, the spot, a map of "
+            f"{MAP_SIZES[1]}; "
+            f"held from {format_whole_percent(THESIS_MAP_SHARE_RANGE[0])} to {format_whole_percent(THESIS_MAP_SHARE_RANGE[1])})",
             near,
-            reason(
+            choose_reason(
                 near,
                 "the share is much the same",
                 "depths alone are drawn, with no pixel of the picture shaded; a frame's time goes with its pixels, on which a "
@@ -311,12 +337,14 @@ def _frame_claims(frames: Figures) -> list[Claim]:
         ),
         Claim(
             f"{THESIS}, 2.2",
-            f"a map of {MAP_SIZES[1]} instead of {MAP_SIZES[0]} makes a frame {factor(THEIR_GROWTH)} times as long (260 against "
+            f"a map of {MAP_SIZES[1]} instead of {MAP_SIZES[0]} makes a frame {format_ratio(THESIS_GROWTH)} times as long (260 "
+            "against "
             "200 frames a second)",
-            f"{factor(grown)} times as long (held from half that growth on, {factor(half_as_steep)}); a frame with the smaller "
-            f"one takes {factor(small['ms'] / frames['none']['ms'])} times one without shadows",
+            f"{format_ratio(grown)} times as long (held from half that growth on, {format_ratio(half_as_steep)}); a frame with "
+            "the smaller "
+            f"one takes {format_ratio(small['ms'] / frames['none']['ms'])} times one without shadows",
             steep,
-            reason(
+            choose_reason(
                 steep,
                 "texels cost",
                 "texels are a small part of the frame: there are as many pixels to look up, whatever the map",
@@ -328,14 +356,14 @@ def _frame_claims(frames: Figures) -> list[Claim]:
 def section_stencil(figures: Figures) -> Section:
     rows = [
         {
-            "scene": titled(level),
-            **{mode: f"{ratio(tower, 'two passes', SV, mode):.2f}" for mode in ("redrawn", "kept")},
+            "scene": scene_title(level),
+            **{mode: f"{time_ratio(tower, 'two passes', SV, mode):.2f}" for mode in ("redrawn", "kept")},
             "counting alone": f"{_counting_ms(tower, 'two passes') / _counting_ms(tower, SV):.2f}",
         }
         for level, tower in ((level, figures["levels"][level]) for level in STENCIL_LEVELS)
     ]
     tower = figures["levels"]["water_tower"]
-    faster = all_of(at_least(ratio(tower, "two passes", SV, mode), 1.0) for mode in ("redrawn", "kept"))
+    faster = all_of(at_least(time_ratio(tower, "two passes", SV, mode), 1.0) for mode in ("redrawn", "kept"))
     saved = "each face is sent, transformed and clipped once instead of twice"
     times_text = (
         "two passes draw the same pixels in all: each face is filled once, and dropped once before it is filled. What is saved "
@@ -343,21 +371,22 @@ def section_stencil(figures: Figures) -> Section:
     )
     return Section(
         "One- and two-sided stencil (figure 22)",
-        f"Time of shadow volumes with `stencil: two_pass`, relative to `one_pass`; main views, {SIZE[0]} x {SIZE[1]}, medians of "
+        f"Time of shadow volumes with `stencil: two_pass`, relative to `one_pass`; main views, {SIZE_PX[0]} x {SIZE_PX[1]}, "
+        "medians of "
         f"{STENCIL_REPEATS} turns. The thesis's scene is its water tower.",
         [("Two passes, of one", rows)],
         [
             Claim(
                 f"{THESIS}, 3.2.6",
                 "counting both sides in one pass is noticeably faster than in two",
-                f"two passes take {factor(ratio(tower, 'two passes', SV))} times as long in the water tower, "
-                f"{factor(ratio(tower, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
+                f"two passes take {format_ratio(time_ratio(tower, 'two passes', SV))} times as long in the water tower, "
+                f"{format_ratio(time_ratio(tower, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
                 faster,
-                reason(faster, saved, times_text, f"{DRAW}: {times_text}"),
+                choose_reason(faster, saved, times_text, f"{DRAW_TEXT}: {times_text}"),
             )
         ],
     )
 
 
-def _counting_ms(at: Figures, key: str) -> float:
-    return at[key]["redrawn"]["stages"]["counting"]
+def _counting_ms(times: Figures, key: str) -> float:
+    return times[key]["redrawn"]["stages"]["counting"]

@@ -1,7 +1,7 @@
-"""Times of shadow algorithms, and of other tasks, that take turns.
+"""Times of shadow algorithms and of other tasks, which take turns.
 
-Times are medians of the shadow alone, without the rest of the frame (``algorithms.run_interleaved``). Each is measured once in a
-process.
+Times are medians of the shadow alone, without the rest of the frame (``benchmark_views.run_interleaved``). Each is measured once in
+a process.
 """
 
 from __future__ import annotations
@@ -13,37 +13,38 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.algorithms import COMPARED_VARIANTS, COUNTING_VARIANTS, BenchmarkView, benchmark_view, plans_of, run_interleaved
+from benchmarks.algorithms import COMPARED_VARIANTS, COUNTING_VARIANTS
+from benchmarks.benchmark_views import BenchmarkView, benchmark_view, make_plans, run_interleaved
 from benchmarks.seeds.claims import Figures
-from benchmarks.seeds.verdicts import FOUR
+from benchmarks.seeds.verdicts import THESIS_ALGORITHMS
 from skugga.shadows.plan import Plan
 
 T = TypeVar("T")
 
-LIGHTS = {"": "the spot", "_sun": "the sun"}
+LIGHT_BY_SUFFIX = {"": "the spot", "_sun": "the sun"}
 
-SIZE = 1280, 1024
+SIZE_PX = 1280, 1024
 REPEATS = 3
 
-PASS_STAGES = {
+STAGE_BY_PASS = {
     "map": "map", "depth map": "map", "visibility": "look-up", "mask": "look-up", "silhouettes": "volumes", "stencil": "counting",
 }  # fmt: skip
-"""Stages of the thesis by the engine's passes. The remaining time lies between the passes."""
-BETWEEN = "between"
-STAGE_NAMES = (*dict.fromkeys(PASS_STAGES.values()), BETWEEN)
+"""Stage of the thesis by pass of the engine. The remaining time, between passes, is the stage ``BETWEEN_PASSES``."""
+BETWEEN_PASSES = "between"
+STAGE_NAMES = (*dict.fromkeys(STAGE_BY_PASS.values()), BETWEEN_PASSES)
 
 
 @cache
-def measure_times(level: str, view: str, algorithms: tuple[str, ...] = FOUR, repeats: int = REPEATS) -> Figures:
-    """Return times of algorithms in a view."""
-    view_shot = benchmark_view(level, view, SIZE)
+def measure_times(level: str, view: str, algorithms: tuple[str, ...] = THESIS_ALGORITHMS, repeats: int = REPEATS) -> Figures:
+    """Return median times of algorithms in a view (``median_times``)."""
+    view_shot = benchmark_view(level, view, SIZE_PX)
     every = {**COMPARED_VARIANTS, **COUNTING_VARIANTS}
-    return medians(
-        {key: (view_shot, plan) for key, plan in plans_of(view_shot, {key: every[key] for key in algorithms}).items()}, repeats
+    return median_times(
+        {key: (view_shot, plan) for key, plan in make_plans(view_shot, {key: every[key] for key in algorithms}).items()}, repeats
     )
 
 
-def medians(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> Figures:
+def median_times(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> Figures:
     """Return median milliseconds of each run (a view with a plan), in total and by stage, with redrawn and with cached shadow maps.
 
     Also return the share of pixels that a hybrid leaves to its shadow volumes.
@@ -54,8 +55,8 @@ def medians(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> Figure
         stages: dict[str, list[float]] = {name: [] for name in STAGE_NAMES}
         for all_ms, passes_ms in zip(milliseconds_of_runs, interleaved.passes_ms[key, mode], strict=True):
             for name in STAGE_NAMES[:-1]:
-                stages[name].append(sum(ms for pass_name, ms in passes_ms.items() if PASS_STAGES[pass_name] == name))
-            stages[BETWEEN].append(all_ms - sum(passes_ms.values()))
+                stages[name].append(sum(ms for pass_name, ms in passes_ms.items() if STAGE_BY_PASS[pass_name] == name))
+            stages[BETWEEN_PASSES].append(all_ms - sum(passes_ms.values()))
         medians_ms = {name: float(np.median(milliseconds)) for name, milliseconds in stages.items()}
         result.setdefault(key, {})[mode] = {"ms": float(np.median(milliseconds_of_runs)), "stages": medians_ms}
     for key, log in interleaved.logs.items():
@@ -63,9 +64,9 @@ def medians(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> Figure
     return result
 
 
-def ratio(at: Figures, algorithm: str, other: str, mode: str = "redrawn") -> float:
+def time_ratio(times: Figures, algorithm: str, other: str, mode: str = "redrawn") -> float:
     """Return the ratio of one algorithm's time to another's. ``mode`` is ``redrawn`` (empty caches) or ``kept`` (cached maps)."""
-    return at[algorithm][mode]["ms"] / at[other][mode]["ms"]
+    return times[algorithm][mode]["ms"] / times[other][mode]["ms"]
 
 
 def interleaved_times(tasks: dict[str, Callable[[], T]], repeats: int) -> dict[str, list[tuple[float, T]]]:

@@ -13,25 +13,25 @@ import trimesh
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, draw_crop, write_sheet
-from benchmarks.seeds.thin import MAX_WRONG
-from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, percent, reason
-from benchmarks.seeds.views import LevelDocument, Variant, draw_variant, scene_of, view_with_truth
+from benchmarks.seeds.thin import MAX_WRONG_SHARE
+from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, choose_reason, format_percent
+from benchmarks.seeds.views import LevelDocument, Variant, draw_variant, view_with_truth, write_and_build_scene
 from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.shadows.volumes import volumes
 from skugga.shadows.volumes.edges import Edges, signed_sums
 from skugga.shadows.volumes.silhouettes import Silhouette, silhouette
 
-SIZE = (960, 768)
-TEXELS = 1024
-FULL_BOX: CropBox = (0, 0, *SIZE)
-BARK, LEAF_GREEN = (96, 74, 54, 255), (78, 118, 52, 255)
+SIZE_PX = (960, 768)
+MAP_SIZE = 1024
+FULL_CROP: CropBox = (0, 0, *SIZE_PX)
+BARK_RGBA, LEAF_RGBA = (96, 74, 54, 255), (78, 118, 52, 255)
 
 
 @contextmanager
-def closed_meshes_alone() -> Iterator[None]:
+def assume_closed_meshes() -> Iterator[None]:
     """Build shadow volumes as if all meshes were closed, while the context manager is active.
 
-    Volumes then come from the triangles that face the light. Their sides are at silhouette edges between exactly two triangles.
+    Then only triangles that face the light form volumes, with sides at silhouette edges between exactly two triangles.
     """
 
     def between_two(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) -> Silhouette:
@@ -45,7 +45,7 @@ def closed_meshes_alone() -> Iterator[None]:
         yield
 
 
-def open_tree(seed: int = 7) -> trimesh.Trimesh:
+def open_tree_mesh(seed: int = 7) -> trimesh.Trimesh:
     """Return a tree mesh in metres: open tubes that intersect, and leaves of two crossed rectangles each.
 
     No part is closed, leaves face all directions, and half of the leaves have the opposite winding.
@@ -64,7 +64,7 @@ def open_tree(seed: int = 7) -> trimesh.Trimesh:
             tip = position + 0.35 * length * _unit(rng.normal(size=3) + 0.6 * branch_direction)
             parts.append(_open_tube(np.array([position, tip]), [0.035, 0.012]))
             leaves_at.append(position + np.linspace(0.1, 1.1, 10)[:, None] * (tip - position))
-    colors = [BARK] * sum(len(faces) for _, faces in parts)
+    colors = [BARK_RGBA] * sum(len(faces) for _, faces in parts)
     for position in np.concatenate(leaves_at):
         position = position + rng.normal(scale=0.14, size=3)
         axis = _unit(rng.normal(size=3))
@@ -75,7 +75,7 @@ def open_tree(seed: int = 7) -> trimesh.Trimesh:
             parts.append((corners, faces if rng.random() < 0.5 else faces[:, ::-1]))
     first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
     faces = np.concatenate([triangles + start for (_, triangles), start in zip(parts, first, strict=True)])
-    colors += [LEAF_GREEN] * (len(faces) - len(colors))
+    colors += [LEAF_RGBA] * (len(faces) - len(colors))
     return trimesh.Trimesh(np.concatenate([vertices for vertices, _ in parts]), faces, face_colors=colors, process=False)
 
 
@@ -97,15 +97,15 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-TREE_LIGHTS: dict[str, LevelDocument] = {
+LIGHTS: dict[str, LevelDocument] = {
     "spot": {"sun": "none", "lights": {"lamp": {"kind": "spot", "position": [-14, -9, 19], "target": [0, 0, 4], "cutoff": 24}}},
     "sun": {"sun": {"azimuth": 237, "altitude": 42}},
 }
 ASSUMED_CLOSED = "volumes as of closed meshes"
-TREE_ROWS = {
-    SM: Variant({"algorithm": "shadow_map", "map_size": TEXELS, "cascades": 1, "filter": 1}),
-    PSM: Variant({"algorithm": "perspective_shadow_map", "map_size": TEXELS, "filter": 1}),
-    ASSUMED_CLOSED: Variant({"algorithm": "shadow_volume"}, closed_meshes_alone),
+VARIANTS = {
+    SM: Variant({"algorithm": "shadow_map", "map_size": MAP_SIZE, "cascades": 1, "filter": 1}),
+    PSM: Variant({"algorithm": "perspective_shadow_map", "map_size": MAP_SIZE, "filter": 1}),
+    ASSUMED_CLOSED: Variant({"algorithm": "shadow_volume"}, assume_closed_meshes),
     SV: Variant({"algorithm": "shadow_volume"}),
     HYBRID: Variant({"algorithm": "hybrid"}),
 }
@@ -113,21 +113,21 @@ TREE_ROWS = {
 
 def measure() -> Figures:
     """Measure an open tree under a spot light and the sun: by all four algorithms, and by volumes that assume closed meshes."""
-    rows, cells, tree = [], [], open_tree()
+    rows, cells, tree = [], [], open_tree_mesh()
     sides = np.unique(np.sort(tree.edges, axis=1), axis=0, return_counts=True)[1]
     floor = {"version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [100, 100]}}, "meshes": [{"source": "tree.ply"}]}
-    eye = {"kind": "perspective", "eye": [8.5, -18.5, 8.5], "target": [2.2, 0.8, 3.3], "fov": 29, "size": list(SIZE)}
+    eye = {"kind": "perspective", "eye": [8.5, -18.5, 8.5], "target": [2.2, 0.8, 3.3], "fov": 29, "size": list(SIZE_PX)}
     with TemporaryDirectory() as name:
         folder = Path(name)
         tree.export(folder / "tree.ply")
-        for light, keys in TREE_LIGHTS.items():
-            truth_view = view_with_truth(scene_of({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE)
-            for algorithm, variant in TREE_ROWS.items():
+        for light, keys in LIGHTS.items():
+            truth_view = view_with_truth(write_and_build_scene({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE_PX)
+            for algorithm, variant in VARIANTS.items():
                 figures = draw_variant(truth_view, variant).figures
                 rows.append({"light": light, "algorithm": algorithm, **figures})
                 if light == "sun" and algorithm != PSM:
-                    words = f"{algorithm}: {percent(figures['wrong_cast'])} wrong"
-                    cells.append(CaptionedPicture(draw_crop(truth_view, variant, FULL_BOX, shrink=2), words))
+                    words = f"{algorithm}: {format_percent(figures['wrong_cast'])} wrong"
+                    cells.append(CaptionedPicture(draw_crop(truth_view, variant, FULL_CROP, downscale_factor=2), words))
     write_sheet("seeds-tree.webp", cells, 2)
     return {"rows": rows, "triangles": len(tree.faces), "open_edges": int((sides == 1).sum()), "edges": len(sides)}
 
@@ -135,19 +135,20 @@ def measure() -> Figures:
 def section(figures: Figures) -> Section:
     row_by_key = {(row["light"], row["algorithm"]): row for row in figures["rows"]}
 
-    def worst(algorithm: str, figure: str) -> float:
-        return max(row_by_key[light, algorithm][figure] for light in TREE_LIGHTS)
+    def worst(algorithm: str, metric: str) -> float:
+        return max(row_by_key[light, algorithm][metric] for light in LIGHTS)
 
     maps = max(worst(SM, "interior"), worst(PSM, "interior"))
     worst_shares = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, ASSUMED_CLOSED)}
-    maps_hold, fail = at_most(maps, MAX_INTERIOR), at_least(max(worst_shares[SV], worst_shares[HYBRID]), MAX_WRONG)
+    maps_hold, fail = at_most(maps, MAX_INTERIOR), at_least(max(worst_shares[SV], worst_shares[HYBRID]), MAX_WRONG_SHARE)
     claims = [
         Claim(
             f"{THESIS}, figure 57",
             "shadow maps and perspective ones do not care how the geometry is made",
-            f"at most {percent(maps)} of the picture is wrong away from shadow edges (held if at most {percent(MAX_INTERIOR)})",
+            f"at most {format_percent(maps)} of the picture is wrong away from shadow edges (held if at most "
+            f"{format_percent(MAX_INTERIOR)})",
             maps_hold,
-            reason(
+            choose_reason(
                 maps_hold,
                 "a depth map draws triangles one by one and knows no edges between them",
                 "twigs and leaves are thinner than texels: whole ones are lost, which has nothing to do with open meshes",
@@ -156,11 +157,12 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, figure 57",
             "shadow volumes and the hybrid need closed meshes, and fail on the tree",
-            f"wrong at most in {percent(worst_shares[SV])} (volumes) and {percent(worst_shares[HYBRID])} (hybrid) of the cast "
-            f"shadow (held if over {percent(MAX_WRONG)} of either); volumes that are made as of closed meshes in "
-            f"{percent(worst_shares[ASSUMED_CLOSED])}",
+            f"wrong at most in {format_percent(worst_shares[SV])} (volumes) and {format_percent(worst_shares[HYBRID])} (hybrid) "
+            "of the cast "
+            f"shadow (held if over {format_percent(MAX_WRONG_SHARE)} of either); volumes that are made as of closed meshes in "
+            f"{format_percent(worst_shares[ASSUMED_CLOSED])}",
             fail,
-            reason(
+            choose_reason(
                 fail,
                 "sides of open edges are counted wrongly",
                 "a side counts as often as triangles meet at its edge without cancelling, once at an open one, and of open "
@@ -170,13 +172,14 @@ def section(figures: Figures) -> Section:
     ]
     keys = ("wrong_cast", "false_shadow", "missed_shadow", "interior")
     table = [
-        {"light": row["light"], "algorithm": row["algorithm"]} | {key: percent(row[key]) for key in keys} for row in figures["rows"]
+        {"light": row["light"], "algorithm": row["algorithm"]} | {key: format_percent(row[key]) for key in keys}
+        for row in figures["rows"]
     ]
     return Section(
         "An open tree (figure 57)",
         f"A tree of {figures['triangles']} triangles: open tubes that run into one another, and leaves of two crossed rectangles, "
-        f"oriented at random. {figures['open_edges']} of its {figures['edges']} edges have only one triangle. {SIZE[0]} x "
-        f"{SIZE[1]} pixels, maps of {TEXELS}, one tap.",
+        f"oriented at random. {figures['open_edges']} of its {figures['edges']} edges have only one triangle. {SIZE_PX[0]} x "
+        f"{SIZE_PX[1]} pixels, maps of {MAP_SIZE}, one tap.",
         [("Errors by algorithm", table)],
         claims,
         [("seeds-tree.webp", "A map, volumes that take the tree for closed, volumes, and the hybrid, under the sun")],

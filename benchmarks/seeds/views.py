@@ -35,8 +35,8 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
 
-SAMPLES = 4
-"""Samples per pixel that decide where truth can be decided."""
+TRUTH_SAMPLES_PER_PIXEL = 4
+"""Sub-pixel samples of truth. A pixel is decidable if all its samples agree."""
 
 ShadowOverrides = dict[str, Any]
 LevelDocument = dict[str, Any]
@@ -70,7 +70,7 @@ class ViewWithTruth:
         return self.view
 
     @property
-    def ahead_m(self) -> np.ndarray:
+    def view_depth_m(self) -> np.ndarray:
         """Distances of the visible points from the eye along the view axis (rows, cols), metres."""
         eye, camera_from_frame = self.perspective.in_frame(self.buffer.frame)
         return (self.buffer.position_frame_m - eye) @ camera_from_frame[2]
@@ -78,7 +78,7 @@ class ViewWithTruth:
     def plan(self, overrides: ShadowOverrides) -> Plan:
         """Return a plan for the view.
 
-        ``bias_scale`` among the overrides is no key of a level. It changes the resolved settings themselves.
+        The override ``bias_scale`` is not a key of a level. It changes the resolved settings.
         """
         overrides = dict(overrides)
         scale = overrides.pop("bias_scale", None)
@@ -99,7 +99,7 @@ class ViewWithTruth:
         )
 
     def with_attached_shadow(self, visibility: np.ndarray) -> np.ndarray:
-        """Return a visibility (rows, cols) with attached shadow added, and NaN where no surface is."""
+        """Return a visibility (rows, cols) with attached shadow added, and NaN without a surface."""
         return np.where(self.buffer.valid, np.where(self.receivers, visibility, np.float32(0.0)), np.float32(np.nan))
 
     def texels_px(self, plan: Plan) -> np.ndarray:
@@ -115,58 +115,58 @@ class ViewWithTruth:
 
 
 def view_with_truth(scene: Scene, name: str, size: tuple[int, int]) -> ViewWithTruth:
-    """Return a scene's view of a name, with its truth. ``size`` is (cols, rows) in pixels."""
-    return with_truth(scene, scene.view(name, size=size), name)
+    """Return a scene's view by name, with its truth. ``size`` is (cols, rows) in pixels."""
+    return trace_view_truth(scene, scene.view(name, size=size), name)
 
 
-def with_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> ViewWithTruth:
-    """Return any view with its truth; ``name`` is the level's view whose settings it shares."""
+def trace_view_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> ViewWithTruth:
+    """Trace the truth of a view. ``name`` is the level's view whose settings apply."""
     buffer, light = geometry_buffer(scene, view), scene.light_names[0]
     casters = find_casters(scene, buffer)
-    truth = cached_truth(buffer, scene, casters, SAMPLES, light)
+    truth = cached_truth(buffer, scene, casters, TRUTH_SAMPLES_PER_PIXEL, light)
     return ViewWithTruth(scene, view, light, describe(scene, view, name), buffer, casters, truth)
 
 
-def bundled(name: str) -> Scene:
+def bundled_scene(name: str) -> Scene:
     """Return the scene of a bundled level."""
     return build_scene(load_level(find_level(name)))
 
 
-def level_of(name: str) -> LevelDocument:
-    """Return the document of a bundled level as its file has it."""
+def read_bundled_level(name: str) -> LevelDocument:
+    """Read the document of a bundled level."""
     return YAML(typ="safe").load(find_level(name))
 
 
-def scene_of(level: LevelDocument, folder: Path) -> Scene:
-    """Write a level into a folder that holds the files it names, and build its scene."""
+def write_and_build_scene(level: LevelDocument, folder: Path) -> Scene:
+    """Write a level into the folder of its files, and build its scene."""
     path = folder / "level.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
     return build_scene(load_level(path))
 
 
-def one_map(size: int, **overrides: Any) -> ShadowOverrides:
+def single_map_overrides(size: int, **overrides: Any) -> ShadowOverrides:
     """Return overrides for one hard-edged shadow map of 24 bits and ``size`` texels a side, with further overrides."""
     return {"algorithm": "shadow_map", "map_size": size, "cascades": 1, "filter": 1, "depth_bits": 24, **overrides}
 
 
-def settings_of(truth_view: ViewWithTruth, plan: Plan) -> AlgorithmSettings:
-    """Return the settings of a plan, which must be the same for all caster kinds."""
+def shared_settings(truth_view: ViewWithTruth, plan: Plan) -> AlgorithmSettings:
+    """Return the settings of a plan that has the same settings for all caster kinds."""
     return next(iter(plan.settings[truth_view.light].values()))
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A variant of an algorithm: overrides and, for a control, a context manager that disables a part of the algorithm."""
+    """A variant of an algorithm: overrides, and a context manager that disables a part of the algorithm (for controls)."""
 
     overrides: ShadowOverrides
-    disabled_part: Callable[[], AbstractContextManager[Any]] = nullcontext
+    disable_part: Callable[[], AbstractContextManager[Any]] = nullcontext
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnVariant:
     """An algorithm's result in a view: its shadow mask (rows, cols), figures by name, and the notes of its passes."""
 
-    dark: np.ndarray
+    is_dark: np.ndarray
     figures: dict[str, float]
     note: str
 
@@ -174,12 +174,12 @@ class DrawnVariant:
 def draw_variant(truth_view: ViewWithTruth, variant: Variant) -> DrawnVariant:
     """Draw a variant's result in a view, without cached data of the light.
 
-    The figures are errors and two more. ``cast_edge_mean`` is the mean displacement of the edges of cast shadow alone, pixels.
-    ``marked`` is the share of the surface's pixels that a hybrid leaves to its volumes.
+    The figures are the errors, ``cast_edge_mean`` and ``marked``. ``cast_edge_mean`` is the mean displacement of the edges of cast
+    shadow, pixels. ``marked`` is the share of the surface's pixels that a hybrid leaves to its volumes.
     """
     log = PassLog()
     clear_caches("light")
-    with variant.disabled_part():
+    with variant.disable_part():
         plan = truth_view.plan(variant.overrides)
         visibility, texels_px = truth_view.visibility(plan, log), truth_view.texels_px(plan)
     clear_caches("light")
@@ -193,10 +193,10 @@ def draw_variant(truth_view: ViewWithTruth, variant: Variant) -> DrawnVariant:
     return DrawnVariant(dark, figures, " ".join(record.note for record in records if record.note))
 
 
-def sees_sun_after_move(truth_view: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
-    """Return which points see the sun after they are moved towards it by ``depth_m`` metres, bool (rows, cols).
+def sees_sun_when_moved(truth_view: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
+    """Return which points see the sun after a move by ``depth_m`` metres towards it, bool (rows, cols).
 
-    These are the points that lie less than ``depth_m`` behind the first hit of a ray from the sun.
+    These are the points less than ``depth_m`` behind the first hit of a ray from the sun.
     """
     assert truth_view.scene.sun is not None
     to_sun = truth_view.scene.sun.in_frame(buffer.frame)

@@ -27,7 +27,7 @@ from typing import Any
 from benchmarks.selection.code_versions import accept_code
 from benchmarks.selection.cost_of_accuracy import device_name, write_cost_of_accuracy
 from benchmarks.selection.fit import cases_of, fit_model
-from benchmarks.selection.measure import measure_instance, probes, redescribed, time_again
+from benchmarks.selection.measure import describe_again, measure_instance, measure_probes, time_again
 from benchmarks.selection.page import page, with_tables
 from benchmarks.selection.table import read_table, write_table
 from benchmarks.selection.views import instances
@@ -108,7 +108,7 @@ def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done
         new_record = (
             measure_instance(instance, data)
             if record is None
-            else {"time": time_again, "describe": redescribed, "probe": probes}[step](instance, data, record)
+            else {"time": time_again, "describe": describe_again, "probe": measure_probes}[step](instance, data, record)
         )
         _write(folder, new_record)
         print(f"{instance.name}: {time.perf_counter() - start:.1f} s", flush=True)

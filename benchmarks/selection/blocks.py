@@ -124,7 +124,7 @@ class _Block:
         self.options = options.lights.get(SUN)
         if self.options is not None:
             pictures = ProbedPictures(scene, view, make_plan(descriptor, scene.loaded.level, None, choices={}).effect_names)
-            self._prover = SceneProber(pictures, options.planner, SUN, self.options)
+            self._prober = SceneProber(pictures, options.planner, SUN, self.options)
         self._drawn: dict[int, tuple[float, float, float]] = {}
 
     def measured_option(self, which: int) -> tuple[float, float, float]:
@@ -134,10 +134,10 @@ class _Block:
         1 and infinite time.
         """
         if which not in self._drawn:
-            ms = self._prover.draw(which)
-            while not self._drawn and (self._prover.add_points_s() or np.inf) < MAX_POINTS_S:
-                self._prover.add_points()
-            observation = None if ms is None else self._prover.measurement(which).to_observation("", ms)
+            ms = self._prober.draw(which)
+            while not self._drawn and (self._prober.add_points_s() or np.inf) < MAX_POINTS_S:
+                self._prober.add_points()
+            observation = None if ms is None else self._prober.measurement(which).to_observation("", ms)
             self._drawn[which] = (
                 (1.0, np.inf, 0.0) if observation is None else (observation.error, observation.ms, observation.error_noise)
             )

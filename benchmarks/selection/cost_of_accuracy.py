@@ -24,19 +24,19 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from benchmarks.selection.judge import GOALS, Goal, instances_of
 from skugga.selector.cost.device_profile import DeviceProfile
 
-LOOSE, *FINER = [goal for goal in GOALS if goal.time_share is None]
+LOOSEST_GOAL, *FINER_GOALS = [goal for goal in GOALS if goal.time_share is None]
 """The reference goal of prices, and the goals that have a price."""
 
 ROOT = Path(__file__).parents[2]
 
 README, PAGE, FIGURE = ROOT / "README.md", ROOT / "docs" / "accuracy.md", ROOT / "docs" / "images" / "cost-of-accuracy.svg"
 
-MARK = "cost of accuracy"
+MARK_NAME = "cost of accuracy"
 
-INK, GRID, SHADES = "#333333", "#E4E4E4", ("#9CC3E6", "#3D87C4", "#0B3C68")
+TEXT_COLOR, GRID_COLOR, GOAL_COLORS = "#333333", "#E4E4E4", ("#9CC3E6", "#3D87C4", "#0B3C68")
 """Colours of the figure: lighter is looser."""
 
-MIN_VIEWS = 2
+MIN_VIEWS_OF_MEDIAN = 2
 """The least number of views for a median."""
 
 Figures = dict[str, Any]
@@ -52,21 +52,21 @@ class Price:
         The goal.
     ratios
         Time of the cheapest plan for the goal divided by that for the loosest goal, of each view where these are two plans.
-    free
-        Number of views where one plan is the cheapest for both goals.
-    views
-        Number of all views, with or without a price.
+    same_plan_views
+        Number of views where the same plan is the cheapest for both goals, so that accuracy costs nothing.
+    view_count
+        Number of all views.
     """
 
     goal: Goal
     ratios: np.ndarray
-    free: int
-    views: int
+    same_plan_views: int
+    view_count: int
 
     @property
-    def decided(self) -> int:
+    def comparable_views(self) -> int:
         """Number of views where some plan meets both goals."""
-        return len(self.ratios) + self.free
+        return len(self.ratios) + self.same_plan_views
 
     @property
     def median(self) -> float:
@@ -88,7 +88,7 @@ def cheapest_rows(view: Figures) -> dict[str, tuple[str, float]]:
     Goals that no plan meets are omitted. So are goals that cannot be decided because of the noise of truth.
     """
     result = {}
-    for instance in instances_of([view], [LOOSE, *FINER]):
+    for instance in instances_of([view], [LOOSEST_GOAL, *FINER_GOALS]):
         name = instance.cheapest
         if name is not None and instance.is_decidable:
             result[instance.goal.name] = name, instance.rows[name]["ms"]
@@ -99,14 +99,14 @@ def prices(views: Sequence[Figures]) -> list[Price]:
     """Return the price of each goal that is finer than the loosest one, over some views."""
     cheapest = [cheapest_rows(view) for view in views]
     result = []
-    for goal in FINER:
-        pairs = [(rows[LOOSE.name], rows[goal.name]) for rows in cheapest if LOOSE.name in rows and goal.name in rows]
+    for goal in FINER_GOALS:
+        pairs = [(rows[LOOSEST_GOAL.name], rows[goal.name]) for rows in cheapest if LOOSEST_GOAL.name in rows and goal.name in rows]
         ratios = [fine_ms / loose_ms for (loose, loose_ms), (fine, fine_ms) in pairs if fine != loose]
         result.append(Price(goal, np.array(sorted(ratios)), len(pairs) - len(ratios), len(views)))
     return result
 
 
-def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
+def views_by_family(views: Sequence[Figures]) -> dict[str, list[Figures]]:
     """Group views by kind of scene (family)."""
     result: dict[str, list[Figures]] = {}
     for view in views:
@@ -114,33 +114,36 @@ def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
     return result
 
 
-def sentence(views: Sequence[Figures], device: str) -> str:
+def format_sentence(views: Sequence[Figures], device: str) -> str:
     """Describe the price of accuracy in time, over all views and by kind of scene. ``device`` is the name of the device."""
     finest = prices(views)[-1]
-    by_family = [(name, prices(family_views)[-1]) for name, family_views in families(views).items()]
-    priced = [f"{name}: {price.median:.1f}" for name, price in by_family if len(price.ratios) >= MIN_VIEWS]
+    by_family = [(name, prices(family_views)[-1]) for name, family_views in views_by_family(views).items()]
+    priced = [f"{name}: {price.median:.1f}" for name, price in by_family if len(price.ratios) >= MIN_VIEWS_OF_MEDIAN]
     return (
-        f"**What accuracy costs:** in {finest.free} of {finest.views} measured views nothing, since the fastest shadows of which "
-        f"at most {LOOSE.name} is wrong are right to {finest.goal.name}, too. In {len(finest.ratios)} views it has a price: there "
+        f"**What accuracy costs:** in {finest.same_plan_views} of {finest.view_count} measured views nothing, since the fastest "
+        "shadows of which "
+        f"at most {LOOSEST_GOAL.name} is wrong are right to {finest.goal.name}, too. In {len(finest.ratios)} views it has a "
+        "price: there "
         f"the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times as long in the median, "
         f"and more than {finest.p90:.1f} times in one view of ten "
         f"(medians by kind of scene, where it has a price: {'; '.join(priced)}; {device}). "
-        f"In the other {finest.views - finest.decided} no plan meets both, or truth is too noisy to tell."
+        f"In the other {finest.view_count - finest.comparable_views} no plan meets both, or truth is too noisy to tell."
     )
 
 
-def table(views: Sequence[Figures]) -> str:
+def format_table(views: Sequence[Figures]) -> str:
     """Return median and 90th percentile of the prices by kind of scene, as Markdown."""
     lines = [
-        f"| kind of scene | views | {' | '.join(f'{goal.name}: median, 90th percentile (views), free in' for goal in FINER)} |",
-        "| --- | --- |" + " --- |" * len(FINER),
+        "| kind of scene | views | "
+        f"{' | '.join(f'{goal.name}: median, 90th percentile (views), free in' for goal in FINER_GOALS)} |",
+        "| --- | --- |" + " --- |" * len(FINER_GOALS),
     ]
-    for name, family_views in [*families(views).items(), ("all", list(views))]:
+    for name, family_views in [*views_by_family(views).items(), ("all", list(views))]:
         cells = [
             (
-                f"{price.median:.2f}, {price.p90:.2f} ({len(price.ratios)}), {price.free}"
+                f"{price.median:.2f}, {price.p90:.2f} ({len(price.ratios)}), {price.same_plan_views}"
                 if price.ratios.size
-                else f"none, {price.free}"
+                else f"none, {price.same_plan_views}"
             )
             for price in prices(family_views)
         ]
@@ -148,15 +151,15 @@ def table(views: Sequence[Figures]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def replace_part(text: str, part: str) -> str:
+def replace_between_marks(text: str, part: str) -> str:
     """Replace the text between a page's marks."""
-    start, end = f"<!-- {MARK} -->\n", f"<!-- end of {MARK} -->\n"
+    start, end = f"<!-- {MARK_NAME} -->\n", f"<!-- end of {MARK_NAME} -->\n"
     if not (start in text and end in text):
         raise ValueError(f"the page has no {start.strip()} and {end.strip()}")
     return re.sub(f"{re.escape(start)}.*?{re.escape(end)}", lambda _: start + part + end, text, count=1, flags=re.DOTALL)
 
 
-def wrapped(text: str, width: int = 132) -> str:
+def wrap_paragraph(text: str, width: int = 132) -> str:
     """Wrap a paragraph."""
     lines = [""]
     for word in text.split():
@@ -173,16 +176,22 @@ def figure_svg(views: Sequence[Figures]) -> str:
     """
     kinds = [
         (name, family_views)
-        for name, family_views in families(views).items()
+        for name, family_views in views_by_family(views).items()
         if any(price.ratios.size for price in prices(family_views))
     ]
     kinds.append(("all", list(views)))
-    style = {"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK, "svg.hashsalt": "skugga"}
+    style = {
+        "font.family": "DejaVu Sans",
+        "font.size": 10,
+        "text.color": TEXT_COLOR,
+        "axes.edgecolor": TEXT_COLOR,
+        "svg.hashsalt": "skugga",
+    }
     with mpl.rc_context(style):
         figure = Figure(figsize=(9.4, 0.62 * len(kinds) + 1.5), layout="constrained")
         axes = figure.subplots()
         for row, (_, family_views) in enumerate(kinds):
-            _strip(axes, row, prices(family_views))
+            _draw_prices(axes, row, prices(family_views))
         _style_axes(axes, [name for name, _ in kinds])
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
@@ -194,18 +203,18 @@ def write_cost_of_accuracy(views: Sequence[Figures], device: str) -> None:
 
     ``device`` is the name of the device that measured the views.
     """
-    text = wrapped(sentence(views, device))
-    for path, part in ((README, text), (PAGE, f"{text}\n{table(views)}")):
-        path.write_text(replace_part(path.read_text(encoding="utf-8"), part), encoding="utf-8")
+    text = wrap_paragraph(format_sentence(views, device))
+    for path, part in ((README, text), (PAGE, f"{text}\n{format_table(views)}")):
+        path.write_text(replace_between_marks(path.read_text(encoding="utf-8"), part), encoding="utf-8")
     FIGURE.write_text(figure_svg(views), encoding="utf-8")
 
 
-def _strip(axes: Axes, row: int, family_prices: Sequence[Price]) -> None:
+def _draw_prices(axes: Axes, row: int, family_prices: Sequence[Price]) -> None:
     """Draw the points of one kind of scene in the figure, a line of points for each goal."""
-    for number, (price, colour) in enumerate(zip(family_prices, SHADES, strict=True)):
+    for number, (price, colour) in enumerate(zip(family_prices, GOAL_COLORS, strict=True)):
         y = row + 0.24 * (number - 1)
         axes.plot(price.ratios, np.full(len(price.ratios), y), ".", color=colour, markersize=7, alpha=0.6, markeredgewidth=0)
-        if len(price.ratios) >= MIN_VIEWS:
+        if len(price.ratios) >= MIN_VIEWS_OF_MEDIAN:
             axes.plot([price.median] * 2, [y - 0.1, y + 0.1], color=colour, linewidth=3.2, solid_capstyle="butt")
             axes.plot([price.median, price.p90], [y, y], color=colour, linewidth=1.2)
 
@@ -216,17 +225,23 @@ def _style_axes(axes: Axes, names: Sequence[str]) -> None:
     axes.xaxis.set_major_locator(FixedLocator(ticks))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} x"))
-    axes.set_xlabel(f"time of the fastest plan, as a multiple of that for {LOOSE.name} (bar: median, line: to the 90th percentile)")
-    axes.axvline(1.0, color=INK, linewidth=0.8)
-    axes.axhline(len(names) - 1.5, color=INK, linewidth=0.8)
-    axes.grid(axis="x", color=GRID)
+    axes.set_xlabel(
+        f"time of the fastest plan, as a multiple of that for {LOOSEST_GOAL.name} (bar: median, line: to the 90th percentile)"
+    )
+    axes.axvline(1.0, color=TEXT_COLOR, linewidth=0.8)
+    axes.axhline(len(names) - 1.5, color=TEXT_COLOR, linewidth=0.8)
+    axes.grid(axis="x", color=GRID_COLOR)
     axes.set_axisbelow(True)
     axes.tick_params(axis="y", length=0)
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
-    for goal, colour in zip(FINER, SHADES, strict=True):
+    for goal, colour in zip(FINER_GOALS, GOAL_COLORS, strict=True):
         axes.plot([], [], color=colour, linewidth=3.2, label=goal.name)
     axes.figure.legend(
-        loc="outside upper right", ncols=len(FINER), frameon=False, handlelength=1.2, title="of the cast shadow wrong, at most"
+        loc="outside upper right",
+        ncols=len(FINER_GOALS),
+        frameon=False,
+        handlelength=1.2,
+        title="of the cast shadow wrong, at most",
     )
     axes.set_title("What accuracy costs in time", loc="left", fontsize=13)

@@ -74,7 +74,7 @@ INITIAL_COVERAGE = 0.5, 0.01
 MAX_EXPONENT = 700.0
 """The largest argument of the exponential function in float64."""
 
-LADDER = np.log2(TEXEL_SIZES_PX)
+LOG2_TEXEL_SIZES = np.log2(TEXEL_SIZES_PX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,8 +307,12 @@ class _Terms:
     def expected(self, x: np.ndarray) -> np.ndarray:
         counts, perspective, floors = np.reshape(x[:-3], (len(KINDS), 3)), x[-3], x[-2:]
         texel = np.minimum(self._most, perspective * self._each)
-        histogram_index = np.clip(np.interp(np.log2(np.maximum(texel, 1e-9)), LADDER, np.arange(len(LADDER))), 0, len(LADDER) - 1)
-        low = np.minimum(histogram_index.astype(int), len(LADDER) - 2)
+        histogram_index = np.clip(
+            np.interp(np.log2(np.maximum(texel, 1e-9)), LOG2_TEXEL_SIZES, np.arange(len(LOG2_TEXEL_SIZES))),
+            0,
+            len(LOG2_TEXEL_SIZES) - 1,
+        )
+        low = np.minimum(histogram_index.astype(int), len(LOG2_TEXEL_SIZES) - 2)
         first, second = (np.take_along_axis(self._differs, (low + k)[:, None], axis=1)[:, 0] for k in (0, 1))
         differs = first + (second - first) * (histogram_index - low)
         differs = np.where(texel <= TEXEL_SIZES_PX[0], self._differs[:, 0] * texel / TEXEL_SIZES_PX[0], differs)

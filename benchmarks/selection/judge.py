@@ -193,7 +193,7 @@ def score_choices(
     )  # fmt: skip
 
 
-DRAWS = 2000
+BOOTSTRAP_DRAWS = 2000
 """The number of bootstrap draws of terrains for intervals."""
 
 
@@ -207,7 +207,7 @@ def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0
     sums = np.array([values[terrain == name].sum() for name in names], np.float64)
     counts = np.array([(terrain == name).sum() for name in names], np.float64)
-    draws = np.random.default_rng(0).integers(0, len(names), (DRAWS, len(names)))
+    draws = np.random.default_rng(0).integers(0, len(names), (BOOTSTRAP_DRAWS, len(names)))
     means = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)
@@ -248,7 +248,7 @@ def single_best(training: Sequence[GoalInstance]) -> str:
     return min(names, key=mean)
 
 
-def marginal(instances: Sequence[GoalInstance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
+def marginal_values(instances: Sequence[GoalInstance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return two figures on the value of each algorithm.
 
     The first is the increase of the virtual best's mean loss without the algorithm. The second is the share of instances whose best

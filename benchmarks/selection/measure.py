@@ -69,11 +69,11 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
     ``wrong`` in a view without cast shadow, since ``wrong_cast`` is a share of cast shadow.
     """
     with tempfile.TemporaryDirectory() as folder:
-        scene, view = instance.opened(data, Path(folder))
+        scene, view = instance.open(data, Path(folder))
         light = scene.light_names[0]
         descriptor = describe(scene, view, instance.view)
         plans = plans_of(descriptor, scene, light)
-        comparison = _compared(scene, view, instance.view, light, plans)
+        comparison = _compare_supported(scene, view, instance.view, light, plans)
         error, names = "wrong" if NO_CAST in comparison.remarks else comparison.error, rows_of(plans, light)
         record = {
             "name": instance.name, "family": instance.family, "terrain": instance.terrain, "unseen": instance.unseen,
@@ -88,7 +88,7 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
             "descriptor": descriptor.model_dump(mode="json"),
         }  # fmt: skip
         record["compared"] = origin_now(algorithms_of(record["rows"]))
-        return record | _timed(scene, view, light, plans, record["rows"])
+        return record | _time_rows(scene, view, light, plans, record["rows"])
 
 
 def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
@@ -98,14 +98,14 @@ def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     instance is measured again, except for its probes.
     """
     with tempfile.TemporaryDirectory() as folder:
-        scene, view = instance.opened(data, Path(folder))
+        scene, view = instance.open(data, Path(folder))
         light = record["light"]
         plans = plans_of(describe(scene, view, instance.view), scene, light)
         names = {choice: row for choice, row in rows_of(plans, light).items() if not _is_refused(choice, record)}
         if set(names.values()) <= set(record["rows"]) and not stale_algorithms(record, "compared"):
             rows = {row: record["rows"][row] for row in dict.fromkeys(names.values())}
             plans = {choice: plans[choice] for choice in names}
-            return record | {"picks": names} | _timed(scene, view, light, plans, rows)
+            return record | {"picks": names} | _time_rows(scene, view, light, plans, rows)
     return measure_instance(instance, data) | {key: record[key] for key in ("probe", "probed", "plan_ms") if key in record}
 
 
@@ -114,7 +114,7 @@ def _is_refused(choice: str, record: Figures) -> bool:
     return "sweep" in choice and choice not in record["picks"]
 
 
-def _timed(
+def _time_rows(
     scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
 ) -> Figures:
     """Return ``rows`` with their median milliseconds, of a perspective view or per block of a map, and the origin of the times."""
@@ -135,10 +135,10 @@ def _row(figures: Figures, light: str) -> Figures:
     return {"algorithms": algorithms, **shares, "bytes": figures["bytes"]}
 
 
-def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
+def describe_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """Return a record with a new descriptor, and with the milliseconds of describing the loaded scene and of choosing."""
     with tempfile.TemporaryDirectory() as folder:
-        scene, view = instance.opened(data, Path(folder))
+        scene, view = instance.open(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
         times_ms = []
         for _ in range(1 + RUNS):
@@ -149,10 +149,10 @@ def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
         return record | {"descriptor": descriptor.model_dump(mode="json"), "plan_ms": _rounded(float(np.median(times_ms[1:])))}
 
 
-def probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
+def measure_probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """Return a record with the measurements of probes."""
     with tempfile.TemporaryDirectory() as folder:
-        scene, view = instance.opened(data, Path(folder))
+        scene, view = instance.open(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
         assert profile is not None and not profile.is_estimate, "run skugga calibrate first"
         probe_record = record_probes(scene, view, instance.view, record["light"], profile)
@@ -170,7 +170,7 @@ def _all_rounded(value: Any) -> Any:
     return value
 
 
-def _compared(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, plans: dict[Any, Plan]) -> Any:
+def _compare_supported(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, plans: dict[Any, Plan]) -> Any:
     """Compare the plans that support a view with ray-traced truth. Refused plans are removed from ``plans``."""
     while True:
         try:

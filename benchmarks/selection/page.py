@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.selection.fit import cases_of
-from benchmarks.selection.judge import GOALS, GoalInstance, PolicyScore, instances_of, marginal, score_choices
+from benchmarks.selection.judge import GOALS, GoalInstance, PolicyScore, instances_of, marginal_values, score_choices
 from benchmarks.selection.policies import BUDGET_S, Split, errors_of_time, splits
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.formatting import format_percent
@@ -246,7 +246,7 @@ def _worst(all_splits: Sequence[Split]) -> str:
 def _marginal(views: Sequence[Figures]) -> str:
     instances = instances_of(views)
     rows = []
-    for name, (gain, share) in marginal(instances, list(ALGORITHM_TITLES)).items():
+    for name, (gain, share) in marginal_values(instances, list(ALGORITHM_TITLES)).items():
         wins = [
             instance
             for instance in instances

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.selection.fit import FitCase, cases_of, fit_model, request_of
 from benchmarks.selection.judge import GOALS, GoalInstance, equivalent_row, instances_of, single_best
-from benchmarks.selection.probes import RecordedProver, recorded_options
+from benchmarks.selection.probes import RecordedProber, recorded_options
 from skugga.selector.candidates import name_of
 from skugga.selector.choices import StandaloneRequest
 from skugga.selector.cost.device_profile import DeviceProfile
@@ -99,12 +99,12 @@ def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]
                     instance.rows, key=instance.losses().__getitem__
                 )
                 choices["rules"][key] = view["picks"][_rules_pick(instance)]
-                choices["predict"][key] = predicted(instance, device, model)
-                probe, names = replayed(instance, device, model, BUDGET_S)
+                choices["predict"][key] = predicted_row(instance, device, model)
+                probe, names = replay_probe(instance, device, model, BUDGET_S)
                 choices["probe"][key] = choices["predict"][key] if probe is None else names[_leader(probe, instance)]
                 probe_s[key], draw_counts[key] = (0.0, 0) if probe is None else (probe.seconds, len(probe.drawn))
                 for policy, budget_s in [("measure", None), *((f"{limit_s:g} s", limit_s) for limit_s in BUDGETS_S)]:
-                    probe, names = replayed(instance, device, model, budget_s)
+                    probe, names = replay_probe(instance, device, model, budget_s)
                     chosen = choices["predict"][key] if probe is None else names[_leader(probe, instance)]
                     (choices if policy == "measure" else by_budget).setdefault(policy, {})[key] = chosen
     return Split(name, instances, choices, single, bests, probe_s, draw_counts, by_budget)
@@ -126,13 +126,13 @@ def _policy_input(instance: GoalInstance) -> tuple[Descriptor, StandaloneRequest
     return descriptor, request_of(descriptor, Shadows(max_error=instance.goal.max_error, max_ms=instance.max_ms))
 
 
-def predicted(instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
+def predicted_row(instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
     """Return the name of the row that the policy ``predict`` chooses."""
     descriptor, request = _policy_input(instance)
     return name_of(predicted_plan(descriptor, request, None, device, model), instance.view["light"])
 
 
-def replayed(
+def replay_probe(
     instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None, budget_s: float | None
 ) -> tuple[LightProbe | None, list[str]]:
     """Replay a probe of an instance from the record of its view. Return its result, and the names of its options' rows.
@@ -148,7 +148,7 @@ def replayed(
     known_options = recorded_options(light_options, [name if name in instance.rows else "" for name in names], record)
     if not known_options.numbers:
         return None, names
-    prober = RecordedProver(record, names)
+    prober = RecordedProber(record, names)
     return probe_options(known_options, prober, instance.goal.max_error, instance.max_ms, budget_s), names
 
 

@@ -61,7 +61,7 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
     return {"start_s": start_s, "points_s": points_s, "rows": rows}
 
 
-class RecordedProver:
+class RecordedProber:
     """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record. ``rows`` names the row of each option."""
 
     def __init__(self, record: Figures, rows: Sequence[str]) -> None:

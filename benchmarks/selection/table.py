@@ -32,9 +32,9 @@ def write_table(views: Iterable[Figures], profile: DeviceProfile, path: Path = T
 def read_table(path: Path = TABLE) -> tuple[list[Figures], DeviceProfile]:
     """Read the records of the views with more than one measured row, and the device's calibration."""
     first, *lines = path.read_text(encoding="utf-8").splitlines()
-    return [view for view in map(_unpacked, map(json.loads, lines)) if len(view["rows"]) > 1], DeviceProfile.model_validate_json(
-        first
-    )
+    return [
+        view for view in map(_from_compact_record, map(json.loads, lines)) if len(view["rows"]) > 1
+    ], DeviceProfile.model_validate_json(first)
 
 
 def _to_compact_record(view: Figures) -> Figures:
@@ -52,7 +52,7 @@ def _to_compact_record(view: Figures) -> Figures:
     }  # fmt: skip
 
 
-def _unpacked(line: Figures) -> Figures:
+def _from_compact_record(line: Figures) -> Figures:
     names = list(line["rows"])
     return line | _with_rows(line, lambda rows: {names[int(number)]: observations for number, observations in rows}) | {
         "rows": {name: dict(zip(ROW_COLUMNS, row, strict=True)) for name, row in line["rows"].items()},

@@ -54,23 +54,23 @@ class ViewInstance:
     bounds: tuple[float, float, float, float] | None = None
     unseen: bool = False
     """Whether its terrain is held out of all models."""
-    look: tuple[float, float, float, float, float] | None = None
+    camera: tuple[float, float, float, float, float] | None = None
     """A perspective view without a name in its level: shares of the ground's extent from west and south of the eye and the
     target (eye_x, eye_y, target_x, target_y), and the eye's height above ground, metres.
     """
     size: tuple[int, int] | None = None
     """Columns and rows, if they differ from the default."""
 
-    def opened(self, data: Path, folder: Path) -> tuple[Scene, MapView | PerspectiveView]:
+    def open(self, data: Path, folder: Path) -> tuple[Scene, MapView | PerspectiveView]:
         """Build the scene and return it with its view. A level file for a scene of sample data is written into ``folder``."""
         scene = scene_of(self.level, data, folder)
         scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
-        if self.look is not None:
-            scene = scene_of(self.level, data, folder, views={"eye": _eye(scene, self.look)})
+        if self.camera is not None:
+            scene = scene_of(self.level, data, folder, views={"eye": _perspective_view(scene, self.camera)})
             scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
             return scene, scene.view("eye", size=self.size or PERSPECTIVE_PX)
         if self.view == "map":
-            return scene, scene.view("map", self.bounds or _middle(scene), size=MAP_PX)
+            return scene, scene.view("map", self.bounds or _central_bounds(scene), size=MAP_PX)
         return scene, scene.view(self.view, size=PERSPECTIVE_PX)
 
 
@@ -92,7 +92,7 @@ def _rectangle(bounds: tuple[float, float, float, float]) -> dict[str, Any]:
     return {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [corners]}}
 
 
-def _middle(scene: Scene) -> tuple[float, float, float, float] | None:
+def _central_bounds(scene: Scene) -> tuple[float, float, float, float] | None:
     """Return the bounds of a raster's middle for a picture with one pixel per cell, clamped to the raster.
 
     In flat worlds return ``None``, which stands for the whole raster.
@@ -109,7 +109,7 @@ def _middle(scene: Scene) -> tuple[float, float, float, float] | None:
     return x - half[0], y - half[1], x + half[0], y + half[1]
 
 
-def _eye(scene: Scene, look: tuple[float, float, float, float, float]) -> dict[str, Any]:
+def _perspective_view(scene: Scene, look: tuple[float, float, float, float, float]) -> dict[str, Any]:
     assert scene.bounds_lon_lat is not None
     west, south, east, north = scene.bounds_lon_lat
     (x, y, u, v, above_m) = look
@@ -181,11 +181,13 @@ def _relief() -> Iterator[ViewInstance]:
         ("vinschgau", (0.45, 0.25, 0.50, 0.60, 1500.0), (300.0, 8.0)), ("essen", (0.45, 0.30, 0.50, 0.50, 45.0), (200.0, 30.0)),
     )  # fmt: skip
     for name, look, sun in looks:
-        yield ViewInstance(f"{name}, eye, {sun[1]:g}", "relief, perspective", name, RASTERS[name], "eye", sun, look=look)
+        yield ViewInstance(f"{name}, eye, {sun[1]:g}", "relief, perspective", name, RASTERS[name], "eye", sun, camera=look)
     ridges = (0.7558, 0.1876, 0.6367, 0.3271, 120.0)
     for sun in ((237.0, 10.0), (120.0, 35.0)):
         jacksboro = {"terrain": {"source": "jacksboro"}}
-        yield ViewInstance(f"jacksboro, ridges, {sun[1]:g}", "relief, perspective", "jacksboro", jacksboro, "eye", sun, look=ridges)
+        yield ViewInstance(
+            f"jacksboro, ridges, {sun[1]:g}", "relief, perspective", "jacksboro", jacksboro, "eye", sun, camera=ridges
+        )
 
 
 def _wooded() -> Iterator[ViewInstance]:
@@ -214,7 +216,7 @@ def _wooded() -> Iterator[ViewInstance]:
     )  # fmt: skip
     for name, look, sun in looks:
         terrain = name.split(",")[0]
-        yield ViewInstance(f"{name}, eye, {sun[1]:g}", "wooded, perspective", terrain, RASTERS[name], "eye", sun, look=look)
+        yield ViewInstance(f"{name}, eye, {sun[1]:g}", "wooded, perspective", terrain, RASTERS[name], "eye", sun, camera=look)
 
 
 def _dense() -> Iterator[ViewInstance]:
@@ -232,7 +234,7 @@ def _dense() -> Iterator[ViewInstance]:
     for number, (look, sun) in enumerate(looks, start=1):
         name = f"jacksboro, dense wood {number}, {sun[1]:g}"
         wood = RASTERS["jacksboro, dense"]
-        yield ViewInstance(name, "dense wood", "jacksboro", wood, "eye", sun, look=look, size=DENSE_PX)
+        yield ViewInstance(name, "dense wood", "jacksboro", wood, "eye", sun, camera=look, size=DENSE_PX)
 
 
 def _unseen() -> Iterator[ViewInstance]:
@@ -259,7 +261,7 @@ def _unseen() -> Iterator[ViewInstance]:
     for name, look, sun in looks:
         family = "wooded, perspective" if "trees" in name else "relief, perspective"
         terrain = name.split(",")[0]
-        yield ViewInstance(f"{name}, eye, {sun[1]:g}", family, terrain, RASTERS[name], "eye", sun, unseen=True, look=look)
+        yield ViewInstance(f"{name}, eye, {sun[1]:g}", family, terrain, RASTERS[name], "eye", sun, unseen=True, camera=look)
 
 
 def _made() -> Iterator[ViewInstance]:
@@ -274,7 +276,7 @@ def _made() -> Iterator[ViewInstance]:
         if site.is_dense:
             for sun, corner in zip(suns, ((0.03, 0.04, 0.6, 0.6, 300.0), (0.97, 0.9, 0.3, 0.4, 300.0)), strict=True):
                 yield ViewInstance(
-                    f"{name}, eye, {sun[1]:g}", "dense wood", name, site, "eye", sun, unseen=number % 2 == 1, look=corner,
+                    f"{name}, eye, {sun[1]:g}", "dense wood", name, site, "eye", sun, unseen=number % 2 == 1, camera=corner,
                     size=DENSE_PX,
                 )  # fmt: skip
             continue
@@ -285,7 +287,7 @@ def _made() -> Iterator[ViewInstance]:
         yield ViewInstance(f"{name}, map, {suns[0][1]:g}", map_family, name, site, "map", suns[0], unseen=number % 2 == 1)
         yield ViewInstance(
             f"{name}, eye, {suns[1][1]:g}", eye_family, name, site, "eye", suns[1], unseen=number % 2 == 1,
-            look=(x, y, u, v, above_m),
+            camera=(x, y, u, v, above_m),
         )  # fmt: skip
 
 

@@ -4,8 +4,8 @@
 
 DATA is a folder with the rasters of ``asking.RASTERS``. ``--python`` is the interpreter of the Python packages (`pip install
 whitebox-workflows insolation numba scipy solweig rasterio`, and `pip install --no-build-isolation topocalc`); GRASS is Debian's
-`grass-core`. Tools that are absent or fail are named and left out. ``--side`` is the side, in cells, of the parts of rasters for
-the sun hours. ``--only`` measures some questions again and keeps the others' figures; ``--write-only`` measures nothing.
+`grass-core`. Tools that are missing or fail are reported and skipped. ``--side`` is the side of the crops of the rasters for the
+sun hours, cells. ``--only`` measures some questions again and keeps the figures of the others. ``--write-only`` measures nothing.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.sun_questions.asking import RASTERS, read_dem, versions_of
-from benchmarks.sun_questions.day_hours import HOURS, convention_check, hours_answers, hours_tools
+from benchmarks.sun_questions.asking import RASTERS, read_dem, tool_versions
+from benchmarks.sun_questions.day_hours import HOURS, convention_check, hours_tools, measure_hours
 from benchmarks.sun_questions.figures import ConventionCheck, QuestionCase, SunAnswer, SunComparison
-from benchmarks.sun_questions.many_masks import MASKS, mask_answers
-from benchmarks.sun_questions.one_horizon import HORIZON, horizon_answers, horizon_tools, places_of
-from benchmarks.sun_questions.words import sun_page
-from benchmarks.sweep_speed import _processor
+from benchmarks.sun_questions.many_masks import MASKS, measure_masks
+from benchmarks.sun_questions.one_horizon import HORIZON, horizon_tools, measure_horizons, points_by_kind
+from benchmarks.sun_questions.words import format_sun_page
+from benchmarks.sweep_speed import processor_name
 
-HERE = Path(__file__).parent
-FIGURES_FILE = HERE / "sun_questions.json"
-PAGE = HERE.parents[1] / "docs" / "sun-questions.md"
+FOLDER = Path(__file__).parent
+FIGURES_FILE = FOLDER / "sun_questions.json"
+PAGE = FOLDER.parents[1] / "docs" / "sun-questions.md"
 
 QUESTION_BY_OPTION = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
 
 
 REPEATS = 2
-"""Number of runs of a horizon. Their median is the figure."""
+"""Number of runs of a horizon, whose median is recorded."""
 
 
-class Measuring:
-    """Measure the questions, and hold the results so far."""
+class Measurements:
+    """Measurements of the questions so far."""
 
     def __init__(self, data: Path, python: str, side: int, cells: int, folder: Path) -> None:
         self._data, self._python, self._side, self._cells, self._folder = data, python, side, cells, folder
@@ -49,7 +49,7 @@ class Measuring:
         self.left_out: dict[str, str] = {}
         self._begin = time.perf_counter()
 
-    def hours(self) -> None:
+    def measure_hours(self) -> None:
         """Measure the first question: hours of sun."""
         tools = []
         for tool in hours_tools(self._python):
@@ -68,28 +68,28 @@ class Measuring:
                     name,
                     f"{description}: its middle, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled",
                 )
-                for answer in hours_answers(tools, dem, name, self._cells, self.left_out):
+                for answer in measure_hours(tools, dem, name, self._cells, self.left_out):
                     self._add(answer)
 
-    def point(self) -> None:
+    def measure_horizons(self) -> None:
         """Measure the second question: horizons of points."""
         for name, (_, _, description) in RASTERS.items():
             dem = read_dem(self._data, name, None, self._folder)
             if dem is not None:
                 rows, cols = dem.height_m.shape
-                for place in places_of(dem):
+                for place in points_by_kind(dem):
                     self._case(HORIZON, f"{name}, {place}", f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m")
-                for answer in horizon_answers(horizon_tools(self._python), dem, REPEATS, self.left_out):
+                for answer in measure_horizons(horizon_tools(self._python), dem, REPEATS, self.left_out):
                     self._add(answer)
 
-    def masks(self) -> None:
+    def measure_masks(self) -> None:
         """Measure the third question: masks of a day."""
         name, (_, _, description) = next(iter(RASTERS.items()))
         dem = read_dem(self._data, name, None, self._folder)
         if dem is not None:
             rows, cols = dem.height_m.shape
             self._case(MASKS, name, f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled")
-            for answer in mask_answers(self._python, dem, 2 * self._cells, self.left_out):
+            for answer in measure_masks(self._python, dem, 2 * self._cells, self.left_out):
                 self._add(answer)
 
     @property
@@ -110,9 +110,9 @@ class Measuring:
 def measure_questions(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
     """Measure the questions in ``only``. The stored figures of the other questions are kept."""
     with tempfile.TemporaryDirectory() as folder_name:
-        measuring = Measuring(data, python, side, cells, Path(folder_name))
+        measuring = Measurements(data, python, side, cells, Path(folder_name))
         for name in only:
-            {"hours": measuring.hours, "point": measuring.point, "masks": measuring.masks}[name]()
+            {"hours": measuring.measure_hours, "point": measuring.measure_horizons, "masks": measuring.measure_masks}[name]()
     questions = {QUESTION_BY_OPTION[name] for name in only}
     before = (
         SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))
@@ -122,10 +122,10 @@ def measure_questions(data: Path, python: str, side: int, cells: int, only: list
     cases = [entry for entry in before.cases if entry.question not in questions] if before else []
     answers = [entry for entry in before.answers if entry.question not in questions] if before else []
     return SunComparison(
-        where=f"{_processor()}, {os.cpu_count()} cores",
+        where=f"{processor_name()}, {os.cpu_count()} cores",
         load=os.getloadavg()[0],
         took_s=measuring.took_s + (before.took_s if before else 0.0),
-        versions=versions_of(python),
+        versions=tool_versions(python),
         left_out=({} if before is None else before.left_out) | measuring.left_out,
         checks=measuring.checks or (before.checks if before else []),
         cases=cases + measuring.cases,
@@ -136,18 +136,20 @@ def measure_questions(data: Path, python: str, side: int, cells: int, only: list
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", help="the folder of rasters")
-    parser.add_argument("--python", default=sys.executable, metavar="PATH", help="the interpreter that has the others' packages")
+    parser.add_argument(
+        "--python", default=sys.executable, metavar="PATH", help="the interpreter that has the packages of the other tools"
+    )
     parser.add_argument("--side", type=int, default=300)
     parser.add_argument("--cells", type=int, default=1000)
-    parser.add_argument("--only", default=",".join(QUESTION_BY_OPTION), help="of hours, point, masks")
+    parser.add_argument("--only", default=",".join(QUESTION_BY_OPTION), help="questions to measure: hours, point, masks")
     parser.add_argument("--write-only", action="store_true")
     args = parser.parse_args()
     if not args.write_only:
         if args.data is None or not set(args.only.split(",")) <= set(QUESTION_BY_OPTION):
-            parser.error(f"a folder of rasters is needed, and --only takes {', '.join(QUESTION_BY_OPTION)}")
+            parser.error(f"DATA is missing, or --only is invalid. Allowed for --only: {', '.join(QUESTION_BY_OPTION)}.")
         comparison = measure_questions(args.data, args.python, args.side, args.cells, args.only.split(","))
         FIGURES_FILE.write_text(json.dumps(asdict(comparison), indent=1) + "\n", "utf-8")
-    PAGE.write_text(sun_page(SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))), "utf-8")
+    PAGE.write_text(format_sun_page(SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))), "utf-8")
 
 
 if __name__ == "__main__":

@@ -11,31 +11,44 @@ import numpy as np
 import rasterio
 from pyproj import Transformer
 
-from benchmarks.peers.tools import PROGRAMS as PEERS_PROGRAMS
-from benchmarks.peers.tools import version_in_output, write_dem
+from benchmarks.peers.tools import PROGRAMS_FILE as PEERS_PROGRAMS
+from benchmarks.peers.tools import installed_version, write_dem
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS_FILE = Path(__file__).with_name("programs.py")
 
 DATE = "2024-03-21"
 
-SKUGGA = ["env", f"PYTHONPATH={ROOT}", sys.executable]
+SKUGGA_PYTHON = ["env", f"PYTHONPATH={ROOT}", sys.executable]
 """Command that runs Python with this checkout's packages."""
 
-SKUGGA_COMMAND = [*SKUGGA, "-c", "from skugga.api.cli.main import main; main()"]
+SKUGGA_COMMAND = [*SKUGGA_PYTHON, "-c", "from skugga.api.cli.main import main; main()"]
 
 RASTERS = {
     "Big Tujunga": ("mountain/bigtujunga_30m_utm11.tif", "EPSG:32611", "SRTM of the Big Tujunga catchment, California"),
     "Essen": ("urban/essen_dom1_32_356_5699_1_nw_2020.tif", "EPSG:25832", "surface model of a part of Essen, Germany"),
 }
-"""Name -> file below the folder of data, the CRS of its UTM zone, a description."""
+"""File below the folder of data, CRS of its UTM zone, and description, by name of the raster."""
 
 
 @dataclass(frozen=True)
 class QuestionDem:
-    """A raster file of heights, float32 (rows, cols) in metres, on square cells.
+    """A raster file of heights with square cells, whose middle lies on the central meridian of its UTM zone.
 
-    Its middle lies on its UTM zone's central meridian. Grid north is therefore true north within a tenth of a degree.
+    So grid north is true north within a tenth of a degree.
+
+    Attributes
+    ----------
+    name, path
+        Name and file of the raster.
+    height_m
+        Heights, float32 (rows, cols).
+    cell_m
+        Side of a cell, metres.
+    crs
+        Its CRS.
+    middle_m
+        Easting and northing of its middle.
     """
 
     name: str
@@ -59,7 +72,7 @@ class QuestionDem:
         )
 
 
-def dem_of(name: str, height_m: np.ndarray, cell_m: float, crs: str, northing_m: float, folder: Path) -> QuestionDem:
+def write_question_dem(name: str, height_m: np.ndarray, cell_m: float, crs: str, northing_m: float, folder: Path) -> QuestionDem:
     """Write heights as a raster whose middle lies on the central meridian of its zone."""
     path, middle = folder / f"{name.replace(' ', '_')}_{height_m.shape[0]}.tif", (500_000.0, northing_m)
     write_dem(path, height_m, cell_m, crs, middle)
@@ -78,10 +91,10 @@ def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionD
     part_size = [min(side or length, length) for length in (rows, cols)]
     top, left = (rows - part_size[0]) // 2, (cols - part_size[1]) // 2
     part = np.ascontiguousarray(height_m[top : top + part_size[0], left : left + part_size[1]])
-    return dem_of(name, part, transform.a, crs, northing, folder)
+    return write_question_dem(name, part, transform.a, crs, northing, folder)
 
 
-def versions_of(python: str) -> dict[str, str]:
+def tool_versions(python: str) -> dict[str, str]:
     """Return the versions of the available tools by name. Python packages are those of the interpreter ``python``."""
     packages = {"Whitebox Workflows": "whitebox-workflows whitebox_workflows", "topocalc": "topocalc topocalc.horizon"}
     commands = {
@@ -91,5 +104,5 @@ def versions_of(python: str) -> dict[str, str]:
         "GRASS": ["grass", "--version"],
         "Skugga": [sys.executable, str(PEERS_PROGRAMS), "--version", "skugga", "numpy"],
     }
-    versions = {name: version_in_output(command) for name, command in commands.items()}
+    versions = {name: installed_version(command) for name, command in commands.items()}
     return {name: number for name, number in versions.items() if number is not None}

@@ -14,15 +14,15 @@ import rasterio
 
 from benchmarks.peers.tools import ToolRun, run_process
 from benchmarks.sun_hours_accuracy import CellRays, ray_truth
-from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA, SKUGGA_COMMAND, QuestionDem, dem_of
+from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA_COMMAND, SKUGGA_PYTHON, QuestionDem, write_question_dem
 from benchmarks.sun_questions.figures import ConventionCheck, SunAnswer
 from benchmarks.sun_questions.sun_paths import (
     R_SUN_DAY_NUMBER,
     SUNCALC_DAY_NUMBER,
-    SUNCALC_LEAST_DEG,
+    SUNCALC_MIN_ALTITUDE_DEG,
     hours_before_cliff,
     r_sun_path,
-    suncalc,
+    suncalc_path,
 )
 from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.suns import WindowSun, window_suns
@@ -35,16 +35,17 @@ from skugga.terrain.scene import build_scene
 
 HOURS = "hours of a day"
 
-STEP_S = 10.0
+RAY_STEP_S = 10.0
 """Seconds between rays."""
 
-RIM_CELLS = 3
+MARGIN_CELLS = 3
 
 CLIFF_M, CLIFF_CELL_M, CLIFF_SHAPE = 300.0, 10.0, (161, 241)
-"""The check of conventions: the height of a cliff in the east of a level floor; a cell's side, and cells."""
+"""Geometry of the check of conventions, a level floor with a cliff in the east: height of the cliff, side of a cell, rows and
+columns."""
 
-CLIFF_COL, CLIFF_CHECKED = 160, slice(60, 150, 10)
-"""The first column on the cliff, and the columns that are compared with the closed form."""
+CLIFF_COL, CHECKED_COLS = 160, slice(60, 150, 10)
+"""First column on the cliff, and the columns of the floor that are compared with the closed form."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,28 +56,28 @@ class HoursTool:
     ----------
     name, tool
         Name with the settings, and name of the tool.
-    sun
-        Name of the sun that it uses (``SUNS``).
+    sun_model
+        Name of the solar position algorithm that it uses: ``astronomy``, ``solar day`` or ``suncalc``.
     command
         Returns its command for a raster and an output file.
-    read
+    read_hours
         Reads its output file into hours (rows, cols).
     suffix
         Suffix of its output file.
-    computing
-        Returns a command that prints its seconds of computing, if ``command`` does not print them; else ``None``.
+    compute_command
+        Returns a command that prints its seconds of computing; ``None`` if ``command`` prints them.
     """
 
     name: str
     tool: str
-    sun: str
+    sun_model: str
     command: Callable[[QuestionDem, Path], list[str]]
-    read: Callable[[Path, QuestionDem], np.ndarray]
+    read_hours: Callable[[Path, QuestionDem], np.ndarray]
     suffix: str = ".tif"
-    computing: Callable[[QuestionDem, Path], list[str]] | None = None
+    compute_command: Callable[[QuestionDem, Path], list[str]] | None = None
 
     @property
-    def ours(self) -> bool:
+    def is_skugga(self) -> bool:
         return self.tool == "Skugga"
 
     def run(self, dem: QuestionDem) -> tuple[np.ndarray, ToolRun, float | None]:
@@ -86,20 +87,20 @@ class HoursTool:
         """
         out = dem.path.with_name(f"hours{self.suffix}")
         compute_s = None
-        if self.computing is not None:
+        if self.compute_command is not None:
             array_file = dem.path.with_name("hours.npy")
-            compute_s = run_process(self.computing(dem, array_file), array_file).compute_s
+            compute_s = run_process(self.compute_command(dem, array_file), array_file).compute_s
         run = run_process(self.command(dem, out), out)
-        return self.read(out, dem), run, run.compute_s if compute_s is None else compute_s
+        return self.read_hours(out, dem), run, run.compute_s if compute_s is None else compute_s
 
 
 class HoursTruth:
-    """Hours of sun in some cells of a raster by rays, for each sun that a tool uses."""
+    """Ray-traced hours of sun in sampled cells of a raster, for each solar position algorithm of the tools."""
 
     def __init__(self, dem: QuestionDem, cells: int) -> None:
         self._dem = dem
         rows, cols = dem.height_m.shape
-        inner = (np.arange(RIM_CELLS, length - RIM_CELLS) for length in (rows, cols))
+        inner = (np.arange(MARGIN_CELLS, length - MARGIN_CELLS) for length in (rows, cols))
         row, col = (indices.ravel() for indices in np.meshgrid(*inner, indexing="ij"))
         sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
         self.row, self.col = row[sample], col[sample]
@@ -109,7 +110,7 @@ class HoursTruth:
         """Hours (n,) by NREL's sun with refraction, on the round earth, above the level plane. This is Skugga's definition."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
-        hours = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), STEP_S / 60.0)[0]
+        hours = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), RAY_STEP_S / 60.0)[0]
         scene.close()
         return hours
 
@@ -118,10 +119,10 @@ class HoursTruth:
         """Hours (n,) by GRASS's sun without refraction, on the round earth, above the level plane."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
-        rays, frame = CellRays.over(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
-        azimuth, altitude = r_sun_path(self._dem.lon_lat[1], STEP_S)
+        rays, frame = CellRays.from_cells(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
+        azimuth, altitude = r_sun_path(self._dem.lon_lat[1], RAY_STEP_S)
         enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > -1.0])
-        hours = _hours(rays, frame.directions_from_earth(enu @ scene.world.earth_from_anchor.T), 0.0)
+        hours = _sunlit_hours(rays, frame.directions_from_earth(enu @ scene.world.earth_from_anchor.T), 0.0)
         scene.close()
         return hours
 
@@ -138,17 +139,19 @@ class HoursTruth:
         nodes[..., 2] = dem.height_m
         start = nodes[self.row, self.col]
         rays = CellRays(sheet_of(nodes), start, np.broadcast_to(np.array([0.0, 0.0, 1.0]), start.shape))
-        azimuth, altitude = suncalc(*dem.lon_lat, STEP_S)
-        enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > SUNCALC_LEAST_DEG])
-        return _hours(rays, enu, np.sin(np.radians(SUNCALC_LEAST_DEG)))
+        azimuth, altitude = suncalc_path(*dem.lon_lat, RAY_STEP_S)
+        enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > SUNCALC_MIN_ALTITUDE_DEG])
+        return _sunlit_hours(rays, enu, np.sin(np.radians(SUNCALC_MIN_ALTITUDE_DEG)))
 
-    def of(self, sun: str) -> np.ndarray:
-        """Return the hours (n,) by the sun of a name."""
-        return {"astronomy": self.astronomy, "solar day": self.solar_day, "suncalc": self.suncalc}[sun]
+    def hours_by_sun_model(self, sun_model: str) -> np.ndarray:
+        """Return the hours (n,) by the name of the solar position algorithm."""
+        return {"astronomy": self.astronomy, "solar day": self.solar_day, "suncalc": self.suncalc}[sun_model]
 
 
-def _hours(rays: CellRays, directions: np.ndarray, least_sine: float) -> np.ndarray:
-    return np.asarray(sum(rays.see(direction, least_sine).astype(np.float64) for direction in directions) * STEP_S / 3600.0)
+def _sunlit_hours(rays: CellRays, directions: np.ndarray, min_sine: float) -> np.ndarray:
+    return np.asarray(
+        sum(rays.sun_visible(direction, min_sine).astype(np.float64) for direction in directions) * RAY_STEP_S / 3600.0
+    )
 
 
 def astronomical_day(scene) -> WindowSun:  # noqa: ANN001
@@ -156,31 +159,31 @@ def astronomical_day(scene) -> WindowSun:  # noqa: ANN001
     return window_suns(scene.world, [daily_window(date.fromisoformat(DATE), 0.0, 1440.0, UTC, scene.world)])[0]
 
 
-def day_length_h(sun: str, dem: QuestionDem) -> float:
-    """Return the hours from sunrise to sunset over a level horizon, by a tool's own sun.
+def day_length_h(sun_model: str, dem: QuestionDem) -> float:
+    """Return the hours from sunrise to sunset over a level horizon, by a tool's solar position algorithm.
 
-    Those of Whitebox begin and end half a degree below the horizon.
+    In Whitebox the sun rises and sets half a degree below the horizon.
     """
-    if sun == "suncalc":
-        return float((suncalc(*dem.lon_lat, STEP_S)[1] >= SUNCALC_LEAST_DEG).mean() * 24.0)
-    return float((_path(sun, dem)[1] > 0.0).mean() * 24.0)
+    if sun_model == "suncalc":
+        return float((suncalc_path(*dem.lon_lat, RAY_STEP_S)[1] >= SUNCALC_MIN_ALTITUDE_DEG).mean() * 24.0)
+    return float((_sun_path(sun_model, dem)[1] > 0.0).mean() * 24.0)
 
 
-def _path(sun: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and altitudes (n,) of a tool's sun, every ``STEP_S`` seconds of a day."""
-    if sun == "suncalc":
-        return suncalc(*dem.lon_lat, STEP_S)
-    if sun == "solar day":
-        return r_sun_path(dem.lon_lat[1], STEP_S)
+def _sun_path(sun_model: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]:
+    """Return azimuths and altitudes (n,) of a tool's sun, every ``RAY_STEP_S`` seconds of a day."""
+    if sun_model == "suncalc":
+        return suncalc_path(*dem.lon_lat, RAY_STEP_S)
+    if sun_model == "solar day":
+        return r_sun_path(dem.lon_lat[1], RAY_STEP_S)
     scene = build_scene(load_level(dem.path))
     day = astronomical_day(scene)
-    times = np.arange(STEP_S / 120.0, day.window.minutes, STEP_S / 60.0)
+    times = np.arange(RAY_STEP_S / 120.0, day.window.minutes, RAY_STEP_S / 60.0)
     enu = day.direction(times) @ scene.world.earth_from_anchor
     scene.close()
     return np.degrees(np.arctan2(enu[:, 0], enu[:, 1])) % 360.0, np.degrees(np.arcsin(enu[:, 2]))
 
 
-def _raster(path: Path, dem: QuestionDem) -> np.ndarray:
+def _read_raster(path: Path, dem: QuestionDem) -> np.ndarray:
     with rasterio.open(path) as dataset:
         return dataset.read(1)
 
@@ -193,8 +196,8 @@ def hours_tools(python: str) -> list[HoursTool]:
         return HoursTool(
             f"Skugga, steps of {minutes} min", "Skugga", "astronomy",
             lambda dem, out: [*SKUGGA_COMMAND, "sunhours", str(dem.path), "-o", str(out), "--date", DATE, "--step", f"{minutes}m"],
-            _raster,
-            computing=lambda dem, out: [*SKUGGA, asking, "sunhours", str(dem.path), str(out), DATE, str(minutes)],
+            _read_raster,
+            compute_command=lambda dem, out: [*SKUGGA_PYTHON, asking, "sunhours", str(dem.path), str(out), DATE, str(minutes)],
         )  # fmt: skip
 
     def whitebox(degrees: int) -> HoursTool:
@@ -211,7 +214,7 @@ def hours_tools(python: str) -> list[HoursTool]:
             f"GRASS r.sun, {method}, {minutes} min", "GRASS", "solar day",
             lambda dem, out: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.sun", str(dem.path),
                               str(out), str(R_SUN_DAY_NUMBER), str(minutes), *extra_arguments],
-            _raster,
+            _read_raster,
         )  # fmt: skip
 
     return [
@@ -223,25 +226,25 @@ def hours_tools(python: str) -> list[HoursTool]:
 
 
 def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
-    """Compare a tool's hours on a level floor and before a cliff with those expected from its own sun.
+    """Compare a tool's hours on a level floor and before a cliff with those expected from its solar position algorithm.
 
-    Raises ``RuntimeError`` if they disagree.
+    Raises ``RuntimeError`` if the tool fails.
     """
     floor = np.full(CLIFF_SHAPE, 100.0, np.float32)
     cliff = floor.copy()
     cliff[:, CLIFF_COL:] += CLIFF_M
     middle, middle_rows = CLIFF_SHAPE[0] // 2, []
     for name, height_m in (("floor", floor), ("cliff", cliff)):
-        dem = dem_of(name, height_m, CLIFF_CELL_M, "EPSG:32632", 5_200_000.0, folder)
+        dem = write_question_dem(name, height_m, CLIFF_CELL_M, "EPSG:32632", 5_200_000.0, folder)
         middle_rows.append(tool.run(dem)[0][middle])
-    distance_m = (CLIFF_COL - np.arange(CLIFF_SHAPE[1])[CLIFF_CHECKED]) * CLIFF_CELL_M
-    expected = hours_before_cliff(*_path(tool.sun, dem), STEP_S, CLIFF_M, distance_m)
-    error_min = np.abs(middle_rows[1][CLIFF_CHECKED] - expected).mean() * 60.0
-    return ConventionCheck(tool.name, float(middle_rows[0][middle]), day_length_h(tool.sun, dem), float(error_min))
+    distance_m = (CLIFF_COL - np.arange(CLIFF_SHAPE[1])[CHECKED_COLS]) * CLIFF_CELL_M
+    expected = hours_before_cliff(*_sun_path(tool.sun_model, dem), RAY_STEP_S, CLIFF_M, distance_m)
+    error_min = np.abs(middle_rows[1][CHECKED_COLS] - expected).mean() * 60.0
+    return ConventionCheck(tool.name, float(middle_rows[0][middle]), day_length_h(tool.sun_model, dem), float(error_min))
 
 
-def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Yield the results of tools for a raster. Tools that fail are added to ``left_out`` with the reason."""
+def measure_hours(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
+    """Measure tools on a raster, and yield their results. Tools that fail are added to ``left_out`` with the reason."""
     truth = HoursTruth(dem, cells)
     for tool in tools:
         try:
@@ -250,8 +253,8 @@ def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: in
             left_out[tool.name] = str(error)
             continue
         sampled_hours = hours[truth.row, truth.col]
-        error_min, as_is = (np.abs(sampled_hours - truth.of(sun)) * 60.0 for sun in (tool.sun, "astronomy"))
+        error_min, as_is = (np.abs(sampled_hours - truth.hours_by_sun_model(sun)) * 60.0 for sun in (tool.sun_model, "astronomy"))
         yield SunAnswer(
-            HOURS, case, tool.name, tool.ours, compute_s, run.whole_s, run.cpu_s, float(error_min.mean()),
+            HOURS, case, tool.name, tool.is_skugga, compute_s, run.wall_s, run.cpu_s, float(error_min.mean()),
             float(np.percentile(error_min, 99)), float(as_is.mean()),
         )  # fmt: skip

@@ -17,9 +17,9 @@ class SunAnswer:
     children. They are seconds, and ``None`` if not measured. ``scaled`` marks durations that were extrapolated from a part of the
     work.
 
-    ``wrong`` is the mean error and ``wrong_p99`` its 99th percentile. Their truth uses the same sun, earth and north as the tool.
-    ``wrong_as_is`` is the mean error against astronomy's sun on the round earth. The unit of errors is minutes, degrees or shares
-    of cells, depending on the question.
+    ``wrong`` is the mean error and ``wrong_p99`` its 99th percentile. Their truth uses the tool's own solar positions, shape of the
+    earth and north. ``wrong_as_is`` is the mean error against NREL's solar positions on the round earth. The unit of errors is
+    minutes, degrees or shares of cells, depending on the question.
     """
 
     question: str
@@ -59,7 +59,17 @@ class ConventionCheck:
 
 @dataclass(frozen=True)
 class QuestionCase:
-    """The data with which a question is asked: a name and a description."""
+    """Data for which a question is asked.
+
+    Attributes
+    ----------
+    question
+        The question.
+    case
+        Name of the data.
+    about
+        Description of the data.
+    """
 
     question: str
     case: str
@@ -68,7 +78,23 @@ class QuestionCase:
 
 @dataclass(frozen=True)
 class SunComparison:
-    """All results. ``versions`` maps tools to their versions. ``left_out`` maps left-out tools to the reason."""
+    """All results.
+
+    Attributes
+    ----------
+    where
+        Processor and number of cores of the machine.
+    load
+        One-minute load average at the end.
+    took_s
+        Duration of the measurement, seconds.
+    versions
+        Versions of the tools.
+    left_out
+        Names of skipped tools, with the reason.
+    checks, cases, answers
+        Checks of conventions, data of the questions, and results.
+    """
 
     where: str
     load: float
@@ -85,7 +111,7 @@ class SunComparison:
         kinds = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
         return SunComparison(**{**values, **{key: [kind(**entry) for entry in values[key]] for key, kind in kinds.items()}})
 
-    def of(self, question: str, case: str | None = None) -> list[SunAnswer]:
+    def answers_to(self, question: str, case: str | None = None) -> list[SunAnswer]:
         """Return the answers to a question, optionally only those in one case."""
         return [answer for answer in self.answers if answer.question == question and case in (None, answer.case)]
 
@@ -98,13 +124,13 @@ ANSWER_CLOCKS: dict[str, Callable[[SunAnswer], float | None]] = {
 """The clocks by which tools are compared."""
 
 
-def standings(comparison: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
+def tool_standings(comparison: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
     """Return the tools' standings in each case of a question.
 
     Tools without seconds by ``clock``, or without an error, are omitted.
     """
     result: dict[str, list[ToolStanding]] = {}
-    for answer in comparison.of(question):
+    for answer in comparison.answers_to(question):
         taken_s = ANSWER_CLOCKS[clock](answer)
         if taken_s is not None and answer.wrong is not None:
             tool = ToolRecord(answer.tool, "", "", answer.ours, True, 0.0)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from benchmarks.peers.tools import Tool, ToolJob, ToolRun, run_process, tools_of
+from benchmarks.peers.tools import Tool, ToolJob, ToolRun, make_tools, run_process
 from benchmarks.sun_hours_accuracy import CellRays
 from benchmarks.sun_questions.asking import SKUGGA_COMMAND, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
@@ -29,34 +29,34 @@ from skugga.terrain.scene import build_scene
 
 MASKS = "31 masks of a day"
 
-MASK_COUNT, MASK_STEP_MIN, FIRST_FROM_NOON_MIN = 31, 23, -345
-"""Times: their number, minutes apart, and minutes of the first before the mean noon of the place."""
+MASK_COUNT, MASK_STEP_MIN, FIRST_MASK_FROM_NOON_MIN = 31, 23, -345
+"""Number of masks, minutes between two masks, and minutes from mean noon to the first mask."""
 
-EACH_OF, EACH_OF_SLOW = 3, {"Whitebox Workflows": 5}
-"""Of the runs for one mask each, only one in so many is measured, and its seconds are multiplied. The dictionary holds exceptions
-by tool."""
+SAMPLING_INTERVAL, SAMPLING_INTERVAL_BY_TOOL = 3, {"Whitebox Workflows": 5}
+"""Only one in this many single-mask runs is measured, and its seconds are multiplied. The dictionary holds exceptions by tool."""
 
 PEER_NAMES = ("insolation", "solweig", "Whitebox Workflows", "gdaldem hillshade")
 
-NEAR_DEG = 0.01
+ALTITUDE_TOLERANCE_DEG = 0.01
 """Change of the sun's altitude, degrees. Truth in a cell is certain if a sun lower and a sun higher by this give the same
 result."""
 
-MASK_RIM = 3
+MARGIN_CELLS = 3
 
 
 def mask_times(lon_deg: float) -> list[datetime]:
     """Return the times of the masks on 21 March, UTC, around the mean noon of a longitude."""
     noon = datetime(2024, 3, 21, 12, tzinfo=UTC) - timedelta(minutes=round(4.0 * lon_deg))
-    return [noon + timedelta(minutes=FIRST_FROM_NOON_MIN + n * MASK_STEP_MIN) for n in range(MASK_COUNT)]
+    return [noon + timedelta(minutes=FIRST_MASK_FROM_NOON_MIN + n * MASK_STEP_MIN) for n in range(MASK_COUNT)]
 
 
 @dataclass(frozen=True, eq=False)
 class MaskTruth:
-    """Truth at some cells for each time: whether the sun is visible (``lit``) and where that is certain (``sure``).
+    """Truth at sampled cells (``row``, ``col``) for each time.
 
-    These are bool (times, n). Fields with the prefix ``round_`` use astronomy's sun on the round earth. Those with ``flat_`` use a
-    flat world and the sun's angles at each time, which are the input of other tools. ``row`` and ``col`` (n,) are the cells.
+    Masks are bool (times, n): whether the sun is visible (``lit``), and whether that is certain (``certain``). The prefix
+    ``round_`` marks masks with each cell's own solar position on the round earth. The prefix ``flat_`` marks masks in a flat world
+    with the sun's angles at each time, which are the input of other tools.
     """
 
     row: np.ndarray
@@ -69,11 +69,11 @@ class MaskTruth:
     flat_certain: np.ndarray
 
 
-def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth:
-    """Trace truth with rays."""
+def trace_mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth:
+    """Trace the truth of all masks with rays at random cells."""
     rows, cols = dem.height_m.shape
     rng = np.random.default_rng(1)
-    row, col = (rng.integers(MASK_RIM, length - MASK_RIM, cells) for length in (rows, cols))
+    row, col = (rng.integers(MARGIN_CELLS, length - MARGIN_CELLS, cells) for length in (rows, cols))
     scene = build_scene(load_level(dem.path))
     world = scene.world
     path = sun_path(times, world.anchor_lon_deg, world.anchor_lat_deg)
@@ -84,7 +84,7 @@ def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth
     nodes[..., 2] = dem.height_m
     start = nodes[row, col]
     flat = CellRays(sheet_of(nodes), start, np.broadcast_to(np.array([0.0, 0.0, 1.0]), start.shape))
-    rays = CellRays.over(scene, view, row, col)
+    rays = CellRays.from_cells(scene, view, row, col)
 
     def enu(step_deg: float) -> np.ndarray:
         pairs = zip(path.azimuth_deg, path.altitude_deg + step_deg, strict=True)
@@ -92,38 +92,38 @@ def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth
 
     def round_(step_deg: float) -> np.ndarray:
         towards = frame.directions_from_earth(enu(step_deg) @ world.earth_from_anchor.T)
-        return np.stack([rays.see(direction) for direction in towards])
+        return np.stack([rays.sun_visible(direction) for direction in towards])
 
     def flat_(step_deg: float) -> np.ndarray:
-        return np.stack([flat.see(direction) for direction in enu(step_deg)])
+        return np.stack([flat.sun_visible(direction) for direction in enu(step_deg)])
 
     masks = []
     for lit in (round_, flat_):
-        lower, nominal, higher = (lit(step) for step in (-NEAR_DEG, 0.0, NEAR_DEG))
+        lower, nominal, higher = (lit(step) for step in (-ALTITUDE_TOLERANCE_DEG, 0.0, ALTITUDE_TOLERANCE_DEG))
         masks += [nominal, lower == higher]
     scene.close()
     return MaskTruth(row, col, path.azimuth_deg, path.altitude_deg, *masks)
 
 
-def wrong_share(lit: np.ndarray, truth: np.ndarray, sure: np.ndarray) -> float:
-    """Return which share of the results in cells with certain truth is wrong."""
-    return float((sure & (lit != truth)).sum() / sure.sum())
+def wrong_share(lit: np.ndarray, truth: np.ndarray, certain: np.ndarray) -> float:
+    """Return the share of wrong results among the cells with certain truth."""
+    return float((certain & (lit != truth)).sum() / certain.sum())
 
 
-def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Yield the results of Skugga and of other tools. Tools that fail are added to ``left_out`` with the reason."""
+def measure_masks(python: str, dem: QuestionDem, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
+    """Measure Skugga and other tools, and yield their results. Tools that fail are added to ``left_out`` with the reason."""
     times = mask_times(dem.lon_lat[0])
-    truth = mask_truth(dem, times, cells)
-    yield from _skugga(dem, times, truth)
-    for tool in tools_of(python):
+    truth = trace_mask_truth(dem, times, cells)
+    yield from _measure_skugga(dem, times, truth)
+    for tool in make_tools(python):
         if tool.name in PEER_NAMES and tool.installed_version() is not None:
             try:
-                yield from _peer(tool, dem, truth)
+                yield from _measure_peer(tool, dem, truth)
             except RuntimeError as error:
                 left_out[tool.name] = str(error)
 
 
-def _skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterator[SunAnswer]:
+def _measure_skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterator[SunAnswer]:
     """Measure one run for all masks, and a run for each mask. An untimed run compiles the loops first."""
     begin, end = (time.strftime("%Y-%m-%dT%H:%M:%SZ") for time in (times[0], times[-1]))
     names = [dem.path.with_name(f"mask_{time.strftime('%Y%m%dT%H%M%SZ')}.tif") for time in times]
@@ -131,23 +131,23 @@ def _skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterat
     single = [*shade[:-1], str(dem.path.with_name("mask.tif")), "--time"]
     run_process([*single, begin], dem.path.with_name("mask.tif"))
     single_run = run_process([*shade, "--from", begin, "--to", end, "--step", f"{MASK_STEP_MIN}m"], names[-1])
-    lit = np.stack([_read(name, truth, lambda values: values == MASK_LIT) for name in names])
+    lit = np.stack([_read_and_delete(name, truth, lambda values: values == MASK_LIT) for name in names])
     error_share = wrong_share(lit, truth.round_lit, truth.round_certain)
     yield _mask_answer(dem, "Skugga shade, one run", True, [single_run], error_share, error_share)
-    sampled_times = times[EACH_OF // 2 :: EACH_OF]
+    sampled_times = times[SAMPLING_INTERVAL // 2 :: SAMPLING_INTERVAL]
     runs = [run_process([*single, time.strftime("%Y-%m-%dT%H:%M:%SZ")], dem.path.with_name("mask.tif")) for time in sampled_times]
     yield _mask_answer(
         dem, f"Skugga shade, {MASK_COUNT} runs", True, runs, error_share, error_share, MASK_COUNT / len(sampled_times)
     )
 
 
-def _peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]:
-    every = EACH_OF_SLOW.get(tool.name, EACH_OF)
+def _measure_peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]:
+    every = SAMPLING_INTERVAL_BY_TOOL.get(tool.name, SAMPLING_INTERVAL)
     runs, lit, indices = [], [], list(range(every // 2, MASK_COUNT, every))
     for n in indices:
         job = ToolJob(dem.path, float(truth.azimuth_deg[n]), float(truth.altitude_deg[n]), dem.path.with_name("mask.tif"))
         runs.append(tool.run(job))
-        if tool.lit is not None:
+        if tool.decode_mask is not None:
             lit.append(tool.mask(job)[truth.row, truth.col])
     error_share = as_is = None
     if lit:
@@ -158,8 +158,8 @@ def _peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]
     yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, error_share, as_is, times)
     computing = [run.compute_s for run in runs if run.compute_s is not None]
     if len(computing) == len(runs):
-        start = min(runs, key=lambda run: run.whole_s - (run.compute_s or 0.0))
-        compute_s, begin_s = sum(computing) * times, start.whole_s - (start.compute_s or 0.0)
+        start = min(runs, key=lambda run: run.wall_s - (run.compute_s or 0.0))
+        compute_s, begin_s = sum(computing) * times, start.wall_s - (start.compute_s or 0.0)
         yield SunAnswer(
             MASKS,
             dem.name,
@@ -182,14 +182,14 @@ def _mask_answer(
     runs: list[ToolRun],
     error_share: float | None,
     as_is: float | None,
-    times: float = 1.0,
+    seconds_factor: float = 1.0,
 ) -> SunAnswer:
-    wall_s, cpu_s = (times * sum(getattr(run, cost) for run in runs) for cost in ("whole_s", "cpu_s"))
-    return SunAnswer(MASKS, dem.name, name, is_ours, None, wall_s, cpu_s, error_share, None, as_is, times > 1.0)
+    wall_s, cpu_s = (seconds_factor * sum(getattr(run, cost) for run in runs) for cost in ("wall_s", "cpu_s"))
+    return SunAnswer(MASKS, dem.name, name, is_ours, None, wall_s, cpu_s, error_share, None, as_is, seconds_factor > 1.0)
 
 
-def _read(path: Path, truth: MaskTruth, lit: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _read_and_delete(path: Path, truth: MaskTruth, decode_mask: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     with rasterio.open(path) as dataset:
-        values = lit(dataset.read(1))[truth.row, truth.col]
+        values = decode_mask(dataset.read(1))[truth.row, truth.col]
     os.unlink(path)
     return values

@@ -11,51 +11,58 @@ import numpy as np
 from pyproj import Geod, Transformer
 
 from benchmarks.peers.tools import run_process
-from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA, SKUGGA_COMMAND, QuestionDem
+from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA_COMMAND, SKUGGA_PYTHON, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
 
 HORIZON = "horizon at a point"
 
-ROUND_DEG = 0.5
-"""Degrees between directions: 720 of them."""
+AZIMUTH_STEP_DEG = 0.5
+"""Degrees between two directions of a horizon of 720 directions."""
 
-TOPOCALC_DEG = 15.0
-"""Degrees between directions of the tool that computes a whole raster for each direction. Its seconds are multiplied."""
+TOPOCALC_AZIMUTH_STEP_DEG = 15.0
+"""Degrees between two directions of topocalc, which computes a whole raster for each direction. Its seconds are scaled to 720
+directions."""
 
-FAR_M = 20_000.0
-"""Distance of the second place for the conversion of an azimuth to the grid."""
+BEARING_DISTANCE_M = 20_000.0
+"""Distance of the second point by which a true azimuth is converted to a direction of the grid."""
 
 WGS84_AXES_M = (6_378_137.0, 6_356_752.314245)
 
 EPSILON = 1e-9
-"""Columns, or shares of a direction, below this count as zero."""
+"""Distances in columns, and components of a direction, below this count as zero."""
 
-MARGIN = 0.15
-"""Distance of points from the rim, as a share of a raster's sides."""
+MARGIN_SHARE = 0.15
+"""Minimum distance of points from the rim, as a share of the raster's sides."""
 
 STREET_CELLS = 15
-"""Distance in cells within which higher ground must lie on both sides of a street."""
+"""Maximum distance of the walls on both sides of a street, cells."""
 
 
 def exact_horizon(
-    height_m: np.ndarray, row: int, col: int, right: float, down: float, step_m: float, radius_m: float = np.inf
+    height_m: np.ndarray, row: int, col: int, col_direction: float, row_direction: float, cell_m: float, radius_m: float = np.inf
 ) -> float:
     """Return the exact horizon angle of a node in a direction, degrees.
 
-    ``right`` and ``down`` are the unit vector of the direction in columns and rows. A column is ``step_m`` metres wide, and
-    ``radius_m`` is the earth's radius R. The result uses every crossing of the direction with edges of triangles: rows, columns and
-    both diagonals of quads. Only one diagonal is an edge; crossings with the other do no harm. At a distance s, the tangent of the
-    angle of a point of height h is ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
+    ``col_direction`` and ``row_direction`` are the unit vector of the direction in columns and rows. A column is ``cell_m`` metres
+    wide, and ``radius_m`` is the earth's radius R. The result uses every crossing of the direction with edges of triangles: rows,
+    columns and both diagonals of quads. Only one diagonal is an edge; crossings with the other do no harm. At a distance s, the
+    tangent of the angle of a point of height h is ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
     """
     rows, cols = height_m.shape
     rim_distances = [
-        ((length - 1 - at) if rate > 0 else -at) / rate for at, rate, length in ((col, right, cols), (row, down, rows)) if rate
+        ((length - 1 - at) if rate > 0 else -at) / rate
+        for at, rate, length in ((col, col_direction, cols), (row, row_direction, rows))
+        if rate
     ]
     end = min(rim_distances)
-    crossing_rates = [abs(rate) for rate in (right, down, right - down, right + down) if abs(rate) > EPSILON]
+    crossing_rates = [
+        abs(rate)
+        for rate in (col_direction, row_direction, col_direction - row_direction, col_direction + row_direction)
+        if abs(rate) > EPSILON
+    ]
     crossings = np.concatenate([np.arange(1.0, np.floor(end * rate + EPSILON) + 1.0) / rate for rate in crossing_rates])
-    z_m = surface_at(height_m, row + crossings * down, col + crossings * right)
-    distance_m, z0_m = crossings * step_m, float(height_m[row, col])
+    z_m = triangle_heights_m(height_m, row + crossings * row_direction, col + crossings * col_direction)
+    distance_m, z0_m = crossings * cell_m, float(height_m[row, col])
     if np.isinf(radius_m):
         return float(np.degrees(np.arctan(((z_m - z0_m) / distance_m).max())))
     angle = distance_m / radius_m
@@ -64,7 +71,7 @@ def exact_horizon(
     return float(np.degrees(np.arctan((over / ((radius_m + z_m) * np.sin(angle))).max())))
 
 
-def surface_at(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+def triangle_heights_m(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the heights (n,) of a triangle mesh at fractional rows and columns.
 
     The triangles join nodes (rows, cols). Quads are cut along their higher diagonals.
@@ -87,12 +94,12 @@ def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) 
     x, y = dem.xy(row, col)
     lon, lat = to_degrees.transform(x, y)
     count = len(azimuth_deg)
-    far = Geod(ellps="WGS84").fwd(np.full(count, lon), np.full(count, lat), azimuth_deg, np.full(count, FAR_M))
+    far = Geod(ellps="WGS84").fwd(np.full(count, lon), np.full(count, lat), azimuth_deg, np.full(count, BEARING_DISTANCE_M))
     east, north = np.array(to_degrees.transform(*far[:2], direction="INVERSE")) - np.array([[x], [y]])
     length = np.hypot(east, north)
     radius = _radius_m(lat, azimuth_deg)
     return np.array([
-        exact_horizon(dem.height_m, row, col, e, -n, dem.cell_m * FAR_M / step_length, r)
+        exact_horizon(dem.height_m, row, col, e, -n, dem.cell_m * BEARING_DISTANCE_M / step_length, r)
         for e, n, step_length, r in zip(east / length, north / length, length, radius, strict=True)
     ])  # fmt: skip
 
@@ -113,17 +120,17 @@ def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:
     return 1.0 / (np.cos(azimuth) ** 2 / meridian + np.sin(azimuth) ** 2 / prime)
 
 
-def places_of(dem: QuestionDem) -> dict[str, tuple[int, int]]:
-    """Return row and column of some points by kind, away from the rim.
+def points_by_kind(dem: QuestionDem) -> dict[str, tuple[int, int]]:
+    """Return row and column of points by kind, away from the rim.
 
-    In mountains they are the highest, the lowest and the steepest cell. In a city it is a cell in a street, between walls in the
-    west and in the east.
+    In mountains the points are the highest, the lowest and the steepest cell. In a city the point is a cell in a street, between
+    walls in the west and in the east.
     """
     rows, cols = dem.height_m.shape
-    top, left = int(rows * MARGIN), int(cols * MARGIN)
+    top, left = int(rows * MARGIN_SHARE), int(cols * MARGIN_SHARE)
     inner = dem.height_m[top : rows - top, left : cols - left].astype(np.float64)
 
-    def at(values: np.ndarray) -> tuple[int, int]:
+    def cell_of_max(values: np.ndarray) -> tuple[int, int]:
         row, col = np.unravel_index(int(np.argmax(values)), values.shape)
         return top + int(row), left + int(col)
 
@@ -131,9 +138,9 @@ def places_of(dem: QuestionDem) -> dict[str, tuple[int, int]]:
         shifts = [np.max([np.roll(inner, side * n, axis=1) for n in range(3, STREET_CELLS)], axis=0) - inner for side in (-1, 1)]
         walls = np.minimum(*shifts)
         walls[:, :STREET_CELLS] = walls[:, -STREET_CELLS:] = 0.0
-        return {"street": at(walls)}
+        return {"street": cell_of_max(walls)}
     down, right = np.gradient(inner)
-    return {"summit": at(inner), "valley": at(-inner), "slope": at(np.hypot(down, right))}
+    return {"summit": cell_of_max(inner), "valley": cell_of_max(-inner), "slope": cell_of_max(np.hypot(down, right))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,29 +151,29 @@ class HorizonTool:
     ----------
     name
         Name with the settings.
-    ours
+    is_skugga
         Whether it is part of Skugga.
     command
         Returns its command for a raster, an output file and a point (x, y).
-    read
+    read_horizon
         Reads its output file into azimuths and horizon angles (2, n), degrees.
-    truth
+    true_horizon
         Returns the horizon with which it is compared.
     suffix
         Suffix of its output file.
-    share
+    direction_share
         Number of directions that its command computes, as a share of 720.
     full_command
         Returns the command of the whole process, if ``command`` only measures computing; else ``None``.
     """
 
     name: str
-    ours: bool
+    is_skugga: bool
     command: Callable[[QuestionDem, Path, tuple[float, float]], list[str]]
-    read: Callable[[Path], np.ndarray]
-    truth: Callable[[QuestionDem, int, int, np.ndarray], np.ndarray]
+    read_horizon: Callable[[Path], np.ndarray]
+    true_horizon: Callable[[QuestionDem, int, int, np.ndarray], np.ndarray]
     suffix: str = ".npy"
-    share: float = 1.0
+    direction_share: float = 1.0
     full_command: Callable[[QuestionDem, Path, tuple[float, float]], list[str]] | None = None
 
 
@@ -185,14 +192,14 @@ def horizon_tools(python: str) -> list[HorizonTool]:
         return HorizonTool(
             f"GRASS r.horizon, distance={distance}", False,
             lambda dem, out, at: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.horizon",
-                                  str(dem.path), str(out), *place(at), f"{ROUND_DEG:g}", distance],
+                                  str(dem.path), str(out), *place(at), f"{AZIMUTH_STEP_DEG:g}", distance],
             grass, true_horizon, ".csv",
         )  # fmt: skip
 
     return [
         HorizonTool(
             "Skugga", True,
-            lambda dem, out, at: [*SKUGGA, asking, "point", str(dem.path), str(out), *place(at)],
+            lambda dem, out, at: [*SKUGGA_PYTHON, asking, "point", str(dem.path), str(out), *place(at)],
             np.load, true_horizon,
             full_command=lambda dem, out, at: [*SKUGGA_COMMAND, "point", str(dem.path), "--at", ",".join(place(at)), "--crs",
                                         dem.crs, "--date", DATE, "--horizon", "pvlib", "-o", str(out.with_suffix(".csv"))],
@@ -201,28 +208,31 @@ def horizon_tools(python: str) -> list[HorizonTool]:
         grass_tool("0.5"),
         HorizonTool(
             "topocalc", False,
-            lambda dem, out, at: [python, asking, "topocalc", str(dem.path), str(out), *place(at), f"{TOPOCALC_DEG:g}"],
-            np.load, flat_horizon, share=ROUND_DEG / TOPOCALC_DEG,
+            lambda dem, out, at: [
+                python, asking, "topocalc", str(dem.path), str(out), *place(at), f"{TOPOCALC_AZIMUTH_STEP_DEG:g}",
+            ],
+            np.load, flat_horizon, direction_share=AZIMUTH_STEP_DEG / TOPOCALC_AZIMUTH_STEP_DEG,
         ),
     ]  # fmt: skip
 
 
-def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Yield the results of tools for the points of a raster, with median seconds.
+def measure_horizons(tools: list[HorizonTool], dem: QuestionDem, repeats: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
+    """Measure tools at the points of a raster, and yield their results with median seconds.
 
-    Tools that fail are added to ``left_out`` with the reason. Skugga's commands run once before, to compile loops.
+    Tools that fail are added to ``left_out`` with the reason. An untimed run of Skugga's commands compiles the loops first.
     """
     for tool in tools:
         if tool.full_command is not None:
             out, at = dem.path.with_name(f"horizon{tool.suffix}"), dem.xy(*(length // 2 for length in dem.height_m.shape))
             run_process(tool.command(dem, out, at), out)
             run_process(tool.full_command(dem, out, at), out.with_suffix(".csv"))
-    for place, (row, col) in places_of(dem).items():
+    for place, (row, col) in points_by_kind(dem).items():
         for tool in tools:
             out = dem.path.with_name(f"horizon{tool.suffix}")
             try:
                 runs = [
-                    run_process(tool.command(dem, out, dem.xy(row, col)), out) for _ in range(repeats if tool.share == 1.0 else 1)
+                    run_process(tool.command(dem, out, dem.xy(row, col)), out)
+                    for _ in range(repeats if tool.direction_share == 1.0 else 1)
                 ]
                 whole_runs = runs
                 if tool.full_command is not None:
@@ -231,14 +241,14 @@ def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, le
             except RuntimeError as error:
                 left_out[tool.name] = str(error)
                 continue
-            azimuth, angle = tool.read(out)
-            error_deg = np.abs(angle - tool.truth(dem, row, col, azimuth))
+            azimuth, angle = tool.read_horizon(out)
+            error_deg = np.abs(angle - tool.true_horizon(dem, row, col, azimuth))
             as_is = np.abs(angle - true_horizon(dem, row, col, azimuth))
             compute_s = float(np.median([run.compute_s for run in runs if run.compute_s is not None]))
-            more_s = compute_s * (1.0 / tool.share - 1.0)
+            more_s = compute_s * (1.0 / tool.direction_share - 1.0)
             yield SunAnswer(
-                HORIZON, f"{dem.name}, {place}", tool.name, tool.ours, compute_s + more_s,
-                float(np.median([run.whole_s for run in whole_runs])) + more_s,
+                HORIZON, f"{dem.name}, {place}", tool.name, tool.is_skugga, compute_s + more_s,
+                float(np.median([run.wall_s for run in whole_runs])) + more_s,
                 float(np.median([run.cpu_s for run in whole_runs])) + more_s,
-                float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(as_is.mean()), tool.share < 1.0,
+                float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(as_is.mean()), tool.direction_share < 1.0,
             )  # fmt: skip

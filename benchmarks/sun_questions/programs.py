@@ -7,8 +7,8 @@
     PYTHON programs.py topocalc dem.tif horizon.npy X Y DEGREES
     PYTHON programs.py r.horizon dem.tif horizon.csv X Y DEGREES DISTANCE
 
-A program reads the raster, compiles its loops or loads them, computes, writes the result, and prints the seconds of computing.
-``r.sun`` and ``r.horizon`` run inside a GRASS session. Only Skugga's own rows import Skugga.
+A program reads the raster, compiles or loads its loops, computes, writes the result, and prints the seconds of computing.
+``r.sun`` and ``r.horizon`` run inside a GRASS session. Only the programs ``sunhours`` and ``point`` import Skugga.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _grass(*arguments: str) -> str:
     return subprocess.run(arguments, check=True, capture_output=True, text=True).stdout
 
 
-def _dem(path: str) -> None:
+def _import_dem(path: str) -> None:
     _grass("r.in.gdal", "--quiet", f"input={path}", "output=dem")
     _grass("g.region", "raster=dem")
 
@@ -60,9 +60,9 @@ def _dem(path: str) -> None:
 def r_sun(path: str, out: str, day: str, minutes: str, degrees: str = "") -> float:
     """Compute GRASS's hours of insolation, on two threads.
 
-    With ``degrees`` it uses maps of the horizon in steps of so many degrees. Without, it traces its own rays.
+    With ``degrees``, r.sun reads horizon maps at azimuth steps of so many degrees. Without, it traces its own rays.
     """
-    _dem(path)
+    _import_dem(path)
     options = ["elevation=dem", f"day={day}", f"step={float(minutes) / 60.0:.6f}", "insol_time=hours", "nprocs=2"]
     start = time.perf_counter()
     if degrees:
@@ -77,7 +77,7 @@ def r_sun(path: str, out: str, day: str, minutes: str, degrees: str = "") -> flo
 def point(path: str, out: str, x: str, y: str) -> float:
     """Compute Skugga's horizon in 720 directions.
 
-    The horizon of another place is computed before. The level is then open, and its loops are compiled.
+    An untimed horizon of another point opens the level and compiles the loops first.
     """
     import numpy as np
 
@@ -124,14 +124,14 @@ def r_horizon(path: str, out: str, x: str, y: str, degrees: str, distance: str) 
 
     Its directions are 0 in the east and grow anticlockwise.
     """
-    _dem(path)
+    _import_dem(path)
     start = time.perf_counter()
     _grass("r.horizon", "-d", "--quiet", "--overwrite", "elevation=dem", "direction=0", f"step={degrees}", f"coordinates={x},{y}",
            f"distance={distance}", f"file={out}")  # fmt: skip
     return time.perf_counter() - start
 
 
-QUESTION_FUNCTIONS = {
+PROGRAMS = {
     "sunhours": sunhours,
     "time_in_daylight": time_in_daylight,
     "r.sun": r_sun,
@@ -141,4 +141,4 @@ QUESTION_FUNCTIONS = {
 }
 
 if __name__ == "__main__":
-    print(f"\n{QUESTION_FUNCTIONS[sys.argv[1]](*sys.argv[2:]):.6f}")
+    print(f"\n{PROGRAMS[sys.argv[1]](*sys.argv[2:]):.6f}")

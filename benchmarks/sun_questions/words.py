@@ -1,14 +1,14 @@
-"""Tables and verdicts of `sun_questions`, formatted from its results. The module measures nothing and has no figures."""
+"""Format the tables and verdicts of `sun_questions` from its results. This module measures nothing."""
 
 from __future__ import annotations
 
 from benchmarks.peers.figures import dominated_rows, unmatched_peers
-from benchmarks.peers.pages import percent, seconds
-from benchmarks.seeds.claims import table
+from benchmarks.peers.pages import format_percent, format_seconds
+from benchmarks.seeds.claims import markdown_table
 from benchmarks.sun_questions.day_hours import HOURS
-from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, standings
-from benchmarks.sun_questions.many_masks import MASKS, NEAR_DEG
-from benchmarks.sun_questions.one_horizon import HORIZON, ROUND_DEG, TOPOCALC_DEG
+from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, tool_standings
+from benchmarks.sun_questions.many_masks import ALTITUDE_TOLERANCE_DEG, MASKS
+from benchmarks.sun_questions.one_horizon import AZIMUTH_STEP_DEG, HORIZON, TOPOCALC_AZIMUTH_STEP_DEG
 
 TITLES = {
     HOURS: "1. Hours of sun of a day",
@@ -16,53 +16,50 @@ TITLES = {
     MASKS: "3. 31 masks of a day",
 }
 
-UNITS = {HOURS: "minutes", HORIZON: "degrees", MASKS: "% of the cells"}
+UNIT_BY_QUESTION = {HOURS: "minutes", HORIZON: "degrees", MASKS: "% of the cells"}
 
 
-def amount(question: str, value: float | None) -> str:
+def format_error(question: str, value: float | None) -> str:
     """Format an error in the question's unit."""
     if value is None:
         return "-"
     if question == MASKS:
-        return percent(value)
+        return format_percent(value)
     return f"{value:.2f}" if value >= 0.1 or value == 0.0 else f"{value:.1g}"
 
 
 def _format_seconds(value: float | None, answer: SunAnswer) -> str:
-    return "-" if value is None else f"{'~ ' if answer.scaled else ''}{seconds(value)}"
+    return "-" if value is None else f"{'~ ' if answer.scaled else ''}{format_seconds(value)}"
 
 
 def answer_table(comparison: SunComparison, question: str) -> list[str]:
     """Format a line for each tool in each case."""
     rows = []
-    for answer in comparison.of(question):
+    for answer in comparison.answers_to(question):
         name = f"**{answer.tool}**" if answer.ours else answer.tool
         row = {"case": answer.case, "tool": name}
-        if any(sun_answer.compute_s is not None for sun_answer in comparison.of(question)):
+        if any(sun_answer.compute_s is not None for sun_answer in comparison.answers_to(question)):
             row["computing, s"] = _format_seconds(answer.compute_s, answer)
         row["whole process, s"], row["its CPU time, s"] = (
             _format_seconds(answer.whole_s, answer),
             _format_seconds(answer.cpu_s, answer),
         )
-        row[f"wrong, {UNITS[question]}"] = amount(question, answer.wrong)
-        if any(sun_answer.wrong_p99 is not None for sun_answer in comparison.of(question)):
-            row["99 % under"] = amount(question, answer.wrong_p99)
-        row["wrong as it is"] = amount(question, answer.wrong_as_is)
+        row[f"wrong, {UNIT_BY_QUESTION[question]}"] = format_error(question, answer.wrong)
+        if any(sun_answer.wrong_p99 is not None for sun_answer in comparison.answers_to(question)):
+            row["99 % under"] = format_error(question, answer.wrong_p99)
+        row["wrong as it is"] = format_error(question, answer.wrong_as_is)
         rows.append(row)
-    return table(rows)
+    return markdown_table(rows)
 
 
-def question_verdict(comparison: SunComparison, question: str) -> str:
-    """Describe, by each measure of time, whether a peer is both faster and more accurate than rows of Skugga.
-
-    Also name the peers that are faster, and those that are more accurate.
-    """
-    peers = {answer.tool for answer in comparison.of(question) if not answer.ours and answer.wrong is not None}
-    if not peers or not any(answer.ours for answer in comparison.of(question)):
+def format_verdict(comparison: SunComparison, question: str) -> str:
+    """Describe for each clock which peers are both faster and more accurate than rows of Skugga, or better in one respect."""
+    peers = {answer.tool for answer in comparison.answers_to(question) if not answer.ours and answer.wrong is not None}
+    if not peers or not any(answer.ours for answer in comparison.answers_to(question)):
         return "Open: there was nothing to compare with."
     lines = []
     for clock in ANSWER_CLOCKS:
-        case_standings = standings(comparison, question, clock)
+        case_standings = tool_standings(comparison, question, clock)
         if not case_standings:
             continue
         dominated, over = dominated_rows(case_standings), unmatched_peers(case_standings)
@@ -88,30 +85,30 @@ def _better_peers(comparison: SunComparison, question: str) -> list[str]:
     return lines + [_better_peers_text(comparison, question, "seconds", clock, f"faster by {clock}") for clock in ANSWER_CLOCKS]
 
 
-def _better_peers_text(comparison: SunComparison, question: str, merit: str, clock: str, word: str) -> str:
+def _better_peers_text(comparison: SunComparison, question: str, metric: str, clock: str, adjective: str) -> str:
     """Describe the peers that beat Skugga's best row in accuracy or time, with the number of cases and the largest factor."""
-    standings_by_case = standings(comparison, question, clock)
+    standings_by_case = tool_standings(comparison, question, clock)
     if not standings_by_case:
-        return f"- {word[0].upper()}{word[1:]}: not measured."
+        return f"- {adjective[0].upper()}{adjective[1:]}: not measured."
     times: dict[str, list[float]] = {}
     for case_standings in standings_by_case.values():
-        our_best = min(getattr(standing, merit) for standing in case_standings if standing.tool.ours)
+        our_best = min(getattr(standing, metric) for standing in case_standings if standing.tool.ours)
         for standing in case_standings:
-            value = getattr(standing, merit)
+            value = getattr(standing, metric)
             if not standing.tool.ours and value < our_best:
                 times.setdefault(standing.tool.name, []).append(our_best / value if value else float("inf"))
     if not times:
-        return f"- {word[0].upper()}{word[1:]} than Skugga's best row: no peer, in any case."
+        return f"- {adjective[0].upper()}{adjective[1:]} than Skugga's best row: no peer, in any case."
     peers_text = "; ".join(
         f"{name} in {len(ratios)} of {len(standings_by_case)} cases, up to {max(ratios):.2g} times"
         for name, ratios in times.items()
     )
-    return f"- {word[0].upper()}{word[1:]} than Skugga's best row: {peers_text}."
+    return f"- {adjective[0].upper()}{adjective[1:]} than Skugga's best row: {peers_text}."
 
 
 def check_table(comparison: SunComparison) -> list[str]:
     """Format a line for each tool: its hours of sun on a level floor, and its error before a cliff."""
-    return table([
+    return markdown_table([
         {
             "tool": check.tool,
             "level floor, h": f"{check.floor_h:.3f}",
@@ -123,7 +120,7 @@ def check_table(comparison: SunComparison) -> list[str]:
     ])  # fmt: skip
 
 
-METHODS = {
+METHOD_BY_QUESTION = {
     HOURS: """21 March, rasters of which every tool gets the same GeoTIFF. Truth are rays every 10 seconds. `Wrong` is the mean over
 the sampled cells of the minutes by which a tool differs from rays under *its own* sun, earth and horizon, so that only shadows
 and steps of time are judged; `wrong as it is` the same beside astronomy's sun (NREL's, with refraction) on the round earth,
@@ -134,10 +131,12 @@ hours by the length of its own day.""",
 crossing of the direction with the triangles' edges, to the raster's rim, on the round earth (for topocalc, which knows none, in
 a flat world). Computing: one point of a level that is open and whose loops are compiled; the module r.horizon. Whole process:
 `skugga point` with a horizon file, which reports the day as well. topocalc computes whole rasters:
-{360.0 / TOPOCALC_DEG:.0f} directions are measured, and the seconds multiplied by {TOPOCALC_DEG / ROUND_DEG:.0f} (`~`).
+{360.0 / TOPOCALC_AZIMUTH_STEP_DEG:.0f} directions are measured, and the seconds multiplied by \
+{TOPOCALC_AZIMUTH_STEP_DEG / AZIMUTH_STEP_DEG:.0f} (`~`).
 r.horizon takes a sample every `distance` cells' sides; 1 is its default.""",
     MASKS: f"""31 times from the morning to the evening of 21 March, each mask written as a GeoTIFF. Other tools get each time's
-azimuth and altitude, one process a mask. Wrong: per cent of the answers that are certain (the same under suns {NEAR_DEG:g} degrees
+azimuth and altitude, one process a mask. Wrong: per cent of the answers that are certain (the same under suns \
+{ALTITUDE_TOLERANCE_DEG:g} degrees
 lower and higher) at the sampled cells, beside rays: of each cell's sun on the round earth for Skugga, of the given angles in a flat
 world for the others. *One process at best* is a bound, not a run: the computing of all masks and the least of everything else,
 once. gdaldem hillshade casts no shadows, and is what a process costs. `~`: some of the suns were measured, and their seconds
@@ -158,7 +157,7 @@ and to the west of a long cliff of 300 m those of the closed form.
 The sun's path of each is made again for truth. What is left on the level floor is a tool's own: steps of time or of azimuth."""
 
 
-def sun_page(comparison: SunComparison) -> str:
+def format_sun_page(comparison: SunComparison) -> str:
     """Format the page, in Markdown."""
     versions = ", ".join(f"{name} {number}" for name, number in comparison.versions.items())
     parts = [
@@ -171,9 +170,9 @@ def sun_page(comparison: SunComparison) -> str:
         "its\nchildren, which suffers less, stands beside them. Every tool runs as a process of its own, one at a time.",
     ]
     for question in TITLES:
-        if comparison.of(question):
+        if comparison.answers_to(question):
             cases = "\n".join(f"- *{case.case}*: {case.about}" for case in comparison.cases if case.question == question)
-            parts += [f"## {TITLES[question]}", question_verdict(comparison, question), cases, METHODS[question]]
+            parts += [f"## {TITLES[question]}", format_verdict(comparison, question), cases, METHOD_BY_QUESTION[question]]
             parts.append("\n".join(answer_table(comparison, question)))
             if question == HOURS and comparison.checks:
                 parts += ["### Conventions", CONVENTIONS, "\n".join(check_table(comparison))]

@@ -13,7 +13,7 @@ import rasterio
 import shapely
 from rasterio.warp import transform as warped
 
-from benchmarks.sweep_speed import mountains
+from benchmarks.sweep_speed import fractal_heights_m
 from skugga.api import contour_lines
 from skugga.api.compute import write_rasters
 from skugga.api.contour_lines import write_contours
@@ -32,7 +32,9 @@ CELL_M = 30.0
 
 @pytest.fixture
 def scene(tmp_path: Path):
-    built_scene = build_scene(load_level(write_geotiff(tmp_path / "own.tif", mountains(150), "EPSG:32632", 500e3, 5200e3, CELL_M)))
+    built_scene = build_scene(
+        load_level(write_geotiff(tmp_path / "own.tif", fractal_heights_m(150), "EPSG:32632", 500e3, 5200e3, CELL_M))
+    )
     yield built_scene
     built_scene.close()
 
@@ -81,7 +83,9 @@ def test_cells_of_another_crs_and_shape_give_the_same_hours(scene, tmp_path):
         col, row = ~native_dataset.transform @ (np.array(x), np.array(y))
     difference_h = np.abs(geographic_hours[rows, cols] - native_hours[row.astype(int), col.astype(int)])
     assert np.median(difference_h) < 0.2  # cells' centres lie up to half a cell apart
-    tall_raster = write_geotiff(tmp_path / "tall.tif", mountains(150)[::2], "EPSG:32632", 500e3, 5200e3, (CELL_M, 2 * CELL_M))
+    tall_raster = write_geotiff(
+        tmp_path / "tall.tif", fractal_heights_m(150)[::2], "EPSG:32632", 500e3, 5200e3, (CELL_M, 2 * CELL_M)
+    )
     oblong_scene = build_scene(load_level(tall_raster))
     half, _ = write_and_read(oblong_scene, tmp_path)
     oblong_scene.close()

@@ -12,13 +12,13 @@ import pytest
 
 from benchmarks.frame_tables import (
     BASE,
-    BEGIN,
-    END,
     NOW,
+    TABLES_BEGIN,
+    TABLES_END,
     YARDSTICK,
     FrameKey,
     Target,
-    as_markdown,
+    format_report,
     frame_targets,
     paired_ratio,
     replace_between_marks,
@@ -35,39 +35,44 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
-TINY = replace(
+TINY_PICTURE = replace(
     PICTURES["SpatialAce"],
     size=(64, 48),
     plans={"planned": {"algorithm": "shadow_map"}},
-    moves={"planned": ("new", "sun", "resting")},
+    changes={"planned": ("new", "sun", "resting")},
 )
 
 
-def row(ms: float, **other_figures: Any) -> dict[str, Any]:
+def cost_row(ms: float, **other_figures: Any) -> dict[str, Any]:
     return {"ms": ms, "cpu_ms": 2.0 * ms, "reads": 1, "read_mib": 2.0, "draws": 3, "passes_ms": {"geometry": ms}, **other_figures}
 
 
 def test_a_ratio_is_the_median_of_paired_ratios():
-    """Other work slows both frames of the middle turn alike. The ratio of the medians would be 3."""
-    assert paired_ratio([row(10.0), row(90.0), row(30.0)], [row(5.0), row(45.0), row(10.0)]) == 2.0
+    """Other load slows both frames of the middle turn equally. The ratio of the medians would be 3."""
+    assert paired_ratio([cost_row(10.0), cost_row(90.0), cost_row(30.0)], [cost_row(5.0), cost_row(45.0), cost_row(10.0)]) == 2.0
 
 
 def test_targets_are_met_at_their_limit():
     key = FrameKey("SpatialAce", "planned", "new")
-    frames = {key: {NOW: [row(35.0)], BASE: [row(100.0)]}}
-    (counting_target,) = (target for target in frame_targets(frames, {}) if target.counts)
-    assert (counting_target.wall, counting_target.cpu, counting_target.most, counting_target.met) == (0.35, 0.35, 0.35, True)
+    frames = {key: {NOW: [cost_row(35.0)], BASE: [cost_row(100.0)]}}
+    (counting_target,) = (target for target in frame_targets(frames, {}) if target.is_required)
+    assert (counting_target.value, counting_target.cpu_value, counting_target.upper_bound, counting_target.is_met) == (
+        0.35,
+        0.35,
+        0.35,
+        True,
+    )
     assert counting_target.line == "met    SpatialAce as planned, sun and camera moved / before: 0.35 (CPU time 0.35), at most 0.35"
-    frames[key][NOW] = [row(36.0)]
-    (counting_target,) = (target for target in frame_targets(frames, {}) if target.counts)
-    assert not counting_target.met and counting_target.line.startswith("MISSED")
+    frames[key][NOW] = [cost_row(36.0)]
+    (counting_target,) = (target for target in frame_targets(frames, {}) if target.is_required)
+    assert not counting_target.is_met and counting_target.line.startswith("MISSED")
 
 
 def test_the_target_uses_the_yardstick_of_one_tap():
-    sticks = {FrameKey("SpatialAce", "yardstick", name): {YARDSTICK: [row(ms)]} for name, ms in
+    sticks = {FrameKey("SpatialAce", "yardstick", name): {YARDSTICK: [cost_row(ms)]} for name, ms in
               (("unshadowed", 1.0), ("512, 1 tap", 10.0), ("512, 3 x 3 taps", 20.0))}  # fmt: skip
-    frames = {FrameKey("SpatialAce", "planned", "new"): {NOW: [row(40.0)]}, **sticks}
-    ratios = {target.counts: target.wall for target in frame_targets(frames, {})}
+    frames = {FrameKey("SpatialAce", "planned", "new"): {NOW: [cost_row(40.0)]}, **sticks}
+    ratios = {target.is_required: target.value for target in frame_targets(frames, {})}
     assert ratios == {True: 4.0, False: 2.0}
 
 
@@ -75,19 +80,19 @@ def test_a_first_frame_is_compared_with_warm_ones():
     first = {"ms": 30.0, "cpu_ms": 40.0, "answer_ms": 130.0, "cpu_answer_ms": 140.0}
     warm = {"ms": 10.0, "cpu_ms": 10.0, "answer_ms": 20.0, "cpu_answer_ms": 20.0}
     targets = frame_targets({}, {"valley": {NOW: [{"first": first, "warm": warm}]}})
-    assert [(target.wall, target.cpu, target.counts) for target in targets] == [(3.0, 4.0, True), (6.5, 7.0, False)]
+    assert [(target.value, target.cpu_value, target.is_required) for target in targets] == [(3.0, 4.0, True), (6.5, 7.0, False)]
 
 
 def test_the_memory_target_uses_the_peak_of_all_frames():
     million = FrameKey("a million trees", "planned", "new")
-    targets = frame_targets({million: {NOW: [row(1.0, peak_gb=1.1), row(1.0, peak_gb=1.3)]}}, {})
-    assert targets == [Target("a million trees: peak memory", 1.2, 1.3, unit=" GB")] and not targets[0].met
+    targets = frame_targets({million: {NOW: [cost_row(1.0, peak_gb=1.1), cost_row(1.0, peak_gb=1.3)]}}, {})
+    assert targets == [Target("a million trees: peak memory", 1.2, 1.3, unit=" GB")] and not targets[0].is_met
 
 
 def test_writing_tables_between_marks_is_idempotent():
-    page = f"before\n{BEGIN}\nold\n{END}\nafter\n"
+    page = f"before\n{TABLES_BEGIN}\nold\n{TABLES_END}\nafter\n"
     written_page = replace_between_marks(page, "| new |\n")
-    assert written_page == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
+    assert written_page == f"before\n{TABLES_BEGIN}\n\n| new |\n\n{TABLES_END}\nafter\n"
     assert replace_between_marks(written_page, "| new |") == written_page
     with pytest.raises(ValueError, match="no marks"):
         replace_between_marks("a page without any", "table")
@@ -95,11 +100,9 @@ def test_writing_tables_between_marks_is_idempotent():
 
 
 def test_alternating_sides_of_equal_code_draw_equal_frames():
-    """This checkout stands for the other one. With sun and camera moved everything is drawn anew; at rest the map is
-    cached.
-    """
+    """Both sides are this checkout. With a moved sun and camera everything is drawn again. Without changes the map is cached."""
     measurements = FrameMeasurements()
-    measure_interleaved("SpatialAce", TINY, "spatialace", {NOW: ROOT, BASE: ROOT, YARDSTICK: ROOT}, 2, measurements)
+    measure_interleaved("SpatialAce", TINY_PICTURE, "spatialace", {NOW: ROOT, BASE: ROOT, YARDSTICK: ROOT}, 2, measurements)
     moves = [FrameKey("SpatialAce", "planned", move) for move in ("new", "sun", "resting")]
     assert set(measurements.frames) == {*moves, *(FrameKey("SpatialAce", "yardstick", name) for name in
                                            ("unshadowed", "512, 1 tap", "512, 3 x 3 taps"))}  # fmt: skip
@@ -119,14 +122,14 @@ def test_alternating_sides_of_equal_code_draw_equal_frames():
         frame_row["reads"] for frame_row in measurements.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK]
     ] == [1, 1]
     header = {"renderer": "x", "cpus": 1, "load": 1.5, "repeats": 2, "base": "y", "plans": measurements.plans}
-    table = as_markdown(header, measurements.frames, {}, measurements.differences)
+    table = format_report(header, measurements.frames, {}, measurements.differences)
     assert "| SpatialAce | planned | the sun |" in table and "2 of 2 | 2 of 2 |" in table
     assert "* SpatialAce is planned as shadow_map. A new view's plan: " in table
 
 
 def test_an_error_in_a_side_is_raised():
-    with frame_process(ROOT, TINY, "spatialace") as process, pytest.raises(RuntimeError, match="KeyError: 'nothing'"):
-        process.ask("frame", plan="nothing")
+    with frame_process(ROOT, TINY_PICTURE, "spatialace") as process, pytest.raises(RuntimeError, match="KeyError: 'nothing'"):
+        process.request("frame", plan="nothing")
 
 
 @pytest.mark.parametrize("wrong", [["--base", "/nowhere"], ["--repeats", "0"], ["--scale", "2"]])

@@ -30,7 +30,7 @@ def test_messages_of_a_module_are_listed_by_kind():
     ]
 
 
-def faults(message: Message) -> list[str]:
+def form_problems(message: Message) -> list[str]:
     """Return what is wrong with a message by its text alone."""
     last, result = message.texts[-1], []
     if any(word in text for text in message.texts for word in ("; allowed:", "; needed:")):
@@ -48,10 +48,12 @@ def faults(message: Message) -> list[str]:
     "texts", [("--view", "{view}", "nothing beside --path"), ("size", "{size}; allowed: 3", "3"), ("size", "{n}", "At most 3.")]
 )
 def test_a_message_of_the_wrong_form_is_found(texts):
-    assert faults(Message("InputError", PATH, 1, texts))
+    assert form_problems(Message("InputError", PATH, 1, texts))
 
 
 def test_all_messages_have_the_form():
     listed = messages()
     assert len(listed) > 500
-    assert not [f"{message.path}:{message.line}: {message.texts}: {fault}" for message in listed for fault in faults(message)]
+    assert not [
+        f"{message.path}:{message.line}: {message.texts}: {fault}" for message in listed for fault in form_problems(message)
+    ]

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.seeds import __main__ as seeds
 from benchmarks.seeds.claims import Claim, Experiment, Section
-from benchmarks.seeds.devices import about_devices, add_figures, section_of
+from benchmarks.seeds.devices import add_figures, format_devices, format_experiment
 
 FIGURES = Path(seeds.__file__).parent / "seeds.json"
 
@@ -42,7 +42,7 @@ def measured_on(*devices: Any, times: tuple[dict[str, float], ...]) -> dict[str,
 
 
 def test_differing_cells_hold_the_figures_of_both_devices():
-    text = section_of("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "two": 0.5})))
+    text = format_experiment("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "two": 0.5})))
     assert text is not None
     assert "| one | 1024 | 2.00 / 0.25 |\n| two | 1024 | 0.50 |" in text
     first, second = text.split("**The same claims on a card**")
@@ -51,16 +51,16 @@ def test_differing_cells_hold_the_figures_of_both_devices():
 
 
 def test_a_table_with_other_rows_is_separate():
-    text = section_of("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "six": 0.5})))
+    text = format_experiment("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "six": 0.5})))
     assert text is not None
     assert "| two | 1024 | 0.50 |\n" in text and "**The times: a card**" in text and "| six | 1024 | 0.50 |" in text
 
 
 def test_experiments_of_a_single_device_name_it():
     measured = measured_on(CPU, CARD, times=({"one": 2}, {"one": 0.25}))
-    assert section_of("other", EXPERIMENT, measured) is None
+    assert format_experiment("other", EXPERIMENT, measured) is None
     del measured[CPU.renderer]["experiments"]["times"]
-    assert "Measured. (measured on a card alone)" in section_of("times", EXPERIMENT, measured)
+    assert "Measured. (measured on a card alone)" in format_experiment("times", EXPERIMENT, measured)
 
 
 def test_a_new_run_replaces_only_the_device_s_own_figures():
@@ -71,9 +71,9 @@ def test_a_new_run_replaces_only_the_device_s_own_figures():
 
 def test_the_page_says_whether_a_gpu_was_measured():
     software_device, two_devices = measured_on(CPU, times=({"one": 2},)), measured_on(CPU, CARD, times=({"one": 2}, {"one": 1}))
-    assert "Nothing on this page was measured on a GPU" in about_devices(software_device)
-    assert "Nothing on this page was measured on a GPU" in about_devices(measured_on(CPU, device("b", True), times=({}, {})))
-    assert "Nothing" not in about_devices(two_devices) and "(1) a rasteriser; (2) a card" in about_devices(two_devices)
+    assert "Nothing on this page was measured on a GPU" in format_devices(software_device)
+    assert "Nothing on this page was measured on a GPU" in format_devices(measured_on(CPU, device("b", True), times=({}, {})))
+    assert "Nothing" not in format_devices(two_devices) and "(1) a rasteriser; (2) a card" in format_devices(two_devices)
 
 
 def test_all_experiments_can_be_merged_with_another_device():
@@ -82,20 +82,20 @@ def test_all_experiments_can_be_merged_with_another_device():
     """
     measured = json.loads(FIGURES.read_text("utf-8"))
     (first,) = measured.values()
-    plain = seeds.page(measured)
+    plain = seeds.format_page(measured)
 
     def halved(figures: Any) -> Any:
         if isinstance(figures, dict):
             return {key: halved(value) / 2 if key == "ms" else halved(value) for key, value in figures.items()}
         return figures
 
-    merged_page = seeds.page(measured | {"twin": copy.deepcopy(first)})
+    merged_page = seeds.format_page(measured | {"twin": copy.deepcopy(first)})
     assert not re.search(r"\d / \d", "".join(set(merged_page.splitlines()) - set(plain.splitlines())).replace("1.00 / 0.52", ""))
     assert merged_page.count("**The same claims on twin**") == sum(
         "| claim | found here |" in part for part in plain.split("\n## ")
     )
     other = {"software": False, "experiments": {"stages": halved(first["experiments"]["stages"])}}
-    assert "**The same claims on card**" in seeds.page(measured | {"card": other})
+    assert "**The same claims on card**" in seeds.format_page(measured | {"card": other})
 
 
 def test_a_second_device_keeps_the_figures_of_the_first(tmp_path, monkeypatch, capsys):
@@ -117,4 +117,4 @@ def test_a_second_device_keeps_the_figures_of_the_first(tmp_path, monkeypatch, c
     assert list(json.loads(json_file.read_text())) == [CPU.renderer] and "2.00 |" in page_file.read_text()
     with pytest.raises(SystemExit):
         seeds.main()
-    assert "there are no figures of a card; there are of a rasteriser" in capsys.readouterr().err
+    assert "the file has no figures of a card. It has figures of: a rasteriser" in capsys.readouterr().err

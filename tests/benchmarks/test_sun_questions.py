@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.sun_questions.figures import SunAnswer, SunComparison, standings
+from benchmarks.sun_questions.figures import SunAnswer, SunComparison, tool_standings
 from benchmarks.sun_questions.many_masks import MASK_COUNT, mask_times, wrong_share
-from benchmarks.sun_questions.one_horizon import exact_horizon, surface_at
-from benchmarks.sun_questions.sun_paths import hours_before_cliff, r_sun_path, suncalc
-from benchmarks.sun_questions.words import answer_table, question_verdict
+from benchmarks.sun_questions.one_horizon import exact_horizon, triangle_heights_m
+from benchmarks.sun_questions.sun_paths import hours_before_cliff, r_sun_path, suncalc_path
+from benchmarks.sun_questions.words import answer_table, format_verdict
 from skugga.terrain.geo.sun_path import sun_path
 
 
-def answer(tool: str, is_ours: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
+def make_answer(tool: str, is_ours: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
     return SunAnswer(question, "somewhere", tool, is_ours, seconds, seconds + 1.0, seconds, error, error, error)
 
 
-def comparison(*answers: SunAnswer) -> SunComparison:
+def make_comparison(*answers: SunAnswer) -> SunComparison:
     return SunComparison("here", 1.0, 60.0, {}, {}, [], [], list(answers))
 
 
@@ -25,7 +25,7 @@ def test_suncalc_is_close_to_the_sun_of_its_date():
     """The reference is NREL's sun at the same moments, without refraction. suncalc uses the equinox of 2000 and is up to
     0.2 degrees off.
     """
-    azimuth, altitude = suncalc(9.0, 46.95, 600.0)
+    azimuth, altitude = suncalc_path(9.0, 46.95, 600.0)
     noon = np.datetime64("2020-03-21T11:24:00")
     times = noon + np.round(np.arange(-43200.0 + 300.0, 43200.0, 600.0)).astype("timedelta64[s]")
     path = sun_path(times, 9.0, 46.95)
@@ -37,7 +37,7 @@ def test_suncalc_gives_whitebox_s_share_on_level_ground():
     """The expected share is from Whitebox Workflows 2.0.6 at 9 degrees east, 46.9535 north, with azimuth bins of 2 degrees.
     A bin is lit if the sun is above the horizon at its centre.
     """
-    azimuth, altitude = suncalc(9.0, 46.95353, 10.0)
+    azimuth, altitude = suncalc_path(9.0, 46.95353, 10.0)
     number = np.rint(azimuth / 2.0)
     sample_count = night_count = 0
     for bin_number in np.unique(number):
@@ -65,9 +65,9 @@ def test_a_cliff_in_the_east_shades_the_morning():
 
 def test_a_surface_is_linear_on_its_triangles():
     height_m = np.array([[0.0, 1.0], [1.0, 4.0]])  # cut along the higher diagonal, from the corner of 0 to that of 4
-    assert surface_at(height_m, np.array([0.5, 0.25]), np.array([0.5, 0.75])).tolist() == [2.0, 0.75 + 0.25 * 3.0]
+    assert triangle_heights_m(height_m, np.array([0.5, 0.25]), np.array([0.5, 0.75])).tolist() == [2.0, 0.75 + 0.25 * 3.0]
     height_m = np.array([[0.0, 1.0], [1.0, 1.0]])
-    assert surface_at(height_m, np.array([0.5]), np.array([0.5])).tolist() == [1.0]
+    assert triangle_heights_m(height_m, np.array([0.5]), np.array([0.5])).tolist() == [1.0]
 
 
 def test_the_horizon_of_a_ridge_is_at_its_crest():
@@ -111,18 +111,20 @@ def test_uncertain_points_do_not_count():
 
 
 def test_the_verdict_names_dominated_rows_and_a_lost_front():
-    our_answer, peer_answer = answer("own", True, 2.0, 1.0), answer("peer", False, 1.0, 0.5)
-    verdict = question_verdict(comparison(our_answer, peer_answer), "hours of a day")
+    our_answer, peer_answer = make_answer("own", True, 2.0, 1.0), make_answer("peer", False, 1.0, 0.5)
+    verdict = format_verdict(make_comparison(our_answer, peer_answer), "hours of a day")
     assert "own by peer (somewhere)" in verdict and "peer beats every row (somewhere)" in verdict
     assert "More accurate than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in verdict
     assert "Faster by computing than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in verdict
-    saved = question_verdict(comparison(our_answer, answer("exact", True, 9.0, 0.1), peer_answer), "hours of a day")
+    saved = format_verdict(make_comparison(our_answer, make_answer("exact", True, 9.0, 0.1), peer_answer), "hours of a day")
     assert "No peer beats all of its rows" in saved
     assert "More accurate than Skugga's best row: no peer" in saved
 
 
 def test_a_peer_that_is_only_faster_is_named():
-    verdict = question_verdict(comparison(answer("own", True, 2.0, 0.1), answer("quick", False, 1.0, 0.5)), "hours of a day")
+    verdict = format_verdict(
+        make_comparison(make_answer("own", True, 2.0, 0.1), make_answer("quick", False, 1.0, 0.5)), "hours of a day"
+    )
     assert verdict.count("no peer is both faster and more accurate") == 3
     assert "Faster by the whole process than Skugga's best row: quick in 1 of 1 cases, up to 1.5 times." in verdict
 
@@ -130,11 +132,14 @@ def test_a_peer_that_is_only_faster_is_named():
 def test_tools_without_times_or_errors_have_no_rank():
     untimed = SunAnswer("masks", "somewhere", "bound", False, None, 1.0, None, 0.1, None)
     silent = SunAnswer("masks", "somewhere", "casts none", False, None, 1.0, 1.0, None, None)
-    sun_comparison = comparison(untimed, silent, answer("own", True, 1.0, 0.2, "masks"))
-    assert [place.tool.name for place in standings(sun_comparison, "masks", "the whole process")["somewhere"]] == ["bound", "own"]
-    assert [place.tool.name for place in standings(sun_comparison, "masks", "computing")["somewhere"]] == ["own"]
+    sun_comparison = make_comparison(untimed, silent, make_answer("own", True, 1.0, 0.2, "masks"))
+    assert [place.tool.name for place in tool_standings(sun_comparison, "masks", "the whole process")["somewhere"]] == [
+        "bound",
+        "own",
+    ]
+    assert [place.tool.name for place in tool_standings(sun_comparison, "masks", "computing")["somewhere"]] == ["own"]
 
 
 def test_multiplied_seconds_are_marked():
     scaled = SunAnswer("horizon at a point", "somewhere", "slow", False, 3.0, 3.0, 3.0, 0.25, 1.0, 0.25, scaled=True)
-    assert "| ~ 3.0 |" in "\n".join(answer_table(comparison(scaled), "horizon at a point"))
+    assert "| ~ 3.0 |" in "\n".join(answer_table(make_comparison(scaled), "horizon at a point"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sweep_accuracy import GridRays, Raster, measure
-from benchmarks.sweep_speed import mountains
+from benchmarks.sweep_speed import fractal_heights_m
 
 CELL_M = 10.0
 
@@ -29,7 +29,7 @@ def test_nodes_that_depend_on_the_cut_are_not_decidable():
 
 @pytest.mark.parametrize("azimuth", [202.0, 113.0])
 def test_the_sweep_is_compared_with_the_drawn_surface(azimuth):
-    height = mountains(200)
+    height = fractal_heights_m(200)
     raster = Raster("mountains", height, np.ones(height.shape, bool), (CELL_M, CELL_M))
     (figures,) = measure(raster, [(azimuth, 10.0)], 8)
     truth = GridRays(height, raster.cell_m).truth(azimuth, 10.0)

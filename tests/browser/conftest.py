@@ -26,7 +26,7 @@ from skugga.api.http.server.app import create_app
 from skugga.api.http.server.routes_viewer import STATIC_FOLDER
 from skugga.api.settings import Settings
 from tests.api.conftest import Client, running
-from tests.browser.map_clients import CLIENTS, LEVEL, LIBRARIES, WINDOW_PX, MapClient, served_folder
+from tests.browser.map_clients import CLIENTS, LEVEL, LIBRARIES, WINDOW_PX, MapClient, serve_folder
 from tests.browser.watched_page import WatchedPage
 from tests.golden import OUTPUT
 
@@ -36,16 +36,16 @@ CHROMIUM = Path("/usr/bin/chromium")
 SOFTWARE_GL_FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 """Root cannot use the sandbox. SwiftShader draws the map by the same rasteriser on every machine."""
 
-WINDOW = ViewportSize(width=1280, height=800)
+WINDOW_SIZE_PX = ViewportSize(width=1280, height=800)
 
-READY_S, DRAWN_S = 180, 90
-"""A render worker compiles at its first start; a map takes seconds."""
+READY_TIMEOUT_S, DRAWN_TIMEOUT_S = 180, 90
+"""Timeouts of the service's start, at which a render worker may compile, and of drawing a map."""
 
 STILL_FRAMES = 3
-"""Equal pictures in a row that count as still: tiles fade in, and are decoded a moment after they arrive."""
+"""Number of equal screenshots in a row after which the map counts as drawn. Tiles fade in after they arrive."""
 
 MARGIN_PX = 6
-"""Margin cut off on all sides, because the address rounds its view."""
+"""Margin that is cut off on all sides of the level, because the page's address rounds the view."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -87,7 +87,7 @@ class LevelPicture:
     """The level's part of the map, (rows, cols, 3) uint8."""
 
     queries: set[tuple[tuple[str, str], ...]]
-    """The queries of tiles requested since the picture before; empty where all were cached."""
+    """Query parameters of the tiles requested since the previous picture; empty if all tiles were cached."""
 
 
 class Viewer(WatchedPage):
@@ -106,38 +106,38 @@ class Viewer(WatchedPage):
     def open(self, fragment: str = "") -> LevelPicture:
         """Open the page at a URL fragment, including its ``#``, and wait for its map."""
         self.page.goto(f"{self.address}/{fragment}")
-        return self.shown()
+        return self.wait_until_drawn()
 
-    def settled(self) -> None:
+    def wait_until_settled(self) -> None:
         """Wait until the map and the address match the page's settings."""
-        end = time.monotonic() + DRAWN_S
+        end = time.monotonic() + DRAWN_TIMEOUT_S
         while True:
             self.check()
             failed = self.page.locator("#status.failed:visible")
             if failed.count():
-                pytest.fail(f"the page says: {failed.inner_text()}", pytrace=False)
+                pytest.fail(f"the page shows an error: {failed.inner_text()}", pytrace=False)
             data = self.page.evaluate("() => new Promise(requestAnimationFrame).then(() => ({...document.body.dataset}))")
             if data.get("shown") and data.get("busy") != "true" and data.get("written") != "false" and not self.waiting:
                 return
             if time.monotonic() > end:
-                pytest.fail(f"not drawn after {DRAWN_S} s: {data}, {len(self.waiting)} requests wait")
+                pytest.fail(f"the map is not drawn after {DRAWN_TIMEOUT_S} s: {data}, {len(self.waiting)} pending requests")
 
-    def shown(self) -> LevelPicture:
+    def wait_until_drawn(self) -> LevelPicture:
         """Return the level on the map, once all tiles are drawn and the picture is still."""
-        end = time.monotonic() + DRAWN_S
+        end = time.monotonic() + DRAWN_TIMEOUT_S
         before, alike = None, 0
         while alike < STILL_FRAMES:
-            self.settled()
-            pixels = self.pixels(self.place())
+            self.wait_until_settled()
+            pixels = self.pixels(self.level_rectangle())
             alike = alike + 1 if before is not None and np.array_equal(before, pixels) else 1
             before = pixels
-            assert time.monotonic() < end, "the picture does not stand still"
+            assert time.monotonic() < end, f"the map still changes after {DRAWN_TIMEOUT_S} s"
         tiles = [address for address in self.requested_urls if "/tiles/" in address]
         self.requested_urls.clear()
         assert before is not None
         return LevelPicture(before, {tuple(sorted(parse_qsl(urlsplit(tile).query))) for tile in tiles})
 
-    def place(self) -> FloatRect:
+    def level_rectangle(self) -> FloatRect:
         """Return the level's rectangle in the window, computed from the view in the page's address."""
         match = re.search(r"map=([\d.]+)/(-?[\d.]+)/(-?[\d.]+)", self.page.url)
         assert match, self.page.url
@@ -145,14 +145,18 @@ class Viewer(WatchedPage):
         assert self._bounds is not None, f"the service has no {LEVEL}"
         west, south, east, north = self._bounds
         round_the_earth = 512 * 2**zoom
-        left, right = (WINDOW["width"] / 2 + (x - lon) / 360 * round_the_earth for x in (west, east))
-        top, bottom = (WINDOW["height"] / 2 + (_down(y) - _down(lat)) * round_the_earth for y in (north, south))
-        assert 0 <= left < right <= WINDOW["width"] and 0 <= top < bottom <= WINDOW["height"], "the level fits the window"
+        left, right = (WINDOW_SIZE_PX["width"] / 2 + (x - lon) / 360 * round_the_earth for x in (west, east))
+        top, bottom = (
+            WINDOW_SIZE_PX["height"] / 2 + (_mercator_y_share(y) - _mercator_y_share(lat)) * round_the_earth for y in (north, south)
+        )
+        assert 0 <= left < right <= WINDOW_SIZE_PX["width"] and 0 <= top < bottom <= WINDOW_SIZE_PX["height"], (
+            "the level fits the window"
+        )
         x, y = round(left) + MARGIN_PX, round(top) + MARGIN_PX
         return FloatRect(x=x, y=y, width=round(right) - MARGIN_PX - x, height=round(bottom) - MARGIN_PX - y)
 
 
-def _down(latitude: float) -> float:
+def _mercator_y_share(latitude: float) -> float:
     """Return the distance south of the equator in Web Mercator, as a fraction of the equator's length."""
     return -math.asinh(math.tan(math.radians(latitude))) / math.tau
 
@@ -162,7 +166,7 @@ def chromium() -> Iterator[Browser]:
     """Yield the browser."""
     if not CHROMIUM.exists():
         skip_missing(f"there is no {CHROMIUM}: 'make test-browser' installs it, or 'apt-get install chromium'")
-    expect.set_options(timeout=1000 * DRAWN_S)
+    expect.set_options(timeout=1000 * DRAWN_TIMEOUT_S)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL_FLAGS)
         try:
@@ -182,7 +186,7 @@ def service() -> Iterator[Client]:
 def ready_service(levels: Sequence[Path]) -> Iterator[Client]:
     """Yield a client of a service of levels, once it can draw."""
     with running(create_app(Settings(workers=1), list(levels))) as client:
-        end = time.monotonic() + READY_S
+        end = time.monotonic() + READY_TIMEOUT_S
         while client.get("/readyz").status_code != 200:
             assert time.monotonic() < end, "no render process is ready"
             time.sleep(0.2)
@@ -192,21 +196,21 @@ def ready_service(levels: Sequence[Path]) -> Iterator[Client]:
 @pytest.fixture
 def make_viewer(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
     """Yield a factory of viewers, not yet opened, in windows of their own; its arguments are those of ``new_context``."""
-    with viewers_of(chromium, service) as make:
+    with viewer_factory(chromium, service) as make:
         yield make
 
 
 @contextmanager
-def viewers_of(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
+def viewer_factory(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
     """Yield a factory of viewers of a service; a fault on any of them fails the test."""
     if not (STATIC_FOLDER / "index.html").is_file():
         skip_missing("the viewer is not built: 'make viewer' does it")
     with ExitStack() as stack:
 
         def make(**window: Any) -> Viewer:
-            context = stack.enter_context(chromium.new_context(**{"viewport": WINDOW, "locale": "en-GB"} | window))
+            context = stack.enter_context(chromium.new_context(**{"viewport": WINDOW_SIZE_PX, "locale": "en-GB"} | window))
             # A busy machine is slow, which is no fault.
-            context.set_default_timeout(1000 * DRAWN_S)
+            context.set_default_timeout(1000 * DRAWN_TIMEOUT_S)
             viewer = Viewer(context.new_page(), service)
             # Called last, and only if the test has not failed.
             stack.push(lambda failed, *_: None if failed else viewer.check())
@@ -222,9 +226,9 @@ def viewer(make_viewer: Callable[..., Viewer]) -> Viewer:
 
 
 @pytest.fixture
-def own_page(chromium: Browser, service: Client) -> Iterator[WatchedPage]:
+def service_page(chromium: Browser, service: Client) -> Iterator[WatchedPage]:
     """Yield a page, not yet opened, that may request from the service alone."""
-    with chromium.new_context(viewport=WINDOW, base_url=str(service.base_url)) as context:
+    with chromium.new_context(viewport=WINDOW_SIZE_PX, base_url=str(service.base_url)) as context:
         watched = WatchedPage(context.new_page(), [str(service.base_url)])
         yield watched
         watched.check()
@@ -236,7 +240,7 @@ def clients_address() -> Iterator[str]:
     lacking = [name for name in LIBRARIES if not (CLIENTS / "node_modules" / name).is_dir()]
     if lacking:
         skip_missing(f"there is no {', '.join(lacking)} in {CLIENTS}: 'make test-browser' installs it")
-    with served_folder(CLIENTS) as address:
+    with serve_folder(CLIENTS) as address:
         yield address
 
 

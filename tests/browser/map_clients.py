@@ -64,7 +64,7 @@ class QuietFileServer(SimpleHTTPRequestHandler):
     """A file server without a log."""
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing."""
+        """Discard the message."""
 
 
 class RangeFileServer(QuietFileServer):
@@ -89,7 +89,7 @@ class RangeFileServer(QuietFileServer):
 
 
 @contextmanager
-def served_folder(folder: Path, files: Callable[..., QuietFileServer] = QuietFileServer) -> Iterator[str]:
+def serve_folder(folder: Path, files: Callable[..., QuietFileServer] = QuietFileServer) -> Iterator[str]:
     """Serve the files of a folder, and yield the server's address."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(files, directory=str(folder))) as server:
         thread = threading.Thread(target=server.serve_forever)
@@ -101,7 +101,7 @@ def served_folder(folder: Path, files: Callable[..., QuietFileServer] = QuietFil
             thread.join()
 
 
-class OneTileServer(QuietFileServer):
+class SingleTileServer(QuietFileServer):
     """A server that answers every request with one picture, to pages of any origin."""
 
     def __init__(self, *args: Any, picture: bytes, **options: Any) -> None:
@@ -122,16 +122,16 @@ class OneTileServer(QuietFileServer):
 
 
 @contextmanager
-def served_tiles(picture: bytes) -> Iterator[str]:
+def serve_single_tile(picture: bytes) -> Iterator[str]:
     """Serve one picture as every tile, like a third-party server, and yield its address."""
-    with served_folder(CLIENTS, partial(OneTileServer, picture=picture)) as address:
+    with serve_folder(CLIENTS, partial(SingleTileServer, picture=picture)) as address:
         yield address
 
 
-class Corner:
-    """The common corner of four tiles on the level, in Web Mercator or, depending on ``tms``, in degrees.
+class TileCorner:
+    """The common corner of four tiles on the level, in Web Mercator or in degrees, depending on ``tms``.
 
-    Its positions of tiles are computed independently of the service.
+    The positions of the tiles are computed independently of the service.
     """
 
     def __init__(self, tms: str, zoom: int, lon: float = -84.24, lat: float = 36.31) -> None:
@@ -160,20 +160,20 @@ class Corner:
         rows = []
         for row in (self.row - 1, self.row):
             addresses = [f"/levels/{LEVEL}/tiles/{self.tms}/{self.zoom}/{col}/{row}.png" for col in (self.column - 1, self.column)]
-            rows.append(np.hstack([fetched_picture(service, address, **query) for address in addresses]))
+            rows.append(np.hstack([fetch_picture(service, address, **query) for address in addresses]))
         return np.vstack(rows)
 
 
-def fetched_picture(service: Client, address: str, **query: str) -> np.ndarray:
+def fetch_picture(service: Client, address: str, **query: str) -> np.ndarray:
     """Return a picture of the service, which must be opaque, (rows, cols, 3) uint8."""
     answer = service.get(address, params=query)
     assert answer.status_code == 200, answer.text
     picture = np.asarray(Image.open(BytesIO(answer.content)).convert("RGBA"))
-    assert (picture[..., 3] == 255).all(), "it lies on the level"
+    assert (picture[..., 3] == 255).all(), "the picture extends beyond the level"
     return picture[..., :3]
 
 
-def difference(picture: np.ndarray, other: np.ndarray) -> np.ndarray:
+def pixel_differences(picture: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the difference of two pictures at each pixel, in the channel that differs most."""
     assert picture.shape == other.shape
     return np.abs(picture.astype(int) - other).max(axis=2)

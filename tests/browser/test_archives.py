@@ -16,12 +16,12 @@ from skugga.api.settings import Settings
 from tests.api.conftest import Client, running, write_tiles
 from tests.api.seed.pmtiles_checker import check_archive
 from tests.browser.conftest import skip_missing
-from tests.browser.map_clients import CLIENTS, MapClient, RangeFileServer, difference, served_folder
-from tests.browser.test_page_lines import CORNER, MAPS
+from tests.browser.map_clients import CLIENTS, MapClient, RangeFileServer, pixel_differences, serve_folder
+from tests.browser.test_page_lines import CORNER, LIBRARY_BY_NAME
 
 NODE = Path(__file__).parents[2] / ".venv" / "bin" / "node"
 
-READ_ALL = """
+READ_TILES_SCRIPT = """
 import { readFileSync } from "node:fs";
 import { PMTiles } from "pmtiles";
 const [path, places] = JSON.parse(readFileSync(0, "utf8"));
@@ -60,7 +60,7 @@ def archive(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def maplibre(map_client: MapClient) -> MapClient:
     """Return a MapLibre map centred on the corner."""
     map_client.open("maplibre")
-    map_client.run(MAPS["MapLibre"].make, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
+    map_client.run(LIBRARY_BY_NAME["MapLibre"].create_map_script, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
     return map_client
 
 
@@ -71,7 +71,7 @@ def archive_service(archive: Path) -> Iterator[Client]:
         yield client
 
 
-SHOWN = """async ({url}) => {
+ADD_ARCHIVE_SCRIPT = """async ({url}) => {
   map.addSource('archive', {type: 'raster', url, tileSize: 256});
   map.addLayer({id: 'archive', type: 'raster', source: 'archive', paint: {'raster-fade-duration': 0}});
   await idle();
@@ -82,17 +82,17 @@ SHOWN = """async ({url}) => {
 
 def test_maplibre_shows_an_archive_by_its_tilejson(maplibre: MapClient, service: Client, archive_service: Client):
     maplibre.allow(str(archive_service.base_url))
-    source = maplibre.run(SHOWN, url=f"{archive_service.base_url}/archives/jacksboro/tilejson.json")
+    source = maplibre.run(ADD_ARCHIVE_SCRIPT, url=f"{archive_service.base_url}/archives/jacksboro/tilejson.json")
     assert source == {"attribution": "nobody", "minzoom": CORNER.zoom - 1, "maxzoom": CORNER.zoom}
     pixels = maplibre.pixels()
     assert pixels.std() > 10, "it shows something"
-    assert difference(pixels, CORNER.tiles(service)).max() == 0
+    assert pixel_differences(pixels, CORNER.tiles(service)).max() == 0
     assert archive_service.service.pool.ready_pids == set()
 
 
 def test_pmtiles_protocol_reads_a_plain_file(maplibre: MapClient, service: Client, archive: Path):
     """The plugin requests byte ranges from a server that knows nothing of tiles."""
-    with served_folder(archive.parent, RangeFileServer) as address:
+    with serve_folder(archive.parent, RangeFileServer) as address:
         maplibre.allow(address)
         maplibre.page.add_script_tag(url="node_modules/pmtiles/dist/pmtiles.js")
         maplibre.run(
@@ -100,11 +100,11 @@ def test_pmtiles_protocol_reads_a_plain_file(maplibre: MapClient, service: Clien
               maplibregl.addProtocol('pmtiles', new pmtiles.Protocol({metadata: true}).tile);
             }"""
         )
-        source = maplibre.run(SHOWN, url=f"pmtiles://{address}/{archive.name}")
+        source = maplibre.run(ADD_ARCHIVE_SCRIPT, url=f"pmtiles://{address}/{archive.name}")
         assert (source["minzoom"], source["maxzoom"]) == (CORNER.zoom - 1, CORNER.zoom)
         pixels = maplibre.pixels()
     assert pixels.std() > 10, "it shows something"
-    assert difference(pixels, CORNER.tiles(service)).max() == 0
+    assert pixel_differences(pixels, CORNER.tiles(service)).max() == 0
 
 
 def test_npm_pmtiles_reads_every_tile(archive: Path, tmp_path: Path):
@@ -120,8 +120,8 @@ def test_npm_pmtiles_reads_every_tile(archive: Path, tmp_path: Path):
         lacking = [(8, x, 255) for x in range(0, 256, 50)] if path == many else [(3, 0, 0)]
         places = [*read.tiles, *lacking]
         process = subprocess.run(
-            [NODE, "--input-type=module", "-e", READ_ALL], cwd=CLIENTS, input=json.dumps([str(path), places]), capture_output=True,
-            text=True, check=True, timeout=300,
+            [NODE, "--input-type=module", "-e", READ_TILES_SCRIPT], cwd=CLIENTS, input=json.dumps([str(path), places]),
+            capture_output=True, text=True, check=True, timeout=300,
         )  # fmt: skip
         answer = json.loads(process.stdout)
         tiles = [None if encoded is None else base64.b64decode(encoded) for encoded in answer["tiles"]]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.api.conftest import Client
-from tests.browser.map_clients import LEVEL, TIMES, MapClient, difference
-from tests.browser.test_page_lines import CORNER, MAPS, SOLID, lines_of_page, run_line
+from tests.browser.map_clients import LEVEL, TIMES, MapClient, pixel_differences
+from tests.browser.test_page_lines import CORNER, LIBRARY_BY_NAME, TERRAIN_HEADING, lines_of_page, run_line
 from tests.browser.watched_page import WatchedPage
 
 MAX_ZOOM = 14
@@ -26,7 +26,7 @@ ARITHMETIC_M = 1e-4
 def maplibre(map_client: MapClient) -> MapClient:
     """Return a MapLibre map centred on the corner."""
     map_client.open("maplibre")
-    map_client.run(MAPS["MapLibre"].make, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
+    map_client.run(LIBRARY_BY_NAME["MapLibre"].create_map_script, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
     return map_client
 
 
@@ -45,7 +45,7 @@ def test_maplibre_reads_tilejson(maplibre: MapClient, service: Client, time: str
     )
     tilejson = service.get(url).json()
     assert source == {key: tilejson[key] for key in source} and source["attribution"].startswith("Elevation: SRTM")
-    assert difference(maplibre.pixels(), CORNER.tiles(service, time=time)).max() == 0
+    assert pixel_differences(maplibre.pixels(), CORNER.tiles(service, time=time)).max() == 0
 
 
 def pixel_centers() -> list[tuple[float, float]]:
@@ -68,7 +68,7 @@ def heights_of_api(service: Client, points: Sequence[tuple[float, float]]) -> np
     return np.array([point["elevation_m"] for point in answer.json()["points"]])
 
 
-def between_nodes(service: Client, points: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+def bilinear_heights_m(service: Client, points: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
     """Return heights of points, bilinear between the four nodes of the level's raster round each, and a tolerance.
 
     The tolerance bounds the difference of two triangles over the same nodes from that.
@@ -89,7 +89,7 @@ def between_nodes(service: Client, points: Sequence[tuple[float, float]]) -> tup
 
 @pytest.mark.parametrize(("encoding", "step_m"), [("terrarium", 1 / 256), ("terrain-rgb", 0.1)])
 def test_maplibre_terrain_agrees_with_point_heights(
-    maplibre: MapClient, service: Client, own_page: WatchedPage, encoding: str, step_m: float
+    maplibre: MapClient, service: Client, service_page: WatchedPage, encoding: str, step_m: float
 ):
     """Terrarium is the encoding of the page's line; MapLibre expects the other one of a source that names none.
 
@@ -98,7 +98,7 @@ def test_maplibre_terrain_agrees_with_point_heights(
     """
     maplibre.run("({center}) => map.jumpTo({center, zoom: 16})", center=CORNER.lon_lat)
     if encoding == "terrarium":
-        run_line(maplibre, lines_of_page(own_page)[SOLID])
+        run_line(maplibre, lines_of_page(service_page)[TERRAIN_HEADING])
     else:
         maplibre.run(
             """({url}) => {
@@ -112,7 +112,7 @@ def test_maplibre_terrain_agrees_with_point_heights(
         "async ({points}) => { await idle(); return points.map(point => map.queryTerrainElevation(point)); }", points=points
     )
     assert None not in on_map and np.ptp(on_map) > 50
-    between, triangles_m = between_nodes(service, points)
+    between, triangles_m = bilinear_heights_m(service, points)
     rounded_m = ROUNDING_M / 2 + step_m / 2 + ARITHMETIC_M
     assert np.abs(on_map - between).max() < rounded_m
     assert (np.abs(on_map - heights_of_api(service, points)) < ROUNDING_M / 2 + rounded_m + triangles_m).all()

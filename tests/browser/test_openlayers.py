@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.api.conftest import Client
-from tests.browser.map_clients import LEVEL, TIMES, WINDOW_PX, Corner, MapClient, difference, fetched_picture
+from tests.browser.map_clients import LEVEL, TIMES, WINDOW_PX, MapClient, TileCorner, fetch_picture, pixel_differences
 
-CORNERS = [Corner("WebMercatorQuad", 12), Corner("WGS1984Quad", 11)]
+CORNERS = [TileCorner("WebMercatorQuad", 12), TileCorner("WGS1984Quad", 11)]
 """In metres, and in degrees with latitude first."""
 
-SHOW = """() => {
+SHOW_SCRIPT = """() => {
   window.drawn = map => new Promise(resolve => { map.once('rendercomplete', resolve); map.render(); });
   window.show = (layer, {projection, center, resolution}) => {
     window.map = new ol.Map({target: 'map', controls: [], layers: [layer], view: new ol.View({projection, center, resolution})});
@@ -24,7 +24,7 @@ SHOW = """() => {
 
 
 @pytest.fixture(params=CORNERS, ids=lambda corner: corner.projection)
-def corner(request: pytest.FixtureRequest) -> Corner:
+def corner(request: pytest.FixtureRequest) -> TileCorner:
     """Return the corner that the map is centred on."""
     return request.param
 
@@ -33,21 +33,21 @@ def corner(request: pytest.FixtureRequest) -> Corner:
 def openlayers(map_client: MapClient) -> MapClient:
     """Return the page of OpenLayers, opened."""
     map_client.open("openlayers")
-    map_client.page.evaluate(SHOW)
+    map_client.page.evaluate(SHOW_SCRIPT)
     return map_client
 
 
-def view_of(corner: Corner) -> dict[str, object]:
+def view_options(corner: TileCorner) -> dict[str, object]:
     """Return a view of the four tiles, pixel for pixel."""
     return {"projection": corner.projection, "center": corner.center, "resolution": corner.resolution}
 
 
-def assert_time_matters(picture: np.ndarray, other: np.ndarray) -> None:
+def assert_pictures_differ(picture: np.ndarray, other: np.ndarray) -> None:
     """Assert that two pictures show different times."""
-    assert (difference(picture, other) > 32).mean() > 0.2
+    assert (pixel_differences(picture, other) > 32).mean() > 0.2
 
 
-def test_openlayers_reads_wmts_capabilities(openlayers: MapClient, service: Client, corner: Corner):
+def test_openlayers_reads_wmts_capabilities(openlayers: MapClient, service: Client, corner: TileCorner):
     dimensions = openlayers.run(
         """async ({address, layer, matrixSet, view}) => {
           const capabilities = new ol.format.WMTSCapabilities().read(await (await fetch(address)).text());
@@ -59,20 +59,20 @@ def test_openlayers_reads_wmts_capabilities(openlayers: MapClient, service: Clie
         address=f"{openlayers.service_address}/levels/{LEVEL}/WMTSCapabilities.xml",
         layer=f"{LEVEL}:color",
         matrixSet=corner.tms,
-        view=view_of(corner),
+        view=view_options(corner),
     )
     assert dimensions == {"Time": "2024-10-21T21:45:00Z"}
-    assert difference(openlayers.pixels(), corner.tiles(service)).max() == 0
+    assert pixel_differences(openlayers.pixels(), corner.tiles(service)).max() == 0
 
     pictures = []
     for time in TIMES:
         openlayers.run("({Time}) => { source.updateDimensions({Time}); return drawn(map); }", Time=time)
         pictures.append(openlayers.pixels())
-        assert difference(pictures[-1], corner.tiles(service, time=time)).max() == 0
-    assert_time_matters(*pictures)
+        assert pixel_differences(pictures[-1], corner.tiles(service, time=time)).max() == 0
+    assert_pictures_differ(*pictures)
 
 
-def test_openlayers_reads_wms_capabilities(openlayers: MapClient, service: Client, corner: Corner):
+def test_openlayers_reads_wms_capabilities(openlayers: MapClient, service: Client, corner: TileCorner):
     times = openlayers.run(
         """async ({address, layer, view}) => {
           const capabilities = new ol.format.WMSCapabilities().read(await (await fetch(address)).text());
@@ -84,7 +84,7 @@ def test_openlayers_reads_wms_capabilities(openlayers: MapClient, service: Clien
         }""",
         address=f"{openlayers.service_address}/levels/{LEVEL}/wms?SERVICE=WMS&REQUEST=GetCapabilities",
         layer=f"{LEVEL}:color",
-        view=view_of(corner),
+        view=view_options(corner),
     )
     (span,) = times
     begin, end, period = span.split("/")
@@ -99,9 +99,9 @@ def test_openlayers_reads_wms_capabilities(openlayers: MapClient, service: Clien
         pictures.append(openlayers.pixels())
         bbox, side = ",".join(map(repr, corner.bounds)), str(WINDOW_PX)
         crs = {"EPSG:4326": "OGC:CRS84"}.get(corner.projection, corner.projection)
-        expected = fetched_picture(service, f"/levels/{LEVEL}/map.png", bbox=bbox, crs=crs, width=side, height=side, time=time)
-        assert difference(pictures[-1], expected).max() == 0
-    assert_time_matters(*pictures)
+        expected = fetch_picture(service, f"/levels/{LEVEL}/map.png", bbox=bbox, crs=crs, width=side, height=side, time=time)
+        assert pixel_differences(pictures[-1], expected).max() == 0
+    assert_pictures_differ(*pictures)
 
     query = parse_qs(urlsplit(openlayers.requested_urls[-1]).query)
     assert (query["VERSION"], query["CRS"], query["TIME"]) == (["1.3.0"], [corner.projection], [TIMES[-1]])

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import pytest
 
 from tests.api.conftest import Client
-from tests.browser.map_clients import LEVEL, Corner, MapClient, difference
+from tests.browser.map_clients import LEVEL, MapClient, TileCorner, pixel_differences
 from tests.browser.watched_page import WatchedPage
 
-CORNER = Corner("WebMercatorQuad", 12)
+CORNER = TileCorner("WebMercatorQuad", 12)
 
 
 @dataclass(frozen=True)
@@ -18,11 +18,11 @@ class Library:
     """How a library creates the ``map`` that the lines use, and how it waits until all is drawn."""
 
     page: str
-    make: str
-    drawn: str
+    create_map_script: str
+    wait_script: str
 
 
-MAPS = {
+LIBRARY_BY_NAME = {
     "MapLibre": Library(
         "maplibre",
         # Its zooms refer to tiles of 512 pixels.
@@ -51,18 +51,18 @@ MAPS = {
     ),
 }
 
-FLAT = ["MapLibre", "Leaflet", "OpenLayers", "OpenLayers, by WMTS"]
+FLAT_HEADINGS = ["MapLibre", "Leaflet", "OpenLayers", "OpenLayers, by WMTS"]
 """Headings of lines that show flat tiles."""
 
-SOLID = "MapLibre, in three dimensions"
+TERRAIN_HEADING = "MapLibre, in three dimensions"
 """The heading of the line that ``test_maplibre.py`` tests."""
 
 
-def lines_of_page(own_page: WatchedPage) -> dict[str, str]:
+def lines_of_page(service_page: WatchedPage) -> dict[str, str]:
     """Return the lines of the level's page by heading, as a person copies them."""
-    own_page.page.goto(f"/levels/{LEVEL}.html")
-    headings = own_page.page.locator("h2").all_inner_texts()
-    return dict(zip(headings, own_page.page.locator("pre").all_inner_texts(), strict=True))
+    service_page.page.goto(f"/levels/{LEVEL}.html")
+    headings = service_page.page.locator("h2").all_inner_texts()
+    return dict(zip(headings, service_page.page.locator("pre").all_inner_texts(), strict=True))
 
 
 def run_line(client: MapClient, line: str) -> None:
@@ -70,22 +70,22 @@ def run_line(client: MapClient, line: str) -> None:
     client.run("({line}) => new (async () => {}).constructor(line)().then(() => null)", line=line)
 
 
-def test_all_lines_for_pages_are_tested(own_page: WatchedPage):
-    lines = lines_of_page(own_page)
-    assert {heading for heading in lines if heading.partition(",")[0] in MAPS} == {*FLAT, SOLID}
+def test_all_lines_for_pages_are_tested(service_page: WatchedPage):
+    lines = lines_of_page(service_page)
+    assert {heading for heading in lines if heading.partition(",")[0] in LIBRARY_BY_NAME} == {*FLAT_HEADINGS, TERRAIN_HEADING}
 
 
-def test_level_page_shows_its_picture(own_page: WatchedPage):
-    own_page.page.goto(f"/levels/{LEVEL}.html", wait_until="load")
-    assert own_page.page.locator("img").evaluate("picture => picture.naturalWidth") > 500
+def test_level_page_shows_its_picture(service_page: WatchedPage):
+    service_page.page.goto(f"/levels/{LEVEL}.html", wait_until="load")
+    assert service_page.page.locator("img").evaluate("picture => picture.naturalWidth") > 500
 
 
-@pytest.mark.parametrize("heading", FLAT)
-def test_page_line_shows_the_level(own_page: WatchedPage, map_client: MapClient, service: Client, heading: str):
-    line = lines_of_page(own_page)[heading]
-    library = MAPS[heading.partition(",")[0]]
+@pytest.mark.parametrize("heading", FLAT_HEADINGS)
+def test_page_line_shows_the_level(service_page: WatchedPage, map_client: MapClient, service: Client, heading: str):
+    line = lines_of_page(service_page)[heading]
+    library = LIBRARY_BY_NAME[heading.partition(",")[0]]
     map_client.open(library.page)
-    map_client.run(library.make, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
+    map_client.run(library.create_map_script, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
     run_line(map_client, line)
-    map_client.run(library.drawn)
-    assert difference(map_client.pixels(), CORNER.tiles(service)).max() == 0
+    map_client.run(library.wait_script)
+    assert pixel_differences(map_client.pixels(), CORNER.tiles(service)).max() == 0

@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 from tests.api.conftest import Client
 from tests.browser.conftest import LEVEL, Viewer
 
-GROUND = 0xE9, 0xE6, 0xDD
+BACKGROUND_COLOR = 0xE9, 0xE6, 0xDD
 """The map's colour where there is no tile."""
 
 ADDRESS_MS = 1000
@@ -29,7 +29,7 @@ def test_viewer_opens_with_the_whole_level(viewer: Viewer):
     expect(viewer.page).to_have_title("Jacksboro fault, Tennessee · Skugga")
     assert level.queries == {(("time", "2024-10-21T17:45:00-04:00"),)}
     assert len(np.unique(level.pixels.reshape(-1, 3), axis=0)) > 5000
-    assert not (level.pixels == GROUND).all(axis=2).any(), "there is no hole in it"
+    assert not (level.pixels == BACKGROUND_COLOR).all(axis=2).any(), "there is no hole in it"
 
 
 def test_time_of_day_moves_the_shadows(viewer: Viewer):
@@ -39,14 +39,14 @@ def test_time_of_day_moves_the_shadows(viewer: Viewer):
     expect(sun).to_contain_text("246.3°")
 
     time_of_day.fill("09:30")
-    morning = viewer.shown()
+    morning = viewer.wait_until_drawn()
     assert morning.queries == {(("time", "2024-10-21T09:30:00-04:00"),)}
     expect(sun).to_contain_text("119.1°")
     changed = np.abs(morning.pixels.astype(int) - evening.pixels).max(axis=2) > 32
     assert changed.mean() > 0.3
 
     time_of_day.fill("17:45")
-    evening_again = viewer.shown()
+    evening_again = viewer.wait_until_drawn()
     assert np.array_equal(evening_again.pixels, evening.pixels), "and back again"
     assert not evening_again.queries, "cached tiles are not requested again"
 
@@ -61,7 +61,7 @@ def test_time_slider_moves_the_shadows(viewer: Viewer):
     viewer.page.mouse.down()
     viewer.page.mouse.move(box["x"] + box["width"] / 2, middle, steps=3)
     viewer.page.mouse.up()
-    noon = viewer.shown()
+    noon = viewer.wait_until_drawn()
     minutes = int(slider.input_value())
     assert abs(minutes - 720) <= 15
     assert (("time", f"2024-10-21T{minutes // 60:02}:{minutes % 60:02}:00-04:00"),) in noon.queries
@@ -84,22 +84,22 @@ def test_sun_times_equal_those_of_the_service(viewer: Viewer, service: Client):
     viewer.page.get_by_role("button", name="Noon").click()
     noon = datetime.fromisoformat(day["noon"]) + timedelta(seconds=30)
     expect(viewer.page.locator("#clock")).to_have_value(f"{noon:%H:%M}")
-    viewer.shown()
+    viewer.wait_until_drawn()
     expect(viewer.page.locator("#sun-words")).to_contain_text(f"{day['noon_altitude']:.1f}° high")
 
 
 def test_lower_sun_casts_more_shadow(viewer: Viewer):
     viewer.open()
     viewer.page.get_by_text("Shadows", exact=True).click()
-    assert viewer.shown().queries == {(("layer", "shadow"), ("time", "2024-10-21T17:45:00-04:00"))}
+    assert viewer.wait_until_drawn().queries == {(("layer", "shadow"), ("time", "2024-10-21T17:45:00-04:00"))}
     viewer.page.get_by_role("button", name="By direction").click()
-    viewer.shown()
+    viewer.wait_until_drawn()
 
     altitude = viewer.page.get_by_label("Height above the horizon")
     dark = {}
     for degrees in (12, 60):
         altitude.fill(str(degrees))
-        shadows = viewer.shown()
+        shadows = viewer.wait_until_drawn()
         assert shadows.queries == {(("altitude", f"{degrees}"), ("azimuth", "315"), ("layer", "shadow"))}
         dark[degrees] = dark_share(shadows.pixels)
     assert dark[12] > 0.15
@@ -114,11 +114,11 @@ def test_address_restores_all_settings(make_viewer: Callable[..., Viewer]):
     first.page.get_by_text("Shadows", exact=True).click()
     first.page.get_by_label("Day of the year").fill("355")
     first.page.locator(".maplibregl-ctrl-zoom-in").click()
-    first.settled()
+    first.wait_until_settled()
     expect(first.page).to_have_url(re.compile("layer=shadow.*time=2024-12-20T16:00:00-05:00"))
     first.page.wait_for_timeout(ADDRESS_MS)
     other.page.goto(first.page.url)
-    other.settled()
+    other.wait_until_settled()
     settings = "() => [clock, date, days, minutes].map(({value}) => value).concat(document.body.dataset.shown)"
     assert other.page.evaluate(settings) == first.page.evaluate(settings)
     assert other.page.url == first.page.url

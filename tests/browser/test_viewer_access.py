@@ -21,11 +21,11 @@ LANDSCAPE = {"viewport": ViewportSize(width=844, height=390), "has_touch": True,
 SMALL_LANDSCAPE = {"viewport": ViewportSize(width=667, height=375), "has_touch": True, "is_mobile": True}
 """Phones in landscape; the second is no wider than some phones in portrait."""
 
-GRAVE_IMPACTS = {"serious", "critical"}
+FAILING_IMPACTS = {"serious", "critical"}
 """The impacts of axe's violations that fail a test."""
 
 
-def faults(page: Page) -> list[str]:
+def axe_violations(page: Page) -> list[str]:
     """Return the serious and critical violations that axe finds on a page."""
     if not AXE.is_file():
         skip_missing(f"there is no {AXE}: 'make test-browser' installs it")
@@ -35,7 +35,7 @@ def faults(page: Page) -> list[str]:
     return [
         f"{violation['id']}: {node['html'][:120]} {node['failureSummary']}"
         for violation in violations
-        if violation["impact"] in GRAVE_IMPACTS
+        if violation["impact"] in FAILING_IMPACTS
         for node in violation["nodes"]
     ]
 
@@ -46,18 +46,18 @@ def test_axe_finds_no_serious_violation(make_viewer: Callable[..., Viewer], colo
     viewer.open()
     for panel in viewer.page.get_by_role("tab").all():
         panel.click()
-        viewer.settled()
-        assert not faults(viewer.page), panel.inner_text()
+        viewer.wait_until_settled()
+        assert not axe_violations(viewer.page), panel.inner_text()
     viewer.page.get_by_role("button", name="By direction").click()
-    viewer.settled()
-    assert not faults(viewer.page)
+    viewer.wait_until_settled()
+    assert not axe_violations(viewer.page)
 
 
 def test_axe_finds_a_removed_label(viewer: Viewer):
     """This proves that the other tests can fail."""
     viewer.open()
     viewer.page.evaluate("() => document.getElementById('minutes').removeAttribute('aria-label')")
-    assert any("label" in fault for fault in faults(viewer.page))
+    assert any("label" in fault for fault in axe_violations(viewer.page))
 
 
 def test_viewer_works_by_keyboard(viewer: Viewer):
@@ -80,10 +80,10 @@ def test_viewer_works_by_keyboard(viewer: Viewer):
 
     viewer.page.locator("#minutes").focus()
     viewer.page.keyboard.press("ArrowLeft")
-    assert viewer.shown().queries == {(("time", "2024-10-21T17:40:00-04:00"),)}
+    assert viewer.wait_until_drawn().queries == {(("time", "2024-10-21T17:40:00-04:00"),)}
     viewer.page.locator("#days").focus()
     viewer.page.keyboard.press("ArrowRight")
-    assert viewer.shown().queries == {(("time", "2024-10-22T17:40:00-04:00"),)}
+    assert viewer.wait_until_drawn().queries == {(("time", "2024-10-22T17:40:00-04:00"),)}
     viewer.page.evaluate("() => document.activeElement.blur()")
     viewer.page.keyboard.press("Space")
     expect(viewer.page.get_by_role("button", name="Pause the day")).to_be_visible()
@@ -105,7 +105,7 @@ def test_phone_panel_is_a_sheet(make_viewer: Callable[..., Viewer]):
     """The map is free until the sheet is opened, and nothing is wider than the screen."""
     viewer = make_viewer(**PHONE)
     viewer.page.goto(viewer.address)
-    viewer.settled()
+    viewer.wait_until_settled()
     width, height = PHONE["viewport"]["width"], PHONE["viewport"]["height"]
     assert viewer.page.evaluate("() => document.documentElement.scrollWidth") <= width
     for part in ("#side header", "#sun"):
@@ -118,7 +118,7 @@ def test_phone_panel_is_a_sheet(make_viewer: Callable[..., Viewer]):
     expect(solid).to_be_hidden()
     viewer.page.get_by_role("button", name="Open the panel").click()
     expect(solid).to_be_in_viewport()
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
     viewer.page.get_by_role("button", name="Close the panel").click()
     expect(solid).to_be_hidden()
     level = viewer.pixels()[120:440, 40:340]
@@ -132,10 +132,10 @@ def test_color_theme_can_be_chosen(viewer: Viewer):
     viewer.page.get_by_role("button", name="Colours: as the system").click()
     viewer.page.get_by_role("button", name="Colours: light").click()
     expect(viewer.page).to_have_url(re.compile("theme=dark"))
-    viewer.settled()
+    viewer.wait_until_settled()
     assert viewer.pixels()[700, 100].astype(int).sum() < corner / 4
     viewer.page.reload()
-    viewer.settled()
+    viewer.wait_until_settled()
     assert viewer.pixels()[700, 100].astype(int).sum() < corner / 4
 
 
@@ -145,7 +145,7 @@ def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], windo
     viewer = make_viewer(**window)
     viewer.hide_preparations()
     viewer.page.goto(viewer.address)
-    viewer.settled()
+    viewer.wait_until_settled()
     width, height = window["viewport"]["width"], window["viewport"]["height"]
     side, dock = (viewer.page.locator(part).bounding_box() for part in ("#side", "#sun"))
     assert side is not None and dock is not None
@@ -157,7 +157,7 @@ def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], windo
         expect(viewer.page.locator(part)).to_be_in_viewport(ratio=1)
     map_pixels = viewer.pixels()[8 : int(dock["y"]) - 40, int(side["width"]) + 60 : width - 60]
     assert (map_pixels != (0xE9, 0xE6, 0xDD)).any(axis=2).mean() > 0.4, "the level"
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
 
     drawer = viewer.page.get_by_role("button", name="Open the panel")
     solid = viewer.page.get_by_label("Three dimensions")
@@ -167,7 +167,7 @@ def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], windo
     expect(viewer.page.locator("#play")).to_be_in_viewport(ratio=1)
     panel = viewer.page.locator("#side").bounding_box()
     assert panel is not None and panel["y"] + panel["height"] <= dock["y"], "the sun can be moved meanwhile"
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
     viewer.page.get_by_role("button", name="Close the panel").click()
     expect(solid).to_be_hidden()
 
@@ -179,13 +179,13 @@ def test_tapped_place_stays_visible(make_viewer: Callable[..., Viewer], window: 
     viewer = make_viewer(**window)
     viewer.hide_preparations()
     viewer.page.goto(viewer.address)
-    viewer.settled()
+    viewer.wait_until_settled()
     dock = viewer.page.locator("#sun").bounding_box()
     assert dock is not None
     viewer.page.touchscreen.tap(share * window["viewport"]["width"], max(share, 0.3) * (dock["y"] - 60))
     expect(viewer.page.locator(".point-answer")).to_have_attribute("aria-busy", "false")
     expect(viewer.page.locator(".point-answer .note, .point-answer .light, .point-answer .fail").first).to_be_visible()
-    viewer.settled()
+    viewer.wait_until_settled()
     is_visible = viewer.page.locator(".point-mark").evaluate("""each => {
       const {left, top, width, height} = each.getBoundingClientRect();
       return document.elementsFromPoint(left + width / 2, top + height / 2)[0] === each;

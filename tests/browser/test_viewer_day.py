@@ -14,7 +14,7 @@ from PIL import Image
 from playwright.sync_api import Error, Route, expect
 
 from tests.browser.conftest import Viewer
-from tests.browser.test_viewer_access import faults
+from tests.browser.test_viewer_access import axe_violations
 
 DATE = "2024-12-21"
 FIRST, LAST = 8 * 60 - 10, 18 * 60
@@ -24,7 +24,7 @@ COLOR_TOLERANCE = 3
 """Tolerance of colours on the screen, of 255."""
 
 
-def grey(minutes: int) -> int:
+def tile_grey(minutes: int) -> int:
     """Return the grey of a time's tiles, from 40 to 160, far from the ground's colour."""
     return 40 + round((minutes - FIRST) / 5)
 
@@ -42,7 +42,7 @@ class FakeDay:
     def open(self, minutes: int) -> None:
         """Open the page at a time of the day."""
         self.viewer.page.goto(f"{self.viewer.address}/#time={DATE}T{minutes // 60:02}:{minutes % 60:02}:00-05:00")
-        self.viewer.settled()
+        self.viewer.wait_until_settled()
         expect(self.viewer.page.locator(".marks b").first).to_be_visible()
 
     def play(self) -> None:
@@ -56,7 +56,7 @@ class FakeDay:
 
     def picture(self) -> np.ndarray:
         """Return the level's greys on the page, (rows, cols) uint8."""
-        pixels = self.viewer.pixels(self.viewer.place())
+        pixels = self.viewer.pixels(self.viewer.level_rectangle())
         assert int(np.ptp(pixels.astype(int), axis=2).max()) <= COLOR_TOLERANCE, "that is no tile"
         return pixels[..., 0]
 
@@ -82,7 +82,7 @@ class FakeDay:
             route.fulfill(status=500, json={"title": "Internal Server Error", "status": 500, "detail": "The worker is gone."})
             return
         picture = BytesIO()
-        Image.new("RGB", (256, 256), (grey(minutes),) * 3).save(picture, "PNG")
+        Image.new("RGB", (256, 256), (tile_grey(minutes),) * 3).save(picture, "PNG")
         route.fulfill(body=picture.getvalue(), content_type="image/png")
 
 
@@ -110,14 +110,14 @@ RECORD_FRAMES = """({x, y, width, height}) => {
 def test_played_day_has_no_blank_frame(day: FakeDay):
     """Each frame is whole, of one time or blended from two, and time advances. No tile is requested twice."""
     day.open(9 * 60)
-    day.viewer.page.evaluate(RECORD_FRAMES, day.viewer.place())
+    day.viewer.page.evaluate(RECORD_FRAMES, day.viewer.level_rectangle())
     day.play()
     day.wait_until_later(16 * 60 + 30)
     frames = np.array(day.viewer.page.evaluate("() => window.looks"))
     assert np.ptp(frames, axis=1).max() <= COLOR_TOLERANCE, "the ground, or two times at once"
     # The map below the day's pictures shows the starting time, so a missing picture would be seen.
     assert np.diff(frames[:, 0]).min() >= -COLOR_TOLERANCE, "back to an earlier time"
-    assert grey(9 * 60) - COLOR_TOLERANCE <= frames.min() and frames.max() <= grey(LAST) + COLOR_TOLERANCE
+    assert tile_grey(9 * 60) - COLOR_TOLERANCE <= frames.min() and frames.max() <= tile_grey(LAST) + COLOR_TOLERANCE
     assert len(np.unique(frames[:, 0])) > 40, "each step is seen"
     expect(day.viewer.page.locator("#sun-words")).to_contain_text("high")
 
@@ -130,8 +130,8 @@ def test_played_day_has_no_blank_frame(day: FakeDay):
     assert len(day.requested_urls) == request_count
 
     day.viewer.page.get_by_role("button", name="Pause the day").click()
-    day.viewer.settled()
-    assert abs(int(day.picture().max()) - grey(day.minutes)) <= COLOR_TOLERANCE, "it stays where it was paused"
+    day.viewer.wait_until_settled()
+    assert abs(int(day.picture().max()) - tile_grey(day.minutes)) <= COLOR_TOLERANCE, "it stays where it was paused"
 
 
 def test_day_goes_on_after_the_map_moves(day: FakeDay):
@@ -142,7 +142,7 @@ def test_day_goes_on_after_the_map_moves(day: FakeDay):
     day.wait_until_later(day.minutes + 60)
     middle = day.viewer.pixels()[250:300, 700:900].astype(int)
     assert int(np.ptp(middle)) <= COLOR_TOLERANCE
-    assert grey(FIRST) <= middle.max() <= grey(LAST)
+    assert tile_grey(FIRST) <= middle.max() <= tile_grey(LAST)
 
 
 def test_hidden_page_pauses_the_day(day: FakeDay):
@@ -166,7 +166,7 @@ def test_reduced_motion_does_not_fade(make_viewer: Callable[..., Viewer]):
     day = FakeDay(make_viewer(reduced_motion="reduce"))
     day.open(9 * 60)
     day.play()
-    unblended_greys = {grey(minutes) for minutes in range(FIRST, LAST + 1, 10)}
+    unblended_greys = {tile_grey(minutes) for minutes in range(FIRST, LAST + 1, 10)}
     for _ in range(12):
         shown_grey = int(day.picture()[0, 0])
         assert min(abs(shown_grey - unblended_grey) for unblended_grey in unblended_greys) <= 1, "between two times"
@@ -179,9 +179,9 @@ def test_moving_the_sun_stops_the_day(day: FakeDay):
     day.wait_until_later(9 * 60 + 10)
     day.viewer.page.get_by_label("Time", exact=True).fill("12:00")
     expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
-    day.viewer.settled()
+    day.viewer.wait_until_settled()
     assert day.minutes == 12 * 60
-    assert abs(int(day.picture().max()) - grey(12 * 60)) <= COLOR_TOLERANCE
+    assert abs(int(day.picture().max()) - tile_grey(12 * 60)) <= COLOR_TOLERANCE
 
 
 def test_waiting_day_shows_progress_and_can_be_stopped(day: FakeDay):
@@ -194,12 +194,12 @@ def test_waiting_day_shows_progress_and_can_be_stopped(day: FakeDay):
     expect(status).to_contain_text(re.compile(r"^Drawing 09:10: 0 of \d+ tiles, 0 of \d+ pictures of the day"))
     times = [parse_qs(urlsplit(route.request.url).query)["time"][0][11:16] for route in day.held_routes]
     assert times[0] == "09:10" and times == sorted(times), "first the picture that is wanted now"
-    assert not faults(day.viewer.page)
+    assert not axe_violations(day.viewer.page)
     status.get_by_role("button", name="Stop").click()
     expect(status).to_be_hidden()
     expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
     day.release()
-    day.viewer.settled()
+    day.viewer.wait_until_settled()
     request_count = len(day.requested_urls)
     day.viewer.page.wait_for_timeout(1000)
     assert len(day.requested_urls) == request_count
@@ -239,4 +239,4 @@ def test_failed_day_shows_the_error(day: FakeDay):
     expect(status).to_contain_text("The worker is gone. (500)")
     expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
     below = day.viewer.pixels()[200:500, 500:1000].astype(int)
-    assert np.abs(below - grey(day.minutes)).max() <= COLOR_TOLERANCE, "what was seen is seen still"
+    assert np.abs(below - tile_grey(day.minutes)).max() <= COLOR_TOLERANCE, "what was seen is seen still"

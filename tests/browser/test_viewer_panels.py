@@ -18,8 +18,8 @@ from rasterio.io import MemoryFile
 
 from skugga.terrain.level.parts import PerspectiveSpec
 from tests.api.conftest import Client
-from tests.browser.conftest import LEVEL, WINDOW, Viewer, skip_missing
-from tests.browser.test_viewer_access import faults
+from tests.browser.conftest import LEVEL, WINDOW_SIZE_PX, Viewer, skip_missing
+from tests.browser.test_viewer_access import axe_violations
 
 MODULES = Path(__file__).parents[2] / "viewer"
 NODE = Path(__file__).parents[2] / ".venv" / "bin" / "node"
@@ -35,17 +35,17 @@ LEFT_PX = 400
 COVERED_PX = 364
 """Width of the map under the panel; the divider moves over the rest."""
 
-LIGHTS = {True: "In the sun", False: "In shadow"}
+LIGHT_TEXTS = {True: "In the sun", False: "In shadow"}
 
 
-def opened(viewer: Viewer, panel: str, **settings: str) -> Viewer:
+def open_panel(viewer: Viewer, panel: str, **settings: str) -> Viewer:
     """Open the viewer at an address with a panel open, and return it."""
     parts = "".join(f"&{name}={value}" for name, value in settings.items())
     viewer.open(f"#level={LEVEL}&time={TIME}&panel={panel}{parts}")
     return viewer
 
 
-def point_of(service: Client, lon_lat: str, time: str = TIME, **parameters: str) -> dict[str, Any]:
+def point_report(service: Client, lon_lat: str, time: str = TIME, **parameters: str) -> dict[str, Any]:
     lon, lat = lon_lat.split(",")
     return service.get(f"/levels/{LEVEL}/point", params={"lon": lon, "lat": lat, "time": time, **parameters}).json()
 
@@ -67,9 +67,9 @@ def test_click_shows_the_intervals_of_the_service(viewer: Viewer, service: Clien
     expect(viewer.page).to_have_url(re.compile("point="))  # the address follows a moment after the answer
     match = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
     assert match, viewer.page.url
-    report = point_of(service, match[1])
+    report = point_report(service, match[1])
     day, point_now = report["day"], report["now"]
-    expect(viewer.page.locator(".light")).to_contain_text(LIGHTS[point_now["lit"]])
+    expect(viewer.page.locator(".light")).to_contain_text(LIGHT_TEXTS[point_now["lit"]])
     assert shown_intervals(viewer) == [(entry["begin"], entry["end"]) for entry in day["sunlit"]]
 
     at = datetime.fromisoformat(TIME)
@@ -84,11 +84,11 @@ def test_click_shows_the_intervals_of_the_service(viewer: Viewer, service: Clien
         expect(reasons).to_contain_text(f"{point_now['by']['elevation']:.1f}° high")
     expect(viewer.page.get_by_role("img", name=re.compile("^The day: night midnight to"))).to_be_visible()
     expect(viewer.page.get_by_role("img", name=re.compile("^Horizon: highest in the"))).to_be_visible()
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
 
 
 def test_sky_drawing_equals_the_sky_of_the_service(viewer: Viewer, service: Client):
-    opened(viewer, "point", point=POINT)
+    open_panel(viewer, "point", point=POINT)
     lon, lat = POINT.split(",")
     sky = service.get(f"/levels/{LEVEL}/point/sun.json", params={"lon": lon, "lat": lat, "time": TIME}).json()
     drawing = viewer.page.locator("svg.sky")
@@ -107,7 +107,7 @@ def test_sky_drawing_equals_the_sky_of_the_service(viewer: Viewer, service: Clie
 
 
 def test_point_by_keyboard_follows_the_time(viewer: Viewer, service: Client):
-    opened(viewer, "point")
+    open_panel(viewer, "point")
     viewer.page.get_by_role("tab", name="Point").focus()
     for _ in range(4):
         viewer.page.keyboard.press("Tab")
@@ -121,25 +121,25 @@ def test_point_by_keyboard_follows_the_time(viewer: Viewer, service: Client):
     assert match
     viewer.page.get_by_label("Time", exact=True).fill("09:00")
     expect(light).to_contain_text("at 09:00", timeout=ANSWER_MS)
-    viewer.settled()
-    point_now = point_of(service, match[1], "2024-10-21T09:00:00-04:00")["now"]
-    expect(light).to_contain_text(LIGHTS[point_now["lit"]])
+    viewer.wait_until_settled()
+    point_now = point_report(service, match[1], "2024-10-21T09:00:00-04:00")["now"]
+    expect(light).to_contain_text(LIGHT_TEXTS[point_now["lit"]])
 
 
 def test_point_off_the_data_shows_the_remark(viewer: Viewer):
-    opened(viewer, "point", point="-83.9,36.3")
+    open_panel(viewer, "point", point="-83.9,36.3")
     expect(viewer.page.locator(".point-answer .fail")).to_contain_text("No ground here", timeout=ANSWER_MS)
 
 
 def test_views_open_from_their_thumbnails(viewer: Viewer):
-    opened(viewer, "views")
+    open_panel(viewer, "views")
     view = viewer.page.get_by_role("button", name="Map", exact=True)
     expect(view.locator("img")).to_be_visible(timeout=ANSWER_MS)
     view.click()
     dialog = viewer.page.get_by_role("dialog")
     expect(dialog.locator("img")).to_be_visible(timeout=ANSWER_MS)
     assert dialog.locator("img").evaluate("each => [each.naturalWidth, each.naturalHeight]") == [974, 1024]
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
     with viewer.page.expect_download() as saved:
         dialog.get_by_role("button", name="Save").click()
     assert Image.open(io.BytesIO(Path(saved.value.path()).read_bytes())).size == (974, 1024)
@@ -153,7 +153,7 @@ def test_custom_view_equals_the_services_snapshot(viewer: Viewer, service: Clien
     """The preview equals the service's snapshot, and its lines are valid in a level file."""
     import yaml
 
-    opened(viewer, "views", **{"views-eye": EYE, "views-target": TARGET, "views-fov": "40"})
+    open_panel(viewer, "views", **{"views-eye": EYE, "views-target": TARGET, "views-fov": "40"})
     preview = viewer.page.locator(".preview img")
     expect(preview).to_be_visible(timeout=ANSWER_MS)
     lines = viewer.page.get_by_label("Lines for the level’s file", exact=True).inner_text()
@@ -172,7 +172,7 @@ def test_custom_view_equals_the_services_snapshot(viewer: Viewer, service: Clien
         np.asarray(Image.open(io.BytesIO(encoded)).convert("RGB")) for encoded in (base64.b64decode(preview_base64), snapshot)
     )
     assert picture.shape == (320, 400, 3) and np.array_equal(picture, other)
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
 
     height = viewer.page.get_by_label("Eye, metres above the ground")
     height.fill("900")
@@ -185,23 +185,23 @@ def test_custom_view_equals_the_services_snapshot(viewer: Viewer, service: Clien
 
 def test_comparison_shows_two_times(viewer: Viewer):
     """The map is unchanged left of the divider, and shows the other time right of it; keys move the divider."""
-    opened(viewer, "compare")
-    single_picture = _picture(viewer)
+    open_panel(viewer, "compare")
+    single_picture = _map_picture(viewer)
     viewer.page.get_by_label("Compare with another").select_option("time")
     viewer.page.get_by_label("On the right, at").fill("09:30")
     viewer.page.get_by_label("On the right, at").press("Tab")
     divider = viewer.page.get_by_role("slider", name="Divider of the comparison")
     expect(divider).to_have_attribute("aria-valuetext", "50 %: 17:45 on the left, 09:30 on the right")
-    split_picture = _picture(viewer)
-    middle = (COVERED_PX + WINDOW["width"]) // 2 - LEFT_PX
-    assert _differing(single_picture[:, : middle - 40], split_picture[:, : middle - 40]) < 0.01
-    assert _differing(single_picture[:, middle + 40 :], split_picture[:, middle + 40 :]) > 0.1
-    assert not faults(viewer.page)
+    split_picture = _map_picture(viewer)
+    middle = (COVERED_PX + WINDOW_SIZE_PX["width"]) // 2 - LEFT_PX
+    assert _differing_share(single_picture[:, : middle - 40], split_picture[:, : middle - 40]) < 0.01
+    assert _differing_share(single_picture[:, middle + 40 :], split_picture[:, middle + 40 :]) > 0.1
+    assert not axe_violations(viewer.page)
 
     divider.focus()
     viewer.page.keyboard.press("End")
     expect(divider).to_have_attribute("aria-valuenow", "100")
-    assert _differing(single_picture[:, 40:-60], _picture(viewer)[:, 40:-60]) < 0.01
+    assert _differing_share(single_picture[:, 40:-60], _map_picture(viewer)[:, 40:-60]) < 0.01
     viewer.page.keyboard.press("PageDown")
     expect(divider).to_have_attribute("aria-valuenow", "90")
     viewer.page.get_by_role("button", name="End the comparison").first.click()
@@ -211,9 +211,9 @@ def test_comparison_shows_two_times(viewer: Viewer):
 
 def test_comparison_shows_two_algorithms(viewer: Viewer):
     """Each side has its own algorithm and requests its own tiles."""
-    opened(viewer, "compare", compare="algorithm:none")
+    open_panel(viewer, "compare", compare="algorithm:none")
     viewer.page.get_by_label("On the left").select_option("sweep")
-    viewer.shown()
+    viewer.wait_until_drawn()
     expect(viewer.page).to_have_url(
         re.compile("compare=algorithm:none.*plan-algorithm=sweep|plan-algorithm=sweep.*compare=algorithm:none")
     )
@@ -230,7 +230,7 @@ def test_comparison_shows_two_algorithms(viewer: Viewer):
 
 
 def test_plan_panel_explains_and_sets_the_algorithm(viewer: Viewer):
-    opened(viewer, "plan")
+    open_panel(viewer, "plan")
     plan = viewer.page.locator(".plan")
     expect(plan.get_by_text("Shadows of ridges, houses and trees")).to_be_visible(timeout=ANSWER_MS)
     algorithms = viewer.page.locator("details.algorithms")
@@ -238,9 +238,9 @@ def test_plan_panel_explains_and_sets_the_algorithm(viewer: Viewer):
     algorithms.locator("summary").first.click()
     expect(algorithms.get_by_text("Relief by sweep")).to_be_visible()
     algorithms.get_by_label("Draw shadows by").select_option("none")
-    viewer.settled()
+    viewer.wait_until_settled()
     expect(algorithms.get_by_text("Relief casts nothing")).to_be_visible(timeout=ANSWER_MS)
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
 
 
 def test_plan_panel_leaves_calibration_to_the_service(viewer: Viewer):
@@ -249,7 +249,7 @@ def test_plan_panel_leaves_calibration_to_the_service(viewer: Viewer):
     viewer.page.route(
         re.compile("/readyz$"), lambda route: route.fulfill(json={"status": "ready", "preparing": None, "calibration": states[-1]})
     )
-    opened(viewer, "plan")
+    open_panel(viewer, "plan")
     algorithms = viewer.page.locator("details.algorithms")
     algorithms.locator("summary").first.click()
     cost = algorithms.locator("p.note").first
@@ -264,7 +264,7 @@ def test_plan_panel_leaves_calibration_to_the_service(viewer: Viewer):
 
 
 def test_intermediate_layers_can_be_shown(viewer: Viewer):
-    opened(viewer, "plan", **{"plan-algorithm": "shadow_map"})
+    open_panel(viewer, "plan", **{"plan-algorithm": "shadow_map"})
     viewer.page.get_by_text("Layers in between").click()
     viewer.page.locator("#between-layer").select_option("shadow-map")
     viewer.page.get_by_role("button", name="Look at it").click()
@@ -273,7 +273,7 @@ def test_intermediate_layers_can_be_shown(viewer: Viewer):
 
 def test_map_can_be_saved(viewer: Viewer):
     """As a picture, and as a GeoTIFF with the bounds of the map."""
-    opened(viewer, "use")
+    open_panel(viewer, "use")
     for name, suffix in (("PNG picture", "png"), ("GeoTIFF", "tif")):
         with viewer.page.expect_download(timeout=ANSWER_MS) as saved:
             viewer.page.get_by_role("button", name=name).click()
@@ -292,14 +292,14 @@ def test_map_can_be_saved(viewer: Viewer):
 
 
 def test_client_lines_equal_those_of_the_service(viewer: Viewer, service: Client):
-    opened(viewer, "use")
+    open_panel(viewer, "use")
     lines = service.get(f"/levels/{LEVEL}/lines.json", params={"time": TIME}).json()
     for line in lines:
         viewer.page.locator(".clients summary").get_by_text(line["client"], exact=True).click()
         expect(viewer.page.get_by_label(f"Lines for {line['client']}", exact=True)).to_have_text(line["text"])
     assert {"MapLibre", "Leaflet", "OpenLayers", "GDAL"} <= {line["client"] for line in lines}
     assert any("QGIS" in line["client"] for line in lines)
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
 
 
 def test_viewer_modules_pass_their_own_tests():
@@ -312,11 +312,11 @@ def test_viewer_modules_pass_their_own_tests():
     assert process.returncode == 0, process.stdout[-4000:]
 
 
-def _picture(viewer: Viewer) -> np.ndarray:
+def _map_picture(viewer: Viewer) -> np.ndarray:
     """Return the map between the panel and the controls, above the dock, once it is still."""
-    viewer.shown()
+    viewer.wait_until_drawn()
     return viewer.pixels(FloatRect(x=LEFT_PX, y=60, width=800, height=400))
 
 
-def _differing(picture: np.ndarray, other: np.ndarray) -> float:
+def _differing_share(picture: np.ndarray, other: np.ndarray) -> float:
     return float((np.abs(picture.astype(int) - other).max(axis=2) > 32).mean())

@@ -13,12 +13,12 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from tests.browser.conftest import LEVEL, Viewer
-from tests.browser.test_viewer_access import PHONE, faults
+from tests.browser.test_viewer_access import PHONE, axe_violations
 
 TILES = "compiling loops for map tiles"
 HOURS = "compiling loops for hours of sun"
 
-UNDRAWN_PATHS = re.compile(
+PATHS_WITHOUT_RENDERING = re.compile(
     r"^/($|assets/|levels$|readyz$|openapi\.json$|levels/[^/]+/(lines\.json|WebMercatorQuad/tilejson\.json)\?)"
 )
 """Paths whose answers need no rendering."""
@@ -80,21 +80,21 @@ def _readiness_of(viewer: Viewer) -> ServiceReadiness:
     return readiness
 
 
-def drawn_requests(viewer: Viewer) -> list[str]:
+def rendering_requests(viewer: Viewer) -> list[str]:
     """Return the page's requests that need rendering."""
     paths = [url.removeprefix(viewer.address) for url in viewer.requested_urls]
-    return [path for path in paths if not UNDRAWN_PATHS.match(path)]
+    return [path for path in paths if not PATHS_WITHOUT_RENDERING.match(path)]
 
 
 @contextmanager
-def same_page(viewer: Viewer) -> Iterator[None]:
+def assert_no_reload(viewer: Viewer) -> Iterator[None]:
     """Assert that the page is not loaded again meanwhile."""
     viewer.page.evaluate("() => { window.isSame = true; }")
     yield
     assert viewer.page.evaluate("() => window.isSame === true")
 
 
-def boxes(page: Page) -> dict[str, Any]:
+def bounding_boxes(page: Page) -> dict[str, Any]:
     """Return the boxes of the page's permanent parts."""
     parts = ("#side", "#sun", ".maplibregl-ctrl-top-right", "#minutes", "#days")
     return {part: page.locator(part).bounding_box() for part in parts}
@@ -173,16 +173,16 @@ def test_nothing_is_drawn_before_readiness(viewer: Viewer, readiness: ServiceRea
     page.locator(".maplibregl-ctrl-zoom-in").click()
     page.get_by_label("Time", exact=True).fill("15:10")
     page.wait_for_timeout(1000)
-    assert not drawn_requests(viewer)
+    assert not rendering_requests(viewer)
     expect(card).to_be_visible()
     expect(page.locator("#status")).to_be_hidden()
     expect(page.locator("body.working")).not_to_be_attached()
 
-    with same_page(viewer):
+    with assert_no_reload(viewer):
         readiness.ready()
         expect(card).to_be_hidden()
-        viewer.settled()
-    paths = drawn_requests(viewer)
+        viewer.wait_until_settled()
+    paths = rendering_requests(viewer)
     assert any("/tiles/" in path for path in paths)
     times = {path.partition("time=2024-10-21T")[2][:7] for path in paths if "/tiles/" in path and "terrain-rgb" not in path}
     assert times == {"15%3A10", "09%3A30"}, "what the page was set to at last, and what it is compared with"
@@ -195,20 +195,20 @@ def test_map_appears_once_the_service_is_ready(viewer: Viewer, readiness: Servic
     viewer.page.goto(f"{viewer.address}/#{EVENING}&layer=shadow&map=10.10/36.29500/-84.24500")
     expect(viewer.page.locator("#start")).to_be_visible()
     viewer.page.wait_for_timeout(1000)
-    assert not drawn_requests(viewer)
+    assert not rendering_requests(viewer)
     expect(viewer.page.locator(".marks")).to_have_text("Sunrise and sunset come with the map.")
-    before = boxes(viewer.page)
-    with same_page(viewer):
+    before = bounding_boxes(viewer.page)
+    with assert_no_reload(viewer):
         readiness.ready()
         expect(viewer.page.locator("#start")).to_be_hidden()
-        level_picture = viewer.shown()
+        level_picture = viewer.wait_until_drawn()
     assert level_picture.queries == {(("layer", "shadow"), ("time", "2024-10-21T16:20:00-04:00"))}
     assert len(np.unique(level_picture.pixels.reshape(-1, 3), axis=0)) > 20
     assert "map=10.10/36.29500/-84.24500" in viewer.page.url
     expect(viewer.page.get_by_role("button", name="Sunset")).to_be_visible()
     expect(viewer.page.get_by_role("button", name="Play the day")).to_be_enabled()
     expect(viewer.page.locator("#said")).to_have_text("The service is ready. The map is being drawn.")
-    assert boxes(viewer.page) == before, "nothing moves"
+    assert bounding_boxes(viewer.page) == before, "nothing moves"
 
 
 def test_background_work_is_shown_on_one_line(viewer: Viewer, readiness: ServiceReadiness):
@@ -240,7 +240,7 @@ def test_slow_tiles_show_the_preparation(viewer: Viewer, readiness: ServiceReadi
     viewer.page.unroute(re.compile("/tiles/"))
     for route in waiting:
         route.continue_()
-    viewer.shown()
+    viewer.wait_until_drawn()
 
 
 def test_polling_intervals_are_bounded(viewer: Viewer, readiness: ServiceReadiness):
@@ -272,15 +272,15 @@ def test_unreachable_service_is_polled_again(viewer: Viewer, readiness: ServiceR
     expect(card).to_contain_text("The service does not answer")
     expect(card).to_contain_text("This page keeps trying")
     expect(viewer.page.get_by_role("progressbar")).not_to_have_attribute("aria-valuenow", re.compile(""))
-    assert not drawn_requests(viewer)
-    with same_page(viewer):
+    assert not rendering_requests(viewer)
+    with assert_no_reload(viewer):
         viewer.page.unroute(re.compile("/levels$"))
         readiness.starting(TILES, 3, 180)
         expect(card).to_contain_text("3 of 180")
         expect(viewer.page.get_by_label("Level", exact=True)).to_have_value(LEVEL)
         readiness.ready()
         expect(card).to_be_hidden()
-        assert viewer.shown().queries == {(("time", "2024-10-21T16:20:00-04:00"),)}
+        assert viewer.wait_until_drawn().queries == {(("time", "2024-10-21T16:20:00-04:00"),)}
 
 
 def test_viewer_survives_a_restart_of_the_service(viewer: Viewer, readiness: ServiceReadiness):
@@ -302,11 +302,11 @@ def test_viewer_survives_a_restart_of_the_service(viewer: Viewer, readiness: Ser
     readiness.starting("starting a render process")
     expect(status).to_contain_text("The service is starting")
     viewer.page.wait_for_timeout(1500)
-    assert not drawn_requests(viewer)
-    with same_page(viewer):
+    assert not rendering_requests(viewer)
+    with assert_no_reload(viewer):
         readiness.ready()
         expect(status).to_be_hidden()
-        morning = viewer.shown()
+        morning = viewer.wait_until_drawn()
     assert (("time", "2024-10-21T09:30:00-04:00"),) in morning.queries
     expect(viewer.page.locator("#sun-words")).to_contain_text("119.1°")
 
@@ -345,7 +345,7 @@ def test_start_card_is_accessible(make_viewer: Callable[..., Viewer], window: di
     card = viewer.page.locator("#start .card")
     expect(card).to_contain_text("57 of 180")
     expect(viewer.page.locator("#sun-words")).to_contain_text("high")
-    assert not faults(viewer.page)
+    assert not axe_violations(viewer.page)
     heights = set()
     for task, total in ((None, 0), ("starting a render process", 0), (TILES, 180)):
         poll_count = len(readiness.times)

@@ -12,12 +12,12 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Route, expect
 
-from tests.browser.conftest import WINDOW, Viewer
-from tests.browser.map_clients import served_tiles
-from tests.browser.test_viewer import GROUND
+from tests.browser.conftest import WINDOW_SIZE_PX, Viewer
+from tests.browser.map_clients import serve_single_tile
+from tests.browser.test_viewer import BACKGROUND_COLOR
 from tests.browser.test_viewer_access import LANDSCAPE, PHONE
 
-SUNNY = 240, 160, 20
+SUN_HOURS_COLOR = 240, 160, 20
 
 
 def test_unreachable_service_can_be_retried(viewer: Viewer):
@@ -29,7 +29,7 @@ def test_unreachable_service_can_be_retried(viewer: Viewer):
     viewer.page.unroute(re.compile("/levels$"))
     veil.get_by_role("button", name="Try again").click()
     expect(veil).to_be_hidden()
-    viewer.shown()
+    viewer.wait_until_drawn()
 
 
 def test_failed_tile_shows_the_error_and_a_retry(viewer: Viewer):
@@ -41,7 +41,7 @@ def test_failed_tile_shows_the_error_and_a_retry(viewer: Viewer):
     viewer.page.unroute(re.compile("/tiles/"))
     status.get_by_role("button", name="Try again").click()
     expect(status).to_be_hidden()
-    assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 5000
+    assert len(np.unique(viewer.wait_until_drawn().pixels.reshape(-1, 3), axis=0)) > 5000
 
 
 @pytest.mark.parametrize("window", [{}, PHONE, LANDSCAPE], ids=["window", "phone", "across"])
@@ -118,7 +118,7 @@ def test_slow_service_shows_that_it_works(viewer: Viewer):
     slow.clear()
     for route in waiting:
         route.continue_()
-    viewer.shown()
+    viewer.wait_until_drawn()
     expect(viewer.page.locator("#status")).to_be_hidden()
     expect(viewer.page.locator("body.working")).not_to_be_attached()
 
@@ -129,14 +129,14 @@ def test_place_without_data_offers_a_way_back(viewer: Viewer):
     expect(veil).to_contain_text("Nothing is known here. Jacksboro fault, Tennessee lies elsewhere.")
     veil.get_by_role("button", name="Take me there").click()
     expect(veil).to_be_hidden()
-    assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 5000
+    assert len(np.unique(viewer.wait_until_drawn().pixels.reshape(-1, 3), axis=0)) > 5000
 
 
 def test_pasted_base_map_lies_under_the_shadows(make_viewer: Callable[..., Viewer]):
     """A text that is no address of tiles is refused with an explanation."""
     red = BytesIO()
     Image.new("RGB", (256, 256), (220, 60, 60)).save(red, "PNG")
-    with served_tiles(red.getvalue()) as address:
+    with serve_single_tile(red.getvalue()) as address:
         viewer = make_viewer()
         viewer.allow(address)
         viewer.open()
@@ -149,22 +149,22 @@ def test_pasted_base_map_lies_under_the_shadows(make_viewer: Callable[..., Viewe
         field.fill(f"{address}/{{z}}/{{x}}/{{y}}.png")
         viewer.page.get_by_role("button", name="Use").click()
         expect(viewer.page.get_by_label("Shadows", exact=True)).to_be_checked()
-        pixels = viewer.shown().pixels.astype(int)
+        pixels = viewer.wait_until_drawn().pixels.astype(int)
         assert (pixels[..., 0] >= pixels[..., 1]).all(), "nothing but red and shadow"
         assert (np.abs(pixels - (220, 60, 60)).max(axis=2) < 3).mean() > 0.2, "light is the base map alone"
         assert (pixels[..., 0] < 150).mean() > 0.15, "shadows are dark"
-        outside = viewer.pixels()[100, WINDOW["width"] - 150]
+        outside = viewer.pixels()[100, WINDOW_SIZE_PX["width"] - 150]
         assert np.abs(outside.astype(int) - (220, 60, 60)).max() < 3, "it goes on beyond the level"
 
         viewer.page.get_by_role("button", name="Remove the base map").click()
-        assert not (np.abs(viewer.shown().pixels.astype(int) - (220, 60, 60)).max(axis=2) < 3).any()
+        assert not (np.abs(viewer.wait_until_drawn().pixels.astype(int) - (220, 60, 60)).max(axis=2) < 3).any()
 
 
 def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
     """The previous tiles are removed, and a line shows the progress; also for another quantity or date."""
     waiting: list[Route] = []
     tile = BytesIO()
-    Image.new("RGB", (256, 256), SUNNY).save(tile, "PNG")
+    Image.new("RGB", (256, 256), SUN_HOURS_COLOR).save(tile, "PNG")
     viewer.hide_preparations()
     viewer.page.route(re.compile("/tiles/.*sunhours"), lambda route: waiting.append(route))
     viewer.open()
@@ -172,19 +172,19 @@ def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
 
     def color_distance(color: tuple[int, int, int]) -> int:
         """Return the largest difference of the level, below the text at the top, from a colour."""
-        return int(np.abs(viewer.pixels(viewer.place())[80:].astype(int) - color).max())
+        return int(np.abs(viewer.pixels(viewer.level_rectangle())[80:].astype(int) - color).max())
 
     def drawn_anew() -> None:
         expect(status).to_contain_text(re.compile(r"^Drawing hours of sun: 0 of \d+ tiles"), timeout=4000)
         page.wait_for_function("() => document.body.classList.contains('working')")
         page.wait_for_timeout(300)
-        assert color_distance(GROUND) < 3, "nothing but the ground's colour"
+        assert color_distance(BACKGROUND_COLOR) < 3, "nothing but the ground's colour"
         for route in waiting:
             route.fulfill(body=tile.getvalue(), content_type="image/png")
         waiting.clear()
-        viewer.shown()
+        viewer.wait_until_drawn()
         expect(status).to_be_hidden()
-        assert color_distance(SUNNY) < 3
+        assert color_distance(SUN_HOURS_COLOR) < 3
 
     page.get_by_text("Hours of sun", exact=True).first.click()
     drawn_anew()
@@ -193,7 +193,7 @@ def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
     page.get_by_label("Day of the year").fill("172")
     drawn_anew()
     page.get_by_text("Shaded", exact=True).click()
-    assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 1000
+    assert len(np.unique(viewer.wait_until_drawn().pixels.reshape(-1, 3), axis=0)) > 1000
 
 
 def test_sun_hours_have_a_legend(viewer: Viewer):
@@ -207,10 +207,10 @@ def test_sun_hours_have_a_legend(viewer: Viewer):
     expect(viewer.page.get_by_label("Time of day")).to_be_disabled()
     viewer.page.get_by_label("Quantity").select_option("first")
     expect(legend).to_contain_text("First sun, 21 October 2024")
-    viewer.settled()
+    viewer.wait_until_settled()
     viewer.page.get_by_label("Day of the year").fill("172")
     expect(legend).to_contain_text("First sun, 20 June 2024")
-    viewer.settled()
+    viewer.wait_until_settled()
     assert any(
         "layer=sunhours&date=2024-06-20" in url and "quantity=first" in url for url in viewer.requested_urls if "/tiles/" in url
     )
@@ -220,13 +220,13 @@ def test_terrain_in_three_dimensions_rises_and_flattens(viewer: Viewer):
     """The terrain rises from the service's heights, and the shaded layer lies on it."""
     flat = viewer.open()
     viewer.page.get_by_label("Three dimensions").check()
-    viewer.settled()
+    viewer.wait_until_settled()
     viewer.page.wait_for_function("() => location.hash.includes('solid=1') && /map=.*\\/55\\.0/.test(location.hash)")
-    viewer.settled()
+    viewer.wait_until_settled()
     assert any("layer=terrain-rgb" in url for url in viewer.requested_urls)
-    upper_half = viewer.pixels()[: WINDOW["height"] // 2]
+    upper_half = viewer.pixels()[: WINDOW_SIZE_PX["height"] // 2]
     assert len(np.unique(upper_half.reshape(-1, 3), axis=0)) > 5000
     viewer.page.get_by_label("Three dimensions").uncheck()
     viewer.page.wait_for_function("() => !location.hash.includes('solid') && !/map=.*\\/.*\\/.*\\//.test(location.hash)")
-    viewer.settled()
-    assert np.array_equal(viewer.shown().pixels, flat.pixels), "and flat again"
+    viewer.wait_until_settled()
+    assert np.array_equal(viewer.wait_until_drawn().pixels, flat.pixels), "and flat again"

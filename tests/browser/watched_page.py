@@ -12,7 +12,7 @@ from PIL import Image
 from playwright.sync_api import ConsoleMessage, FloatRect, Page, Request, Response
 
 MAX_LISTED_FAULTS = 4
-"""Faults in a report: a map has dozens of tiles, which fail together."""
+"""Maximum number of faults in a report. Dozens of tiles may fail together."""
 
 ABORTED_ERROR = "net::ERR_ABORTED"
 """Chromium's error for requests that the page itself has cancelled."""

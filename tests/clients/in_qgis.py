@@ -57,18 +57,18 @@ def browser_sources(name: str, url: str) -> list[str]:
     providers = QgsApplication.dataItemProviderRegistry().providers()
     root = next(item for item in providers if item.name() == "WMS").createDataItem("", None)
     root.populate(True)
-    return sources(next(item for item in root.children() if item.name() == name), root)
+    return layer_sources(next(item for item in root.children() if item.name() == name), root)
 
 
-def sources(item: object, *above: object) -> list[str]:
+def layer_sources(item: object, *above: object) -> list[str]:
     item.populate(True)
     children = item.children()
     kept_references.append((item, children, above))
     own_sources = [item.uri()] if isinstance(item, QgsLayerItem) else []
-    return own_sources + [source for child in children for source in sources(child)]
+    return own_sources + [source for child in children for source in layer_sources(child)]
 
 
-def add(name: str, layer: QgsRasterLayer) -> QgsRasterLayer:
+def record_layer(name: str, layer: QgsRasterLayer) -> QgsRasterLayer:
     """Record a layer under a name with QGIS's facts of it, and return it."""
     kept_references.append(layer)
     times = layer.dataProvider().temporalCapabilities() if layer.isValid() else None
@@ -81,7 +81,7 @@ def add(name: str, layer: QgsRasterLayer) -> QgsRasterLayer:
     return layer
 
 
-def draw(
+def draw_layer(
     name: str, layer: QgsRasterLayer, extent: QgsRectangle = bounds, crs: str = "EPSG:3857", times: list | None = None
 ) -> None:
     """Draw a layer as the map canvas does, in a range of times as the temporal controller sets it."""
@@ -100,7 +100,7 @@ def draw(
     job.renderedImage().save(str(folder / f"{name}.png"))
 
 
-def legend(name: str, layer: QgsRasterLayer) -> None:
+def record_legend(name: str, layer: QgsRasterLayer) -> None:
     """Record the sizes of the legend in the layer tree; ``None`` where QGIS requests none."""
     settings = QgsMapSettings()
     settings.setExtent(bounds)
@@ -119,45 +119,47 @@ def legend(name: str, layer: QgsRasterLayer) -> None:
     report["legends"][name] = [[image.width(), image.height()] for image in images]
 
 
-def by_wms() -> None:
+def draw_wms_layers() -> None:
     layers = {}
     for source in browser_sources("wms", f"{address}/levels/{level}/wms"):
         name = source.partition(f"layers={level}:")[2].partition("&")[0]
-        layers[name] = add(f"wms-{name}", QgsRasterLayer(source, name, "wms"))
-        draw(f"wms-{name}", layers[name])
-        legend(name, layers[name])
+        layers[name] = record_layer(f"wms-{name}", QgsRasterLayer(source, name, "wms"))
+        draw_layer(f"wms-{name}", layers[name])
+        record_legend(name, layers[name])
         if name == "color":
-            in_degrees = add("wms-degrees", QgsRasterLayer(source.replace("crs=EPSG:3857", "crs=EPSG:4326"), name, "wms"))
-            draw("wms-degrees", in_degrees, degrees, "EPSG:4326")
+            in_degrees = record_layer("wms-degrees", QgsRasterLayer(source.replace("crs=EPSG:3857", "crs=EPSG:4326"), name, "wms"))
+            draw_layer("wms-degrees", in_degrees, degrees, "EPSG:4326")
     for name, times in plan["times"].items():
-        draw(f"wms-{name}", layers["color"], times=times)
+        draw_layer(f"wms-{name}", layers["color"], times=times)
     for name, format in (("html", QgsRaster.IdentifyFormatHtml), ("text", QgsRaster.IdentifyFormatText)):
         result = layers["color"].dataProvider().identify(bounds.center(), format, bounds, side, side)
         report["identified"][name] = result.results().get(0) if result.isValid() else None
 
 
-def by_wmts() -> None:
+def draw_wmts_layers() -> None:
     every = browser_sources("wmts", f"{address}/levels/{level}/WMTSCapabilities.xml")
     required_parts = (f"layers={level}:color&", "tileMatrixSet=WebMercatorQuad", "format=image/png")
     matching_sources = [source_uri for source_uri in every if all(part in source_uri for part in required_parts)]
     source = next(
         source_uri for source_uri in matching_sources if "/" not in source_uri.partition("tileDimensions=")[2].partition("&")[0]
     )
-    layer = add("wmts", QgsRasterLayer(source, "color", "wms"))
-    draw("wmts", layer)
-    draw("wmts-deep", layer, deep)
+    layer = record_layer("wmts", QgsRasterLayer(source, "color", "wms"))
+    draw_layer("wmts", layer)
+    draw_layer("wmts-deep", layer, deep)
     span = next(source_uri for source_uri in matching_sources if source_uri is not source and "PT" in source_uri)
-    draw("wmts-span", add("wmts-span", QgsRasterLayer(span, "color", "wms")))
+    draw_layer("wmts-span", record_layer("wmts-span", QgsRasterLayer(span, "color", "wms")))
 
 
-def by_xyz() -> None:
+def draw_xyz_layer() -> None:
     template = f"{address}/levels/{level}/tiles/WebMercatorQuad/{{z}}/{{x}}/{{y}}.png"
-    layer = add("xyz", QgsRasterLayer(f"type=xyz&zmin={plan['zooms'][0]}&zmax={plan['zooms'][1]}&url={template}", "xyz", "wms"))
-    draw("xyz", layer)
-    draw("xyz-deep", layer, deep)
+    layer = record_layer(
+        "xyz", QgsRasterLayer(f"type=xyz&zmin={plan['zooms'][0]}&zmax={plan['zooms'][1]}&url={template}", "xyz", "wms")
+    )
+    draw_layer("xyz", layer)
+    draw_layer("xyz-deep", layer, deep)
 
 
-def by_definition() -> None:
+def draw_layer_definition() -> None:
     path = folder / f"{level}.qlr"
     urllib.request.urlretrieve(f"{address}/levels/{level}.qlr", path)
     project = QgsProject.instance()
@@ -165,10 +167,10 @@ def by_definition() -> None:
     assert loaded, words
     for node in project.layerTreeRoot().findLayers():
         name = f"qlr-{node.name().rpartition(' ')[2]}"
-        draw(name, add(name, node.layer()))
+        draw_layer(name, record_layer(name, node.layer()))
 
 
-for part in (by_wms, by_wmts, by_xyz, by_definition):
+for part in (draw_wms_layers, draw_wmts_layers, draw_xyz_layer, draw_layer_definition):
     part()
 (folder / "report.json").write_text(json.dumps(report, indent=1))
 os._exit(0)  # QGIS's regular exit frees objects that Python still holds, and crashes

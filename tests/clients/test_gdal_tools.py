@@ -30,7 +30,7 @@ def tools() -> None:
     print(subprocess.run(["gdal_translate", "--version"], capture_output=True, text=True, check=True).stdout.strip())
 
 
-def translated(folder: Path, source: str, *options: str) -> np.ndarray:
+def run_gdal_translate(folder: Path, source: str, *options: str) -> np.ndarray:
     """Return what ``gdal_translate`` writes for a source, (rows, cols, bands)."""
     environment = {name: value for name, value in os.environ.items() if name not in NO_REMOTE_READS}
     path = folder / "translated.tif"
@@ -43,7 +43,7 @@ def translated(folder: Path, source: str, *options: str) -> np.ndarray:
         return np.moveaxis(dataset.read(), 0, -1)
 
 
-def picture(client: Client, address: str, **query: str) -> np.ndarray:
+def fetch_picture(client: Client, address: str, **query: str) -> np.ndarray:
     answer = client.get(address, params=query)
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
@@ -59,11 +59,11 @@ def test_gdal_translate_runs_the_line_of_the_page(service: Client, tmp_path):
     tile = MATRIX_SET.tile((west + east) / 2, (south + north) / 2, zoom)
     box = MATRIX_SET.xy_bounds(tile)
     cut = ("-projwin", *map(repr, (box.left, box.top, box.right, box.bottom)))
-    translated_picture = translated(tmp_path, f"{line[1]},tilematrixset=WebMercatorQuad", *cut)
-    expected = picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png")
+    translated_picture = run_gdal_translate(tmp_path, f"{line[1]},tilematrixset=WebMercatorQuad", *cut)
+    expected = fetch_picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png")
     assert translated_picture.shape == (256, 256, 4) and np.array_equal(translated_picture, expected)
-    later = translated(tmp_path, f"{line[1].replace('.xml', f'.xml?time={TIME}')},tilematrixset=WebMercatorQuad", *cut)
-    expected = picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png", time=TIME)
+    later = run_gdal_translate(tmp_path, f"{line[1].replace('.xml', f'.xml?time={TIME}')},tilematrixset=WebMercatorQuad", *cut)
+    expected = fetch_picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png", time=TIME)
     assert np.array_equal(later, expected) and not np.array_equal(later, translated_picture)
 
 
@@ -76,7 +76,7 @@ def test_gdal_translate_reads_wms_with_a_time(service: Client, tmp_path):
         f"WMS:{service.base_url}/levels/{LEVEL}/wms?SERVICE=WMS&VERSION=1.3.0&REQUEST=GetMap&LAYERS={LEVEL}:shadow"
         f"&CRS=EPSG:3857&BBOX={bbox}&FORMAT=image/png&TRANSPARENT=TRUE&TIME={TIME}"
     )
-    translated_picture = translated(tmp_path, source, "-outsize", "1024", "1024")
+    translated_picture = run_gdal_translate(tmp_path, source, "-outsize", "1024", "1024")
     parameters = {"bbox": bbox, "crs": "EPSG:3857", "width": "1024", "height": "1024", "layer": "shadow", "time": TIME}
-    expected = picture(service, f"/levels/{LEVEL}/map.png", **parameters)
+    expected = fetch_picture(service, f"/levels/{LEVEL}/map.png", **parameters)
     assert np.array_equal(translated_picture, expected) and 0.05 < (translated_picture[..., 3] > 0).mean() < 0.95

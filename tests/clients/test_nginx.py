@@ -129,11 +129,11 @@ class Deployment:
         return counts
 
     def expire(self, address: str, ago_s: float) -> None:
-        """Let nginx's cache entry of an address have expired ``ago_s`` seconds ago."""
+        """Change the expiry of nginx's cache entry of an address to ``ago_s`` seconds ago."""
         name = hashlib.md5(f"{self.client.base_url}{address}".encode()).hexdigest()
         with (self.folder / "cache" / name[-1] / name[-3:-1] / name).open("r+b") as file:
             version, until = struct.unpack("<Qq", file.read(16))
-            assert version == CACHE_VERSION, "another nginx: look at its ngx_http_file_cache_header_t"
+            assert version == CACHE_VERSION, "unknown cache file version: compare with nginx's ngx_http_file_cache_header_t"
             assert until > time.time() - 10 * DAY_S
             file.seek(8)
             file.write(struct.pack("<q", int(time.time() - ago_s)))
@@ -154,12 +154,12 @@ def deployment() -> Iterator[Deployment]:
             running.close()
 
 
-def state(answer: httpx.Response) -> tuple[int, str]:
+def status_and_cache_status(answer: httpx.Response) -> tuple[int, str]:
     """Return the status, and nginx's cache status."""
     return answer.status_code, answer.headers.get("x-cache-status", "")
 
 
-def sun(altitude_deg: float) -> str:
+def tile_under_sun(altitude_deg: float) -> str:
     return f"{TILE}?azimuth=200&altitude={altitude_deg:g}"
 
 
@@ -195,10 +195,10 @@ def test_cached_tile_answers_if_none_match(deployment: Deployment):
     before = deployment.read_counters()
     for tags in (tag, f"W/{tag}", f'"another", {tag}'):
         answer = deployment.client.get(TILE, headers={"If-None-Match": tags})
-        assert state(answer) == (304, "HIT") and answer.headers["etag"] == tag and not answer.content
-    assert state(deployment.client.get(TILE, headers={"If-None-Match": '"another"'})) == (200, "HIT")
+        assert status_and_cache_status(answer) == (304, "HIT") and answer.headers["etag"] == tag and not answer.content
+    assert status_and_cache_status(deployment.client.get(TILE, headers={"If-None-Match": '"another"'})) == (200, "HIT")
     head = deployment.client.head(TILE)
-    assert state(head) == (200, "HIT") and head.headers["etag"] == tag and not head.content
+    assert status_and_cache_status(head) == (200, "HIT") and head.headers["etag"] == tag and not head.content
     assert deployment.read_counters() == before, "nothing of that reached the service"
 
 
@@ -210,9 +210,9 @@ def test_expired_tile_is_revalidated_without_rendering(deployment: Deployment):
     before = deployment.read_counters()
     deployment.expire(TILE, HOUR_S + 60)
     second = deployment.client.get(TILE)
-    assert state(second) == (200, "REVALIDATED") and second.content == first.content
+    assert status_and_cache_status(second) == (200, "REVALIDATED") and second.content == first.content
     assert deployment.read_counters() - before == {"304": 1}
-    assert state(deployment.client.get(TILE)) == (200, "HIT"), "fresh for another hour"
+    assert status_and_cache_status(deployment.client.get(TILE)) == (200, "HIT"), "fresh for another hour"
 
 
 def test_stale_tile_is_sent_while_it_is_revalidated(deployment: Deployment):
@@ -228,22 +228,22 @@ def test_stale_tile_is_sent_while_it_is_revalidated(deployment: Deployment):
         answers = [httpx.get(f"{deployment.client.base_url}{TILE}") for _ in range(3)]
     finally:
         deployment.service.send_signal(signal.SIGCONT)
-    assert [state(answer) for answer in answers] == [(200, "STALE"), (200, "UPDATING"), (200, "UPDATING")]
+    assert [status_and_cache_status(answer) for answer in answers] == [(200, "STALE"), (200, "UPDATING"), (200, "UPDATING")]
     assert {answer.content for answer in answers} == {first.content}
-    wait_until(lambda: state(deployment.client.get(TILE)) == (200, "HIT"))
+    wait_until(lambda: status_and_cache_status(deployment.client.get(TILE)) == (200, "HIT"))
     assert deployment.read_counters() - before == {"304": 1}, "asked for once"
 
 
 def test_stale_tiles_bridge_an_outage_of_a_day(deployment: Deployment):
     """Tiles with a fixed sun are sent for a day longer, tiles of the current time are not. The service recovers by itself."""
-    of_now, unknown = f"{TILE}?time=current", sun(33.3)
+    of_now, unknown = f"{TILE}?time=current", tile_under_sun(33.3)
     cached = deployment.client.get(TILE)
     assert cached.status_code == deployment.client.get(of_now).status_code == 200
     deployment.kill_service()
     try:
         deployment.expire(TILE, DAY_S - 60)
         stale = deployment.client.get(TILE)
-        assert state(stale) == (200, "STALE") and stale.content == cached.content
+        assert status_and_cache_status(stale) == (200, "STALE") and stale.content == cached.content
         deployment.expire(of_now, 1)
         for address in (of_now, unknown, "/levels"):
             unavailable = deployment.client.get(address)
@@ -257,12 +257,12 @@ def test_stale_tiles_bridge_an_outage_of_a_day(deployment: Deployment):
         assert deployment.client.get(TILE).status_code == 503
     finally:
         deployment.start_service()
-    assert state(deployment.client.get(TILE)) == (200, "REVALIDATED")
-    assert deployment.client.get(unknown).status_code == 200, "that it was away is not remembered"
+    assert status_and_cache_status(deployment.client.get(TILE)) == (200, "REVALIDATED")
+    assert deployment.client.get(unknown).status_code == 200, "the outage is not cached"
 
 
 def test_concurrent_equal_requests_are_one(deployment: Deployment):
-    before, address = deployment.read_counters(), sun(21.7)
+    before, address = deployment.read_counters(), tile_under_sun(21.7)
     with ThreadPoolExecutor(20) as threads:
         answers = list(threads.map(lambda _: httpx.get(f"{deployment.client.base_url}{address}", timeout=120), range(20)))
     assert {answer.status_code for answer in answers} == {200} and len({answer.content for answer in answers}) == 1
@@ -271,13 +271,15 @@ def test_concurrent_equal_requests_are_one(deployment: Deployment):
 
 
 def test_cache_key_includes_query_and_host(deployment: Deployment):
-    answers = [deployment.client.get(sun(altitude_deg)) for altitude_deg in (5, 6)]
-    assert [state(answer) for answer in answers] == [(200, "MISS")] * 2 and answers[0].content != answers[1].content
+    answers = [deployment.client.get(tile_under_sun(altitude_deg)) for altitude_deg in (5, 6)]
+    assert [status_and_cache_status(answer) for answer in answers] == [(200, "MISS")] * 2 and answers[0].content != answers[
+        1
+    ].content
     before = deployment.client.get(f"{TILE}?time={quote('2024-06-21T18:00:00+02:00')}")
     later = deployment.client.get(f"{TILE}?time={quote('2024-06-21T20:00:00+02:00')}")
     assert before.headers["x-skugga-time"] != later.headers["x-skugga-time"] and before.content != later.content
     other = deployment.client.get(TILE, headers={"Host": "other.example"})
-    assert state(other) == (200, "MISS"), "addresses in answers hang on the host"
+    assert status_and_cache_status(other) == (200, "MISS"), "addresses in answers hang on the host"
 
 
 def test_error_answers_are_not_cached(deployment: Deployment):
@@ -290,7 +292,7 @@ def test_error_answers_are_not_cached(deployment: Deployment):
     for address, status in status_by_address.items():
         for _ in range(2):
             answer = deployment.client.get(address)
-            assert state(answer) == (status, "MISS") and answer.headers["cache-control"] == "no-store", address
+            assert status_and_cache_status(answer) == (status, "MISS") and answer.headers["cache-control"] == "no-store", address
 
 
 def test_documents_are_compressed_but_not_pictures(deployment: Deployment):
@@ -306,9 +308,9 @@ def test_documents_are_compressed_but_not_pictures(deployment: Deployment):
 
 
 def test_pages_of_all_origins_share_cache_entries(deployment: Deployment):
-    address = sun(44)
+    address = tile_under_sun(44)
     answers = [deployment.client.get(address, headers={"Origin": origin} if origin else {}) for origin in ("", "https://a.example")]
-    assert [state(answer) for answer in answers] == [(200, "MISS"), (200, "HIT")]
+    assert [status_and_cache_status(answer) for answer in answers] == [(200, "MISS"), (200, "HIT")]
     assert {answer.headers["access-control-allow-origin"] for answer in answers} == {"*"}
 
 
@@ -316,10 +318,10 @@ def test_private_answers_are_not_shared(deployment: Deployment):
     """Metrics are refused in any spelling, answers to a token are not cached, and each answer has its own request id."""
     for address in ("/metrics", "/%6detrics", "//metrics", "/levels/../metrics"):
         assert httpx.get(f"{deployment.client.base_url}{address}").status_code == 403, address
-    address = sun(47)
+    address = tile_under_sun(47)
     answers = [deployment.client.get(address, headers={"Authorization": "Bearer something"}) for _ in range(2)]
-    assert [state(answer) for answer in answers] == [(200, "BYPASS")] * 2
-    assert state(deployment.client.get(address)) == (200, "MISS")
+    assert [status_and_cache_status(answer) for answer in answers] == [(200, "BYPASS")] * 2
+    assert status_and_cache_status(deployment.client.get(address)) == (200, "MISS")
     numbers = [deployment.client.get(address).headers.get_list("x-request-id") for _ in range(2)]
     assert [len(ids) for ids in numbers] == [1, 1] and numbers[0] != numbers[1]
 

@@ -27,7 +27,7 @@ PYTHON = Path("/usr/bin/python3")
 
 ZOOM = 12
 SIDE = 512
-MAX_S = 900
+TIMEOUT_S = 900
 """QGIS draws 20 pictures, two of them of hours of sun."""
 
 TIMES = {
@@ -54,29 +54,29 @@ class QgisResult:
         return np.asarray(Image.open(self.folder / f"{name}.png").convert("RGBA"))
 
 
-def served(client: Client, bounds: Box, layer: str = "color", **query: str) -> np.ndarray:
+def fetch_map(client: Client, bounds: Box, layer: str = "color", **query: str) -> np.ndarray:
     """Return the service's map of an extent, RGBA."""
     parameters = {"bbox": ",".join(map(repr, bounds)), "crs": "EPSG:3857", "width": str(SIDE), "height": str(SIDE), "layer": layer}
     if layer == "sunhours":
-        parameters["date"] = own_date(client)
-    return patiently(client, f"/levels/{LEVEL}/map.png", **{**parameters, **query})
+        parameters["date"] = level_date(client)
+    return fetch_picture_with_retry(client, f"/levels/{LEVEL}/map.png", **{**parameters, **query})
 
 
-def tile(client: Client, x: int, y: int, layer: str = "color", **query: str) -> np.ndarray:
+def fetch_tile(client: Client, x: int, y: int, layer: str = "color", **query: str) -> np.ndarray:
     """Return a tile of the service, RGBA."""
     if layer == "sunhours":
-        query["date"] = own_date(client)
-    return patiently(client, f"/levels/{LEVEL}/tiles/{DEFAULT_MATRIX_SET}/{ZOOM}/{x}/{y}.png", layer=layer, **query)
+        query["date"] = level_date(client)
+    return fetch_picture_with_retry(client, f"/levels/{LEVEL}/tiles/{DEFAULT_MATRIX_SET}/{ZOOM}/{x}/{y}.png", layer=layer, **query)
 
 
-def own_date(client: Client) -> str:
+def level_date(client: Client) -> str:
     """Return the date of the level's own time."""
     return client.get(f"/levels/{LEVEL}").json()["sun"]["time"][:10]
 
 
-def patiently(client: Client, address: str, **query: str) -> np.ndarray:
+def fetch_picture_with_retry(client: Client, address: str, **query: str) -> np.ndarray:
     """Return a picture, RGBA; retry while the service is busy."""
-    end = time.monotonic() + MAX_S
+    end = time.monotonic() + TIMEOUT_S
     while (answer := client.get(address, params=query)).status_code == 503:
         assert time.monotonic() < end, answer.text
         time.sleep(int(answer.headers["retry-after"]))
@@ -102,9 +102,9 @@ def qgis_result(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Qg
     small_bounds = MATRIX_SET.xy_bounds(middle.x * 16, middle.y * 16, ZOOM + 4)
     deep = small_bounds.left, small_bounds.bottom, small_bounds.right, small_bounds.top
     # Hours of sun take longest: the service refuses tiles that would wait for 20 s, and QGIS leaves them out.
-    served(service, bounds, "sunhours")
+    fetch_map(service, bounds, "sunhours")
     for x, y in product(range(middle.x - 1, middle.x + 2), range(middle.y - 1, middle.y + 2)):
-        tile(service, x, y, "sunhours")
+        fetch_tile(service, x, y, "sunhours")
     folder = tmp_path_factory.mktemp("qgis")
     plan = {
         "bounds": bounds, "degrees": degrees, "deep": deep, "side": SIDE, "times": TIMES,
@@ -112,7 +112,7 @@ def qgis_result(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Qg
     }  # fmt: skip
     process = subprocess.run(
         [PYTHON, Path(__file__).with_name("in_qgis.py"), str(service.base_url), LEVEL, folder],
-        input=json.dumps(plan), env=environment, capture_output=True, text=True, timeout=MAX_S,
+        input=json.dumps(plan), env=environment, capture_output=True, text=True, timeout=TIMEOUT_S,
     )  # fmt: skip
     assert process.returncode == 0, process.stderr[-3000:]
     report = json.loads((folder / "report.json").read_text())
@@ -133,14 +133,14 @@ def test_qgis_layers_are_valid_and_log_nothing(qgis_result: QgisResult):
 def test_qgis_wms_equals_the_maps_of_the_service(service: Client, qgis_result: QgisResult):
     """They are equal bit for bit, because the canvas is the requested map; also in a CRS with latitude first."""
     for layer in ("color", "shadow", "mask", "sunhours"):
-        assert np.array_equal(qgis_result.picture(f"wms-{layer}"), served(service, qgis_result.bounds, layer)), layer
-    assert np.array_equal(qgis_result.picture("wms-degrees"), served(service, qgis_result.degrees, crs="EPSG:4326"))
+        assert np.array_equal(qgis_result.picture(f"wms-{layer}"), fetch_map(service, qgis_result.bounds, layer)), layer
+    assert np.array_equal(qgis_result.picture("wms-degrees"), fetch_map(service, qgis_result.degrees, crs="EPSG:4326"))
 
 
 def test_qgis_temporal_controller_sets_the_time(service: Client, qgis_result: QgisResult):
     """QGIS draws the begin of the controller's range, and knows the begin and the end of the year."""
     for name, (begin, _) in TIMES.items():
-        assert np.array_equal(qgis_result.picture(f"wms-{name}"), served(service, qgis_result.bounds, time=begin)), name
+        assert np.array_equal(qgis_result.picture(f"wms-{name}"), fetch_map(service, qgis_result.bounds, time=begin)), name
     assert (qgis_result.picture("wms-morning") != qgis_result.picture("wms-evening")).any(axis=-1).mean() > 0.5
     assert qgis_result.report["layers"]["wms-color"]["times"] == ["2024-01-01T00:05:00Z", "2024-12-31T23:55:00Z"]
     requested_times = [
@@ -154,7 +154,7 @@ def test_qgis_tiles_equal_those_of_the_service(service: Client, qgis_result: Qgi
 
     def service_tiles(layer: str = "color", **query: str) -> np.ndarray:
         x, y = qgis_result.corner
-        return np.vstack([np.hstack([tile(service, x + col, y + row, layer, **query) for col in (0, 1)]) for row in (0, 1)])
+        return np.vstack([np.hstack([fetch_tile(service, x + col, y + row, layer, **query) for col in (0, 1)]) for row in (0, 1)])
 
     for name in ("wmts", "xyz", "qlr-color"):
         assert np.array_equal(qgis_result.picture(name), service_tiles()), name

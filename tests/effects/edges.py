@@ -55,12 +55,12 @@ class EffectChange:
     ----------
     case
         Name of the case.
-    runs
-        True if the plan runs the effect.
+    is_planned
+        Whether the plan has the effect.
     reason
         The plan's reason.
-    ran
-        True if the effect ran when forced on.
+    ran_when_forced
+        Whether the effect ran when forced on.
     max_difference
         Largest difference of a pixel, in steps of 255.
     max_neighbourhood_excess
@@ -68,14 +68,14 @@ class EffectChange:
     """
 
     case: str
-    runs: bool
+    is_planned: bool
     reason: str
-    ran: bool
+    ran_when_forced: bool
     max_difference: int
     max_neighbourhood_excess: int
 
     def __str__(self) -> str:
-        status = "runs" if self.runs else "left out"
+        status = "runs" if self.is_planned else "left out"
         return f"{self.case:34} {status:8} {self.max_difference:4d} {self.max_neighbourhood_excess:4d}  {self.reason}"
 
 
@@ -135,7 +135,7 @@ def _neighbourhood_excess(picture: np.ndarray, other: np.ndarray) -> int:
     return int(np.maximum(low - picture, picture - high).max())
 
 
-def eye(
+def perspective_view(
     position: tuple[float, float, float], target: tuple[float, float, float], fov: float = 50.0, scale: int = 1
 ) -> dict[str, Any]:
     size = [scale * SIZE[0], scale * SIZE[1]]
@@ -144,47 +144,51 @@ def eye(
 
 MAP = {"kind": "map", "size": [SIZE[1], SIZE[1]]}
 
-PERSPECTIVE = eye((GROUND_CENTRE[0] - 0.006, GROUND_CENTRE[1] - 0.004, 60.0), (*GROUND_CENTRE, 0.0))
+PERSPECTIVE = perspective_view((GROUND_CENTRE[0] - 0.006, GROUND_CENTRE[1] - 0.004, 60.0), (*GROUND_CENTRE, 0.0))
 """View over the ground towards the north-east."""
 
 
-def skyline(up_m: float) -> dict[str, Any]:
-    """Return a view from the same place that looks above the horizon. From about 260 on, ground is in its last rows alone,
-    or nowhere.
+def skyline_view(up_m: float) -> dict[str, Any]:
+    """Return a view from the same eye to a target at a height above the ground. From about 260 m on, at most its last rows show
+    ground.
     """
-    return eye((GROUND_CENTRE[0] - 0.006, GROUND_CENTRE[1] - 0.004, 60.0), (*GROUND_CENTRE, up_m))
+    return perspective_view((GROUND_CENTRE[0] - 0.006, GROUND_CENTRE[1] - 0.004, 60.0), (*GROUND_CENTRE, up_m))
 
 
-def window(east_m: float, south_m: float, side_m: float) -> dict[str, Any]:
+def map_window(east_m: float, south_m: float, side_m: float) -> dict[str, Any]:
     """Return a map of a square of the ground, given its centre."""
     x, y = CORNER_M[0] + east_m, CORNER_M[1] - south_m
     return {**MAP, "bounds": [x - side_m / 2, y - side_m / 2, x + side_m / 2, y + side_m / 2]}
 
 
-def ground(name: str, azimuth: float = 200.0, altitude: float = 30.0, **keys: Any) -> dict[str, Any]:
+def level_keys(name: str, azimuth: float = 200.0, altitude: float = 30.0, **keys: Any) -> dict[str, Any]:
     return {"terrain": {"source": f"{name}.tif"}, "sun": {"azimuth": azimuth, "altitude": altitude}, **keys}
 
 
 def cast_shadows() -> Iterator[Case]:
     for view_name, view, azimuth in (("map", MAP, 250.0), ("perspective", PERSPECTIVE, 70.0)):
         for altitude in (-1.0, 0.3, 12.0, 24.0, 29.0, 31.0, 34.0, 40.0, 60.0, 88.0):
-            yield Case(f"hills {view_name} {altitude}", ground("hills", azimuth, altitude), view)
+            yield Case(f"hills {view_name} {altitude}", level_keys("hills", azimuth, altitude), view)
         for altitude in (8.0, 11.0, 11.6, 15.0):
-            yield Case(f"slope turned away {view_name} {altitude}", ground("slope", 90.0, altitude), view)
+            yield Case(f"slope turned away {view_name} {altitude}", level_keys("slope", 90.0, altitude), view)
         for cover in (0.99, 1.0):
-            yield Case(f"clouds {view_name} {cover}", ground("hills", azimuth, 15.0, weather={"cloud_cover": cover}), view)
+            yield Case(f"clouds {view_name} {cover}", level_keys("hills", azimuth, 15.0, weather={"cloud_cover": cover}), view)
     for distance_m in (-45.0, -20.0, -14.0, 0.0, 14.0, 20.0, 30.0, 45.0):  # a post 12 m high casts 20.8 m at 30 degrees
         post = [{"source": "post.obj", "at": [0.0, -distance_m]}]
-        yield Case(f"post {distance_m} m before", ground("floor", 180.0, meshes=post), eye((0, 12, 30), (0, 12.5, 0), 40.0, 3))
+        yield Case(
+            f"post {distance_m} m before",
+            level_keys("floor", 180.0, meshes=post),
+            perspective_view((0, 12, 30), (0, 12.5, 0), 40.0, 3),
+        )
 
 
 def alpha_test() -> Iterator[Case]:
     forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     post = [{"source": "post.obj", "at": [3.0, 1.0]}]
     for north in np.arange(-24.0, 43.0, 3.0).tolist():
-        keys = ground("floor", 180.0, forest=forest, meshes=post)
-        yield Case(f"looking {north} m north of a tree", keys, eye((0, north, 24), (0, north + 0.5, 0), 30.0, 3))
-    yield Case("no tree", ground("floor", 180.0, meshes=post), eye((0, 8, 24), (0, 8.5, 0), 30.0, 3))
+        keys = level_keys("floor", 180.0, forest=forest, meshes=post)
+        yield Case(f"looking {north} m north of a tree", keys, perspective_view((0, north, 24), (0, north + 0.5, 0), 30.0, 3))
+    yield Case("no tree", level_keys("floor", 180.0, meshes=post), perspective_view((0, 8, 24), (0, 8.5, 0), 30.0, 3))
 
 
 def soft_edges() -> Iterator[Case]:
@@ -192,7 +196,9 @@ def soft_edges() -> Iterator[Case]:
     for altitude in (80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0):
         for half_width_m in (10.0, 40.0):
             bounds = [-half_width_m, -20.0 - half_width_m, half_width_m, half_width_m - 20.0]
-            keys = ground("floor", 180.0, altitude, meshes=post, shadows={"algorithm": "shadow_map"})  # volumes have sharp edges
+            keys = level_keys(
+                "floor", 180.0, altitude, meshes=post, shadows={"algorithm": "shadow_map"}
+            )  # volumes have sharp edges
             yield Case(f"post {altitude} degrees, {half_width_m} m", keys, {**MAP, "bounds": bounds})
 
 
@@ -201,9 +207,9 @@ def outside_casters() -> Iterator[Case]:
     for altitude in (2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 14.0, 18.0, 23.0, 28.0, 40.0, 50.0, 70.0):
         # A window of the hill's east side, in its shadow under the sun in the west.
         bounds = [west + 420.0, north - 900.0, west + 900.0, north - 420.0]
-        yield Case(f"beside a hill {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": bounds})
+        yield Case(f"beside a hill {altitude}", level_keys("hill", 270.0, altitude), {**MAP, "bounds": bounds})
         full_bounds = [west - 300.0, north - 1600.0, west + 1600.0, north + 300.0]
-        yield Case(f"all there is {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": full_bounds})
+        yield Case(f"all there is {altitude}", level_keys("hill", 270.0, altitude), {**MAP, "bounds": full_bounds})
 
 
 def refraction() -> Iterator[Case]:
@@ -214,35 +220,37 @@ def refraction() -> Iterator[Case]:
                 "shadows": {"algorithm": "sweep"},  # not a map, whose texels turn with the sun
             }  # fmt: skip
             yield Case(f"hills {view_name} {hour}", keys, view)
-    yield Case("angles", ground("hills", 100.0, 10.0), MAP)
+    yield Case("angles", level_keys("hills", 100.0, 10.0), MAP)
 
 
 def lamps() -> Iterator[Case]:
     for distance_m in (30.0, 100.0, 250.0, 500.0):
         for intensity in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0):
             lamp = {"kind": "omni", "position": [0, 0, 20.0], "intensity": intensity}
-            view = eye((0, -distance_m - 10.0, 20.0), (0, -distance_m, 0), 20.0)
+            view = perspective_view((0, -distance_m - 10.0, 20.0), (0, -distance_m, 0), 20.0)
             for hour, altitude in (("day", 30.0), ("night", -20.0)):
                 yield Case(
-                    f"omni {intensity} at {distance_m} m by {hour}", ground("floor", 180.0, altitude, lights={"lamp": lamp}), view
+                    f"omni {intensity} at {distance_m} m by {hour}",
+                    level_keys("floor", 180.0, altitude, lights={"lamp": lamp}),
+                    view,
                 )
     for angle_deg in (0.0, 20.0, 40.0, 44.0, 47.0, 50.0, 60.0, 90.0):
         target = [100.0 * float(np.sin(np.radians(angle_deg))), 0.0, 100.0 - 100.0 * float(np.cos(np.radians(angle_deg)))]
         lamp = {"kind": "spot", "position": [0, 0, 100.0], "target": target, "cutoff": 35.0}
-        keys = {**ground("floor"), "sun": "none", "lights": {"lamp": lamp}}
-        yield Case(f"spot turned {angle_deg}", keys, eye((0, -10, 60), (0, 0, 0), 20.0))
+        keys = {**level_keys("floor"), "sun": "none", "lights": {"lamp": lamp}}
+        yield Case(f"spot turned {angle_deg}", keys, perspective_view((0, -10, 60), (0, 0, 0), 20.0))
     lamp = {"kind": "omni", "position": [*GROUND_CENTRE, 10.0], "intensity": 0.05}
     for east_m in (660.0, 800.0, 1000.0, 1200.0):
-        yield Case(f"window {east_m}", ground("hills", lights={"lamp": lamp}), window(east_m, 640.0, 60.0))
+        yield Case(f"window {east_m}", level_keys("hills", lights={"lamp": lamp}), map_window(east_m, 640.0, 60.0))
 
 
 def snow() -> Iterator[Case]:
     for name in ("plain", "hills", "slope"):
         for has_snow in (False, True):
             for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
-                yield Case(f"{name} {view_name} {has_snow}", ground(name, weather={"snow": has_snow}), view)
+                yield Case(f"{name} {view_name} {has_snow}", level_keys(name, weather={"snow": has_snow}), view)
     for up_m in (200.0, 240.0, 250.0, 260.0, 270.0, 280.0, 320.0):
-        yield Case(f"skyline {up_m}", ground("plain", weather={"snow": True}), skyline(up_m))
+        yield Case(f"skyline {up_m}", level_keys("plain", weather={"snow": True}), skyline_view(up_m))
 
 
 def ground_detail() -> Iterator[Case]:
@@ -250,74 +258,84 @@ def ground_detail() -> Iterator[Case]:
     for up_m in (1.7, 30.0, 300.0, 1000.0, 2000.0, 4000.0, 8000.0, 12_000.0, 18_000.0, 30_000.0, 80_000.0):
         yield Case(
             f"slope from {up_m} m",
-            ground("slope"),
-            eye((*GROUND_CENTRE, up_m), (GROUND_CENTRE[0], GROUND_CENTRE[1] + 1e-4, 0.0), 30.0),
+            level_keys("slope"),
+            perspective_view((*GROUND_CENTRE, up_m), (GROUND_CENTRE[0], GROUND_CENTRE[1] + 1e-4, 0.0), 30.0),
         )
     for up_m in (1.7, 300.0, 20_000.0, 60_000.0):
-        yield Case(f"floor from {up_m} m", ground("floor"), eye((0.0, -1.0, up_m), middle, 30.0))
+        yield Case(f"floor from {up_m} m", level_keys("floor"), perspective_view((0.0, -1.0, up_m), middle, 30.0))
     for up_m in (200.0, 250.0, 260.0, 270.0, 320.0):
-        yield Case(f"skyline {up_m}", ground("plain"), skyline(up_m))
-    yield Case("map", ground("hills"), window(640.0, 640.0, 20.0))
+        yield Case(f"skyline {up_m}", level_keys("plain"), skyline_view(up_m))
+    yield Case("map", level_keys("hills"), map_window(640.0, 640.0, 20.0))
 
 
 def crowns() -> Iterator[Case]:
     forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     for altitude in (-2.0, 5.0, 20.0, 45.0):
         for east in (0.0, 12.0, 16.0, 20.0, 40.0):
-            keys = ground("floor", 240.0, altitude, forest=forest)
-            yield Case(f"looking {east} m past a tree, sun at {altitude}", keys, eye((0, -40, 8), (east, 0, 6), 30.0, 2))
-    yield Case("map of a tree", ground("floor", 240.0, forest=forest), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
-    yield Case("no tree", ground("floor", 240.0), eye((0, -40, 8), (0, 0, 6), 30.0))
+            keys = level_keys("floor", 240.0, altitude, forest=forest)
+            yield Case(
+                f"looking {east} m past a tree, sun at {altitude}", keys, perspective_view((0, -40, 8), (east, 0, 6), 30.0, 2)
+            )
+    yield Case("map of a tree", level_keys("floor", 240.0, forest=forest), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
+    yield Case("no tree", level_keys("floor", 240.0), perspective_view((0, -40, 8), (0, 0, 6), 30.0))
 
 
 def clouds() -> Iterator[Case]:
     for cover in (0.0, 0.001, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.999, 1.0):
         for view_name, view, seconds in (("map", MAP, 0), ("perspective", PERSPECTIVE, 300)):
-            yield Case(f"{view_name} {cover}", ground("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
+            yield Case(f"{view_name} {cover}", level_keys("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
     for altitude in (-1.0, 0.01, 0.5):
-        yield Case(f"half the sky, sun at {altitude}", ground("hills", altitude=altitude, weather={"cloud_cover": 0.5}), MAP)
+        yield Case(f"half the sky, sun at {altitude}", level_keys("hills", altitude=altitude, weather={"cloud_cover": 0.5}), MAP)
     for east_m in range(100, 1200, 100):  # the first clouds of a window
-        yield Case(f"window {east_m}", ground("hills", weather={"cloud_cover": 0.2}, seconds=60.0), window(east_m, 600.0, 50.0))
+        yield Case(
+            f"window {east_m}", level_keys("hills", weather={"cloud_cover": 0.2}, seconds=60.0), map_window(east_m, 600.0, 50.0)
+        )
     for up_m in (240.0, 260.0, 280.0, 320.0):
-        yield Case(f"skyline {up_m}", ground("plain", altitude=20.0, weather={"cloud_cover": 0.8}), skyline(up_m))
+        yield Case(f"skyline {up_m}", level_keys("plain", altitude=20.0, weather={"cloud_cover": 0.8}), skyline_view(up_m))
 
 
 def sky_view() -> Iterator[Case]:
     for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
-            yield Case(f"valley of {percent} % {view_name}", ground(f"valley{percent}"), view)
+            yield Case(f"valley of {percent} % {view_name}", level_keys(f"valley{percent}"), view)
     for name in ("plain", "slope"):
-        yield Case(name, ground(name), MAP)
+        yield Case(name, level_keys(name), MAP)
     for altitude in (-20.0, -3.0, 70.0):
-        yield Case(f"shallow valley, sun at {altitude}", ground("valley4", altitude=altitude), MAP)
+        yield Case(f"shallow valley, sun at {altitude}", level_keys("valley4", altitude=altitude), MAP)
     for south_m in (640.0, 800.0, 1000.0, 1150.0):  # a hill far north of the window
         for side_m in (50.0, 200.0):
-            yield Case(f"{side_m} m of ground {south_m} m south", ground("hill"), window(450.0, south_m, side_m))
+            yield Case(f"{side_m} m of ground {south_m} m south", level_keys("hill"), map_window(450.0, south_m, side_m))
 
 
 def water() -> Iterator[Case]:
     for level in (-90.0, -80.0, -70.0, -60.0, -40.0, 0.0, 70.0):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
-            yield Case(f"level {level} {view_name}", ground("hills", 40.0, 20.0, water={"level": level}), view)
+            yield Case(f"level {level} {view_name}", level_keys("hills", 40.0, 20.0, water={"level": level}), view)
     for altitude in (-30.0, -10.0, -3.0):
-        yield Case(f"lake by night {altitude}", ground("hills", 40.0, altitude, water={"level": -40.0}), MAP)
+        yield Case(f"lake by night {altitude}", level_keys("hills", 40.0, altitude, water={"level": -40.0}), MAP)
     for below_m in (-0.01, 0.0, 0.0005, 0.002, 0.01):  # ground within SHORE_M of the water's height is water
-        yield Case(f"floor {below_m} m above the water", ground("floor", water={"level": -below_m}), MAP)
+        yield Case(f"floor {below_m} m above the water", level_keys("floor", water={"level": -below_m}), MAP)
     for level in (-75.0, -70.0, -60.0):  # ponds outside the window, or lost in the averages of a small map
         for size in (2, 8, 72):
-            yield Case(f"ponds at {level} of {size} pixels", ground("hills", water={"level": level}), {**MAP, "size": [size, size]})
+            yield Case(
+                f"ponds at {level} of {size} pixels", level_keys("hills", water={"level": level}), {**MAP, "size": [size, size]}
+            )
         for east_m in (200.0, 700.0, 1150.0):
-            yield Case(f"ponds at {level}, {east_m} m east", ground("hills", water={"level": level}), window(east_m, 640.0, 150.0))
-    yield Case("no water", ground("hills", 40.0, 20.0), PERSPECTIVE)
+            yield Case(
+                f"ponds at {level}, {east_m} m east", level_keys("hills", water={"level": level}), map_window(east_m, 640.0, 150.0)
+            )
+    yield Case("no water", level_keys("hills", 40.0, 20.0), PERSPECTIVE)
 
 
 def haze() -> Iterator[Case]:
     for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
-        yield Case(f"hills {visibility:g} m", ground("hills", 220.0, 20.0, weather={"visibility": visibility}), PERSPECTIVE)
-    yield Case("clear", ground("hills", 220.0, 20.0), PERSPECTIVE)
+        yield Case(f"hills {visibility:g} m", level_keys("hills", 220.0, 20.0, weather={"visibility": visibility}), PERSPECTIVE)
+    yield Case("clear", level_keys("hills", 220.0, 20.0), PERSPECTIVE)
     for distance_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # ground below an eye, in clear air
-        yield Case(f"clear, {distance_m} m above a floor", ground("floor"), eye((0, 0, distance_m), (0, 0.01, 0), 20.0))
-    yield Case("map", ground("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
+        yield Case(
+            f"clear, {distance_m} m above a floor", level_keys("floor"), perspective_view((0, 0, distance_m), (0, 0.01, 0), 20.0)
+        )
+    yield Case("map", level_keys("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
 
 
 CASES: dict[str, Callable[[], Iterator[Case]]] = {

@@ -62,7 +62,7 @@ def test_an_effect_that_is_left_out_is_not_run(gl, dust, write_raster, make_scen
     effect = effects.EFFECTS["dust"]  # type: ignore[index]
 
     def fail(albedo: np.ndarray, block: ShadingBlock) -> None:
-        raise AssertionError("run though left out")
+        raise AssertionError("the effect ran although the plan omits it")
 
     monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.description, effect.judge, effect.facts, "albedo", fail))
     view = scene.view(size=(32, 32))

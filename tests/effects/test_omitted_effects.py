@@ -10,7 +10,7 @@ import pytest
 from skugga.terrain.level.level import EffectName
 from tests.effects.edges import CASES, EDGE_MOVING_EFFECTS, EffectChange, EffectComparison
 
-MAX_IDLE_SHARE = 0.1
+MAX_UNCHANGED_SHARE = 0.1
 """Maximum share of an effect's runs without any change."""
 
 KNOWN_DIFFERENCES = {
@@ -24,7 +24,7 @@ has five samples, so its mean is off by up to a fifth, and by less where a penum
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> EffectComparison:
+def effect_comparison(tmp_path_factory: pytest.TempPathFactory) -> EffectComparison:
     return EffectComparison(Path(tmp_path_factory.mktemp("effects")))
 
 
@@ -34,19 +34,21 @@ def test_every_effect_has_cases():
 
 @pytest.mark.long
 @pytest.mark.parametrize("effect", CASES)
-def test_omitted_effects_would_not_be_visible(gl, lab: EffectComparison, effect: str):
-    changes = [lab.change_by(effect, case) for case in CASES[effect]()]
+def test_omitted_effects_would_not_be_visible(gl, effect_comparison: EffectComparison, effect: str):
+    changes = [effect_comparison.change_by(effect, case) for case in CASES[effect]()]
     print("\n".join(map(str, changes)))
     _check(effect, changes)
 
 
 @pytest.mark.parametrize("effect", CASES)
-def test_effects_are_right_on_both_sides_of_the_edge(gl, lab: EffectComparison, effect: str):
-    """The test takes every fourth case. The long profile has them all."""
+def test_effects_are_right_on_both_sides_of_the_edge(gl, effect_comparison: EffectComparison, effect: str):
+    """This test draws every fourth case. The long profile draws all cases."""
     sampled_cases = list(CASES[effect]())[::4]
-    changes = [lab.change_by(effect, case) for case in sampled_cases]
+    changes = [effect_comparison.change_by(effect, case) for case in sampled_cases]
     assert not [
-        str(change) for change in changes if not change.runs and _difference(effect, change) > KNOWN_DIFFERENCES.get(change.case, 1)
+        str(change)
+        for change in changes
+        if not change.is_planned and _difference(effect, change) > KNOWN_DIFFERENCES.get(change.case, 1)
     ]
 
 
@@ -55,10 +57,10 @@ def _difference(effect: str, change: EffectChange) -> int:
 
 
 def _check(effect: str, changes: list[EffectChange]) -> None:
-    runs, left_out = ([change for change in changes if change.runs is which] for which in (True, False))
-    assert runs and left_out, "cases on both sides of the edge"
-    assert 2 * sum(change.ran for change in left_out) >= len(left_out), "forced on, it runs"
+    runs, left_out = ([change for change in changes if change.is_planned is which] for which in (True, False))
+    assert runs and left_out, "all cases lie on one side of the threshold"
+    assert 2 * sum(change.ran_when_forced for change in left_out) >= len(left_out), "the forced effect does not run"
     visible_changes = [str(change) for change in left_out if _difference(effect, change) > KNOWN_DIFFERENCES.get(change.case, 1)]
-    assert not visible_changes, "left out, and missed"
+    assert not visible_changes, "the effect is omitted although it changes the picture"
     idle_changes = [str(change) for change in runs if change.max_difference == 0]
-    assert len(idle_changes) <= MAX_IDLE_SHARE * len(runs), "run for nothing"
+    assert len(idle_changes) <= MAX_UNCHANGED_SHARE * len(runs), "the effect runs too often without a change"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from benchmarks.symmetry import SIDES, azimuth_of, inverse_transformed, transformed
+from benchmarks.symmetry import SYMMETRIES, invert_grid, transform_azimuth, transform_grid
 from skugga.shadows.attached import attached
 from skugga.shadows.truth.metrics import MetricCoverage
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
@@ -171,8 +171,8 @@ def test_eight_symmetries(trial: Trial) -> dict[str, float]:
     for ground, (azimuth, altitude) in suns.items():
         heights = grounds(80 if trial.thorough else 32)[ground]
         shadows = [
-            inverse_transformed(column_shadow(trial, transformed(heights, side), (azimuth_of(azimuth, side), altitude)), side)
-            for side in (SIDES if trial.thorough else (SIDES[0], SIDES[1], SIDES[6]))
+            invert_grid(column_shadow(trial, transform_grid(heights, side), (transform_azimuth(azimuth, side), altitude)), side)
+            for side in (SYMMETRIES if trial.thorough else (SYMMETRIES[0], SYMMETRIES[1], SYMMETRIES[6]))
         ]
         assert 0.02 < shadows[0].mean() < 0.98
         worst = max(worst, *(float((other != shadows[0]).mean()) for other in shadows[1:]))

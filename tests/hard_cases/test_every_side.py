@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from benchmarks.symmetry import SIDES, azimuth_of, inverse_transformed, transformed
+from benchmarks.symmetry import SYMMETRIES, invert_grid, transform_azimuth, transform_grid
 from skugga.shadows.attached import attached
 from skugga.shadows.truth.metrics import MetricCoverage
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
@@ -76,10 +76,10 @@ def test_eight_symmetries(trial: Trial) -> dict[str, float]:
         for name, pixels in (("at nodes", cells), ("between nodes", cells * 3 // 2)):
             exact = name == "at nodes" and trial.algorithm in ("sweep", "truth")
             shadows = [
-                inverse_transformed(
-                    raster_shadow(trial, transformed(heights, side), (azimuth_of(azimuth, side), altitude), pixels), side
+                invert_grid(
+                    raster_shadow(trial, transform_grid(heights, side), (transform_azimuth(azimuth, side), altitude), pixels), side
                 )
-                for side in (SIDES if trial.thorough else (SIDES[0], SIDES[1], SIDES[6]))
+                for side in (SYMMETRIES if trial.thorough else (SYMMETRIES[0], SYMMETRIES[1], SYMMETRIES[6]))
             ]
             assert 0.02 < shadows[0].mean() < 0.98
             differ = max(float((other != shadows[0]).mean()) for other in shadows[1:])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from benchmarks.selection.cost_of_accuracy import (
-    MARK,
+    MARK_NAME,
     cheapest_rows,
     device_name,
     figure_svg,
+    format_sentence,
+    format_table,
     prices,
-    replace_part,
-    sentence,
-    table,
+    replace_between_marks,
 )
 
 ROOT = Path(__file__).parents[3]
@@ -37,7 +37,7 @@ def test_unreachable_goals_have_no_price():
     views = [view("a", (10.0, 0.09), (20.0, 0.002)), view("a", (10.0, 0.09), (20.0, 0.05)), view("a", (5.0, 0.2), (6.0, 0.3))]
     finest = prices(views)[-1]
     assert finest.ratios.tolist() == [2.0]
-    assert finest.views == 3
+    assert finest.view_count == 3
 
 
 def test_prices_respect_interior_errors_and_noise_of_truth():
@@ -48,12 +48,12 @@ def test_prices_respect_interior_errors_and_noise_of_truth():
     )
 
 
-def test_views_in_which_one_plan_serves_both_goals_have_no_price():
-    """They are counted, and left out of the median."""
+def test_views_with_the_same_plan_for_both_goals_have_no_price():
+    """Such views are counted, but the median of the prices omits them."""
     views = [view("a", (10.0, 0.001), (20.0, 0.0))] * 3 + [view("a", (10.0, 0.09), (40.0, 0.001)), view("a", (5.0, 0.2))]
     finest = prices(views)[-1]
-    assert (finest.ratios.tolist(), finest.free, finest.decided, finest.views) == ([4.0], 3, 4, 5)
-    text = sentence(views, "a device")
+    assert (finest.ratios.tolist(), finest.same_plan_views, finest.comparable_views, finest.view_count) == ([4.0], 3, 4, 5)
+    text = format_sentence(views, "a device")
     assert "in 3 of 5 measured views nothing" in text and "In 1 views it has a price" in text and "In the other 1 no plan" in text
 
 
@@ -61,17 +61,17 @@ def test_sentence_and_table_have_median_and_90th_percentile():
     views = [view("a", (10.0, 0.09), (10.0 * ratio, 0.001)) for ratio in range(2, 13)]
     finest = prices(views)[-1]
     assert (finest.median, finest.p90) == (7.0, 11.0)
-    text = sentence(views, "a device on 2 cores")
+    text = format_sentence(views, "a device on 2 cores")
     assert "take 7.0 times as long" in text and "more than 11.0 times in one view of ten" in text
     assert "where it has a price: a: 7.0; a device on 2 cores" in text
-    assert table(views).splitlines()[-1].endswith("| 7.00, 11.00 (11), 0 |")
+    assert format_table(views).splitlines()[-1].endswith("| 7.00, 11.00 (11), 0 |")
 
 
 def test_only_the_part_between_the_marks_is_replaced():
-    text = f"a\n<!-- {MARK} -->\nold\n<!-- end of {MARK} -->\nb\n"
-    assert replace_part(text, "new\n") == text.replace("old", "new")
+    text = f"a\n<!-- {MARK_NAME} -->\nold\n<!-- end of {MARK_NAME} -->\nb\n"
+    assert replace_between_marks(text, "new\n") == text.replace("old", "new")
     with pytest.raises(ValueError, match="the page has no"):
-        replace_part("a", "new\n")
+        replace_between_marks("a", "new\n")
 
 
 def test_the_figure_is_reproducible_with_a_point_per_view():
@@ -84,8 +84,8 @@ def test_the_figure_is_reproducible_with_a_point_per_view():
 def test_pages_agree_with_the_table(stored_table):
     """``python -m benchmarks.selection judge --write`` updates them."""
     views, profile = stored_table
-    text = " ".join(sentence(views, device_name(profile)).split())
+    text = " ".join(format_sentence(views, device_name(profile)).split())
     for name in ("README.md", "docs/accuracy.md"):
         assert text in " ".join((ROOT / name).read_text(encoding="utf-8").split()), name
-    assert table(views) in (ROOT / "docs/accuracy.md").read_text(encoding="utf-8")
+    assert format_table(views) in (ROOT / "docs/accuracy.md").read_text(encoding="utf-8")
     assert np.isfinite(prices(views)[-1].median)

@@ -48,7 +48,7 @@ TRUE_MODEL = ErrorModel(
 )
 
 
-def descriptor_of(kind: CasterKind, far_px: float, most: float = 1.0) -> Descriptor:
+def make_descriptor(kind: CasterKind, far_px: float, most: float = 1.0) -> Descriptor:
     """Return a perspective view of 640 x 512 pixels with shadows in two octaves.
 
     ``far_px`` is the reach in pixels of differing shadow, of which there is at most ``most``.
@@ -73,7 +73,7 @@ def descriptor_of(kind: CasterKind, far_px: float, most: float = 1.0) -> Descrip
     )  # fmt: skip
 
 
-def case(descriptor: Descriptor, step: Step, error: float | None = None, inside: float = 0.0) -> FitCase:
+def make_fit_case(descriptor: Descriptor, step: Step, error: float | None = None, inside: float = 0.0) -> FitCase:
     """Return a row with the error that the model ``TRUE_MODEL`` expects, or with a given one."""
     view = {"light": SUN, "error": "wrong_cast"}
     if error is None:
@@ -83,7 +83,7 @@ def case(descriptor: Descriptor, step: Step, error: float | None = None, inside:
     )
 
 
-def uniform(kind: CasterKind, texel_m: float) -> Step:
+def shadow_map_step(kind: CasterKind, texel_m: float) -> Step:
     cascades = (Cascade(far_m=None, texel_m=(texel_m, texel_m), depth_step_m=0.01),)
     return Step(SUN, (kind,), "shadow_map", ShadowMapSettings(map_size=1024, depth_bits=16, filter=3, cascades=cascades))
 
@@ -96,10 +96,13 @@ def map_cases(inside: float = 0.0) -> list[FitCase]:
     cases = []
     for kind in KINDS:
         for far_px in (80.0, 300.0, 1000.0):
-            descriptor = descriptor_of(kind, far_px)
-            cases += [case(descriptor, uniform(kind, texel_m), inside=inside) for texel_m in 0.02 * 2.0 ** np.arange(0.0, 8.0)]
+            descriptor = make_descriptor(kind, far_px)
+            cases += [
+                make_fit_case(descriptor, shadow_map_step(kind, texel_m), inside=inside)
+                for texel_m in 0.02 * 2.0 ** np.arange(0.0, 8.0)
+            ]
             warped = (PerspectiveMapSettings(map_size=size, depth_bits=24, filter=3) for size in (128, 256, *SIZES))
-            cases += [case(descriptor, Step(SUN, (kind,), "perspective_shadow_map", settings)) for settings in warped]
+            cases += [make_fit_case(descriptor, Step(SUN, (kind,), "perspective_shadow_map", settings)) for settings in warped]
     return cases
 
 
@@ -132,11 +135,11 @@ def test_the_fit_recovers_floors_spreads_and_interior_errors():
     """
     chances = (np.arange(200) + 0.5) / 200.0
     errors = (0.02 + ERROR_OFFSET) * (chances / (1.0 - chances)) ** 0.3 - ERROR_OFFSET
-    descriptor, bare = descriptor_of("meshes", 100.0), descriptor_of("relief", 100.0)
+    descriptor, bare = make_descriptor("meshes", 100.0), make_descriptor("relief", 100.0)
     volumes = Step(SUN, ("meshes",), "shadow_volume", VolumeSettings())
     swept = Step(SUN, ("relief",), "sweep", SweepSettings())
-    rows = [case(descriptor, volumes, float(error), 0.25) for error in errors]
-    rows += [case(bare, swept, 0.004, 0.1) for _ in range(5)]
+    rows = [make_fit_case(descriptor, volumes, float(error), 0.25) for error in errors]
+    rows += [make_fit_case(bare, swept, 0.004, 0.1) for _ in range(5)]
     model = fit_model([*map_cases(), *rows])
     assert model.floor["shadow_volume"] == pytest.approx(0.02, rel=0.01)
     assert model.spread["shadow_volume"] == pytest.approx(0.3, rel=0.03)
@@ -151,10 +154,10 @@ def test_the_fit_recovers_floors_spreads_and_interior_errors():
 
 
 def test_the_fit_recovers_the_errors_of_dense_woods():
-    dense = descriptor_of("forest", 3.0, most=0.45)
+    dense = make_descriptor("forest", 3.0, most=0.45)
     truth = CoverageError(share=0.3, floor=0.03, spread=MIN_SPREAD, interior=0.2, interior_spread=MIN_SPREAD)
     model = fit_model(map_cases(inside=0.5))
-    steps = [uniform("forest", texel_m) for texel_m in 0.01 * 2.0 ** np.arange(0.0, 8.0)]
+    steps = [shadow_map_step("forest", texel_m) for texel_m in 0.01 * 2.0 ** np.arange(0.0, 8.0)]
     cases = []
     for each in steps:
         pixels = FitCase({"light": SUN}, dense, (each,), {}).expected(model)

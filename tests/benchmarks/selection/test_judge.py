@@ -16,7 +16,7 @@ from benchmarks.selection.judge import (
     GoalInstance,
     equivalent_row,
     instances_of,
-    marginal,
+    marginal_values,
     score_choices,
     single_best,
 )
@@ -41,7 +41,7 @@ def goal_instance(view: Figures, max_error: float, max_ms: float | None = None) 
     return GoalInstance(view, Goal(f"{max_error:g}", max_error), max_ms)
 
 
-SIZES = view_record(
+VIEW_OF_MAP_SIZES = view_record(
     {"small": row(10.0, 0.05), "middle": row(20.0, 0.02), "large": row(40.0, 0.004), "leaky": row(5.0, 0.01, 0.004)}
 )
 
@@ -65,28 +65,30 @@ SIZES = view_record(
     ],
 )
 def test_losses_are_relative_times_or_penalties(max_error, max_ms, losses):
-    assert goal_instance(SIZES, max_error, max_ms).losses() == pytest.approx(losses)
+    assert goal_instance(VIEW_OF_MAP_SIZES, max_error, max_ms).losses() == pytest.approx(losses)
 
 
 def test_errors_within_the_noise_of_truth_meet_any_target():
-    noisy = SIZES | {"noise_floor": 0.007}  # three times the noise floor is an error of 2.1 %
-    met = [name for name in SIZES["rows"] if goal_instance(noisy, 0.001).meets(name)]
+    noisy = VIEW_OF_MAP_SIZES | {"noise_floor": 0.007}  # three times the noise floor is an error of 2.1 %
+    met = [name for name in VIEW_OF_MAP_SIZES["rows"] if goal_instance(noisy, 0.001).meets(name)]
     assert met == ["middle", "large"]
-    assert not goal_instance(SIZES, 0.001).meets("large")
+    assert not goal_instance(VIEW_OF_MAP_SIZES, 0.001).meets("large")
     assert goal_instance(noisy, 0.05).meets("small")  # a limit above the noise counts
 
 
 def test_a_target_below_the_noise_of_truth_is_undecidable():
-    noisy = SIZES | {"noise_floor": 0.007}
+    noisy = VIEW_OF_MAP_SIZES | {"noise_floor": 0.007}
     assert [goal_instance(noisy, error).is_decidable for error in (0.02, 0.021, 0.022)] == [False, True, True]
-    assert goal_instance(SIZES, 1e-9).is_decidable
+    assert goal_instance(VIEW_OF_MAP_SIZES, 1e-9).is_decidable
 
 
 def test_a_strict_miss_costs_ten_times_the_slowest_row():
     """The target is at most 3 % within 20 ms. Only "middle" meets it, in 20 ms. The slowest row takes 40 ms."""
-    instance = goal_instance(SIZES, 0.03, 20.0)
+    instance = goal_instance(VIEW_OF_MAP_SIZES, 0.03, 20.0)
     assert instance.losses(strict=True) == pytest.approx({"small": 20.0, "middle": 1.0, "large": 20.0, "leaky": 20.0})
-    assert goal_instance(SIZES, 0.001).losses(strict=True) == goal_instance(SIZES, 0.001).losses()  # overshoots have no cutoff
+    assert (
+        goal_instance(VIEW_OF_MAP_SIZES, 0.001).losses(strict=True) == goal_instance(VIEW_OF_MAP_SIZES, 0.001).losses()
+    )  # overshoots have no cutoff
 
 
 def test_instances_need_two_rows_and_scale_their_time_limit():
@@ -102,11 +104,11 @@ def test_instances_need_two_rows_and_scale_their_time_limit():
 
 
 def test_selection_time_is_relative_to_the_best_accurate_row():
-    assert goal_instance(SIZES, 0.03).share_of_best(5.0) == 0.25
-    assert goal_instance(SIZES, 0.001).share_of_best(5.0) == 0.0
+    assert goal_instance(VIEW_OF_MAP_SIZES, 0.03).share_of_best(5.0) == 0.25
+    assert goal_instance(VIEW_OF_MAP_SIZES, 0.001).share_of_best(5.0) == 0.0
 
 
-WOODED = {
+PICKS_OF_WOODED_VIEW = {
     "shadow_map 1024 x1": "one", "shadow_map 1024 x2": "two", "perspective_shadow_map 1024": "warped",
     "sweep+shadow_map 2048 x1": "swept", "shadow_volume 1024": "volumes",
 }  # fmt: skip
@@ -129,7 +131,7 @@ WOODED = {
     ],
 )
 def test_a_pick_resolves_to_the_equivalent_row_of_a_view(choice, found):
-    assert equivalent_row(choice, view_record({}, WOODED)) == found
+    assert equivalent_row(choice, view_record({}, PICKS_OF_WOODED_VIEW)) == found
 
 
 def test_a_pick_resolves_to_a_row_without_settings():
@@ -139,8 +141,8 @@ def test_a_pick_resolves_to_a_row_without_settings():
 
 
 def test_the_single_best_has_the_best_mean_and_is_no_rule():
-    """Losses are 2 and 2 for "steady", 1 and 10 * 20 / 10 = 20 for "first", 20 and 1 for "second". "rare" has 1.5 and,
-    being absent, ten times 20.
+    """In the two views, the losses are 2 and 2 for "steady", 1 and 10 * 20 / 10 = 20 for "first", 20 and 1 for "second". "rare" has
+    a loss of 1.5 in the first view, and ten times 20 in the second, which lacks it.
     """
     first = {"steady": row(20.0, 0.0), "first": row(10.0, 0.0), "second": row(9.0, 0.5), "rare": row(15.0, 0.0)}
     second = {"steady": row(20.0, 0.0), "second": row(10.0, 0.0), "first": row(9.0, 0.5)}
@@ -153,7 +155,9 @@ def test_the_single_best_has_the_best_mean_and_is_no_rule():
 
 
 def test_a_pick_that_a_view_lacks_counts_as_a_miss():
-    """Losses are 3 and 1 for "a". "rare" has 1, and ten times the 1.1 of "b", the worst row of the view without it."""
+    """In the two views, the losses are 3 and 1 for "a". "rare" has 1 in the first view. In the second view, which lacks it, it has
+    ten times 1.1, the loss of the worst row "b".
+    """
     views = [
         view_record({"rare": row(10.0, 0.0), "a": row(30.0, 0.0), "b": row(40.0, 0.0)}),
         view_record({"a": row(10.0, 0.0), "b": row(11.0, 0.0)}),
@@ -164,18 +168,23 @@ def test_a_pick_that_a_view_lacks_counts_as_a_miss():
     )  # (9 * 1 + 11) / 10 against (9 * 3 + 1) / 10
 
 
-QUICK = view_record({"quick": row(10.0, 0.01), "slow": row(30.0, 0.001), "rough": row(5.0, 0.1)}, name="quick is right")
-SLOW = view_record({"quick": row(10.0, 0.1), "slow": row(20.0, 0.01), "rough": row(5.0, 0.2)}, name="slow is right")
-NOTHING = view_record({"quick": row(10.0, 0.4), "slow": row(20.0, 0.2), "rough": row(5.0, 0.8)}, name="nothing is right")
+QUICK_IS_RIGHT = view_record({"quick": row(10.0, 0.01), "slow": row(30.0, 0.001), "rough": row(5.0, 0.1)}, name="quick is right")
+SLOW_IS_RIGHT = view_record({"quick": row(10.0, 0.1), "slow": row(20.0, 0.01), "rough": row(5.0, 0.2)}, name="slow is right")
+NOTHING_IS_RIGHT = view_record({"quick": row(10.0, 0.4), "slow": row(20.0, 0.2), "rough": row(5.0, 0.8)}, name="nothing is right")
 
 
 def choices_of(*names: str) -> dict[tuple[str, str], str]:
-    return {(view["name"], THREE_PERCENT.name): name for view, name in zip((QUICK, SLOW, NOTHING), names, strict=False)}
+    return {
+        (view["name"], THREE_PERCENT.name): name
+        for view, name in zip((QUICK_IS_RIGHT, SLOW_IS_RIGHT, NOTHING_IS_RIGHT), names, strict=False)
+    }
 
 
-def test_the_verdict_on_known_losses():
-    """Losses are 1, 3 and 30, and 10, 1 and 10. The single best, "slow", has a mean of 2; "rough" then "slow" have 15.5."""
-    instances = instances_of([QUICK, SLOW], [THREE_PERCENT])
+def test_scores_of_known_losses():
+    """Losses of "quick", "slow" and "rough" are 1, 3 and 30 in the first view, and 10, 1 and 10 in the second. The single best,
+    "slow", has a mean loss of 2. The choice of "rough" and then "slow" has a mean loss of 15.5.
+    """
+    instances = instances_of([QUICK_IS_RIGHT, SLOW_IS_RIGHT], [THREE_PERCENT])
     best = score_choices(instances, choices_of("quick", "slow"), choices_of("slow", "slow"))
     assert (best.instances, best.met, best.regret, best.single, best.single_met) == (2, 1.0, 0.0, 2.0, 1.0)
     assert best.gap_closed == pytest.approx(1.0)
@@ -191,8 +200,8 @@ def test_the_verdict_on_known_losses():
 
 
 def test_unreachable_targets_are_no_misses_but_have_losses():
-    """The least error of the third view is 20 %. Errors of 40 % and 80 % are losses of 2 and 4."""
-    every = instances_of([QUICK, SLOW, NOTHING], [THREE_PERCENT])
+    """No row of the third view meets the target. Its least error is 20 %, so errors of 40 % and 80 % are losses of 2 and 4."""
+    every = instances_of([QUICK_IS_RIGHT, SLOW_IS_RIGHT, NOTHING_IS_RIGHT], [THREE_PERCENT])
     score = score_choices(every, choices_of("quick", "quick", "rough"), choices_of("slow", "slow", "slow"))
     assert (score.met, score.single_met) == (0.5, 1.0)
     assert score.regret == pytest.approx((0.0 + 9.0 + 3.0) / 3.0)
@@ -202,7 +211,7 @@ def test_unreachable_targets_are_no_misses_but_have_losses():
 def test_the_time_of_the_selection_counts_as_regret():
     """5 ms are half of the best time of the first view, and a quarter of that of the second."""
     score = score_choices(
-        instances_of([QUICK, SLOW], [THREE_PERCENT]), choices_of("quick", "slow"), choices_of("slow", "slow"),
+        instances_of([QUICK_IS_RIGHT, SLOW_IS_RIGHT], [THREE_PERCENT]), choices_of("quick", "slow"), choices_of("slow", "slow"),
         own_ms=lambda instance: 5.0
     )  # fmt: skip
     assert score.regret == pytest.approx(0.375) and score.gap_closed == pytest.approx(0.625) and score.single == 2.0
@@ -210,8 +219,10 @@ def test_the_time_of_the_selection_counts_as_regret():
 
 def test_interior_errors_count_if_a_clean_row_meets_the_target():
     leaky = row(1.0, 0.0, 2.0 * MAX_INTERIOR)
-    view_with_goal, view_without_goal = (view | {"rows": view["rows"] | {"leaky": leaky}} for view in (QUICK, NOTHING))
-    every = instances_of([view_with_goal, SLOW, view_without_goal], [THREE_PERCENT])
+    view_with_goal, view_without_goal = (
+        view | {"rows": view["rows"] | {"leaky": leaky}} for view in (QUICK_IS_RIGHT, NOTHING_IS_RIGHT)
+    )
+    every = instances_of([view_with_goal, SLOW_IS_RIGHT, view_without_goal], [THREE_PERCENT])
     best = choices_of("quick", "slow", "slow")
     assert score_choices(every, choices_of("leaky", "slow", "slow"), best).needless_interior_error_share == pytest.approx(1.0 / 3.0)
     assert (
@@ -221,14 +232,16 @@ def test_interior_errors_count_if_a_clean_row_meets_the_target():
 
 @pytest.mark.parametrize(("slow_ms", "closed"), [(11.8, None), (12.4, 1.0)])
 def test_a_gap_below_a_tenth_is_not_reported(slow_ms, closed):
-    """Losses of the single best are 1.18 or 1.24, and 1: in the mean 9 % or 12 % above the best."""
-    near = QUICK | {"rows": QUICK["rows"] | {"slow": row(slow_ms, 0.001)}}
-    score = score_choices(instances_of([near, SLOW], [THREE_PERCENT]), choices_of("quick", "slow"), choices_of("slow", "slow"))
+    """The losses of the single best are 1.18 or 1.24 in one view and 1 in the other: in the mean 9 % or 12 % above the best."""
+    near = QUICK_IS_RIGHT | {"rows": QUICK_IS_RIGHT["rows"] | {"slow": row(slow_ms, 0.001)}}
+    score = score_choices(
+        instances_of([near, SLOW_IS_RIGHT], [THREE_PERCENT]), choices_of("quick", "slow"), choices_of("slow", "slow")
+    )
     assert score.gap_closed == (closed if closed is None else pytest.approx(closed))
 
 
 def test_the_list_of_the_worst_is_short_and_sorted():
-    views = [QUICK | {"name": f"view {k}"} for k in range(WORST_COUNT + 3)]
+    views = [QUICK_IS_RIGHT | {"name": f"view {k}"} for k in range(WORST_COUNT + 3)]
     rough = {("view 3", "3 %"), ("view 5", "3 %")}
     names = {(view["name"], "3 %"): "rough" if (view["name"], "3 %") in rough else "slow" for view in views}
     worst = score_choices(instances_of(views, [THREE_PERCENT]), names, names).worst
@@ -242,13 +255,13 @@ def test_marginal_value_is_the_loss_without_an_algorithm():
     """
     swept = view_record({"a": row(10.0, 0.0, algorithms="sweep"), "b": row(20.0, 0.0, algorithms="shadow_map")})
     mapped = view_record({"b": row(10.0, 0.0, algorithms="shadow_map"), "c": row(15.0, 0.0, algorithms="shadow_volume")})
-    marginal_values = marginal(instances_of([swept, mapped], [THREE_PERCENT]), ["sweep", "shadow_map", "shadow_volume", "planar"])
-    assert marginal_values["sweep"] == pytest.approx((0.5, 0.5))
-    assert marginal_values["shadow_map"] == pytest.approx((0.25, 0.5))
-    assert marginal_values["shadow_volume"] == marginal_values["planar"] == (0.0, 0.0)
+    values = marginal_values(instances_of([swept, mapped], [THREE_PERCENT]), ["sweep", "shadow_map", "shadow_volume", "planar"])
+    assert values["sweep"] == pytest.approx((0.5, 0.5))
+    assert values["shadow_map"] == pytest.approx((0.25, 0.5))
+    assert values["shadow_volume"] == values["planar"] == (0.0, 0.0)
     # If every row needs the algorithm, its target is missed: ten times the worst row, which takes twice the time of the best.
     two_sweeps = view_record({"a": row(10.0, 0.0, algorithms="sweep+hybrid"), "b": row(20.0, 0.0, algorithms="sweep")})
-    assert marginal(instances_of([two_sweeps], [THREE_PERCENT]), ["sweep", "hybrid"]) == {
+    assert marginal_values(instances_of([two_sweeps], [THREE_PERCENT]), ["sweep", "hybrid"]) == {
         "sweep": (19.0, 1.0),
         "hybrid": (1.0, 1.0),
     }

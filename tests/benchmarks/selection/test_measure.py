@@ -10,7 +10,7 @@ from skugga.terrain.level.level import SUN, Shadows
 from tests.selector.cost.test_cost_model import make_descriptor
 
 
-def split_at(far_m: float) -> Plan:
+def two_cascade_plan(far_m: float) -> Plan:
     """Return a plan of two maps, of which the nearer one ends at a distance."""
     plan = make_plan(
         make_descriptor(), StandaloneRequest(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), choices={}
@@ -26,8 +26,8 @@ def split_at(far_m: float) -> Plan:
 
 def test_only_equal_plans_share_a_row():
     """The name of a plan does not contain the distance at which its maps are split."""
-    plans = {"shadow_map 1024 x2": split_at(32.0), "rules 0.1": split_at(8.0), "rules 0.03": split_at(32.0)}
-    plans["rules 0.01"] = split_at(8.0)
+    plans = {"shadow_map 1024 x2": two_cascade_plan(32.0), "rules 0.1": two_cascade_plan(8.0), "rules 0.03": two_cascade_plan(32.0)}
+    plans["rules 0.01"] = two_cascade_plan(8.0)
     name = "shadow_map-1024-3-16-2cascades"
     other = f"{name} (rules 0.1)"
     assert list(rows_of(plans, SUN).values()) == [name, other, name, other]

@@ -22,12 +22,12 @@ DEVICE = DeviceProfile(
     rates_ns={"planar": {"blocks": 0.1 + 0.2}},
 )  # fmt: skip
 
-THIRDS = tuple(k / 31.0 for k in range(8))
+DIFFERING_SHARES = tuple(k / 31.0 for k in range(8))
 
 
 def descriptor_with_digits() -> Descriptor:
     """Return a map view under the sun with numbers of more digits than the table stores."""
-    band = CastBand(near_m=0.0, share=1.0, cast=1.0 / 3.0, pixel_m=4.0 / 7.0, differs=THIRDS)
+    band = CastBand(near_m=0.0, share=1.0, cast=1.0 / 3.0, pixel_m=4.0 / 7.0, differs=DIFFERING_SHARES)
     lights = {SUN: LightFacts(cast_share=1.0 / 3.0, casts={"relief": Casting(share=1.0 / 3.0, bands=(band,))})}
     return Descriptor(
         view="map", view_kind="map", flat_world=False, pixel_m=4.0 / 7.0, node_m=30.0 / 7.0, casters=("relief",),
@@ -56,9 +56,11 @@ def test_the_table_survives_a_round_trip(tmp_path):
     assert device == DEVICE
     assert {key: read[key] for key in read if key != "descriptor"} == {key: view[key] for key in view if key != "descriptor"}
     original, restored = view["descriptor"], Descriptor.model_validate(read["descriptor"]).model_dump(mode="json")
-    assert list(leaves(restored)) == pytest.approx(list(leaves(original)), rel=0.5 * 10.0 ** (1 - DIGITS), abs=0.0)
-    assert list(leaves(restored)) != list(leaves(original))  # thirds are rounded
-    assert dict(words(restored)) == dict(words(original))
+    assert list(iterate_numbers(restored)) == pytest.approx(
+        list(iterate_numbers(original)), rel=0.5 * 10.0 ** (1 - DIGITS), abs=0.0
+    )
+    assert list(iterate_numbers(restored)) != list(iterate_numbers(original))  # thirds are rounded
+    assert dict(iterate_other_values(restored)) == dict(iterate_other_values(original))
 
 
 def test_unmeasured_picks_and_single_rows_are_left_out(tmp_path):
@@ -106,19 +108,19 @@ def test_the_stored_table_has_enough_views_and_picks(stored_table):
     assert all(any(choice.startswith("rules ") for choice in view["picks"]) for view in views)
 
 
-def leaves(value: Any):
+def iterate_numbers(value: Any):
     """Yield the numbers of nested lists and dictionaries, in order."""
     if isinstance(value, dict | list | tuple):
         for entry in value.values() if isinstance(value, dict) else value:
-            yield from leaves(entry)
+            yield from iterate_numbers(entry)
     elif isinstance(value, float):
         yield value
 
 
-def words(value: Any, path: str = ""):
+def iterate_other_values(value: Any, path: str = ""):
     """Yield all values that are no numbers, with their paths."""
     if isinstance(value, dict | list | tuple):
         for key, entry in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from words(entry, f"{path}.{key}")
+            yield from iterate_other_values(entry, f"{path}.{key}")
     elif not isinstance(value, float):
         yield path, value

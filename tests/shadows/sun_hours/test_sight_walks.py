@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sun_hours_accuracy import ray_truth
-from benchmarks.sweep_speed import mountains
+from benchmarks.sweep_speed import fractal_heights_m
 from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.sight_walks import WalkedGround, horizon_tangent, walked_ground
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
@@ -74,7 +74,7 @@ def test_horizon_tangent_is_at_least_the_lower_bound(open_scene):
 
 @pytest.mark.parametrize("azimuth", [17.0, 71.0, 134.0, 199.0, 255.0, 311.0])
 def test_horizon_tangent_matches_the_sweep_horizon(open_scene, azimuth):
-    heights = mountains(200).astype(np.float32)
+    heights = fractal_heights_m(200).astype(np.float32)
     ground, row0, col0 = ground_and_origin(open_scene(heights))
     # What casts goes on for one node beyond the raster, at its border's height: the horizon of an array ends at its centres.
     swept_deg = horizon_deg(np.pad(heights, 1, mode="edge"), CELL_M, azimuth, lines=16)[1:-1, 1:-1]
@@ -114,11 +114,11 @@ def test_horizon_tangent_walks_fine_and_coarse_patches(open_scene):
 
 
 def test_walked_crossings_in_15_minute_steps_match_rays(open_scene, monkeypatch):
-    scene = open_scene(mountains(128), cell=30.0)
+    scene = open_scene(fractal_heights_m(128), cell=30.0)
     (day,) = window_suns(scene.world, [window_of(scene, SPRING)])
     view = raster_cell_view(scene)
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
-    hours, _, _ = ray_truth(scene, view, row, col, day, every_min=0.5)
+    hours, _, _ = ray_truth(scene, view, row, col, day, step_min=0.5)
 
     def mean_error_min() -> float:
         answer = sun_hours(scene, view, [day], SunRules(step_min=15.0), forbid_plan)

@@ -12,7 +12,7 @@ import pytest
 from pyproj import Geod, Transformer
 
 from benchmarks.sun_hours_accuracy import ray_truth
-from benchmarks.sweep_speed import mountains
+from benchmarks.sweep_speed import fractal_heights_m
 from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import sun_spans, window_suns
 from skugga.terrain.geo.clock import SOLAR, Clock
@@ -227,11 +227,11 @@ def test_sun_hours_keep_nodata(open_scene):
 
 
 def test_sun_hours_match_rays_over_fractal_mountains(open_scene):
-    scene = open_scene(mountains(128), cell=30.0)
+    scene = open_scene(fractal_heights_m(128), cell=30.0)
     view, window = raster_cell_view(scene), window_of(scene, SPRING)
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
     (day,) = window_suns(scene.world, [window])
-    hours, first, last = ray_truth(scene, view, row, col, day, every_min=0.5)
+    hours, first, last = ray_truth(scene, view, row, col, day, step_min=0.5)
     answer = compute_sun_hours(scene, window, step_min=2.0)
     error_min = 60.0 * np.abs(answer.hours[row, col] - hours)
     assert error_min.mean() < 0.5 and np.percentile(error_min, 99) < 3.0
@@ -240,7 +240,7 @@ def test_sun_hours_match_rays_over_fractal_mountains(open_scene):
 
 
 def test_sun_hours_locate_crossings_between_steps(open_scene):
-    scene = open_scene(mountains(128), cell=30.0)
+    scene = open_scene(fractal_heights_m(128), cell=30.0)
     noon = window_of(scene, SPRING, UTC, 600.0, 800.0)
     fine_hours, coarse_hours = (compute_sun_hours(scene, noon, step_min=step).hours for step in (1.0, 5.0))
     difference_min = 60.0 * np.abs(coarse_hours - fine_hours)[3:-3, 3:-3]
