@@ -34,7 +34,7 @@ ErrorName = Literal["wrong_cast", "coverage"]
 TRUTH_SAMPLES = 4
 """Number of sub-samples of a pixel. Truth decides between shadow and light only if all of them agree."""
 
-SOFT_PIXELS = 40_000
+AREA_LIGHT_PIXELS = 40_000
 """Approximate number of evenly spaced pixels of a view for which the true visibility of an area light is computed."""
 
 MAX_UNDECIDABLE_SHARE = 0.5
@@ -99,15 +99,15 @@ class ViewTruth:
     @cached_property
     def true_visibility(self) -> np.ndarray:
         """True visibility (rows, cols) of the light as an area light, for errors of soft edges. NaN except in every n-th pixel."""
-        every = max(round((self.view.rows * self.view.cols / SOFT_PIXELS) ** 0.5), 1)
-        return self.assembled([_area_visibility(ground, every) for ground in self.blocks], np.nan)
+        every = max(round((self.view.rows * self.view.cols / AREA_LIGHT_PIXELS) ** 0.5), 1)
+        return self.assemble([_area_visibility(ground, every) for ground in self.blocks], np.nan)
 
     @property
-    def error(self) -> ErrorName:
+    def error_name(self) -> ErrorName:
         """Name of the error that is compared with the requested limit ``max_error`` in this view."""
         return "coverage" if self.full_truth.boundary > MAX_UNDECIDABLE_SHARE else "wrong_cast"
 
-    def assembled(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+    def assemble(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
         """Return one array of the view (rows, cols) from one array for each block. Other pixels have the value ``empty``."""
         return _assemble(self.view, self.blocks, parts, empty)
 
@@ -133,7 +133,7 @@ class ViewTruth:
         footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.blocks]
         true_visibility = self.true_visibility if soft else None
         return error_metrics(
-            self.assembled(parts, np.nan), self.full_truth, pixel_m, self.assembled(footprints_px, 0.0), true_visibility
+            self.assemble(parts, np.nan), self.full_truth, pixel_m, self.assemble(footprints_px, 0.0), true_visibility
         )
 
     def coverage(self, parts: Sequence[np.ndarray]) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from skugga.selector.film import COLOR
+from skugga.selector.film import COLOR_NEEDS
 from skugga.shadows import ground_pictures
 from skugga.shadows.draw import SHADED, draw, heights_suffice
 from skugga.shadows.render import render_frame
@@ -136,9 +136,9 @@ def test_ground_picture_between_nodes_equals_the_frame(gl, hills, altitude, size
     view = scene.view(size=size)
     assert isinstance(view, MapView) and not view.on_nodes
     plan = plan_of(scene, view)
-    assert heights_suffice(scene, view, plan, COLOR)
+    assert heights_suffice(scene, view, plan, COLOR_NEEDS)
     frame = render_frame(scene, view, plan)
-    assert np.array_equal(draw(scene, view, plan, COLOR).color, frame.color) and frame.valid.any() and not frame.valid.all()
+    assert np.array_equal(draw(scene, view, plan, COLOR_NEEDS).color, frame.color) and frame.valid.any() and not frame.valid.all()
     if scene.sun_is_up:
         assert len(np.unique(frame.opacity)) > 2
 
@@ -152,7 +152,7 @@ def test_ground_picture_caches_its_ground_for_all_suns(gl, hills, monkeypatch):
     )
     for azimuth in (200.0, 220.0, 240.0):
         lit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=20.0))
-        draw(lit_scene, view, plan_of(lit_scene, view), COLOR)
+        draw(lit_scene, view, plan_of(lit_scene, view), COLOR_NEEDS)
     assert len(buffered_views) == 1
 
 
