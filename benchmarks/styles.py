@@ -87,7 +87,7 @@ def picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, side: 
     else:
         view = scene.view(place.view, size=(side, round(side * view.rows / view.cols)))
     frame = render_frame(scene, view, plan_of_view(scene, view, place.view, {}))
-    return np.where(frame.opaque[..., None], frame.color, np.uint8(255))
+    return np.where(frame.opaque_mask[..., None], frame.color, np.uint8(255))
 
 
 def sheet(folder: Path, name: str, light: str, side: int) -> Image.Image:

@@ -395,7 +395,7 @@ class Algorithm:
     node_fill
         Function of the settings that returns a ``FillNodes`` function, which reads only the heights of bare ground. It returns
         ``None`` where the algorithm has no such function.
-    ignores_idle_casters
+    allows_caster_culling
         Function of the settings. It returns whether ground that casts no shadow can be left out without changing one bit of the
         result. Shadow maps return False: their filter darkens a few points slightly even where nothing casts.
     passes
@@ -430,7 +430,7 @@ class Algorithm:
     description: str
     fill: Fill | None = None
     node_fill: Callable[[Any], FillNodes | None] = lambda settings: None
-    ignores_idle_casters: Callable[[Any], bool] = lambda settings: False
+    allows_caster_culling: Callable[[Any], bool] = lambda settings: False
     passes: tuple[str, ...] = ()
     plural: str = ""
     refusals: Mapping[Requirement, str] = field(default_factory=dict)

@@ -30,7 +30,7 @@ Work = dict[str, Counts]
 MAX_OPACITY = 0.98
 """Upper bound of the share of light that a wood is assumed to block."""
 
-UNKNOWN_LIGHT = LightFacts()
+UNKNOWN_LIGHT_FACTS = LightFacts()
 """Facts assumed for a light that a descriptor does not describe."""
 
 
@@ -60,7 +60,7 @@ class Workload:
 
     @cached_property
     def facts(self) -> LightFacts:
-        return self.descriptor.lights.get(self.light, UNKNOWN_LIGHT)
+        return self.descriptor.lights.get(self.light, UNKNOWN_LIGHT_FACTS)
 
     @property
     def light_kind(self) -> LightKind:

@@ -220,7 +220,7 @@ def compare(
     step(1, total)
     first = view_truth.blocks[0]
     floor = _noise_floor(scene, view_truth)
-    simplification_share = truth_module.surface_error(first.buffer, scene, first.casters)
+    simplification_share = truth_module.simplification_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name, "points").pixel_m
     trials: list[TimedPlan] = []

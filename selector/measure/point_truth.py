@@ -20,7 +20,7 @@ from skugga.selector.measure.probing import INTERVAL_Z
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
 from skugga.shadows.attached import attached
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import INTERIOR_PX, edge_test_region, far_from_edges
+from skugga.shadows.truth.metrics import INTERIOR_PX, edge_test_region, is_far_from_edges
 from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_mask, ray_scene, sample_nodes, trace_truth
 from skugga.shadows.visibility import without_hidden_points
 from skugga.terrain.casters.rays import RayScene
@@ -197,7 +197,7 @@ class PictureTruth:
             first + lattice.spacing_px * index for first, index in zip(lattice.first_pixel, np.nonzero(is_wrong), strict=True)
         )
         self._trace(edge_test_region(row, col, distance_px, self.picture.valid.shape))
-        return int(np.count_nonzero(far_from_edges(self._dark, self.picture.valid, row, col, distance_px)))
+        return int(np.count_nonzero(is_far_from_edges(self._dark, self.picture.valid, row, col, distance_px)))
 
     def _trace(self, pixels: np.ndarray) -> None:
         """Trace one ray for each pixel in the mask ``pixels`` (rows, cols), and store whether it is dark."""

@@ -131,7 +131,7 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
     return projection @ view
 
 
-def kind_of(light: np.ndarray) -> PostPerspectiveLightKind:
+def light_kind_in_clip_space(light: np.ndarray) -> PostPerspectiveLightKind:
     """Return the kind of a light (4,) in a camera's clip space.
 
     A light that differs from ``parallel`` by no more than rounding counts as ``parallel``.
@@ -201,7 +201,7 @@ def post_perspectives(
         clip_light = view @ light.homogeneous
         matrix = light_matrix(clip_light, _centre(project_points(view, points))) @ view
         if is_clear_of_horizon(horizon_distance(matrix, required_points) / uniform_distance):
-            candidates.append(make_candidate(matrix, kind_of(clip_light), float(slide_m)))
+            candidates.append(make_candidate(matrix, light_kind_in_clip_space(clip_light), float(slide_m)))
     reason = (
         "a uniform map has smaller texels than the perspective map at every slide-back distance"
         if candidates

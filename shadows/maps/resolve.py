@@ -40,26 +40,26 @@ MAX_DEPTH_SHIFT_PX = 0.25
 LARGEST_MAP, SMALLEST_MAP = 4096, 512
 """Bounds of automatic map sizes."""
 
-TUNED_SIZES = (1024, 2048, 512, 4096)
+TUNED_MAP_SIZES = (1024, 2048, 512, 4096)
 """Map sizes that policies try, in this order."""
 
-CALIBRATED_SIZES = (512, 1024, 2048, 4096)
+CALIBRATED_MAP_SIZES = (512, 1024, 2048, 4096)
 
-PERSPECTIVE_TEXELS = 1024
+PERSPECTIVE_MAP_SIZE = 1024
 """Default number of texels along a side of a perspective map.
 
 A perspective map concentrates its texels where the eye sees them, so few suffice.
 """
 
-FIXED_SETTINGS = {
+FIXED_PERSPECTIVE_SETTINGS = {
     "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
-    "cascades": (1, "a perspective map is fine near the eye, and parted by itself where it would be too coarse"),
+    "cascades": (1, "a perspective map is fine near the eye, and splits its distance range where it would be too coarse"),
     "bias": ("receiver_plane", "a perspective map is compared on the receiver's own triangle"),
     "culling": ("none", "a perspective map needs no bias, so no culling"),
 }
 """Settings of a shadow map that a perspective map does not offer: the only value, and the reason."""
 
-EXTENT_STEP = 2.0**0.25
+EXTENT_ROUNDING_FACTOR = 2.0**0.25
 """Extents of a perspective view are rounded up to powers of this, so that texels keep their size while a camera moves."""
 
 
@@ -81,7 +81,7 @@ class CalibrationOverrides:
 
 def calibration_overrides(descriptor: Descriptor, light: str, calibration_extent: str) -> CalibrationOverrides:
     """Return the overrides that a calibration of this extent tries (``skugga.shadows.algorithm.Cost``)."""
-    sizes = {"few": (1024, 2048)}.get(calibration_extent, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
+    sizes = {"few": (1024, 2048)}.get(calibration_extent, CALIBRATED_MAP_SIZES if light == SUN else CALIBRATED_MAP_SIZES[:3])
     taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if calibration_extent == "full" else ()
     return CalibrationOverrides(
         [{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": filter_value} for filter_value in taps]
@@ -237,14 +237,14 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
         *request.hard_edges_reasons,
         *(
             NamedReason(name=f"{prefix}{key} {getattr(shadows, key)}", reason=f"no effect: {reason}")
-            for key, (only_value, reason) in FIXED_SETTINGS.items()
+            for key, (only_value, reason) in FIXED_PERSPECTIVE_SETTINGS.items()
             if getattr(shadows, key) not in ("auto", only_value)
         ),
     ]
     size, bits = shadows.map_size, shadows.depth_bits
     taps, taps_reasons = _taps(request)
     if size == "auto":
-        size = PERSPECTIVE_TEXELS
+        size = PERSPECTIVE_MAP_SIZE
         reasons.append(NamedReason(name=f"{prefix}map_size {size}", reason="texels are small near the eye: few are enough"))
     if bits == "auto":
         bits = 24 if light == SUN else 32
@@ -318,7 +318,8 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
 
     A band is an interval of distances from the eye. Range (i, j) consists of the bands i to j, of n bands in all.
 
-    - Extents (n, n, 3): sides of the range's bounds in light space, metres, rounded up to powers of ``EXTENT_STEP``; NaN where j <
+    - Extents (n, n, 3): sides of the range's bounds in light space, metres, rounded up to powers of ``EXTENT_ROUNDING_FACTOR``;
+    NaN where j <
       i.
     - Near distances (n,): where each band starts, metres from the eye.
     - Sums (n, n): over the range's bands, each band's share of the visible surfaces divided by its near distance.
@@ -329,7 +330,11 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
     span = np.full((len(bands), len(bands), 3), np.nan)
     for i in range(len(bands)):
         span[i, i:] = np.maximum.accumulate(high[i:]) - np.minimum.accumulate(low[i:])
-    return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP)), near_m, cumulative[None, 1:] - cumulative[:-1, None]
+    return (
+        EXTENT_ROUNDING_FACTOR ** np.ceil(np.log(span) / np.log(EXTENT_ROUNDING_FACTOR)),
+        near_m,
+        cumulative[None, 1:] - cumulative[:-1, None],
+    )
 
 
 @cached("process", 16 * MIB)

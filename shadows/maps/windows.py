@@ -28,7 +28,7 @@ SIZE_STEP = 64
 POSITION_ERROR = 4.0 * float(np.finfo(np.float32).eps)
 """Upper bound of the float32 error of positions, as a share of the coordinates' extent: 8 units in the last place."""
 
-NEAREST_SHARE = 1e-4
+MIN_NEAR_PLANE_SHARE = 1e-4
 """Lower bound of the distance of a lamp's nearest receiver, as a share of the farthest one's."""
 
 CUBE_FACES = np.array([
@@ -186,7 +186,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
     nearest_m, farthest_m = _depth_range(buffer.position_frame_m, buffer.valid, position, face_from_frame, tangent)
     if not farthest_m > 0.0:
         return None
-    near, far = max(0.98 * nearest_m, NEAREST_SHARE * farthest_m), 1.02 * farthest_m
+    near, far = max(0.98 * nearest_m, MIN_NEAR_PLANE_SHARE * farthest_m), 1.02 * farthest_m
     uniforms = {
         "lamp": True,
         "light_from_frame": tuple(rotation.T.ravel()),

@@ -6,7 +6,7 @@ from math import ceil
 
 import numpy as np
 
-from skugga.shadows.area_light import scaled_by_points
+from skugga.shadows.area_light import scale_work
 from skugga.shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, SIZE_STEP
 from skugga.shadows.work import Counts, Work, Workload
@@ -23,7 +23,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
         windows = sun_windows(task.descriptor, settings)
         return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing_pixels)}
     if settings.filter == "sun":
-        return scaled_by_points(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
+        return scale_work(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     faces = 6 if task.light_kind == "omni" else 1
     windows = [(float(settings.map_size**2), task.level_light_m2)] * faces
     return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.visible_pixels)}
@@ -32,7 +32,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
 def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Work:
     """Return the work of a perspective map."""
     if settings.filter == "sun":
-        return scaled_by_points(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
+        return scale_work(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     windows = [(float(settings.map_size**2), task.seen_light_m2)]
     return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing_pixels)}
 

@@ -110,7 +110,7 @@ def fill(
         soft = settings.filter == "sun"
         if buffer.columns is not None:
             return _fill_columns(
-                buffer, scene, light, casters, strips_of_sun(SUN_DISC_STRIPS) if soft else np.zeros(1), log, record
+                buffer, scene, light, casters, sun_strip_angles(SUN_DISC_STRIPS) if soft else np.zeros(1), log, record
             )
         rays, grounds = _grounds(buffer, scene, casters, soft)
         targets = _targets_of_buffer(rays, grounds[-1], buffer)
@@ -119,7 +119,7 @@ def fill(
         if not soft:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
         visibility = np.zeros(buffer.valid.shape, np.float32)
-        for angle in strips_of_sun(SUN_DISC_STRIPS):
+        for angle in sun_strip_angles(SUN_DISC_STRIPS):
             visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
         return visibility / np.float32(SUN_DISC_STRIPS)
 
@@ -221,7 +221,7 @@ def _bytes(grounds: list[GroundWindow], targets: _Targets, soft: bool) -> int:
     return sheets + 33 * targets.row.size + grounds[-1].turned_grid.ray_height.size
 
 
-def strips_of_sun(count: int) -> np.ndarray:
+def sun_strip_angles(count: int) -> np.ndarray:
     """Return the angles of horizontal strips of the sun's disc above the disc's centre: (count,) radians.
 
     The strips have equal areas. Each angle leads to the height that halves the area of its strip. The share of the disc below a
@@ -455,7 +455,7 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 
 DIVERGING_RAYS_REASON = "a lamp's rays diverge, but the lines of the sweep run along one azimuth"
 
-REFUSES: dict[Requirement, str] = {
+REFUSALS: dict[Requirement, str] = {
     "spot": DIVERGING_RAYS_REASON,
     "omni": DIVERGING_RAYS_REASON,
     "meshes": "meshes are not a heightfield: the sweep has one height per position",
@@ -471,10 +471,10 @@ ALGORITHM = Algorithm(
     description="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
     plural="sweep",
     fill=fill,
-    ignores_idle_casters=lambda settings: True,
+    allows_caster_culling=lambda settings: True,
     node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
     passes=PASSES,
-    refusals=REFUSES,
+    refusals=REFUSALS,
     layers=("shadow-height",),
     needs_opengl=False,
     settings=(SweepSettings,),

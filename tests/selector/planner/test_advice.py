@@ -29,7 +29,7 @@ from skugga.selector.planner.advice_rules import (
     RuleInput,
 )
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.bent_rays import MAX_LEAN_PX, MAX_STRAIGHT_M
+from skugga.shadows.bent_rays import MAX_STRAIGHT_M, MAX_SUMMIT_SHIFT_PX
 from skugga.shadows.registry import can_serve
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
@@ -149,7 +149,7 @@ def test_rules_sweep_as_wide_an_angle_on_a_small_body():
 def test_rules_sweep_while_summits_lean_by_less_than_a_pixel():
     """In a corner of the block, 512 sqrt(2) pixels from its middle, verticals lean by as many pixels per radius."""
     radius_m = 1_737_400.0
-    limit_m = MAX_LEAN_PX * radius_m / (512.0 * np.sqrt(2.0))
+    limit_m = MAX_SUMMIT_SHIFT_PX * radius_m / (512.0 * np.sqrt(2.0))
     for relief_m, algorithm in ((0.999 * limit_m, "sweep"), (1.001 * limit_m, "shadow_map")):
         facts = {"flat_world": False, "block_relief_m": relief_m, "pixel_m": 10.0, "receivers_light_m": (2e4, 1e4, 2e4)}
         moon = map_descriptor("relief", radius_m=radius_m, lights=sun_facts(area_share=0.9), **facts)
