@@ -67,7 +67,7 @@ class Workload:
         return self.descriptor.light_kinds[self.light]
 
     @property
-    def in_map(self) -> bool:
+    def is_map_view(self) -> bool:
         return self.descriptor.view_kind == "map"
 
     @property
@@ -126,7 +126,7 @@ class Workload:
         return 0.0 if facts is None else float(facts.outside_triangles)
 
     @property
-    def decimated(self) -> bool:
+    def has_decimated_ground(self) -> bool:
         """Whether a perspective view's ground is drawn with fewer triangles than its nodes make."""
         return is_decimated(self.descriptor)
 

@@ -245,8 +245,8 @@ def compare(
     _mark_pareto(rows, view_truth.error_name)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
-        view, light, rows, view_truth.full_truth.valid, view_truth.error_name, view_truth.full_truth.boundary,
-        view_truth.full_truth.cast, simplification_share, floor, remarks, tuple(left_out), default,
+        view, light, rows, view_truth.full_truth.valid, view_truth.error_name, view_truth.full_truth.undecidable_share,
+        view_truth.full_truth.cast_share, simplification_share, floor, remarks, tuple(left_out), default,
     )  # fmt: skip
 
 
@@ -409,7 +409,7 @@ def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> 
         remarks.append("the level has no light: everything is dark, whatever the algorithm")
     elif scene.light_names == (SUN,) and not scene.sun_is_up:
         remarks.append("the sun is down: everything is in shadow, whatever the algorithm")
-    elif truth.cast == 0.0:
+    elif truth.cast_share == 0.0:
         remarks.append(NO_CAST_SHADOW_REMARK)
     elif not truth.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")

@@ -105,7 +105,7 @@ class ViewTruth:
     @property
     def error_name(self) -> ErrorName:
         """Name of the error that is compared with the requested limit ``max_error`` in this view."""
-        return "coverage" if self.full_truth.boundary > MAX_UNDECIDABLE_SHARE else "wrong_cast"
+        return "coverage" if self.full_truth.undecidable_share > MAX_UNDECIDABLE_SHARE else "wrong_cast"
 
     def assemble(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
         """Return one array of the view (rows, cols) from one array for each block. Other pixels have the value ``empty``."""

@@ -57,7 +57,7 @@ def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: floa
         "triangles": count * task.triangles("meshes"), "trees": count * task.trees,
     }  # fmt: skip
     ground = {"ground": count * task.ground_triangles}
-    if task.in_map:  # the nodes of the block are read whatever casts
+    if task.is_map_view:  # the nodes of the block are read whatever casts
         ground |= {"pixels": task.pixels, "nodes": task.nodes}
     else:
         ground["trees drawn"] = trees

@@ -107,16 +107,16 @@ def fill(
     with log.record_pass(sweep_pass) as record:
         if not buffer.valid.any():
             return np.ones(buffer.valid.shape, np.float32)
-        soft = settings.filter == "sun"
+        soft_edges = settings.filter == "sun"
         if buffer.columns is not None:
             return _fill_columns(
-                buffer, scene, light, casters, sun_strip_angles(SUN_DISC_STRIPS) if soft else np.zeros(1), log, record
+                buffer, scene, light, casters, sun_strip_angles(SUN_DISC_STRIPS) if soft_edges else np.zeros(1), log, record
             )
-        rays, grounds = _grounds(buffer, scene, casters, soft)
+        rays, grounds = _grounds(buffer, scene, casters, soft_edges)
         targets = _targets_of_buffer(rays, grounds[-1], buffer)
         log.keep_layer("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft))
-        if not soft:
+        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges))
+        if not soft_edges:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
         visibility = np.zeros(buffer.valid.shape, np.float32)
         for angle in sun_strip_angles(SUN_DISC_STRIPS):
@@ -134,10 +134,10 @@ def _fill_columns(
     sweep = column_sweep(buffer, scene, casters)
     visibility = np.zeros(buffer.valid.shape, np.float32)
     for angle in angles:
-        visibility += sweep.above_m(angle, False, CORES) <= 0.0
+        visibility += sweep.obstruction_height_m(angle, False, CORES) <= 0.0
 
     def shadow_height_m() -> np.ndarray:
-        return buffer.height_m + sweep.above_m(0.0, True, CORES).astype(np.float32)
+        return buffer.height_m + sweep.obstruction_height_m(0.0, True, CORES).astype(np.float32)
 
     log.keep_layer("shadow-height", light, shadow_height_m)
     record.bytes = max(record.bytes, sweep.nbytes)
@@ -162,12 +162,12 @@ def fill_nodes(
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft_edges=False, culled=casters.culled)
         targets = _targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
+        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges=False))
         return rays.orientation.restored_copy(lit, targets.window)
 
 
@@ -205,7 +205,7 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     errors of ``fill_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-    grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
+    grounds = grounds_of_block(rays, nodes.surface, patches, soft_edges=False)
     ground = grounds[-1]
     targets = _targets_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
@@ -216,8 +216,8 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     return NodeClearance(rays.orientation, ground.turned_grid.ray_height[window], shade[window], rays.ray_height_per_metre)
 
 
-def _bytes(grounds: list[GroundWindow], targets: _Targets, soft: bool) -> int:
-    sheets = sum((1 + soft) * ground.turned_grid.ray_height.nbytes + ground.towards_m.nbytes for ground in grounds)
+def _bytes(grounds: list[GroundWindow], targets: _Targets, soft_edges: bool) -> int:
+    sheets = sum((1 + soft_edges) * ground.turned_grid.ray_height.nbytes + ground.towards_m.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].turned_grid.ray_height.size
 
 
@@ -269,15 +269,15 @@ class _Targets:
     towards_m: np.ndarray
 
 
-def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool) -> tuple[SunRays, list[GroundWindow]]:
+def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft_edges: bool) -> tuple[SunRays, list[GroundWindow]]:
     """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft_edges, casters.culled)
     assert buffer.ground is not None
-    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft)
+    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft_edges)
     return rays, [ground]
 
 
@@ -369,10 +369,10 @@ def _sweep_grounds(
     for coarse in coarser:
         level_t_range = targets.t_range[0] / 2**coarse.detail, targets.t_range[1] / 2**coarse.detail
         entry = sweep_to_state(
-            coarse.tilted(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.first_ground_row
+            coarse.with_raised_sun(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.first_ground_row
         )
         detail = coarse.detail
-    turned_grid = ground.tilted(angle)
+    turned_grid = ground.with_raised_sun(angle)
     points_ray_height_m = (
         targets.ray_height_m if angle == 0.0 else np.cos(angle) * targets.ray_height_m - np.sin(angle) * targets.towards_m
     )
@@ -429,9 +429,9 @@ def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Targe
 
 
 def _work(task: Workload, settings: SweepSettings) -> Work:
-    nodes = task.nodes + task.outside_triangles / 2.0 if task.in_map else _ground_nodes(task)
+    nodes = task.nodes + task.outside_triangles / 2.0 if task.is_map_view else _ground_nodes(task)
     strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
-    rasterised = task.triangles("relief") * task.decimated
+    rasterised = task.triangles("relief") * task.has_decimated_ground
     counts = {
         "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels,
         "points": task.visible_pixels,
@@ -463,7 +463,7 @@ REFUSALS: dict[Requirement, str] = {
     "bent rays": RAYS_BEND_REASON,
 }
 
-FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
+FULL_DETAIL_GROUP, DECIMATED_GROUP = "sweep", "sweep of decimated ground"
 """Groups of views with separate constants of the error model: those that draw all nodes of the ground, and all others."""
 
 ALGORITHM = Algorithm(
@@ -483,7 +483,8 @@ ALGORITHM = Algorithm(
     search=Search(variants=({"filter": "sun"},)),
     cost=Cost(_work, calibration_settings=_calibration_settings),
     accuracy=Accuracy(
-        groups=(FULL_DETAIL, DECIMATED), group_of=lambda descriptor: DECIMATED if is_decimated(descriptor) else FULL_DETAIL
+        groups=(FULL_DETAIL_GROUP, DECIMATED_GROUP),
+        group_of=lambda descriptor: DECIMATED_GROUP if is_decimated(descriptor) else FULL_DETAIL_GROUP,
     ),
     mark=Mark("star", "orange"),
 )

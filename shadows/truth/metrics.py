@@ -195,7 +195,7 @@ def error_metrics(
         interior=_share(interior_mask, decidable),
         interior_parts=int((sizes >= MIN_PART_PX).sum()),
         interior_sees=metric_coverage(dark, truth, region).covered_share,
-        boundary=truth.boundary,
+        boundary=truth.undecidable_share,
         soft_error=soft_error(visibility, true_visibility),
     )
 

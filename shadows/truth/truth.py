@@ -77,12 +77,12 @@ class Truth:
     valid: np.ndarray
 
     @property
-    def boundary(self) -> float:
+    def undecidable_share(self) -> float:
         """Share of undecidable pixels of the surface; 0 without a surface."""
         return float(1.0 - self.decidable.sum() / self.valid.sum()) if self.valid.any() else 0.0
 
     @property
-    def cast(self) -> float:
+    def cast_share(self) -> float:
         """Share of the surface's pixels in cast shadow (attached shadow excluded); 0 without a surface."""
         return float((self.valid & ~self.attached & ~self.lit).sum() / self.valid.sum()) if self.valid.any() else 0.0
 

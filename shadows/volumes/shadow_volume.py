@@ -11,7 +11,7 @@ from skugga.shadows.algorithm import BENT_MAP_REASON, COMPANION_MAP_SIZES, Algor
 from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
-from skugga.shadows.volumes.drawing import count, faces_in_front, visible_silhouettes
+from skugga.shadows.volumes.drawing import count_volumes, faces_in_front, visible_silhouettes
 from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.shadows.volumes.work import volume_work
@@ -48,7 +48,7 @@ def fill(
     log.keep_layer("volumes", light, faces_in_front, buffer, scene, volumes)
     with log.record_pass(stencil_pass) as record:
         receiver_mask = buffer.valid & ~attached(buffer, scene, light)
-        counts = count(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
+        counts = count_volumes(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
     log.keep_layer("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
 

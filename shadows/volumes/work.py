@@ -86,7 +86,7 @@ def stencil_counts(task: Workload, settings: StencilSettings, marked_share: floa
             "faces beside marks": sides * faces_drawn * marked_share**0.25,
             "layers beside marks": task.facing_pixels * layer_cost,
         }
-    if task.in_map:
+    if task.is_map_view:
         parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
         relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.caster_facts("relief") else 0.0
         counts["sheets"] = parts * (relief + (task.caster_facts("meshes") is not None))

@@ -65,8 +65,8 @@ def test_error_metrics_ignore_boundary_pixels():
 def test_truth_cast_is_the_share_of_the_surface():
     """Of eight pixels that show a surface, three are in shadow, one of them attached. Pixels off the surface do not count."""
     reference = truth(pixel_row("1111100000"), attached=pixel_row("0000000100"), valid=pixel_row("1111111100"))
-    assert reference.cast == 2 / 8
-    assert truth(pixel_row("00"), valid=pixel_row("00")).cast == 0.0
+    assert reference.cast_share == 2 / 8
+    assert truth(pixel_row("00"), valid=pixel_row("00")).cast_share == 0.0
 
 
 def test_error_metrics_count_one_half_as_lit():
