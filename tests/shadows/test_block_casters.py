@@ -42,8 +42,8 @@ SUN_ALTITUDES_DEG = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
 def omissions_disabled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Disable all omissions, so that each block draws everything that its plan lists."""
     with monkeypatch.context() as patch:
-        patch.setattr("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset())
-        patch.setattr("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *of: False)
+        patch.setattr("skugga.shadows.block_casters.culled_patches", lambda *arguments: frozenset())
+        patch.setattr("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *arguments: False)
         clear_caches("light")
         yield
 

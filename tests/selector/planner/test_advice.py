@@ -166,16 +166,19 @@ def test_rules_take_volumes_for_strict_errors_except_foliage():
 
 
 @pytest.mark.parametrize(
-    ("asked", "relief", "meshes"),
+    ("overrides", "relief", "meshes"),
     [
         ({}, "sweep", "shadow_volume"), ({"filter": 1}, "sweep", "shadow_volume"), ({"filter": "sun"}, "sweep", "shadow_map"),
         ({"filter": 5}, "shadow_map", "shadow_map"), ({"map_size": 512}, "shadow_map", "shadow_map"),
         ({"bias": "polygon_offset"}, "shadow_map", "shadow_map"), ({"stencil": "two_pass"}, "sweep", "shadow_volume"),
     ],
 )  # fmt: skip
-def test_rules_take_a_map_if_its_settings_are_requested(asked, relief, meshes):
+def test_rules_take_a_map_if_its_settings_are_requested(overrides, relief, meshes):
     descriptor = sun_descriptor("relief", "meshes", stands=[make_caster_facts(triangles=12, closed_share=1.0)])
-    assert chosen_algorithm(descriptor, "relief", **asked) == relief and chosen_algorithm(descriptor, "meshes", **asked) == meshes
+    assert (
+        chosen_algorithm(descriptor, "relief", **overrides) == relief
+        and chosen_algorithm(descriptor, "meshes", **overrides) == meshes
+    )
 
 
 def test_rules_take_a_map_for_foliage_and_its_neighbours():

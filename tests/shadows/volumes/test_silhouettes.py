@@ -285,7 +285,7 @@ def test_facing_is_false_for_edge_on_triangles():
     assert faces_light(wall, np.array([[0, 1, 2], [0, 2, 1]]), np.array([0.0, -1.0, 0.0, 1.0])).tolist() == [True, False]
 
 
-def test_turns_of_rules_and_codes():
+def test_orientations_of_rules_and_codes():
     faces = np.array([True, False])
     assert orientations_of(faces, "facing").tolist() == [1, 0]
     assert orientations_of(faces, "turned_away").tolist() == [0, -1]
