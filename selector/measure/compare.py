@@ -323,7 +323,7 @@ def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBloc
     for ground, part in zip(view_truth.blocks, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.valid] = np.nan
-    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft=True)
+    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft_edges=True)
     shown_visibility = np.nan_to_num(view_truth.assemble(run.parts, np.nan), nan=1.0)
     dark, true_dark = shown_visibility < 0.5, ~truth.lit
     records = run.log.records.values()

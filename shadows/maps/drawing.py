@@ -164,7 +164,7 @@ def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh],
 
 def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc: bool) -> TreeInstances | None:
     """Return the trees to draw into a map: those that may shade a visible point."""
-    if depth_map.trees is None or depth_map.reach is None:
+    if depth_map.trees is None or depth_map.tree_bounds is None:
         return depth_map.trees
     return depth_map.trees.select(relevant_trees(depth_map, buffer, samples_sun_disc))
 

@@ -47,13 +47,13 @@ from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
 
-SAMPLE_SIZE = 1024
+RECEIVER_SAMPLE_SIZE = 1024
 """Number of receivers from which a map's matrix is chosen. The map is fitted to all receivers."""
 
 MAX_FIT_ROUNDS = 8
 """Upper bound of the rounds in which the outermost receivers join the sample. Afterwards the map is widened to hold them."""
 
-MAX_OVERSHOOT = 1.125
+MAX_SAMPLE_OVERSHOOT = 1.125
 """Upper bound of the map coordinates of receivers outside of the sample, as a multiple of the map's inner half width."""
 
 CLIP_POSITION_ERROR = 2.0 * POSITION_ERROR
@@ -161,7 +161,7 @@ def perspective_map(
 ) -> FittedMap:
     """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one."""
     chosen = np.flatnonzero(receivers)
-    sampled = chosen[:: max(len(chosen) // SAMPLE_SIZE, 1)]
+    sampled = chosen[:: max(len(chosen) // RECEIVER_SAMPLE_SIZE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
     sample, triangles = position[sampled], corners.reshape(-1, 3, 3)[sampled]
@@ -173,7 +173,7 @@ def perspective_map(
     for _ in range(MAX_FIT_ROUNDS):
         best, *fallbacks = post_perspectives(camera, source, sample, inner, outer_receivers)
         low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
-        if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_OVERSHOOT * inner:
+        if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_SAMPLE_OVERSHOOT * inner:
             break
         outer_receivers = np.concatenate([outer_receivers, position[outermost]])
     while not is_clear_of_horizon(np.array([low[3], high[3]])):
@@ -196,16 +196,16 @@ def perspective_map(
         "position_error": CLIP_POSITION_ERROR,
         "depth_step": 1.0 / depth_steps(settings.depth_bits),
     }
-    reach = None
+    tree_bounds = None
     if trees is not None and light == SUN:
         assert scene.light is not None
         light_from_frame = scene.light.from_frame(buffer.frame)
         first, last = light_bounds(buffer.position_frame_m, receivers, *light_from_frame)
-        reach = *light_from_frame, first, last
+        tree_bounds = *light_from_frame, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     assert isinstance(buffer.view, PerspectiveView)
     texel_px = texel_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
-    depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders)
+    depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, tree_bounds, shaders)
     return FittedMap(depth_map, texel_px, best.note)
 
 

@@ -25,8 +25,8 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc
 
     ``samples_sun_disc`` is true if the map is looked up for the sun's disc.
     """
-    assert depth_map.trees is not None and depth_map.reach is not None
-    rotation, translation, low, high = depth_map.reach
+    assert depth_map.trees is not None and depth_map.tree_bounds is not None
+    rotation, translation, low, high = depth_map.tree_bounds
     trees = depth_map.trees
     tree_numbers = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
     if depth_map.pixels is not None and depth_map.is_uniform and len(tree_numbers):

@@ -12,7 +12,7 @@ from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequ
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.taps import sun_taps
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
-from skugga.shadows.penumbra import MAX_POINTS
+from skugga.shadows.penumbra import MAX_LIGHT_POINTS
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
@@ -37,7 +37,7 @@ Their many layers of alpha-tested texels make the cost of a map proportional to 
 MAX_DEPTH_SHIFT_PX = 0.25
 """Upper bound of a shadow's shift on level ground by one depth step, in pixels, for an automatic depth of 16 bits."""
 
-LARGEST_MAP, SMALLEST_MAP = 4096, 512
+MAX_AUTOMATIC_MAP_SIZE, MIN_AUTOMATIC_MAP_SIZE = 4096, 512
 """Bounds of automatic map sizes."""
 
 TUNED_MAP_SIZES = (1024, 2048, 512, 4096)
@@ -119,7 +119,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     size, bits, taps = shadows.map_size, shadows.depth_bits, shadows.filter
     if size == "auto":
         target_px = _target_px(descriptor) if descriptor.bands else MAX_TEXEL_PX
-        size = _automatic_size(max(footprints_px) / target_px, LARGEST_MAP)
+        size = _automatic_size(max(footprints_px) / target_px, MAX_AUTOMATIC_MAP_SIZE)
         covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
         remark = f", above the target of {target_px}: this is the largest automatic size" if covers_px > target_px else ""
         reasons.append(
@@ -203,7 +203,7 @@ def lamp_map_settings(
     shadows: Shadows,
     taps: MapFilter,
     taps_reasons: list[NamedReason],
-    points: int = MAX_POINTS,
+    points: int = MAX_LIGHT_POINTS,
 ) -> tuple[LampMapSettings, list[NamedReason]]:
     """Return the settings of a lamp's map, and the reasons for automatic values.
 
@@ -213,7 +213,8 @@ def lamp_map_settings(
     size, reasons = shadows.map_size, []
     if size == "auto":
         size = _automatic_size(
-            width_m / descriptor.pixel_m / MAX_TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP
+            width_m / descriptor.pixel_m / MAX_TEXEL_PX,
+            MAX_AUTOMATIC_MAP_SIZE // 2 if lamp.kind == "omni" else MAX_AUTOMATIC_MAP_SIZE,
         )
         texel_px = width_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
         reason = f"a texel covers {texel_px:.2g} pixels at the target"
@@ -285,7 +286,7 @@ def _cascades(
         first, last = _splits(len(bands), count)
         worst_px = (texels_a_pixel[first, last] / near_m[first]).max(axis=1)
         worst = float(worst_px.min())
-        size = _automatic_size(worst / target_px, LARGEST_MAP) if shadows.map_size == "auto" else shadows.map_size
+        size = _automatic_size(worst / target_px, MAX_AUTOMATIC_MAP_SIZE) if shadows.map_size == "auto" else shadows.map_size
         inner = size - 2 * MAP_BORDER_TEXELS
         max_px = np.inf if shadows.map_size != "auto" else max(worst, target_px * inner)
         mean_px = np.where(worst_px <= max_px, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
@@ -309,7 +310,7 @@ def _target_px(descriptor: Descriptor) -> float:
 
 def _automatic_size(texels: float, max_size: int) -> int:
     """Return the automatic map size that holds ``texels`` and the border."""
-    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), SMALLEST_MAP, max_size))
+    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), MIN_AUTOMATIC_MAP_SIZE, max_size))
 
 
 @cached("process", 16 * MIB)

@@ -8,7 +8,7 @@ import numpy as np
 
 from skugga.shadows.area_light import scale_work
 from skugga.shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, SIZE_STEP
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MAP_SIZE_STEP
 from skugga.shadows.work import Counts, Work, Workload
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import SUN
@@ -87,6 +87,6 @@ def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
         size = [side / texel + 2 * MAP_BORDER_TEXELS for side, texel in zip(span_m, cascade.texel_m, strict=True)]
         if settings.fit == "tight":
             size = [float(settings.map_size)] * 2
-        texels = float(ceil(size[0] / SIZE_STEP) * SIZE_STEP * ceil(size[1] / SIZE_STEP) * SIZE_STEP)
+        texels = float(ceil(size[0] / MAP_SIZE_STEP) * MAP_SIZE_STEP * ceil(size[1] / MAP_SIZE_STEP) * MAP_SIZE_STEP)
         windows.append((texels, span_m[0] * span_m[1]))
     return windows

@@ -66,8 +66,8 @@ class PagedLevel:
     def put(self, row: int, col: int, height_m: np.ndarray) -> None:
         """Store the heights (257, 257) of the page at ``row`` and ``col`` of ``bound_m``."""
         if self.page_count == len(self.height_m):
-            room = max(2 * self.page_count, 16)
-            self.height_m, self.high_m = _enlarged_copy(self.height_m, room), _enlarged_copy(self.high_m, room)
+            capacity = max(2 * self.page_count, 16)
+            self.height_m, self.high_m = _enlarged_copy(self.height_m, capacity), _enlarged_copy(self.high_m, capacity)
         self.height_m[self.page_count] = height_m
         self.high_m[self.page_count] = _tile_max(height_m)
         self.page_index[row, col] = self.page_count
@@ -241,9 +241,9 @@ def _columns_per_revolution(ground: PagedRelief) -> float:
     return 360.0 / ground.grid.step
 
 
-def _enlarged_copy(array: np.ndarray, room: int) -> np.ndarray:
-    """Return a copy of an array of pages, enlarged to ``room`` pages."""
-    grown = np.empty((room, *array.shape[1:]), array.dtype)
+def _enlarged_copy(array: np.ndarray, capacity: int) -> np.ndarray:
+    """Return a copy of an array of pages, enlarged to ``capacity`` pages."""
+    grown = np.empty((capacity, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array
     return grown
 

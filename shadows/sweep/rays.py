@@ -38,7 +38,7 @@ FIT_TOLERANCE_NODES = 0.01
 RANK_TOLERANCE = 1e-9
 """Relative size of a pivot of the fit's QR decomposition below which the terms count as linearly dependent."""
 
-MAX_LEAN_COLUMNS = 0.05
+RAY_DIRECTION_TOLERANCE = 0.05
 """Tolerance in columns per row for the direction of rays.
 
 On the round earth, rays that shift to the right at one position of a grid may shift to the left at another one, by at most this.
@@ -297,7 +297,7 @@ def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
     rows, cols = block.shape
     i, j = rays.orientation.to_turned(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
     block_i, block_j = rays.orientation.to_turned(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
-    lean = patch.lod == 0 and rays.columns_per_row < MAX_LEAN_COLUMNS
+    lean = patch.lod == 0 and rays.columns_per_row < RAY_DIRECTION_TOLERANCE
     return bool(i.min() >= block_i.max() or (j.min() >= block_j.max() and not lean))
 
 

@@ -24,7 +24,7 @@ GROUND_SIDES_PER_TRIANGLE = 0.6
 In 12 perspective views of rasters there were 0.35 to 0.9.
 """
 
-SHEET_TRIANGLES = 2 * PATCH_QUADS**2
+TRIANGLES_PER_PATCH = 2 * PATCH_QUADS**2
 """Triangles of a patch of ground outside of a map's block."""
 
 
@@ -88,6 +88,6 @@ def stencil_counts(task: Workload, settings: StencilSettings, marked_share: floa
         }
     if task.is_map_view:
         parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
-        relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.caster_facts("relief") else 0.0
+        relief = 1.0 + task.outside_triangles / TRIANGLES_PER_PATCH if task.caster_facts("relief") else 0.0
         counts["sheets"] = parts * (relief + (task.caster_facts("meshes") is not None))
     return counts
