@@ -88,7 +88,7 @@ def draw_picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, w
     else:
         view = scene.view(place.view, size=(width_px, round(width_px * view.rows / view.cols)))
     frame = render_frame(scene, view, plan_of_view(scene, view, place.view, {}))
-    return np.where(frame.opaque[..., None], frame.color, np.uint8(255))
+    return np.where(frame.opaque_mask[..., None], frame.color, np.uint8(255))
 
 
 def draw_sheet(folder: Path, name: str, light: str, width_px: int) -> Image.Image:

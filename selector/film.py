@@ -22,7 +22,7 @@ import numpy as np
 
 from skugga.selector.film_request import MAX_FRAMES, FilmRequest
 from skugga.selector.formatting import format_list
-from skugga.selector.replanning import PlanTransition, Replanner, casting, choices_from_plan, mix_pictures
+from skugga.selector.replanning import PlanTransition, Replanner, casting_kinds, choices_from_plan, mix_pictures
 from skugga.shadows.draw import draw, heights_suffice
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
@@ -35,7 +35,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX, Scene
 
-COLOR: Needs = frozenset({"color"})
+COLOR_NEEDS: Needs = frozenset({"color"})
 
 log = logging.getLogger("skugga")
 
@@ -65,8 +65,8 @@ class FrameMoment:
     view: MapView | PerspectiveView
 
     @property
-    def words(self) -> str:
-        """The frame's number, counted from 1, and its time, as words for messages."""
+    def label(self) -> str:
+        """The frame's number, counted from 1, and its time, for messages."""
         time_text = f"{self.elapsed_s:g} s" if self.time is None else self.time.isoformat()
         return f"frame {self.number + 1} ({time_text})"
 
@@ -122,10 +122,12 @@ class FilmFrame:
     switch: PlanSwitch | None = None
 
 
-def frame_moments(scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAMES, only: int | None = None) -> list[FrameMoment]:
+def frame_moments(
+    scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAMES, only_frame: int | None = None
+) -> list[FrameMoment]:
     """Return the times and views of all frames of a film, checked before any frame is drawn.
 
-    ``only`` limits the result to the frame with this index.
+    ``only_frame`` limits the result to the frame with this index.
 
     Raises ``InputError`` for more than ``max_frames`` frames. It also raises ``InputError``, with the frame in the message, if the
     camera leaves the data or goes under the ground.
@@ -139,15 +141,15 @@ def frame_moments(scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAM
     path = None if request.path is None else camera_path(request.path, scene.geolocator, span.start)
     resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
     moments: list[FrameMoment] = []
-    for number in range(span.frames) if only is None else (only,):
+    for number in range(span.frames) if only_frame is None else (only_frame,):
         elapsed_s = number * span.step_s
         try:
             view = resting if path is None else path.view_at(elapsed_s, *reversed(_size(request)))
         except InputError as error:
-            frame_text = FrameMoment(number, elapsed_s, span.parse_time(number), 0.0, None).words  # type: ignore[arg-type]
+            frame_text = FrameMoment(number, elapsed_s, span.frame_time(number), 0.0, None).label  # type: ignore[arg-type]
             raise error.renamed(f"path, {frame_text}: {error.name}") from None
         assert view is not None
-        moments.append(FrameMoment(number, elapsed_s, span.parse_time(number), first_second + elapsed_s, view))
+        moments.append(FrameMoment(number, elapsed_s, span.frame_time(number), first_second + elapsed_s, view))
     return moments
 
 
@@ -161,24 +163,28 @@ def _size(request: FilmRequest) -> tuple[int, int]:
 
 
 def film_frames(
-    scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner | None = None, ahead: int = 0
+    scene: Scene,
+    request: FilmRequest,
+    moments: Sequence[FrameMoment],
+    replanner: Replanner | None = None,
+    max_frames_ahead: int = 0,
 ) -> Iterator[FilmFrame]:
     """Yield the frames of a film. Each frame is drawn on demand.
 
     ``moments`` is the result of ``frame_moments``. Their sun and time replace those of ``scene``. ``replanner`` makes the plans in
-    the order of the frames. Up to ``ahead`` further frames are drawn in other threads at the same time, if they need no OpenGL.
-    Raises the errors of ``render_frame`` and ``Replanner.plan``.
+    the order of the frames. Up to ``max_frames_ahead`` further frames are drawn in other threads at the same time, if they need no
+    OpenGL. Raises the errors of ``render_frame`` and ``Replanner.plan``.
     """
     replanner = replanner or Replanner()
-    if ahead == 0:
+    if max_frames_ahead == 0:
         yield from (frame() for frame in _frame_makers(scene, request, moments, replanner, None))
         return
-    with ThreadPoolExecutor(ahead, "skugga-frames") as threads:
+    with ThreadPoolExecutor(max_frames_ahead, "skugga-frames") as threads:
         waiting: deque[Callable[[], FilmFrame]] = deque()
         try:
             for number, frame in enumerate(_frame_makers(scene, request, moments, replanner, threads)):
                 waiting.append(frame)
-                if number == 0 or len(waiting) > ahead:  # the first frame fills caches that all frames share
+                if number == 0 or len(waiting) > max_frames_ahead:  # the first frame fills caches that all frames share
                     yield waiting.popleft()()
             while waiting:
                 yield waiting.popleft()()
@@ -200,15 +206,15 @@ def _frame_makers(
         plan = replanner.plan(describe(frame_scene, moment.view, request.view_name), level, overrides)
         switch = None if before is None else _switch(moment, before, plan, replanner.reason)
         if switch is not None:
-            log.info("%s: %s instead of %s: %s", moment.words, switch.after, switch.before, switch.reason)
+            log.info("%s: %s instead of %s: %s", moment.label, switch.after, switch.before, switch.reason)
         before = plan
         if replanner.transition is not None:
             new, previous = (render_frame(frame_scene, moment.view, shown_plan) for shown_plan in (plan, replanner.transition.plan))
             color = mix_pictures(previous.color, new.color, replanner.share(previous.visibilities, new.visibilities))
             yield partial(FilmFrame, moment, color, plan, replanner.transition, switch)
             continue
-        draw_picture: Callable[[], Picture] = partial(draw, frame_scene, moment.view, plan, COLOR)
-        if threads is not None and moment.number > 0 and heights_suffice(frame_scene, moment.view, plan, COLOR):
+        draw_picture: Callable[[], Picture] = partial(draw, frame_scene, moment.view, plan, COLOR_NEEDS)
+        if threads is not None and moment.number > 0 and heights_suffice(frame_scene, moment.view, plan, COLOR_NEEDS):
             draw_picture = threads.submit(draw_picture).result
         yield partial(_film_frame, moment, draw_picture, plan, switch)
 
@@ -241,7 +247,7 @@ def _choice_text(plan: Plan) -> str:
 def _casting_changes_text(before: Plan, after: Plan) -> str:
     """Describe how the kinds of casters that cast shadows differ between two plans."""
     casting_before, casting_after = (
-        {(light, kind) for light, kinds in casting(plan).items() for kind in kinds} for plan in (before, after)
+        {(light, kind) for light, kinds in casting_kinds(plan).items() for kind in kinds} for plan in (before, after)
     )
     if not casting_after:
         return "nothing casts shadows now"

@@ -12,7 +12,7 @@ from skugga.terrain.level.camera_file import CameraPathSpec
 MAX_FRAMES = 10_000
 """Maximum number of frames of a film: almost seven minutes at 25 frames per second."""
 
-ALONG_PATH = "path"
+PATH_VIEW_NAME = "path"
 """Name of the view in the plans of a moving camera."""
 
 
@@ -37,7 +37,7 @@ class FilmSpan:
     start: datetime | None = None
     first_second: float | None = None
 
-    def parse_time(self, number: int) -> datetime | None:
+    def frame_time(self, number: int) -> datetime | None:
         """Return the date and time of the frame with index ``number``; ``None`` for a fixed sun."""
         return None if self.start is None else self.start + timedelta(seconds=number * self.step_s)
 
@@ -80,4 +80,4 @@ class FilmRequest:
     @property
     def view_name(self) -> str:
         """Name of the view in plans."""
-        return self.view if self.path is None else ALONG_PATH
+        return self.view if self.path is None else PATH_VIEW_NAME

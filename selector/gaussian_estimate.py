@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field
 LOGISTIC_SD = pi / sqrt(3.0)
 """Standard deviation of a logistic distribution with scale 1."""
 
-MAX_SURPRISE = 3.0
+MAX_RESIDUAL_SD = 3.0
 """Maximum residual, in standard deviations, with which an observation updates other candidates.
 
 A larger residual is clipped, because it points to an error in the model of the observed candidate alone.
@@ -81,28 +81,28 @@ class GaussianEstimate:
         correlation = shared.view + shared.family * same_family + shared.individual * np.eye(len(families))
         return cls(np.array(expected_log, np.float64), correlation * np.outer(sd, sd))
 
-    def after_observation(self, which: int, value_log: float, noise: float) -> GaussianEstimate:
-        """Return the posterior after an observation of the candidate with index ``which``.
+    def after_observation(self, candidate_index: int, value_log: float, noise: float) -> GaussianEstimate:
+        """Return the posterior after an observation of the candidate with index ``candidate_index``.
 
         ``value_log`` is the logarithm of the observed value, and ``noise`` its standard deviation.
         """
-        column = self.covariance[:, which]
-        total = column[which] + noise**2
+        column = self.covariance[:, candidate_index]
+        total = column[candidate_index] + noise**2
         if total <= 0.0:
             return self
-        gain, residual = column / total, value_log - self.mean[which]
-        clipped_residual = float(np.clip(residual, -MAX_SURPRISE * np.sqrt(total), MAX_SURPRISE * np.sqrt(total)))
+        gain, residual = column / total, value_log - self.mean[candidate_index]
+        clipped_residual = float(np.clip(residual, -MAX_RESIDUAL_SD * np.sqrt(total), MAX_RESIDUAL_SD * np.sqrt(total)))
         mean = self.mean + gain * clipped_residual
-        mean[which] = self.mean[which] + gain[which] * residual
+        mean[candidate_index] = self.mean[candidate_index] + gain[candidate_index] * residual
         return GaussianEstimate(mean, self.covariance - np.outer(gain, column))
 
-    def scale(self, which: int) -> float:
-        """Return the scale of the logistic distribution of the logarithm of candidate ``which``."""
-        return float(np.sqrt(max(self.covariance[which, which], 0.0))) / LOGISTIC_SD
+    def scale(self, candidate_index: int) -> float:
+        """Return the scale of the logistic distribution of the logarithm of candidate ``candidate_index``."""
+        return float(np.sqrt(max(self.covariance[candidate_index, candidate_index], 0.0))) / LOGISTIC_SD
 
-    def probability_over(self, which: int, limit_log: float) -> float:
-        """Return the probability, in [0, 1], that the logarithm of candidate ``which`` exceeds ``limit_log``."""
-        return logistic_probability_over(float(self.mean[which]) - limit_log, self.scale(which))
+    def probability_over(self, candidate_index: int, limit_log: float) -> float:
+        """Return the probability, in [0, 1], that the logarithm of candidate ``candidate_index`` exceeds ``limit_log``."""
+        return logistic_probability_over(float(self.mean[candidate_index]) - limit_log, self.scale(candidate_index))
 
 
 def logistic_probability_over(excess: float, scale: float) -> float:

@@ -75,7 +75,7 @@ class MapProbes(BaseModel):
 
     classes: tuple[ProbedClass, ...] = ()
 
-    def of(self, target: MapClass | None) -> Mapping[str, tuple[Observation, ...]] | None:
+    def observations_of_class(self, target: MapClass | None) -> Mapping[str, tuple[Observation, ...]] | None:
         """Return the observations in the class ``target`` by light; ``None`` if there are none.
 
         Their noises include the differences between blocks of a level, since a map may show another part of the level than the one

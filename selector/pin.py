@@ -36,7 +36,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.level.pin_scope import PinScope
 from skugga.terrain.level.rasters import is_level_raster
 
-POLICY_CHOSEN = ("map_size",)
+POLICY_CHOSEN_KEYS = ("map_size",)
 """Settings that all policies except ``rules`` choose. They are written even if they equal those that ``rules`` would use."""
 
 PINS = "pins"
@@ -91,7 +91,7 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
     automatic = make_plan(descriptor, plan_request, chosen, choices={})
     for key in SETTING_NAMES:
         values = _setting_values(plan, key)
-        is_chosen = values != _setting_values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN)
+        is_chosen = values != _setting_values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN_KEYS)
         if is_chosen and len(set(values.values())) == 1:
             chosen[key] = next(iter(values.values()))
     return chosen

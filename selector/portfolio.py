@@ -17,7 +17,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
-SHORT_FORMATS = {"map_size": "{}", "cascades": "x{}"}
+SETTING_FORMATS = {"map_size": "{}", "cascades": "x{}"}
 """Formats of values of settings in the name of a choice. All other settings are written with their key."""
 
 
@@ -65,7 +65,7 @@ def _distinct_choices(
         if any(ALGORITHMS[name].search.is_excluded(descriptor, kind) for kind, name in algorithm.items()):
             continue
         for settings in _settings(descriptor, light, [ALGORITHMS[name] for name in dict.fromkeys(algorithm.values())]):
-            words = [combination, *(SHORT_FORMATS.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
+            words = [combination, *(SETTING_FORMATS.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
             key = (tuple(algorithm.items()), tuple(settings.items()))
             if key not in yielded:
                 yielded.add(key)

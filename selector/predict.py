@@ -27,14 +27,14 @@ from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
-ESTIMATED = "this device is not calibrated, so times are estimates (skugga calibrate measures them)"
+ESTIMATED_TIMES_REASON = "this device is not calibrated, so times are estimates (skugga calibrate measures them)"
 
 MAX_OPTIONS = 64
 """Maximum number of options of a light that policies search: the time of a search grows with the third power of it.
 
 The algorithms that come with Skugga have at most 47."""
 
-NOT_PREDICTED = "no prediction is possible, so fixed rules choose"
+NO_PREDICTION_REASON = "no prediction is possible, so fixed rules choose"
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def predicted_plan(
         An override cannot be served.
     """
     expected = plan_options(planner_of(descriptor, plan_request, overrides), device, model_for_device(device, errors))
-    reasons = [NamedReason(name="policy predict", reason=ESTIMATED)] if device.is_estimate else []
+    reasons = [NamedReason(name="policy predict", reason=ESTIMATED_TIMES_REASON)] if device.is_estimate else []
     if not observations:
         return _with_basis(plan_from_options(expected, "predict", reasons), device)
     corrected = {
@@ -210,7 +210,9 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
                 wrong_cast=max((light_options.figures(which).error for light_options, which in winning_options), default=0.0),
             ),
             "target": Target(
-                max_error=max_error, max_ms=planner.requested_shadows.max_ms, met=all(verdict.met for verdict in verdicts.values())
+                max_error=max_error,
+                max_ms=planner.requested_shadows.max_ms,
+                met=all(verdict.meets_target for verdict in verdicts.values()),
             ),
             "reasons": [*_missed_reasons(options, winners, verdicts), *plan.reasons, *reasons, *_unsearched_reasons(options)],
         }
@@ -234,7 +236,7 @@ def _rules_plan(options: PlanOptions) -> Plan:
     plan = planner.plan(choices_by_rules(planner.descriptor, planner.requested_shadows, planner.lights), options.unmeasured)
     reason = "; ".join(f"{name}: {reason}" for name, reason in options.unmeasured.items())
     return plan.model_copy(
-        update={"reasons": [*plan.reasons, NamedReason(name="policy rules", reason=f"{NOT_PREDICTED}: {reason}")]}
+        update={"reasons": [*plan.reasons, NamedReason(name="policy rules", reason=f"{NO_PREDICTION_REASON}: {reason}")]}
     )
 
 
@@ -246,7 +248,7 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
     of_what = f"coverage off by {error} of the blocks' area" if winner.errors.is_coverage else f"{error} of the cast shadow wrong"
     expectation = f"{options.basis(light, which)}: {of_what} in {format_duration(figures.ms)}"
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
-    if not verdict.met:
+    if not verdict.meets_target:
         reason = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"
     else:
         reason = f"{expectation}, {_chance_text(light_options, which, max_error)}; "
@@ -299,7 +301,7 @@ def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict
             verdict = least_expected_loss([light_options.forecast(number, max_error) for number in numbers], max_error)
             nearest = light_options.number(verdict.winner.name)
             basis = options.basis(light, nearest)
-            if verdict.met:
+            if verdict.meets_target:
                 reasons[name] = (
                     f"{basis}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, "
                     f"{_chance_text(light_options, nearest, max_error)}; "
@@ -317,5 +319,5 @@ def _missed_reasons(options: PlanOptions, winners: Mapping[str, int], verdicts: 
             reason=f"{options.basis(light, winners[light])}: {verdict.missed_by}",
         )
         for light, verdict in verdicts.items()
-        if not verdict.met
+        if not verdict.meets_target
     ]

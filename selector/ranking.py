@@ -43,14 +43,14 @@ class RankingResult:
     ----------
     winner
         The best candidate.
-    met
-        Whether it meets the target.
+    meets_target
+        Whether the winner meets the target.
     missed_by
         By how much it exceeds the limits, in words; ``None`` if it meets them.
     """
 
     winner: CandidateFigures
-    met: bool
+    meets_target: bool
     missed_by: str | None
 
 

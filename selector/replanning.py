@@ -13,8 +13,8 @@ A choice is the algorithms, map sizes and numbers of cascades for a light. It is
 
 Two plans with an error of a few per cent of the cast shadow may differ in some per cent of the pixels. Most of these lie on edges,
 where errors do not count. So a switch is a transition over several frames. Each of them is drawn with both plans, and
-``mix_pictures`` mixes the two pictures. In each frame at most ``MAX_CHANGED`` of the pixels change. The expected number of frames
-is too small, so ``Replanner.share`` determines the progress from the two pictures.
+``mix_pictures`` mixes the two pictures. In each frame at most ``MAX_CHANGED_SHARE`` of the pixels change. The expected number of
+frames is too small, so ``Replanner.share`` determines the progress from the two pictures.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ PATIENCE = 5
 IMMEDIATE_SWITCH_OVERSHOOT = 0.5
 """Reduction of the overshoot (excess over a limit, relative to the limit) that leads to an immediate switch."""
 
-MAX_CHANGED = 0.002
+MAX_CHANGED_SHARE = 0.002
 """Maximum share of the pixels that a switch changes from one frame to the next."""
 
 MIN_TRANSITION_FRAMES, MAX_TRANSITION_FRAMES = 2, 30
@@ -161,8 +161,8 @@ class Replanner:
         """Return the share of the pixels, in [0, 1], that show the new plan in this frame of a transition.
 
         ``before`` and ``after`` are the visibilities (``Frame.visibilities``) of the frame drawn with the previous and with the new
-        plan. With this share, at most ``MAX_CHANGED`` of the surface's pixels change in a frame. The transition ends after a frame
-        with a share of 1. Call this once per frame. The result is 1 outside of transitions.
+        plan. With this share, at most ``MAX_CHANGED_SHARE`` of the surface's pixels change in a frame. The transition ends after a
+        frame with a share of 1. Call this once per frame. The result is 1 outside of transitions.
         """
         state = self._state
         if state is None or state.transition is None:
@@ -215,7 +215,7 @@ def next_state(
         return _continue_transition(state, state.transition, state.previous_choices, descriptor, plan_request, overrides)
     if same_choices:
         return replace(state, choices=_merge_choices(state.choices, choices), better_count=0)
-    cast = {(light, kind) for light, kinds in casting(new_plan).items() for kind in kinds}
+    cast = {(light, kind) for light, kinds in casting_kinds(new_plan).items() for kind in kinds}
     without_choice = cast - {(light, kind) for light, choice in state.choices.items() for kind in choice.algorithm}
     if not without_choice and not is_better(new_plan, kept_plan):
         return replace(state, better_count=0)
@@ -292,7 +292,7 @@ def expected_transition_frames(kept_plan: Plan, new_plan: Plan) -> int:
     on edges differ, too, without counting as wrong. Their number is unknown and is ignored.
     """
     predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept_plan, new_plan)]
-    return int(np.clip(np.ceil(sum(predicted) / MAX_CHANGED), 1, MAX_TRANSITION_FRAMES))
+    return int(np.clip(np.ceil(sum(predicted) / MAX_CHANGED_SHARE), 1, MAX_TRANSITION_FRAMES))
 
 
 def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], last_share: float) -> float:
@@ -300,13 +300,14 @@ def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]
 
     ``last_share`` is the share in the frame before. ``before`` and ``after`` are the visibilities (rows, cols) by light in two
     pictures of a view, NaN in pixels without a surface. The result is the largest share for which the number of pixels that change
-    between shadow and light stays within a limit. The limit is ``MAX_CHANGED`` of the surface's pixels, but at least one pixel.
+    between shadow and light stays within a limit. The limit is ``MAX_CHANGED_SHARE`` of the surface's pixels, but at least one
+    pixel.
     """
     differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
     valid = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
     order = _pixel_order(*differ.shape)
     waiting = np.sort(order[differ & (order >= last_share)])
-    max_changed = max(int(MAX_CHANGED * valid.sum()), 1)
+    max_changed = max(int(MAX_CHANGED_SHARE * valid.sum()), 1)
     return float(waiting[max_changed]) if max_changed < len(waiting) else 1.0
 
 
@@ -326,7 +327,7 @@ def _pixel_order(rows: int, cols: int) -> np.ndarray:
     return (row / 1.32471795724474602596 + col / 1.32471795724474602596**2) % 1.0
 
 
-def casting(plan: Plan) -> dict[str, frozenset[CasterKind]]:
+def casting_kinds(plan: Plan) -> dict[str, frozenset[CasterKind]]:
     """Return the kinds of casters for which a plan has a shadow algorithm, by light."""
     return {light: frozenset(kind for kind, name in kinds.items() if name != NO_SHADOWS) for light, kinds in plan.algorithm.items()}
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
     from skugga.selector.observation import Observation
 
-UNCALIBRATED = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
+UNCALIBRATED_REASON = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
 
 
 def select(
@@ -48,7 +48,7 @@ def select(
     plan = make_plan(descriptor, plan_request, overrides)
     if policy == "rules":
         return plan
-    return plan.model_copy(update={"reasons": [*plan.reasons, NamedReason(name="policy rules", reason=UNCALIBRATED)]})
+    return plan.model_copy(update={"reasons": [*plan.reasons, NamedReason(name="policy rules", reason=UNCALIBRATED_REASON)]})
 
 
 def plan_of_view(

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from skugga.shadows.bent_rays import rays_bend
 from skugga.shadows.passes import PassLayer
-from skugga.shadows.penumbra import MAX_POINTS, MIN_POINTS, light_points
+from skugga.shadows.penumbra import MAX_LIGHT_POINTS, MIN_LIGHT_POINTS, light_points
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import caches
 from skugga.terrain.facts.descriptor import Descriptor, LightKind
@@ -162,7 +162,7 @@ class AlgorithmSettings(BaseModel):
 class AreaSettings(AlgorithmSettings):
     """Settings of an algorithm that draws an area light as the mean over ``light_points`` point lights."""
 
-    light_points: int = Field(default=MAX_POINTS, ge=1)
+    light_points: int = Field(default=MAX_LIGHT_POINTS, ge=1)
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class SettingsRequest:
     @property
     def light_points(self) -> int:
         """The number of point lights that an area light is averaged over."""
-        return max(light_points(self.descriptor, self.light), MIN_POINTS) if self.is_area else MAX_POINTS
+        return max(light_points(self.descriptor, self.light), MIN_LIGHT_POINTS) if self.is_area else MAX_LIGHT_POINTS
 
     def ignored_filter_reasons(self, name: str, *filters: int | str) -> list[NamedReason]:
         """Return the reason why a requested filter has no effect, for an algorithm that ignores it.
@@ -395,7 +395,7 @@ class Algorithm:
     node_fill
         Function of the settings that returns a ``FillNodes`` function, which reads only the heights of bare ground. It returns
         ``None`` where the algorithm has no such function.
-    ignores_idle_casters
+    allows_caster_culling
         Function of the settings. It returns whether ground that casts no shadow can be left out without changing one bit of the
         result. Shadow maps return False: their filter darkens a few points slightly even where nothing casts.
     passes
@@ -433,7 +433,7 @@ class Algorithm:
     description: str
     fill: Fill | None = None
     node_fill: Callable[[Any], FillNodes | None] = lambda settings: None
-    ignores_idle_casters: Callable[[Any], bool] = lambda settings: False
+    allows_caster_culling: Callable[[Any], bool] = lambda settings: False
     passes: tuple[str, ...] = ()
     plural: str = ""
     refusals: Mapping[Requirement, str] = field(default_factory=dict)

@@ -33,7 +33,7 @@ def disc_points(samples: int) -> np.ndarray:
     return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
+def sun_disc_directions(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
     """Return unit directions (samples, 3) to points of the sun's disc, each for an equal area of it.
 
     ``to_sun`` (3,) is the unit direction to the disc's centre.
@@ -68,7 +68,7 @@ def point_light_scenes(scene: Scene, light: str, samples: int) -> Iterator[Scene
     """
     if light == SUN:
         assert scene.sun is not None
-        for direction in sun_disc(scene.sun.to_sun_earth, samples):
+        for direction in sun_disc_directions(scene.sun.to_sun_earth, samples):
             yield replace(scene, sun=replace(scene.sun, to_sun_earth=direction))
         return
     lamp = scene.lamps[light]
@@ -76,12 +76,12 @@ def point_light_scenes(scene: Scene, light: str, samples: int) -> Iterator[Scene
         yield scene.with_lamp(replace(lamp, position_earth_m=lamp.position_earth_m + place_m))
 
 
-def scaled_by_points(work: Work, points: int) -> Work:
+def scale_work(work: Work, points: int) -> Work:
     """Return the work for all ``points`` of an area light, given the work for one."""
     return {part: {name: points * count for name, count in counts.items()} for part, counts in work.items()}
 
 
-def mean_over_light(
+def mean_visibility_of_area_light(
     fill: Fill,
     buffer: GeometryBuffer,
     scene: Scene,

@@ -19,7 +19,7 @@ In Web Mercator, the straight lines that the algorithm ``sweep`` follows match t
 across 1,000 km at 65, in windows of 1,024 nodes a side.
 """
 
-MAX_LEAN_PX = 1.0
+MAX_SUMMIT_SHIFT_PX = 1.0
 """Tolerance in pixels for the shift of a summit across the sun's rays from the ground below it.
 
 The algorithm ``sweep`` computes the rays' positions for one height. Verticals lean away from the middle of the ground, so a shadow
@@ -42,11 +42,11 @@ def rays_bend(descriptor: Descriptor) -> bool:
     return (
         (sun_extent_m(descriptor) or 0.0) > max_straight_m
         or descriptor.row_width_ratio > MAX_ROW_WIDTH_RATIO
-        or _lean_px(descriptor) > MAX_LEAN_PX
+        or _summit_shift_px(descriptor) > MAX_SUMMIT_SHIFT_PX
     )
 
 
-def _lean_px(descriptor: Descriptor) -> float:
+def _summit_shift_px(descriptor: Descriptor) -> float:
     """Return the largest shift of a block's summits across the sun's rays from the ground below them, in pixels of a map.
 
     The shift is the block's relief times the angle between verticals in the middle and at a corner of the ground. In perspective

@@ -16,8 +16,8 @@ from skugga.terrain.casters.reach import Casters, Receivers
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-NOTHING_OUTSIDE = "nothing outside of the block throws a shadow into it"
-NOTHING_CASTS = "no ground throws a shadow in the block"
+NO_OUTSIDE_CASTERS_NOTE = "nothing outside of the block casts a shadow into it"
+NO_CASTERS_NOTE = "no ground casts a shadow in the block"
 
 
 def caster_pass(plan: Plan) -> str:
@@ -35,10 +35,10 @@ def find_outside_casters(
     name = caster_pass(plan)
     with log.record_pass(name) as record:
         casters = find_casters()
-        if all(_ignores_idle_casters(step) for step in plan.steps_under(SUN) if "relief" in step.kinds):
+        if all(_allows_caster_culling(step) for step in plan.steps_under(SUN) if "relief" in step.kinds):
             casters = Casters(casters.patches, casters.reach, culled_patches(scene, receivers, casters.patches))
         if name == CASTERS_PASS and not casters.casting:
-            record.left_out, record.note = record.left_out + 1, NOTHING_OUTSIDE
+            record.left_out, record.note = record.left_out + 1, NO_OUTSIDE_CASTERS_NOTE
     return casters
 
 
@@ -48,19 +48,19 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
     The step for the ground's shadow under the sun is left out, and recorded as such, where provably no ground shades the block. It
     is never left out where intermediate pictures are requested.
     """
-    idle = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _ignores_idle_casters(step)]
+    cullable = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _allows_caster_culling(step)]
     if (
-        not idle
+        not cullable
         or log.requested_layers
         or casters.casting
         or not scene.sun_is_up
         or not block_ground_casts_no_shadow(scene, receivers)
     ):
         return list(steps)
-    for step in idle:
-        log.leave_out(log.pass_names(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NOTHING_CASTS)
-    return [step for step in steps if step not in idle]
+    for step in cullable:
+        log.leave_out(log.pass_names(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NO_CASTERS_NOTE)
+    return [step for step in steps if step not in cullable]
 
 
-def _ignores_idle_casters(step: Step) -> bool:
-    return ALGORITHMS[step.algorithm].ignores_idle_casters(step.settings)
+def _allows_caster_culling(step: Step) -> bool:
+    return ALGORITHMS[step.algorithm].allows_caster_culling(step.settings)

@@ -11,19 +11,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from skugga.shadows.ground_pictures import ground_picture, is_shaded_by_heights
+from skugga.shadows.ground_pictures import ground_picture, heights_determine_shading
 from skugga.shadows.passes import PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, apply_refraction, check_pixels, render_block, render_frame, worse_reach
-from skugga.shadows.sunlit_ground import is_lit_by_heights, sunlit_picture
+from skugga.shadows.sunlit_ground import heights_determine_visibility, sunlit_picture
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView, blocks_of, windows_of
 from skugga.terrain.scene import Scene
 
-SHADED: Needs = frozenset({"color", "opacity", "reach"})
-LIT: Needs = frozenset({"visibility", "reach"})
+SHADING_NEEDS: Needs = frozenset({"color", "opacity", "reach"})
+VISIBILITY_NEEDS: Needs = frozenset({"visibility", "reach"})
 
 
 def draw(
@@ -78,7 +78,9 @@ def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, n
     if not isinstance(view, MapView):
         return False
     scene = with_apparent_sun(scene, plan.effect_names)
-    return (needs <= SHADED and is_shaded_by_heights(scene, plan)) or (needs <= LIT and is_lit_by_heights(scene, view, plan))
+    return (needs <= SHADING_NEEDS and heights_determine_shading(scene, plan)) or (
+        needs <= VISIBILITY_NEEDS and heights_determine_visibility(scene, view, plan)
+    )
 
 
 def picture_of(frame: Frame, needs: Needs) -> Picture:
@@ -97,7 +99,7 @@ def picture_of(frame: Frame, needs: Needs) -> Picture:
 
 def _draw_block(scene: Scene, block: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture:
     """Draw a block of a map from heights alone, or by ``render_block`` where triangles are needed or the block is very wide."""
-    of_heights = sunlit_picture if needs <= LIT else ground_picture
+    of_heights = sunlit_picture if needs <= VISIBILITY_NEEDS else ground_picture
     return of_heights(scene, block, plan, needs, log) or picture_of(render_block(scene, block, plan, log), needs)
 
 

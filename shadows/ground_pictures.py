@@ -44,7 +44,7 @@ Above it no adjacent triangle is assumed to face away.
 """
 
 
-def is_shaded_by_heights(scene: Scene, plan: Plan) -> bool:
+def heights_determine_shading(scene: Scene, plan: Plan) -> bool:
     """Return whether heights, sun and sky alone determine what a map shows."""
     level = scene.loaded.level
     plain = is_terrain_only(scene) and level.water is None and ground_imagery(scene) is None and scene.sun is not None

@@ -36,10 +36,10 @@ from skugga.terrain.scene import Scene
 
 Arrays = dict[str, np.ndarray]
 
-EDGE_CHANGE = 0.5
+MIN_EDGE_VISIBILITY_CHANGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
 
-PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
+SAMPLED_PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
 """Side, in pixels, of the parts of a block that are sampled one at a time. A part has as many samples as a block has pixels."""
 
 SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
@@ -48,7 +48,7 @@ SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame
 """Arrays of a geometry buffer that shading reads."""
 
 
-def anti_aliased(
+def anti_alias_block(
     scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: Arrays, log: PassLog
 ) -> tuple[MultisampledBuffer, Arrays]:
     """Return a map's block with samples at its edges, and each light's visibility at its pixels and samples.
@@ -131,7 +131,7 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
     edges = np.zeros(buffer.valid.shape, np.bool_)
     _mark_changes(buffer.kind, 0.0, edges)
     for visibility in visibilities:
-        _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), EDGE_CHANGE, edges)
+        _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), MIN_EDGE_VISIBILITY_CHANGE, edges)
     if visibilities:
         for side in (edges[0], edges[-1], edges[:, 0], edges[:, -1]):
             side[:] = True
@@ -140,10 +140,10 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
 
 def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
     """Yield the parts of a block that contain edge pixels, as slices of its rows and columns."""
-    for top in range(0, edges.shape[0], PART_PX):
-        for left in range(0, edges.shape[1], PART_PX):
-            down = slice(top, min(top + PART_PX, edges.shape[0]))
-            right = slice(left, min(left + PART_PX, edges.shape[1]))
+    for top in range(0, edges.shape[0], SAMPLED_PART_PX):
+        for left in range(0, edges.shape[1], SAMPLED_PART_PX):
+            down = slice(top, min(top + SAMPLED_PART_PX, edges.shape[0]))
+            right = slice(left, min(left + SAMPLED_PART_PX, edges.shape[1]))
             if edges[down, right].any():
                 yield down, right
 

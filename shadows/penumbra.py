@@ -10,10 +10,10 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import LampFacts
 from skugga.terrain.level.level import SUN
 
-MAX_POINTS, MIN_POINTS = 32, 4
+MAX_LIGHT_POINTS, MIN_LIGHT_POINTS = 32, 4
 """Numbers of points of a light over which algorithms with hard edges are averaged. A penumbra has as many steps."""
 
-POINTS_PER_PX = 4.0
+LIGHT_POINTS_PER_PENUMBRA_PX = 4.0
 """Steps of a penumbra per pixel of its width. From pixel to pixel, visibility then changes by several small steps."""
 
 MAX_CASTER_SHARE = 0.8
@@ -43,11 +43,11 @@ def penumbra_px(descriptor: Descriptor, light: str) -> float | None:
 def light_points(descriptor: Descriptor, light: str) -> int:
     """Return the number of points of a light that show its penumbrae; 1 for a lamp with penumbrae narrower than a pixel."""
     if light == SUN:
-        return MAX_POINTS
+        return MAX_LIGHT_POINTS
     width_px = penumbra_px(descriptor, light)
     if width_px is None:
-        return MAX_POINTS
-    return 1 if width_px < 1.0 else min(max(round(POINTS_PER_PX * width_px), MIN_POINTS), MAX_POINTS)
+        return MAX_LIGHT_POINTS
+    return 1 if width_px < 1.0 else min(max(round(LIGHT_POINTS_PER_PENUMBRA_PX * width_px), MIN_LIGHT_POINTS), MAX_LIGHT_POINTS)
 
 
 def _width_m(lamp: LampFacts, light_m: float, thrown_m: float | None) -> float:

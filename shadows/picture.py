@@ -54,7 +54,7 @@ class Picture:
     shows_sky: bool = False
 
     @property
-    def opaque(self) -> np.ndarray:
+    def opaque_mask(self) -> np.ndarray:
         """Where the colour is valid, bool (rows, cols): on the surface, and in the sky of a perspective view."""
         return np.ones(self.valid.shape, np.bool_) if self.shows_sky else self.valid
 

@@ -17,7 +17,7 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind
 
 
-class _Value(BaseModel):
+class _FrozenModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -34,7 +34,7 @@ class _SettingsSchema:
         return handler(TypeAdapter(settings_type(*ALGORITHMS)).core_schema)
 
 
-class Target(_Value):
+class Target(_FrozenModel):
     """The requested limits, and whether the plan is expected to meet them (``None``: not known)."""
 
     max_error: float
@@ -42,7 +42,7 @@ class Target(_Value):
     met: bool | None = None
 
 
-class Predicted(_Value):
+class Predicted(_FrozenModel):
     """Predicted milliseconds of a block's shadow work, the wrong share of all pixels, and the wrong share of the cast shadow.
 
     The policy ``measure`` reports measured values, and ``probe`` corrects predictions by test renders. A target limits the share of
@@ -65,7 +65,7 @@ class Step:
     settings: AlgorithmSettings | None
 
 
-class Plan(_Value):
+class Plan(_FrozenModel):
     """The recipe for the shadows of a view, with the reasons."""
 
     view: str

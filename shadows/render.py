@@ -11,7 +11,7 @@ import numpy as np
 from skugga.shadows.block_casters import find_outside_casters
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.layer_collector import LayerCollector
-from skugga.shadows.map_edges import anti_aliased
+from skugga.shadows.map_edges import anti_alias_block
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer, PassLog, PassRecord
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
@@ -118,7 +118,7 @@ class Frame:
         return ~np.isnan(self.height_m)
 
     @property
-    def opaque(self) -> np.ndarray:
+    def opaque_mask(self) -> np.ndarray:
         """Where the colour is valid, bool (rows, cols): on the surface, and in the sky of a perspective view."""
         return self.valid if isinstance(self.view, MapView) else np.ones(self.valid.shape, bool)
 
@@ -297,7 +297,7 @@ def render_block(
         visibilities = mean_visibilities(pixels, own_pixels, log)
     shading_visibilities = visibilities
     if isinstance(view, MapView) and pixels is None and pixel_sampling == "means":
-        picture, shading_visibilities = anti_aliased(scene, plan, own_pixels, visibilities, log)
+        picture, shading_visibilities = anti_alias_block(scene, plan, own_pixels, visibilities, log)
     block = ShadingBlock(scene, view, picture.buffer, shading_visibilities)
     linear = _shade_block(block, plan, log)
     with log.record_pass(SHADING_PASS):

@@ -24,7 +24,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 
-def is_lit_by_heights(scene: Scene, view: MapView, plan: Plan) -> bool:
+def heights_determine_visibility(scene: Scene, view: MapView, plan: Plan) -> bool:
     """Return whether the heights of bare ground determine the sun's visibility at a map's own points."""
     if not (view.on_nodes and is_terrain_only(scene) and scene.sun is not None and plan.lights[0] == SUN):
         return False

@@ -39,10 +39,10 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-MAX_BARE_AT_ONCE = 18 * BLOCK_PX**2
+MAX_BARE_NODES_PER_PART = 18 * BLOCK_PX**2
 """Upper bound of the nodes of bare ground in one part: about half a gigabyte."""
 
-MAX_POINTS_AT_ONCE = 5 * BLOCK_PX**2 // 4
+MAX_BUFFER_NODES_PER_PART = 5 * BLOCK_PX**2 // 4
 """Upper bound of the nodes in one part with a geometry buffer: about as many as in a block, half a gigabyte."""
 
 Visibilities = dict[str, np.ndarray]
@@ -77,11 +77,11 @@ class Supersampling:
     def max_nodes(self, nodes: MapView) -> tuple[int, int]:
         """Return two upper bounds of the nodes in one part: of their number in all, and of the number along a side."""
         if not self.heights_only:
-            return MAX_POINTS_AT_ONCE, BLOCK_PX * 8
+            return MAX_BUFFER_NODES_PER_PART, BLOCK_PX * 8
         max_side = BLOCK_PX * 8
         if not self.scene.world.flat:
             max_side = max(min(max_side, int(MAX_PARALLEL_RAYS_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
-        return MAX_BARE_AT_ONCE, max_side
+        return MAX_BARE_NODES_PER_PART, max_side
 
 
 def supersampling(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> Supersampling | None:

@@ -30,7 +30,7 @@ Work = dict[str, Counts]
 MAX_OPACITY = 0.98
 """Upper bound of the share of light that a wood is assumed to block."""
 
-UNKNOWN_LIGHT = LightFacts()
+UNKNOWN_LIGHT_FACTS = LightFacts()
 """Facts assumed for a light that a descriptor does not describe."""
 
 
@@ -60,14 +60,14 @@ class Workload:
 
     @cached_property
     def facts(self) -> LightFacts:
-        return self.descriptor.lights.get(self.light, UNKNOWN_LIGHT)
+        return self.descriptor.lights.get(self.light, UNKNOWN_LIGHT_FACTS)
 
     @property
     def light_kind(self) -> LightKind:
         return self.descriptor.light_kinds[self.light]
 
     @property
-    def in_map(self) -> bool:
+    def is_map_view(self) -> bool:
         return self.descriptor.view_kind == "map"
 
     @property
@@ -126,7 +126,7 @@ class Workload:
         return 0.0 if facts is None else float(facts.outside_triangles)
 
     @property
-    def decimated(self) -> bool:
+    def has_decimated_ground(self) -> bool:
         """Whether a perspective view's ground is drawn with fewer triangles than its nodes make."""
         return is_decimated(self.descriptor)
 

@@ -12,7 +12,7 @@ from skugga.api.compute import OnBlock, raster_array, write_rasters
 from skugga.api.products.sun_hours import SunHoursOptions
 from skugga.api.raster_view import RasterView
 from skugga.api.request import ProductRequest
-from skugga.shadows.draw import SHADED, draw
+from skugga.shadows.draw import SHADING_NEEDS, draw
 from skugga.shadows.ground_pictures import ground_picture
 from skugga.shadows.passes import PassLog
 from skugga.shadows.picture import Picture
@@ -47,11 +47,11 @@ def sun_hours_of(**options: Any) -> ProductRequest:
 
 def drawn(scene: Scene, view: MapView, plan: Plan) -> Picture:
     """Return the picture of a map, drawn by the fastest path."""
-    return draw(scene, view, plan, SHADED)
+    return draw(scene, view, plan, SHADING_NEEDS)
 
 
 def draw_by_heights(scene: Scene, view: MapView, plan: Plan) -> Picture | None:
     """Return the picture of a block with its passes, drawn by the loops over heights; ``None`` if these do not suffice."""
     log = PassLog()
-    picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADED, log)
+    picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADING_NEEDS, log)
     return None if picture is None else Picture(**{**vars(picture), "passes": tuple(log.records.values())})

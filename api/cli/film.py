@@ -142,9 +142,9 @@ class _FilmProgress:
             drawn_s, moment = clock.perf_counter() - begin, frame.moment
             if frame.switch is not None:
                 switch = frame.switch
-                self._lines.line(printable(f"{moment.words}: {switch.after} instead of {switch.before}: {switch.reason}"))
+                self._lines.line(printable(f"{moment.label}: {switch.after} instead of {switch.before}: {switch.reason}"))
             if not self._lines.is_terminal:
-                typer.echo(f"[{moment.number + 1}/{self._total}] {moment.words}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
+                typer.echo(f"[{moment.number + 1}/{self._total}] {moment.label}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
             self._record_statistics(frame, drawn_s)
             self._drawn += 1
             yield frame.color

@@ -10,7 +10,7 @@ from pyproj import CRS
 from skugga.api.point.values import DayHours, PointQuery, PointReport, ReportedCaster, ReportedDay, ReportedInterval, ReportedMoment
 from skugga.shadows.point.clock import clock_of
 from skugga.shadows.point.horizon import SunCaster, Surroundings, load_surroundings, sun_occluders
-from skugga.shadows.point.place import POINT, place_at
+from skugga.shadows.point.place import POINT_PARAMETER, place_at
 from skugga.shadows.point.sun_angles import scene_sun_at
 from skugga.shadows.point.sun_day import SunDay, sun_day
 from skugga.shadows.point.sun_year import sun_year
@@ -56,7 +56,7 @@ def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
     try:
         return point_report(scene, query)
     except InputError as error:
-        if error.name != POINT:
+        if error.name != POINT_PARAMETER:
             raise
         lon, lat = (None, None) if scene.world.flat else (query.lon, query.lat)
         return PointReport(

@@ -11,7 +11,7 @@ def _compute(part: Part) -> np.ndarray:
     """Return RGBA, uint8 (rows, cols, 4), transparent without a surface. The sky of a perspective view is opaque."""
     color = part.drawn.color
     assert color is not None
-    alpha = np.where(part.drawn.opaque, np.uint8(255), np.uint8(0))
+    alpha = np.where(part.drawn.opaque_mask, np.uint8(255), np.uint8(0))
     return np.concatenate([color, alpha[..., None]], axis=-1)
 
 

@@ -50,7 +50,7 @@ def tiles_of_picture(
 def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat) -> bytes:
     """Return a product's encoded file of one part of a drawn block. ``picture`` and ``view`` are those of the part."""
     product = request.product_record
-    if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque.all():
+    if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque_mask.all():
         array = picture.color  # avoids an alpha channel that encoding would drop
     else:
         array = product.compute(Part(scene, view, request.options, picture))

@@ -30,7 +30,7 @@ def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan,
 
 def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
     """Draw one frame of a film. Return its colours and the planning state for the next frame. Raises ``SkuggaError``."""
-    moments = frame_moments(scene, job.film_request(), only=job.number)
+    moments = frame_moments(scene, job.film_request(), only_frame=job.number)
     replanner = _replanner(job, moments[0], scene, basis, job.previous_plan_state)
     (frame,) = film_frames(scene, job.film_request(), moments, replanner)
     assert replanner.state is not None

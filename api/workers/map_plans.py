@@ -68,7 +68,9 @@ def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], le
     probe_class = _map_class(scene, view, overrides)
     return (
         probe_class
-        if basis.device is not None and probe_class is not None and basis.probes_of(level).of(probe_class) is None
+        if basis.device is not None
+        and probe_class is not None
+        and basis.probes_of(level).observations_of_class(probe_class) is None
         else None
     )
 
@@ -76,7 +78,7 @@ def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], le
 def _observations(
     scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis
 ) -> Mapping[str, tuple[Observation, ...]] | None:
-    return basis.probes_of(level).of(_map_class(scene, view, overrides)) if isinstance(view, MapView) else None
+    return basis.probes_of(level).observations_of_class(_map_class(scene, view, overrides)) if isinstance(view, MapView) else None
 
 
 def _map_class(scene: Scene, view: MapView, overrides: Mapping[str, Any]) -> MapClass | None:

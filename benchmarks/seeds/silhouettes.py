@@ -29,11 +29,11 @@ from benchmarks.seeds.verdicts import (
 )
 from benchmarks.seeds.views import ViewWithTruth, bundled_scene, view_with_truth
 from skugga.shadows.passes import PassRecord
-from skugga.shadows.volumes.drawing import count
+from skugga.shadows.volumes.drawing import count_volumes
 from skugga.shadows.volumes.edges import Edges, closed_parts, edges_of
-from skugga.shadows.volumes.layers import batches
+from skugga.shadows.volumes.layers import layer_batches
 from skugga.shadows.volumes.settings import VolumeSettings
-from skugga.shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, facing, orientations_of, silhouette
+from skugga.shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, faces_light, orientations_of, silhouette
 from skugga.shadows.volumes.volumes import MAX_VOLUME_LAYERS, Volumes, volumes_of
 from skugga.terrain.casters.casting import caster_solids
 from skugga.terrain.compiled import compiled
@@ -70,16 +70,18 @@ def _measure_volumes(level: str) -> dict[str, float]:
     vertices, triangles = caster_solids(truth_view.scene.objects, truth_view.buffer.frame)
     shared, separate_edges = edges_of(vertices, triangles), edges_without_sharing(triangles)
     rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
-    orientations = orientations_of(facing(vertices, triangles, light), rule)
-    groups = batches(vertices, triangles, shared, orientations, light, MAX_VOLUME_LAYERS)
+    orientations = orientations_of(faces_light(vertices, triangles, light), rule)
+    groups = layer_batches(vertices, triangles, shared, orientations, light, MAX_VOLUME_LAYERS)
 
     def built(edges: Edges) -> list[Volumes]:
-        orientations_of(facing(vertices, triangles, light), rule)  # the work for each new sun
+        orientations_of(faces_light(vertices, triangles, light), rule)  # the work for each new sun
         return [extruded_volumes(vertices, silhouette(triangles, edges, group), light) for group in groups]
 
     silhouettes, polygons, engine_volumes = built(shared), built(separate_edges), _engine_volumes(truth_view, light)
     sides = [
-        replace(volume, faces=volume.faces[: volume.first_cap], part=volume.part[: volume.first_cap], casting=0)
+        replace(
+            volume, faces=volume.faces[: volume.first_cap], caster_of_face=volume.caster_of_face[: volume.first_cap], cap_count=0
+        )
         for volume in engine_volumes
     ]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
@@ -119,7 +121,7 @@ def _count_volumes(
     """Return the number of volumes that contain each point facing the sun (rows, cols), and the number of drawn faces."""
     record = PassRecord("")
     receivers = truth_view.receivers
-    return count(
+    return count_volumes(
         truth_view.buffer, truth_view.scene, light, volumes, VolumeSettings(counting=counting), receivers, False, record
     ), record.triangles
 

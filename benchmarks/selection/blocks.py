@@ -88,7 +88,7 @@ def _compare_block(
     origin_class = MapClass(0, 0)
     middle = probed_plan(scene, map_block(scene, pixel_m), device=profile, budget_s=BUDGET_S)
     elsewhere, of_middle = (
-        MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=probe.observations),)).of(origin_class) or {}
+        MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=probe.observations),)).observations_of_class(origin_class) or {}
         for probe in (probed, middle)
     )
     print(name, [f"{probe.choice} {probe.error:.2%} {probe.ms:.1f} ms" for probe in observed_options], flush=True)

@@ -36,7 +36,7 @@ from skugga.selector.planner.planner import planner_of
 from skugga.selector.portfolio import portfolio
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.plan import Step
-from skugga.shadows.sweep.sweep import DECIMATED
+from skugga.shadows.sweep.sweep import DECIMATED_GROUP
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 from skugga.terrain.facts.probes import MIN_CAST_SHARE
@@ -45,7 +45,7 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 Figures = dict[str, Any]
 
 MAP_ALGORITHMS = ("shadow_map", "perspective_shadow_map")
-EXACT_ALGORITHMS = ("shadow_volume", "hybrid", "sweep", DECIMATED)
+EXACT_ALGORITHMS = ("shadow_volume", "hybrid", "sweep", DECIMATED_GROUP)
 
 KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
 
@@ -142,7 +142,9 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     """
     coverage_cases = [case for case in cases if case.view["error"] == "coverage"]
     cases = [case for case in cases if case.view["error"] != "coverage"]
-    mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
+    mapped = [
+        case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED_GROUP}
+    ]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + ERROR_OFFSET)
 
     def deviations(logarithms: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from benchmarks.selection.probes import record_probes
 from benchmarks.selection.views import ViewInstance
 from skugga.selector.candidates import name_of
 from skugga.selector.cost.device_profile import load_profile
-from skugga.selector.measure.compare import NO_CAST, compare, picture_blocks, run_light
+from skugga.selector.measure.compare import NO_CAST_SHADOW_REMARK, compare, picture_blocks, run_light
 from skugga.selector.planner.planner import make_plan, planner_of
 from skugga.selector.portfolio import portfolio
 from skugga.selector.select import select
@@ -74,7 +74,7 @@ def measure_instance(instance: ViewInstance, data: Path) -> Figures:
         descriptor = describe(scene, view, instance.view)
         plans = plans_of(descriptor, scene, light)
         comparison = _compare_supported(scene, view, instance.view, light, plans)
-        error, names = "wrong" if NO_CAST in comparison.remarks else comparison.error, rows_of(plans, light)
+        error, names = "wrong" if NO_CAST_SHADOW_REMARK in comparison.remarks else comparison.error, rows_of(plans, light)
         record = {
             "name": instance.name, "family": instance.family, "terrain": instance.terrain, "unseen": instance.unseen,
             "light": light,

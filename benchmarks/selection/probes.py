@@ -10,7 +10,7 @@ from typing import Any
 from skugga.selector.candidates import name_of
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.measure.probing import ErrorMeasurement
-from skugga.selector.measure.scene_prober import MAX_DOUBLINGS, ProbedPictures, SceneProber
+from skugga.selector.measure.scene_prober import MAX_LATTICE_DOUBLINGS, ProbedPictures, SceneProber
 from skugga.selector.options import LightOptions
 from skugga.selector.planner.planner import planner_of
 from skugga.selector.predict import plan_options
@@ -38,7 +38,7 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
     start = time.perf_counter()
     pictures = ProbedPictures(scene, view, effects)
     prober = SceneProber(pictures, options.planner, light, light_options)
-    assert pictures.drawn
+    assert pictures.blocks
     start_s = time.perf_counter() - start
     rows: dict[str, Figures] = {}
     drawn_options: list[tuple[int, str]] = []
@@ -50,7 +50,7 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
             rows[row] = {"ms": ms, "draw_s": time.perf_counter() - start, "proofs": []}
             drawn_options.append((which, row))
     points_s: list[float] = []
-    for step in range(MAX_DOUBLINGS + 1):
+    for step in range(MAX_LATTICE_DOUBLINGS + 1):
         if step:
             prober.add_points()
         start = time.perf_counter()

@@ -40,7 +40,7 @@ The least time of a job counts, because the first run includes compilation.
 TIME_LIMIT_S = 90.0
 """Seconds after which the third round of timing stops. The first two rounds always complete."""
 
-Progress = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class CalibrationJob:
     min_ms: dict[str, float] = field(default_factory=dict)
 
 
-def calibrate(on_step: Progress | None = None) -> DeviceProfile:
+def calibrate(on_step: ProgressCallback | None = None) -> DeviceProfile:
     """Calibrate this process's device and return its profile.
 
     It takes about a minute. ``on_step(done, total)`` reports progress. Raises ``GraphicsError`` without OpenGL.
@@ -86,7 +86,7 @@ def calibrate(on_step: Progress | None = None) -> DeviceProfile:
     )  # fmt: skip
 
 
-def _timed_jobs(start_s: float, on_step: Progress) -> list[CalibrationJob]:
+def _timed_jobs(start_s: float, on_step: ProgressCallback) -> list[CalibrationJob]:
     with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
         jobs = [job for calibration_view in calibration_views(Path(folder)) for job in calibration_jobs(calibration_view)]
         for round_number in range(TIMING_ROUNDS):

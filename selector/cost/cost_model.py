@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from skugga.selector.cost.device_profile import DeviceProfile
-from skugga.selector.cost.unmeasured import NO_RATES, UnmeasuredError
+from skugga.selector.cost.unmeasured import NO_RATES_REASON, UnmeasuredError
 from skugga.shadows.algorithm import AlgorithmSettings
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.work import Counts, Work, Workload
@@ -59,7 +59,7 @@ def predicted_parts_ms(
     work = step_work(descriptor, light, kinds, algorithm, settings)
     for part in work:
         if part not in profile.rates_ns:
-            raise UnmeasuredError(algorithm, NO_RATES.format(part=part))
+            raise UnmeasuredError(algorithm, NO_RATES_REASON.format(part=part))
     return {part: counts_to_ms(profile.rates_ns[part], counts) for part, counts in work.items()}
 
 

@@ -27,13 +27,13 @@ log = logging.getLogger("skugga")
 SOFTWARE_RASTERISERS = ("llvmpipe", "softpipe", "swiftshader")
 """Words in OpenGL's renderer string, in lower case, of devices that the rates of the typical device, a CPU, suit."""
 
-BENCHMARK: dict[str, Callable[[Algorithm], bool]] = {
+BENCHMARK_VIEWS: dict[str, Callable[[Algorithm], bool]] = {
     "few_balls_small": lambda algorithm: algorithm.is_served and algorithm.needs_opengl,
     "hills_map": lambda algorithm: algorithm.is_served and not algorithm.needs_opengl,
 }
 """Calibration views of the benchmark, and which algorithms are timed on them."""
 
-RUNS = 2
+BENCHMARK_RUNS = 2
 """Number of runs of each step. The least time counts, since the first run includes compilation."""
 
 
@@ -105,12 +105,12 @@ def _time_ratio() -> float:
 
     rates_ns, ratios = typical_device().rates_ns, []
     with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
-        for view in calibration_views(Path(folder), BENCHMARK):
-            for job in calibration_jobs(view, BENCHMARK[view.name]):
+        for view in calibration_views(Path(folder), BENCHMARK_VIEWS):
+            for job in calibration_jobs(view, BENCHMARK_VIEWS[view.name]):
                 expected_ms = sum(counts_to_ms(rates_ns.get(part, {}), counts) for part, counts in job.work.items())
                 if expected_ms <= 0.0 or not set(job.work) <= set(rates_ns):  # an algorithm that was never calibrated
                     continue
-                for _ in range(RUNS):
+                for _ in range(BENCHMARK_RUNS):
                     run_job(job)
                 ratios.append(sum(job.min_ms.values()) / expected_ms)
     return median(ratios) if ratios else 1.0

@@ -14,11 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from skugga.terrain.atomic_files import disk_error, write_atomically
 from skugga.terrain.user_cache import user_cache
 
-SCHEMA: Final = 2
+SCHEMA_VERSION: Final = 2
 """Version of the profile's format. It changes if the meaning of the rates changes. Profiles of another version are ignored."""
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Error = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+RelativeError = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Residual(BaseModel):
@@ -30,8 +30,8 @@ class Residual(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     rows: Annotated[int, Field(ge=1)]
-    median: Error
-    p90: Error
+    median: RelativeError
+    p90: RelativeError
 
 
 class DeviceProfile(BaseModel):
@@ -46,7 +46,7 @@ class DeviceProfile(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: Literal[2] = SCHEMA
+    schema_version: Literal[2] = SCHEMA_VERSION
     renderer: Annotated[str, Field(min_length=1)]
     version: Annotated[str, Field(min_length=1)]
     cpus: Annotated[int, Field(ge=1)]
@@ -101,7 +101,7 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
         return f"{renderer} is not calibrated; skugga calibrate measures the times that predictions use"
     except (OSError, ValueError) as error:  # ValueError: not JSON, or not UTF-8
         return f"{path} cannot be read ({' '.join(str(error).split())}): run skugga calibrate again"
-    if isinstance(data, dict) and data.get("schema_version") != SCHEMA:
+    if isinstance(data, dict) and data.get("schema_version") != SCHEMA_VERSION:
         return f"{path} was written by another version of Skugga: run skugga calibrate again"
     try:
         profile = DeviceProfile.model_validate(data)

@@ -34,7 +34,7 @@ from math import hypot, log, log2
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skugga.selector.cost.unmeasured import NO_ERRORS, UnmeasuredError
+from skugga.selector.cost.unmeasured import NO_ERRORS_REASON, UnmeasuredError
 from skugga.selector.gaussian_estimate import SharedVariance, logistic_probability_over
 from skugga.shadows.algorithm import ErrorConstants
 from skugga.shadows.plan import Step
@@ -54,10 +54,10 @@ ASSUMED_CASTING = Casting(
 )  # fmt: skip
 """Assumed shadows without facts in the descriptor: a tenth of the visible surface, with an edge every hundred pixels."""
 
-POOLED_SIZES = 3
+MIN_POOLED_TEXEL_SIZES = 3
 """Least number of texel sizes of ``CastBand.differs`` that are averaged for each size."""
 
-MIN_POOLED_SHARE = 0.01
+MIN_POOLED_DIFFERENCE = 0.01
 """Least sum of ``CastBand.differs`` over the averaged sizes. Fewer differing probes do not tell a small share from none."""
 
 DENSE_TEXEL_PX, MIN_DENSE_SHARE = 0.5, 0.1
@@ -154,7 +154,7 @@ class HillCurve(BaseModel):
     half_px: float = Field(gt=0)
     steepness: float = Field(gt=0)
 
-    def of(self, texel_px: float) -> float:
+    def evaluate(self, texel_px: float) -> float:
         return self.most / (1.0 + (self.half_px / max(texel_px, 1e-9)) ** self.steepness)
 
 
@@ -278,7 +278,7 @@ def is_dense_wood(descriptor: Descriptor, light: str) -> bool:
 def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants:
     constants = constants_of(descriptor, step, model)
     if constants is None:
-        raise UnmeasuredError(step.algorithm, NO_ERRORS)
+        raise UnmeasuredError(step.algorithm, NO_ERRORS_REASON)
     return constants
 
 
@@ -308,7 +308,7 @@ def _wrong_share_of_kind(
     for band in casting.bands:
         texel_px = texel_px_of(descriptor, light, step, band, model.perspective)
         if texel_px > 0.0:
-            wrong_share += band.share * _interpolated_difference(band, texel_px) * model.counted[kind].of(texel_px)
+            wrong_share += band.share * _interpolated_difference(band, texel_px) * model.counted[kind].evaluate(texel_px)
     return wrong_share
 
 
@@ -326,13 +326,13 @@ def smoothed_differing_shares(differs: tuple[float, ...]) -> tuple[float, ...]:
     """Return the values of ``CastBand.differs`` with less sampling noise, one for each of ``TEXEL_SIZES_PX``.
 
     A value is the share of points whose shadow-map look-up differs. It grows about in proportion to the texel's side. So each value
-    is estimated from this texel size and the next larger ones together: from ``POOLED_SIZES`` sizes, or from as many more as it
-    takes until ``MIN_POOLED_SHARE`` of the probes differ. Larger texels give more observations of a difference.
+    is estimated from this texel size and the next larger ones together: from ``MIN_POOLED_TEXEL_SIZES`` sizes, or from as many
+    more as it takes until ``MIN_POOLED_DIFFERENCE`` of the probes differ. Larger texels give more observations of a difference.
     """
     shares = []
     for first, px in enumerate(TEXEL_SIZES_PX):
-        end = first + POOLED_SIZES
-        while end < len(TEXEL_SIZES_PX) and sum(differs[first:end]) < MIN_POOLED_SHARE:
+        end = first + MIN_POOLED_TEXEL_SIZES
+        while end < len(TEXEL_SIZES_PX) and sum(differs[first:end]) < MIN_POOLED_DIFFERENCE:
             end += 1
         shares.append(min(px * sum(differs[first:end]) / sum(TEXEL_SIZES_PX[first:end]), 1.0))
     return tuple(shares)

@@ -19,13 +19,13 @@ UNKNOWN_TIME_SPREAD = 0.7
 With this scale about half of the times are off by a factor of more than two.
 """
 
-UNKNOWN_SHARED = SharedVariance(view=0.85, family=0.08)
+UNKNOWN_SHARED_VARIANCE = SharedVariance(view=0.85, family=0.08)
 """Shares of the variance of these times that candidates have in common. Most of it is one factor of the device."""
 
 ESTIMATED_TIME_SPREAD = 0.35
 """The same scale for estimated rates, whose factor a benchmark has measured: half of the times are off by a factor of 1.5."""
 
-ESTIMATED_SHARED = SharedVariance(view=0.3, family=0.3)
+ESTIMATED_SHARED_VARIANCE = SharedVariance(view=0.3, family=0.3)
 """The same shares for estimated rates: what the factor leaves is common to a view's pixels or to a family's passes."""
 
 
@@ -46,5 +46,7 @@ def model_for_device(device: DeviceProfile | None, errors: ErrorModel | None = N
     model = errors or packaged_model()
     if device is not None and not device.is_estimate:
         return model
-    spread, time = (UNKNOWN_TIME_SPREAD, UNKNOWN_SHARED) if device is None else (ESTIMATED_TIME_SPREAD, ESTIMATED_SHARED)
+    spread, time = (
+        (UNKNOWN_TIME_SPREAD, UNKNOWN_SHARED_VARIANCE) if device is None else (ESTIMATED_TIME_SPREAD, ESTIMATED_SHARED_VARIANCE)
+    )
     return model.model_copy(update={"time_spread": spread, "shared": model.shared.model_copy(update={"time": time})})

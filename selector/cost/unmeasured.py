@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
-NO_ERRORS = "its errors are not measured yet: benchmarks/selection fits them"
-NO_RATES = "this device has no rates for {part}: run skugga calibrate again"
+NO_ERRORS_REASON = "its errors are not measured yet: benchmarks/selection fits them"
+NO_RATES_REASON = "this device has no rates for {part}: run skugga calibrate again"
 
 
 class UnmeasuredError(Exception):

@@ -38,9 +38,9 @@ TIMING_REPEATS = 5
 TIME_LIMIT_S, DRAWING_TIME_SHARE = 70.0, 0.85
 """Time limit of a comparison in seconds, and the share of it after which no further candidates are drawn."""
 
-FINE_SAMPLES = 16
+FINE_TRUTH_SAMPLES = 16
 
-NO_CAST = "no cast shadow in the view: only false shadow can be measured"
+NO_CAST_SHADOW_REMARK = "no cast shadow in the view: only false shadow can be measured"
 """Remark on a view without cast shadow."""
 
 
@@ -215,12 +215,12 @@ def compare(
     step = on_step or (lambda done, total_steps: None)
     effects = frozenset().union(*(plan.effect_names for plan in plans))
     scene = with_apparent_sun(scene, effects)
-    view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, effects)
+    view_truth = truth_of_view(scene, view, light, FINE_TRUTH_SAMPLES if fine else TRUTH_SAMPLES, effects)
     pictures = picture_blocks(scene, view)
     step(1, total)
     first = view_truth.blocks[0]
     floor = _noise_floor(scene, view_truth)
-    simplification_share = truth_module.surface_error(first.buffer, scene, first.casters)
+    simplification_share = truth_module.simplification_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name, "points").pixel_m
     trials: list[TimedPlan] = []
@@ -242,11 +242,11 @@ def compare(
                 trial.repeat_times.append(run_light(scene, pictures, trial.plan, light).times)
         step(len(plans) + 3 + repeat, total)
     rows = [_with_times(trial) for trial in trials]
-    _mark_pareto(rows, view_truth.error)
+    _mark_pareto(rows, view_truth.error_name)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
-        view, light, rows, view_truth.full_truth.valid, view_truth.error, view_truth.full_truth.boundary,
-        view_truth.full_truth.cast, simplification_share, floor, remarks, tuple(left_out), default,
+        view, light, rows, view_truth.full_truth.valid, view_truth.error_name, view_truth.full_truth.undecidable_share,
+        view_truth.full_truth.cast_share, simplification_share, floor, remarks, tuple(left_out), default,
     )  # fmt: skip
 
 
@@ -259,7 +259,7 @@ def measure_plan(
     includes compilation.
     """
     scene, light = with_apparent_sun(scene, plan.effect_names), _check_light(scene, light)
-    view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.effect_names)
+    view_truth = truth_of_view(scene, view, light, FINE_TRUTH_SAMPLES if fine else TRUTH_SAMPLES, plan.effect_names)
     pictures = picture_blocks(scene, view)
     trial = _first_run(scene, view_truth, pictures, plan, describe(scene, view, plan.view, "points").pixel_m)
     trial.repeat_times.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
@@ -308,9 +308,9 @@ def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
             sample = geometry_buffer(scene, sub_view, ground.buffer.frame)
             count += truth_module.lit_mask(sample, scene, light, rays)
         votes.append(np.where(ground.buffer.valid, count / TRUTH_SAMPLES, np.nan))
-    if view_truth.error == "coverage":
+    if view_truth.error_name == "coverage":
         return view_truth.coverage(votes)
-    return error_metrics(view_truth.assembled(votes, np.nan), view_truth.full_truth, 1.0).wrong_cast
+    return error_metrics(view_truth.assemble(votes, np.nan), view_truth.full_truth, 1.0).wrong_cast
 
 
 def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
@@ -323,8 +323,8 @@ def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBloc
     for ground, part in zip(view_truth.blocks, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.valid] = np.nan
-    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft=True)
-    shown_visibility = np.nan_to_num(view_truth.assembled(run.parts, np.nan), nan=1.0)
+    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft_edges=True)
+    shown_visibility = np.nan_to_num(view_truth.assemble(run.parts, np.nan), nan=1.0)
     dark, true_dark = shown_visibility < 0.5, ~truth.lit
     records = run.log.records.values()
     figures = {
@@ -409,11 +409,11 @@ def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> 
         remarks.append("the level has no light: everything is dark, whatever the algorithm")
     elif scene.light_names == (SUN,) and not scene.sun_is_up:
         remarks.append("the sun is down: everything is in shadow, whatever the algorithm")
-    elif truth.cast == 0.0:
-        remarks.append(NO_CAST)
+    elif truth.cast_share == 0.0:
+        remarks.append(NO_CAST_SHADOW_REMARK)
     elif not truth.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")
-    if truth.valid.any() and view_truth.error == "coverage":
+    if truth.valid.any() and view_truth.error_name == "coverage":
         remarks.append("coverage is the error that counts: truth cannot decide over half of the surface")
     if not rows:
         remarks.append("no shadow algorithm can serve this view")

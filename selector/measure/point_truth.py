@@ -20,7 +20,7 @@ from skugga.selector.measure.probing import INTERVAL_Z
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
 from skugga.shadows.attached import attached
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import INTERIOR_PX, edge_test_region, far_from_edges
+from skugga.shadows.truth.metrics import INTERIOR_PX, edge_test_region, is_far_from_edges
 from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_mask, ray_scene, sample_nodes, trace_truth
 from skugga.shadows.visibility import without_hidden_points
 from skugga.terrain.casters.rays import RayScene
@@ -31,7 +31,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-LATTICE_POINTS = 10_000
+MIN_LATTICE_POINTS = 10_000
 """Minimum number of points of a lattice. The maximum is just below four times this number."""
 
 
@@ -41,33 +41,33 @@ class PointCounts:
 
     Attributes
     ----------
-    decided
+    decidable_count
         Points for which truth decides between shadow and light.
-    wrong
-        Decided points that are wrong in the picture.
-    cast
-        Decided points that are in cast shadow, in truth or in the picture.
-    wrong_cast
-        Points of ``cast`` that are wrong in the picture.
-    inside
+    wrong_count
+        Decidable points that are wrong in the picture.
+    cast_count
+        Decidable points that are in cast shadow, in truth or in the picture.
+    wrong_cast_count
+        Points in cast shadow that are wrong in the picture.
+    interior_count
         Wrong points that are far from shadow edges.
     """
 
-    decided: int = 0
-    wrong: int = 0
-    cast: int = 0
-    wrong_cast: int = 0
-    inside: int = 0
+    decidable_count: int = 0
+    wrong_count: int = 0
+    cast_count: int = 0
+    wrong_cast_count: int = 0
+    interior_count: int = 0
 
     def __add__(self, other: PointCounts) -> PointCounts:
-        return PointCounts(*(a + b for a, b in zip(self.all, other.all, strict=True)))
+        return PointCounts(*(a + b for a, b in zip(self.as_tuple, other.as_tuple, strict=True)))
 
     @property
-    def all(self) -> tuple[int, ...]:
-        return self.decided, self.wrong, self.cast, self.wrong_cast, self.inside
+    def as_tuple(self) -> tuple[int, ...]:
+        return self.decidable_count, self.wrong_count, self.cast_count, self.wrong_cast_count, self.interior_count
 
 
-def share_interval(part: int, total: int, z: float = INTERVAL_Z) -> tuple[float, float]:
+def wilson_interval(part: int, total: int, z: float = INTERVAL_Z) -> tuple[float, float]:
     """Return the lower and upper limit of the Wilson score interval of a share, for ``part`` of ``total`` observations.
 
     ``z`` is the number of standard errors to either side. Without observations the interval is 0 to 1. The source is E. B. Wilson,
@@ -81,12 +81,12 @@ def share_interval(part: int, total: int, z: float = INTERVAL_Z) -> tuple[float,
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def lattice_offsets(every: int) -> list[tuple[int, int]]:
-    """Return the first row and column of each lattice of every n-th pixel; n is ``every``, a power of two.
+def lattice_offsets(spacing_px: int) -> list[tuple[int, int]]:
+    """Return the first row and column of each lattice with a point every ``spacing_px`` pixels, a power of two.
 
     The lattices are in the order in which they are used: each one is as far as possible from the earlier ones.
     """
-    offsets, half = [(0, 0)], every // 2
+    offsets, half = [(0, 0)], spacing_px // 2
     while half >= 1:
         offsets += [(row + dr, col + dc) for dr, dc in ((half, half), (0, half), (half, 0)) for row, col in list(offsets)]
         half //= 2
@@ -101,22 +101,22 @@ class Lattice:
     ----------
     buffer
         Geometry of the points.
-    first
+    first_pixel
         Row and column of the first point.
-    every
-        Distance n of neighbouring points, pixels.
+    spacing_px
+        Distance of neighbouring points, pixels.
     truth
         Truth at the points.
     """
 
     buffer: GeometryBuffer
-    first: tuple[int, int]
-    every: int
+    first_pixel: tuple[int, int]
+    spacing_px: int
     truth: Truth
 
     def at_points(self, values: np.ndarray) -> np.ndarray:
         """Return the values of a picture (rows, cols) at the points of the lattice."""
-        return values[self.first[0] :: self.every, self.first[1] :: self.every]
+        return values[self.first_pixel[0] :: self.spacing_px, self.first_pixel[1] :: self.spacing_px]
 
 
 class PictureTruth:
@@ -130,17 +130,17 @@ class PictureTruth:
     ) -> None:
         self.scene, self.picture, self.light, self.casters = scene, picture, light, casters
         self._effects = effects
-        self.every = 1
+        self.spacing_px = 1
         rows, cols = picture.valid.shape
-        while rows * cols / (2 * self.every) ** 2 >= LATTICE_POINTS:
-            self.every *= 2
+        while rows * cols / (2 * self.spacing_px) ** 2 >= MIN_LATTICE_POINTS:
+            self.spacing_px *= 2
         self.attached = attached(picture, scene, light)
         self._traced, self._dark = np.zeros((rows, cols), bool), np.zeros((rows, cols), bool)
 
     @property
     def lattice_count(self) -> int:
         """The number of lattices that together contain all pixels."""
-        return self.every**2
+        return self.spacing_px**2
 
     def prepare(self) -> None:
         """Build the data that all lattices share, so that the time of the first lattice excludes it."""
@@ -148,13 +148,13 @@ class PictureTruth:
 
     def lattice(self, number: int) -> Lattice:
         """Compute truth at the points of the lattice with index ``number``."""
-        first = lattice_offsets(self.every)[number]
-        full = subsampled_points(self.picture, self.every, first)
+        first_pixel = lattice_offsets(self.spacing_px)[number]
+        full = subsampled_points(self.picture, self.spacing_px, first_pixel)
         truth = trace_truth(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
         buffer = without_hidden_points(full, self.scene, self.light, self._effects)
         if buffer is not full:
             truth = replace(truth, decidable=truth.decidable & buffer.valid, valid=truth.valid & buffer.valid)
-        return Lattice(buffer, first, self.every, truth)
+        return Lattice(buffer, first_pixel, self.spacing_px, truth)
 
     @cached_property
     def rays(self) -> RayScene:
@@ -177,12 +177,13 @@ class PictureTruth:
         dark, true_dark = lattice.at_points(dark) & truth.valid, ~truth.lit & truth.valid
         is_wrong = truth.decidable & (dark != true_dark)
         cast = truth.decidable & (dark | true_dark) & ~truth.attached
-        decided, wrong_count, cast_count, wrong_cast = (
-            int(np.count_nonzero(which)) for which in (truth.decidable, is_wrong, cast, is_wrong & cast)
+        decidable_count, wrong_count, cast_count, wrong_cast_count = (
+            int(np.count_nonzero(mask)) for mask in (truth.decidable, is_wrong, cast, is_wrong & cast)
         )
-        return PointCounts(decided, wrong_count, cast_count, wrong_cast, self._inside(lattice, is_wrong, steps, pixel_m))
+        interior_count = self._count_interior(lattice, is_wrong, steps, pixel_m)
+        return PointCounts(decidable_count, wrong_count, cast_count, wrong_cast_count, interior_count)
 
-    def _inside(self, lattice: Lattice, is_wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
+    def _count_interior(self, lattice: Lattice, is_wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
         """Return the number of wrong points that are far from the edges of true shadows.
 
         ``is_wrong`` is a mask of the lattice's points.
@@ -192,9 +193,11 @@ class PictureTruth:
         drawing: Sequence[Step | None] = steps or [None]
         texel_px = np.max([texel_footprint_px(self.scene, step, lattice.buffer, pixel_m) for step in drawing], axis=0)
         distance_px = np.maximum(INTERIOR_PX, 2.0 * texel_px[is_wrong]).astype(np.float64)
-        row, col = (first + lattice.every * index for first, index in zip(lattice.first, np.nonzero(is_wrong), strict=True))
+        row, col = (
+            first + lattice.spacing_px * index for first, index in zip(lattice.first_pixel, np.nonzero(is_wrong), strict=True)
+        )
         self._trace(edge_test_region(row, col, distance_px, self.picture.valid.shape))
-        return int(np.count_nonzero(far_from_edges(self._dark, self.picture.valid, row, col, distance_px)))
+        return int(np.count_nonzero(is_far_from_edges(self._dark, self.picture.valid, row, col, distance_px)))
 
     def _trace(self, pixels: np.ndarray) -> None:
         """Trace one ray for each pixel in the mask ``pixels`` (rows, cols), and store whether it is dark."""

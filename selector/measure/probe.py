@@ -28,8 +28,8 @@ from skugga.terrain.scene import Scene
 DEFAULT_BUDGET_S = 3.0
 """Default time limit of a probe in seconds."""
 
-UNCALIBRATED_PROBE = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"
-ESTIMATED_PROBE = "this device is not calibrated, so times are estimates, corrected by the candidates drawn"
+UNCALIBRATED_PROBE_REASON = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"
+ESTIMATED_PROBE_REASON = "this device is not calibrated, so times are estimates, corrected by the candidates drawn"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def probed_plan(
         probes[light] = probe_options(light_options, prober, options.max_error, options.time_limits_ms()[light], left_s, on_step)
         options = replace(options, lights={**options.lights, light: probes[light].options})
     policy: PolicyName = "measure" if budget_s is None else "probe"
-    basis = UNCALIBRATED_PROBE if device is None else ESTIMATED_PROBE if device.is_estimate else None
+    basis = UNCALIBRATED_PROBE_REASON if device is None else ESTIMATED_PROBE_REASON if device.is_estimate else None
     reasons = [] if basis is None else [NamedReason(name=f"policy {policy}", reason=basis)]
     reasons += [reason for light, probe in probes.items() for reason in _reasons(options, light, probe)]
     plan = plan_from_options(options, policy, reasons)

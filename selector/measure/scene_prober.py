@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from skugga.selector.measure.compare import DrawnBlock, picture_blocks, run_light
-from skugga.selector.measure.point_truth import Lattice, PictureTruth, PointCounts, share_interval
+from skugga.selector.measure.point_truth import Lattice, PictureTruth, PointCounts, wilson_interval
 from skugga.selector.measure.probing import INTERVAL_Z, ErrorMeasurement
 from skugga.selector.measure.view_truth import MAX_UNDECIDABLE_SHARE, View
 from skugga.selector.options import LightOptions
@@ -25,7 +25,7 @@ from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.scene import Scene
 
-MAX_DOUBLINGS = 4
+MAX_LATTICE_DOUBLINGS = 4
 """Number of times that the number of lattices (sets of sample points) is doubled: 1, 2, 4, 8, 16.
 
 In pictures of usual size 16 lattices contain all pixels.
@@ -53,7 +53,7 @@ class ProbedPictures:
         self.effects = effects
 
     @cached_property
-    def drawn(self) -> list[DrawnBlock]:
+    def blocks(self) -> list[DrawnBlock]:
         if isinstance(self.view, MapView):
             ((picture, casters),) = picture_blocks(self.scene, self.view)
             return [(picture, casters)]
@@ -102,12 +102,12 @@ class SceneProber:
         """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
         plan = self._planner.plan({self._light: self._options.options[which].choice}, {})
         try:
-            run = run_light(self._pictures.scene, self._pictures.drawn, plan, self._light)
+            run = run_light(self._pictures.scene, self._pictures.blocks, plan, self._light)
         except UnsupportedError:
             return None
         ms = run.times[0]
         for _ in range(1, DRAW_REPEATS if ms < MAX_REPEATED_MS else 1):
-            ms = min(ms, run_light(self._pictures.scene, self._pictures.drawn, plan, self._light).times[0])
+            ms = min(ms, run_light(self._pictures.scene, self._pictures.blocks, plan, self._light).times[0])
         self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
         for truth, part in zip(self._truths, run.parts, strict=True):
             part[truth.attached] = 0.0
@@ -120,7 +120,7 @@ class SceneProber:
         pictures = self._pictures
         return [
             PictureTruth(pictures.scene, picture.pixel_buffer, casters, self._light, pictures.effects)
-            for picture, casters in pictures.drawn
+            for picture, casters in pictures.blocks
         ]
 
     @property
@@ -179,15 +179,15 @@ class SceneProber:
             if len(share_errors)
             else (0.0, 1.0)
         )
-        half = 0.0 if self._doublings == MAX_DOUBLINGS else half
-        inside = measurement_from_counts(total, self._is_complete)
+        half = 0.0 if self._doublings == MAX_LATTICE_DOUBLINGS else half
+        from_counts = measurement_from_counts(total, self._is_complete)
         return ErrorMeasurement(
             mean,
             max(mean - half, 0.0),
             min(mean + half, 1.0),
-            inside.interior,
-            inside.interior_low,
-            inside.interior_high,
+            from_counts.interior,
+            from_counts.interior_low,
+            from_counts.interior_high,
             len(share_errors),
         )
 
@@ -200,7 +200,7 @@ class SceneProber:
 
     def add_points_s(self) -> float | None:
         """Return the expected seconds to compute truth at more points; ``None`` if it is known at all points."""
-        if self._doublings == MAX_DOUBLINGS or (self._is_complete and not self.uses_coverage):
+        if self._doublings == MAX_LATTICE_DOUBLINGS or (self._is_complete and not self.uses_coverage):
             return None
         return self._points_s * 2**self._doublings * len(self._truths) + 2.0 * self._coverage_s
 
@@ -215,9 +215,9 @@ def measurement_from_counts(counts: PointCounts, is_complete: bool) -> ErrorMeas
 
     ``is_complete`` tells whether the sample contains all pixels. Then the confidence intervals have no width.
     """
-    error, interior = counts.wrong_cast / max(counts.cast, 1), counts.inside / max(counts.decided, 1)
+    error, interior = counts.wrong_cast_count / max(counts.cast_count, 1), counts.interior_count / max(counts.decidable_count, 1)
     if is_complete:
-        return ErrorMeasurement(error, error, error, interior, interior, interior, counts.cast)
-    low, high = share_interval(counts.wrong_cast, counts.cast)
-    inside_low, inside_high = share_interval(counts.inside, counts.decided)
-    return ErrorMeasurement(error, low, high, interior, inside_low, inside_high, counts.cast)
+        return ErrorMeasurement(error, error, error, interior, interior, interior, counts.cast_count)
+    low, high = wilson_interval(counts.wrong_cast_count, counts.cast_count)
+    interior_low, interior_high = wilson_interval(counts.interior_count, counts.decidable_count)
+    return ErrorMeasurement(error, low, high, interior, interior_low, interior_high, counts.cast_count)

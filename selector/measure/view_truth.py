@@ -34,7 +34,7 @@ ErrorName = Literal["wrong_cast", "coverage"]
 TRUTH_SAMPLES = 4
 """Number of sub-samples of a pixel. Truth decides between shadow and light only if all of them agree."""
 
-SOFT_PIXELS = 40_000
+AREA_LIGHT_PIXELS = 40_000
 """Approximate number of evenly spaced pixels of a view for which the true visibility of an area light is computed."""
 
 MAX_UNDECIDABLE_SHARE = 0.5
@@ -99,15 +99,15 @@ class ViewTruth:
     @cached_property
     def true_visibility(self) -> np.ndarray:
         """True visibility (rows, cols) of the light as an area light, for errors of soft edges. NaN except in every n-th pixel."""
-        every = max(round((self.view.rows * self.view.cols / SOFT_PIXELS) ** 0.5), 1)
-        return self.assembled([_area_visibility(ground, every) for ground in self.blocks], np.nan)
+        spacing_px = max(round((self.view.rows * self.view.cols / AREA_LIGHT_PIXELS) ** 0.5), 1)
+        return self.assemble([_area_visibility(ground, spacing_px) for ground in self.blocks], np.nan)
 
     @property
-    def error(self) -> ErrorName:
+    def error_name(self) -> ErrorName:
         """Name of the error that is compared with the requested limit ``max_error`` in this view."""
-        return "coverage" if self.full_truth.boundary > MAX_UNDECIDABLE_SHARE else "wrong_cast"
+        return "coverage" if self.full_truth.undecidable_share > MAX_UNDECIDABLE_SHARE else "wrong_cast"
 
-    def assembled(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+    def assemble(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
         """Return one array of the view (rows, cols) from one array for each block. Other pixels have the value ``empty``."""
         return _assemble(self.view, self.blocks, parts, empty)
 
@@ -123,17 +123,17 @@ class ViewTruth:
             parts.append(part)
         return parts
 
-    def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float, soft: bool = False) -> ErrorMetrics:
+    def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float, soft_edges: bool = False) -> ErrorMetrics:
         """Return the errors of visibilities, one array (rows, cols) for each block, against truth.
 
         The visibilities include attached shadow (surfaces that face away from the light). ``steps`` are the calls of algorithms
-        that drew them, and ``pixel_m`` is the side of a pixel, metres. With ``soft``, the reference of ``soft_error`` is an area
-        light, which takes more rays; otherwise it is a point light.
+        that drew them, and ``pixel_m`` is the side of a pixel, metres. With ``soft_edges``, the reference of ``soft_error`` is an
+        area light, which takes more rays; otherwise it is a point light.
         """
         footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.blocks]
-        true_visibility = self.true_visibility if soft else None
+        true_visibility = self.true_visibility if soft_edges else None
         return error_metrics(
-            self.assembled(parts, np.nan), self.full_truth, pixel_m, self.assembled(footprints_px, 0.0), true_visibility
+            self.assemble(parts, np.nan), self.full_truth, pixel_m, self.assemble(footprints_px, 0.0), true_visibility
         )
 
     def coverage(self, parts: Sequence[np.ndarray]) -> float:
@@ -199,19 +199,19 @@ def _truth_block(scene: Scene, light: str, block: View, row: int, col: int, samp
     return TruthBlock(scene, buffer, light, casters, truth, attached(buffer, scene, light), row, col)
 
 
-def _area_visibility(ground: TruthBlock, every: int) -> np.ndarray:
+def _area_visibility(ground: TruthBlock, spacing_px: int) -> np.ndarray:
     """Return the true visibility of the light as an area light, in every n-th pixel of a block: float32 (rows, cols).
 
-    n is ``every``. All other pixels, and pixels without a surface, are NaN.
+    n is ``spacing_px``. All other pixels, and pixels without a surface, are NaN.
     """
     out = np.full(ground.truth.lit.shape, np.nan, np.float32)
     if ground.light == SUN and not ground.scene.sun_is_up:
         out[ground.truth.valid] = 0.0
     elif ground.truth.valid.any():
-        points = subsampled_points(ground.buffer, every)
+        points = subsampled_points(ground.buffer, spacing_px)
         rays = ray_scene(ground.buffer, ground.scene, ground.casters, ALL_KINDS)
         visibility = area_visibility(points, ground.scene, ground.light, rays, AREA_LIGHT_SAMPLES)
-        out[::every, ::every] = np.where(points.valid, visibility, np.nan)
+        out[::spacing_px, ::spacing_px] = np.where(points.valid, visibility, np.nan)
     return out
 
 

@@ -11,7 +11,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import Shadows
 
-NO_RULE = "default: no rule applies, and a shadow map serves every view, light and kind of casters"
+NO_RULE_REASON = "default: no rule applies, and a shadow map serves every view, light and kind of casters"
 
 
 def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[str]) -> dict[str, Choice]:
@@ -41,4 +41,4 @@ def _first_applicable_rule(case: RuleInput) -> tuple[AlgorithmName, str]:
             and (reason := rule.reason_for(case)) is not None
         ):
             return rule.algorithm, f"{reason} ({rule.source})"
-    return FALLBACK, NO_RULE
+    return FALLBACK, NO_RULE_REASON

@@ -25,14 +25,14 @@ TYPICAL_MAP_ERROR = 0.006
 Uniform shadow maps have four times this error (``docs/seeds.md``, the grades). Neither can meet a smaller limit of the error.
 """
 
-MAX_FEW_TRIANGLES = 2000
+MAX_VOLUME_TRIANGLES = 2000
 """Maximum number of triangles of casters for which shadow volumes count as fast.
 
 In the thesis's scene of a street, with 400 triangles, shadow volumes are fastest. In its other scenes, with 12,000 and more, they
 take 1.7 to 4 times as long as a shadow map (``docs/seeds.md``, the advice). The limit is the geometric mean.
 """
 
-CLOSED_SHARE = 0.5
+MIN_CLOSED_SHARE = 0.5
 """Minimum share of the triangles that belong to closed meshes, for shadow volumes to count as fast.
 
 Each open edge of a mesh is a silhouette. So open meshes with few triangles still have many faces of shadow volumes.
@@ -41,10 +41,10 @@ Each open edge of a mesh is a silhouette. So open meshes with few triangles stil
 REFERENCE_MAP_TEXELS = 1024
 """Texels per side of the shadow map to which the thesis's advice refers."""
 
-SHARP_TEXEL_PX = 2.0
+MAX_SHARP_TEXEL_PX = 2.0
 """If a texel covers at most this many pixels, 95 % of the edges are off by at most one pixel (``docs/seeds.md``, figure 52)."""
 
-COARSE_TEXEL_PX = 4.0
+MIN_COARSE_TEXEL_PX = 4.0
 """Pixels per texel above which the camera counts as near to a shadow edge: some edges are off by more than two pixels.
 
 See figure 52 in ``docs/seeds.md``. In the thesis's scenes a texel covers 1.4 to 3 pixels in overviews, and 6 to 30 pixels from a
@@ -75,7 +75,7 @@ In the thesis's scene of stone circles under the sun the share is 30 %. There a 
 uniform one, in the same time (``docs/seeds.md``, the advice).
 """
 
-MIN_GAIN = 4.0
+MIN_TEXEL_GAIN = 4.0
 """Minimum factor by which a perspective shadow map reduces texels near the eye, for it to be preferred to a uniform one."""
 
 
@@ -173,7 +173,7 @@ def _needs_foliage_map(case: RuleInput) -> str | None:
 
 def _few_polygons(case: RuleInput) -> str | None:
     casters = case.casters
-    if casters is None or not 0 < casters.triangles <= MAX_FEW_TRIANGLES or casters.closed_share < CLOSED_SHARE:
+    if casters is None or not 0 < casters.triangles <= MAX_VOLUME_TRIANGLES or casters.closed_share < MIN_CLOSED_SHARE:
         return None
     return f"few polygons ({casters.triangles} triangles): shadow volumes are fast, and exact to the pixel"
 
@@ -183,7 +183,7 @@ def _narrow_light_cone(case: RuleInput) -> str | None:
         return None
     across_m = 2.0 * case.lamp.reference_m * float(np.tan(np.radians(case.lamp.cutoff_deg)))
     texel_px = across_m / REFERENCE_MAP_TEXELS / case.descriptor.pixel_m
-    if texel_px > SHARP_TEXEL_PX:
+    if texel_px > MAX_SHARP_TEXEL_PX:
         return None
     return f"narrow light cone: a texel of the shadow map covers {texel_px:.2g} pixels at the lamp's target"
 
@@ -206,7 +206,7 @@ def _map_view(case: RuleInput) -> str | None:
 
 def _far_edges(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
-    if texel_px is None or texel_px > COARSE_TEXEL_PX:
+    if texel_px is None or texel_px > MIN_COARSE_TEXEL_PX:
         return None
     return f"camera far from shadow edges: a texel of the shadow map covers {texel_px:.2g} pixels at the nearest edge"
 
@@ -215,7 +215,7 @@ def _complex_near_shadows(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
     if (
         texel_px is None
-        or texel_px <= COARSE_TEXEL_PX
+        or texel_px <= MIN_COARSE_TEXEL_PX
         or case.light_facts is None
         or case.light_facts.volume_layers < MIN_COMPLEX_LAYERS
     ):
@@ -236,7 +236,7 @@ def _small_visible_lit_area(case: RuleInput) -> str | None:
     # A perspective shadow map moves the camera back until all casters lie before it. In post-perspective space, points at infinity
     # then have depth m. The far distance is m / (m - 1) times the near one. No texel gets smaller by more than this factor.
     near_m, far_m = bands[0].near_m, bands[-1].far_m
-    if far_m is None or near_m <= 0.0 or far_m / near_m < MIN_GAIN:
+    if far_m is None or near_m <= 0.0 or far_m / near_m < MIN_TEXEL_GAIN:
         return None
     return f"the camera sees {100.0 * light_facts.area_share:.1f} % of the lit area: a perspective shadow map puts its texels there"
 

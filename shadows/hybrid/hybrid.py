@@ -29,7 +29,7 @@ from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import lamp_map, sun_maps
 from skugga.shadows.passes import PassLog
-from skugga.shadows.volumes.drawing import count, faces_in_front
+from skugga.shadows.volumes.drawing import count_volumes, faces_in_front
 from skugga.shadows.volumes.shadow_volume import VOLUME_CACHES, VOLUME_REFUSALS, has_too_much_ground
 from skugga.shadows.volumes.tiles import marked_tiles
 from skugga.shadows.volumes.volumes import volumes_of
@@ -72,7 +72,7 @@ def fill(
         row, col = np.nonzero(is_masked[: buffer.view.rows])
         record.marked += len(row)
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
-        counts = count(buffer, scene, light_frame, volumes, settings, is_masked, True, record)
+        counts = count_volumes(buffer, scene, light_frame, volumes, settings, is_masked, True, record)
     log.keep_layer("stencil", light, counts.copy)
     return np.where(np.where(is_masked, counts > 0, classes == SHADED), np.float32(0.0), np.float32(1.0))
 

@@ -50,7 +50,7 @@ class _Window:
         Bound of the rounding error of depths: a number or (n,).
     rotation, translation
         Transform (3, 3), (3,) from frame points to the light's axes.
-    lamp
+    is_lamp
         Whether the light is a lamp, with perspective projection.
     near_m
         Near plane of a lamp, metres; 0 for the sun.
@@ -68,7 +68,7 @@ class _Window:
     slack: np.ndarray | float
     rotation: np.ndarray
     translation: np.ndarray
-    lamp: bool
+    is_lamp: bool
     near_m: float
     map_origin: np.ndarray
     texel: np.ndarray
@@ -78,7 +78,7 @@ class _Window:
     def key(self) -> Hashable:
         """Cache key of the map's content, apart from the casters."""
         arrays = (self.rotation, self.translation, self.map_origin, self.texel)
-        return self.lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
+        return self.is_lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
 
 
 _map_cache: Cache[ConservativeMap] = Cache("skugga.shadows.hybrid.maps", "light", 256 * MIB)
@@ -144,7 +144,7 @@ def map_pictures(
         has_caster = np.isfinite(nearest)
         low, high = min(nearest[has_caster].min(initial=np.inf), window.depth.min()), window.depth.max()
         share = np.where(has_caster, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
-        arrays.append(share if window.lamp else share[::-1])
+        arrays.append(share if window.is_lamp else share[::-1])
     return tiled_pictures(arrays) if arrays else np.ones((1, 1), np.float32)
 
 
@@ -164,7 +164,7 @@ def _cached_map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMa
 def _transform_to_texels(window: _Window, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
     """Transform triangles or edges (n, k, 4) of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane."""
     light_points = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
-    if window.lamp:
+    if window.is_lamp:
         light_points = _project_to_tangents(clip(light_points, window.near_m))
     return np.concatenate([(light_points[..., :2] - window.map_origin) / window.texel, light_points[..., 2:]], axis=-1)
 

@@ -9,7 +9,7 @@ from skugga.shadows.maps.resolve import resolve_uniform_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.volumes.settings import StencilSettings, stencil_settings
 
-HYBRID_TEXELS = 768
+HYBRID_MAP_SIZE = 768
 """Default size of a hybrid's map, texels a side. A small map suffices, since volumes decide at edges."""
 
 
@@ -40,7 +40,7 @@ class HybridSettings(StencilSettings):
 def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
     """Return the hybrid's settings under a light, and the reasons for those resolved from ``auto``."""
     shadows = request.shadows
-    size = HYBRID_TEXELS if shadows.map_size == "auto" else shadows.map_size
+    size = HYBRID_MAP_SIZE if shadows.map_size == "auto" else shadows.map_size
     map_shadows = shadows.model_copy(
         update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"}
     )

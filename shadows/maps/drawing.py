@@ -32,7 +32,7 @@ MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 
 M = TypeVar("M")
 
-TEXTURE_STEP = 512
+TEXTURE_SIZE_STEP = 512
 """Textures with a side above this number of texels have sides that are multiples of it."""
 
 POLYGON_OFFSET = 1.1, 4.0
@@ -126,10 +126,10 @@ def read_depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndar
 def _rounded_texture_side(side: int) -> int:
     """Return the side of a texture with room for a map's ``side``, in texels.
 
-    A side above ``TEXTURE_STEP`` is rounded up to a multiple of it. The sizes of maps that follow a camera or the sun differ a
+    A side above ``TEXTURE_SIZE_STEP`` is rounded up to a multiple of it. The sizes of maps that follow a camera or the sun differ a
     little. Rounding lets them share a texture.
     """
-    return min(-(-side // TEXTURE_STEP) * TEXTURE_STEP, device().max_size) if side > TEXTURE_STEP else side
+    return min(-(-side // TEXTURE_SIZE_STEP) * TEXTURE_SIZE_STEP, device().max_size) if side > TEXTURE_SIZE_STEP else side
 
 
 def _meshes_with_culling(
@@ -162,11 +162,11 @@ def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh],
     return settings, depth_map.size, len(depth_map.faces), tuple(depth_map.uniforms.items()), geometry, tree_digest
 
 
-def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, for_sun_disc: bool) -> TreeInstances | None:
+def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc: bool) -> TreeInstances | None:
     """Return the trees to draw into a map: those that may shade a visible point."""
-    if depth_map.trees is None or depth_map.reach is None:
+    if depth_map.trees is None or depth_map.tree_bounds is None:
         return depth_map.trees
-    return depth_map.trees.select(relevant_trees(depth_map, buffer, for_sun_disc))
+    return depth_map.trees.select(relevant_trees(depth_map, buffer, samples_sun_disc))
 
 
 def _face_uniforms(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:

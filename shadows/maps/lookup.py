@@ -35,10 +35,10 @@ MAX_GATHERED_SHARE = 0.5
 
 CREASE_EPSILON = np.float32(1e-9)
 
-DEPTH_MAP_UNIT = 5
+DEPTH_MAP_TEXTURE_UNIT = 5
 """Texture unit of the depth map."""
 
-MIN_DEPTH_UNIT = 6
+MIN_DEPTH_TEXTURE_UNIT = 6
 """Texture unit of the minimum depths of the depth map's blocks of texels."""
 
 POINT_LOOKUP = "shadows/maps/point_lookup"
@@ -160,14 +160,14 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
     program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
         **depth_map.uniforms, "map_size": depth_map.size, "bias_scale": settings.bias_scale,
-        "position_frame_m": 0, "normal_frame": 1, "depth_map": DEPTH_MAP_UNIT,
+        "position_frame_m": 0, "normal_frame": 1, "depth_map": DEPTH_MAP_TEXTURE_UNIT,
     })  # fmt: skip
     if "face_from_lamp" in program:
         program["face_from_lamp"] = [tuple(face.T.ravel()) for face in depth_map.faces]
     if is_disc:
         widest_m = tuple(MAX_HALF_DISC_TEXELS * side for side in depth_map.uniforms["texel_m"])
         set_uniforms(program, {
-            "least_depth": MIN_DEPTH_UNIT, "block_texels": BLOCK_TEXELS, "disc_tangent": DISC_TANGENT, "widest_m": widest_m,
+            "least_depth": MIN_DEPTH_TEXTURE_UNIT, "block_texels": BLOCK_TEXELS, "disc_tangent": DISC_TANGENT, "widest_m": widest_m,
         })  # fmt: skip
         for name, bits in zip(("left_of", "below"), disc_samples_before_edges(), strict=True):
             uniform = program[name]
@@ -182,7 +182,7 @@ def _bind_depths(target: Framebuffer) -> None:
 
     depths = target.depth_attachment
     assert isinstance(depths, Texture)
-    depths.use(DEPTH_MAP_UNIT)
+    depths.use(DEPTH_MAP_TEXTURE_UNIT)
 
 
 @contextmanager
@@ -192,13 +192,13 @@ def _bind_min_depths(gl: Device, depth_map: DepthMap, target: Framebuffer, setti
         yield
         return
     program = gl.program(shader("shadows/pixels.vert"), shader("shadows/maps/least_depth.frag"))
-    set_uniforms(program, {"depth_map": DEPTH_MAP_UNIT, "block_texels": BLOCK_TEXELS})
+    set_uniforms(program, {"depth_map": DEPTH_MAP_TEXTURE_UNIT, "block_texels": BLOCK_TEXELS})
     _bind_depths(target)
     width, height = depth_map.size
     blocks = gl.float_target(width // BLOCK_TEXELS, height // BLOCK_TEXELS)
     gl.draw_pixels(program, blocks)
     min_depth_texture = gl.texture(gl.read(blocks))
-    min_depth_texture.use(MIN_DEPTH_UNIT)
+    min_depth_texture.use(MIN_DEPTH_TEXTURE_UNIT)
     try:
         yield
     finally:

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
-from skugga.shadows.area_light import mean_over_light
+from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.attached import attached
 from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.post_perspective import (
@@ -28,10 +28,10 @@ from skugga.shadows.maps.post_perspective import (
     texel_in_picture,
     uniform_matrix,
 )
-from skugga.shadows.maps.resolve import TUNED_SIZES, calibration_overrides, resolve_perspective_map
+from skugga.shadows.maps.resolve import TUNED_MAP_SIZES, calibration_overrides, resolve_perspective_map
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
-from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, depth_steps
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MIN_NEAR_PLANE_SHARE, POSITION_ERROR, DepthMap, depth_steps
 from skugga.shadows.maps.work import perspective_map_work
 from skugga.shadows.passes import PassLog
 from skugga.terrain.casters.casting import caster_trees, has_casters
@@ -47,16 +47,16 @@ from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
 
-SAMPLE_SIZE = 1024
+RECEIVER_SAMPLE_SIZE = 1024
 """Number of receivers from which a map's matrix is chosen. The map is fitted to all receivers."""
 
 MAX_FIT_ROUNDS = 8
 """Upper bound of the rounds in which the outermost receivers join the sample. Afterwards the map is widened to hold them."""
 
-MAX_OVERSHOOT = 1.125
+MAX_SAMPLE_OVERSHOOT = 1.125
 """Upper bound of the map coordinates of receivers outside of the sample, as a multiple of the map's inner half width."""
 
-CLIP_ERROR = 2.0 * POSITION_ERROR
+CLIP_POSITION_ERROR = 2.0 * POSITION_ERROR
 """Upper bound of the float32 error of positions, as a share of their coordinates."""
 
 MAX_TEXEL_PX = 4.0
@@ -65,7 +65,7 @@ MAX_TEXEL_PX = 4.0
 Above it the view gets several maps, since some edges are then off by over two pixels (``docs/seeds.md``, figure 52).
 """
 
-MAX_RANGES = 4
+MAX_DISTANCE_RANGES = 4
 """Upper bound of the number of maps, the same as for the cascades of a shadow map."""
 
 FRONT_DEPTH_SHARE = 0.01
@@ -86,7 +86,7 @@ def fill(
     The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
     if settings.filter == "sun":
-        return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
+        return mean_visibility_of_area_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     with log.record_pass(depth_pass) as record:  # fitting a map is part of making it
@@ -131,14 +131,14 @@ def perspective_maps(
 
     The mask holds at least one receiver. One map suffices if its texels cover at most ``MAX_TEXEL_PX``. Otherwise the receivers are
     split into ranges of distance, at a geometric series along the view's axis. The result is the smallest number of ranges that
-    keeps to this bound. If no number up to ``MAX_RANGES`` does, it is the split with the smallest coarsest texels.
+    keeps to this bound. If no number up to ``MAX_DISTANCE_RANGES`` does, it is the split with the smallest coarsest texels.
     """
     assert isinstance(buffer.view, PerspectiveView)
     best = [perspective_map(buffer, receivers, scene, light, settings, trees)]
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
     depth_m = (buffer.position_frame_m[receivers] - eye) @ camera_from_frame[2]
     octaves = np.log2(depth_m / depth_m.min())
-    for count in range(2, MAX_RANGES + 1):
+    for count in range(2, MAX_DISTANCE_RANGES + 1):
         coarsest_px = max(part.texel_px for part in best)
         if coarsest_px <= MAX_TEXEL_PX or octaves.max() < count:
             break
@@ -161,25 +161,25 @@ def perspective_map(
 ) -> FittedMap:
     """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one."""
     chosen = np.flatnonzero(receivers)
-    sampled = chosen[:: max(len(chosen) // SAMPLE_SIZE, 1)]
+    sampled = chosen[:: max(len(chosen) // RECEIVER_SAMPLE_SIZE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
     sample, triangles = position[sampled], corners.reshape(-1, 3, 3)[sampled]
     camera, source = camera_of(buffer), homogeneous_light(buffer, scene, light)
     inner = 1.0 - 2.0 * MAP_BORDER_TEXELS / settings.map_size
     uniform = uniform_matrix(source, sample)[3]
-    nearest = NEAREST_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
+    nearest = MIN_NEAR_PLANE_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
     outer_receivers = sample[:0]
     for _ in range(MAX_FIT_ROUNDS):
         best, *fallbacks = post_perspectives(camera, source, sample, inner, outer_receivers)
         low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
-        if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_OVERSHOOT * inner:
+        if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_SAMPLE_OVERSHOOT * inner:
             break
         outer_receivers = np.concatenate([outer_receivers, position[outermost]])
     while not is_clear_of_horizon(np.array([low[3], high[3]])):
         best, *fallbacks = fallbacks
         low, high, _ = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
-    error_m = CLIP_ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
+    error_m = CLIP_POSITION_ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
     widening = np.maximum(_min_ranges(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - widening / 2.0, high[:2] + widening / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
@@ -193,19 +193,19 @@ def perspective_map(
         "lamp": False,
         "clip_rows": tuple(clip.ravel()),  # GLSL matrices are column-major: these columns are the rows
         "map_rows": tuple((to_texels @ clip).ravel()),
-        "position_error": CLIP_ERROR,
+        "position_error": CLIP_POSITION_ERROR,
         "depth_step": 1.0 / depth_steps(settings.depth_bits),
     }
-    reach = None
+    tree_bounds = None
     if trees is not None and light == SUN:
         assert scene.light is not None
         light_from_frame = scene.light.from_frame(buffer.frame)
         first, last = light_bounds(buffer.position_frame_m, receivers, *light_from_frame)
-        reach = *light_from_frame, first, last
+        tree_bounds = *light_from_frame, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     assert isinstance(buffer.view, PerspectiveView)
     texel_px = texel_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
-    depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders)
+    depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, tree_bounds, shaders)
     return FittedMap(depth_map, texel_px, best.note)
 
 
@@ -340,7 +340,7 @@ ALGORITHM = Algorithm(
     resolve=resolve_perspective_map,
     cache_names=("skugga.terrain.gl.depth_targets",),
     search=Search(
-        search_space={"map_size": TUNED_SIZES},
+        search_space={"map_size": TUNED_MAP_SIZES},
         compared_overrides=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
     ),
     cost=Cost(perspective_map_work, calibration_settings=_calibration_settings),

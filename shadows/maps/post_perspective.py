@@ -32,7 +32,7 @@ It leaves float32 enough precision.
 SLIDE_BACK_DOUBLINGS = 6
 """Number of doublings of the far plane's distance for the longest slide-back, and least number of halvings for the shortest."""
 
-MIN_EXTENT = 1e-3
+MIN_EXTENT_SHARE = 1e-3
 """Lower bound of the depth and of the half width, as shares of the distance, of a virtual camera.
 
 It keeps the projection regular if the receivers are a wall or a single pixel.
@@ -131,7 +131,7 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
     return projection @ view
 
 
-def kind_of(light: np.ndarray) -> PostPerspectiveLightKind:
+def light_kind_in_clip_space(light: np.ndarray) -> PostPerspectiveLightKind:
     """Return the kind of a light (4,) in a camera's clip space.
 
     A light that differs from ``parallel`` by no more than rounding counts as ``parallel``.
@@ -191,17 +191,19 @@ def post_perspectives(
         reason = f"the light is {off_axis_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}"
         return [make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")]
     near, far = float(camera_points[:, 2].min()), float(camera_points[:, 2].max())
-    far = max(far, near * (1.0 + MIN_EXTENT))  # a wall that faces the camera
+    far = max(far, near * (1.0 + MIN_EXTENT_SHARE))  # a wall that faces the camera
     widest, candidates = np.abs(camera_points[:, :2]).max(axis=1), []
     halvings = max(
         SLIDE_BACK_DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1
     )  # a slide-back below half the nearest distance has no effect
     for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, SLIDE_BACK_DOUBLINGS + 1))):
-        view = camera_matrix(camera, max(float((widest / (camera_points[:, 2] + slide_m)).max()), MIN_EXTENT), near, far, slide_m)
+        view = camera_matrix(
+            camera, max(float((widest / (camera_points[:, 2] + slide_m)).max()), MIN_EXTENT_SHARE), near, far, slide_m
+        )
         clip_light = view @ light.homogeneous
         matrix = light_matrix(clip_light, _centre(project_points(view, points))) @ view
         if is_clear_of_horizon(horizon_distance(matrix, required_points) / uniform_distance):
-            candidates.append(make_candidate(matrix, kind_of(clip_light), float(slide_m)))
+            candidates.append(make_candidate(matrix, light_kind_in_clip_space(clip_light), float(slide_m)))
     reason = (
         "a uniform map has smaller texels than the perspective map at every slide-back distance"
         if candidates

@@ -20,13 +20,13 @@ RECEIVER_CELLS = 512
 """Cells of the mask along each side of a map."""
 
 
-def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, for_sun_disc: bool) -> np.ndarray:
+def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc: bool) -> np.ndarray:
     """Return the indices of the trees that a map of the sun has to hold, the nearest to the sun first.
 
-    ``for_sun_disc`` is true if the map is looked up for the sun's disc.
+    ``samples_sun_disc`` is true if the map is looked up for the sun's disc.
     """
-    assert depth_map.trees is not None and depth_map.reach is not None
-    rotation, translation, low, high = depth_map.reach
+    assert depth_map.trees is not None and depth_map.tree_bounds is not None
+    rotation, translation, low, high = depth_map.tree_bounds
     trees = depth_map.trees
     tree_numbers = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
     if depth_map.pixels is not None and depth_map.is_uniform and len(tree_numbers):
@@ -39,7 +39,7 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, for_sun_disc: bo
             translation, cells,
             farthest,
         )  # fmt: skip
-        margin_m = (MAP_BORDER_TEXELS + (MAX_HALF_DISC_TEXELS if for_sun_disc else 0)) * texel_m
+        margin_m = (MAP_BORDER_TEXELS + (MAX_HALF_DISC_TEXELS if samples_sun_disc else 0)) * texel_m
         is_relevant = np.empty(len(tree_numbers), np.bool_)
         run_in_chunks(
             len(tree_numbers), _select_relevant, trees.base_frame_m, trees.shape, tree_numbers, rotation, translation, cells,

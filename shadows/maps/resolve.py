@@ -12,7 +12,7 @@ from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequ
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.taps import sun_taps
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
-from skugga.shadows.penumbra import MAX_POINTS
+from skugga.shadows.penumbra import MAX_LIGHT_POINTS
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
@@ -37,29 +37,29 @@ Their many layers of alpha-tested texels make the cost of a map proportional to 
 MAX_DEPTH_SHIFT_PX = 0.25
 """Upper bound of a shadow's shift on level ground by one depth step, in pixels, for an automatic depth of 16 bits."""
 
-LARGEST_MAP, SMALLEST_MAP = 4096, 512
+MAX_AUTOMATIC_MAP_SIZE, MIN_AUTOMATIC_MAP_SIZE = 4096, 512
 """Bounds of automatic map sizes."""
 
-TUNED_SIZES = (1024, 2048, 512, 4096)
+TUNED_MAP_SIZES = (1024, 2048, 512, 4096)
 """Map sizes that policies try, in this order."""
 
-CALIBRATED_SIZES = (512, 1024, 2048, 4096)
+CALIBRATED_MAP_SIZES = (512, 1024, 2048, 4096)
 
-PERSPECTIVE_TEXELS = 1024
+PERSPECTIVE_MAP_SIZE = 1024
 """Default number of texels along a side of a perspective map.
 
 A perspective map concentrates its texels where the eye sees them, so few suffice.
 """
 
-FIXED_SETTINGS = {
+FIXED_PERSPECTIVE_SETTINGS = {
     "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
-    "cascades": (1, "a perspective map is fine near the eye, and parted by itself where it would be too coarse"),
+    "cascades": (1, "a perspective map is fine near the eye, and splits its distance range where it would be too coarse"),
     "bias": ("receiver_plane", "a perspective map is compared on the receiver's own triangle"),
     "culling": ("none", "a perspective map needs no bias, so no culling"),
 }
 """Settings of a shadow map that a perspective map does not offer: the only value, and the reason."""
 
-EXTENT_STEP = 2.0**0.25
+EXTENT_ROUNDING_FACTOR = 2.0**0.25
 """Extents of a perspective view are rounded up to powers of this, so that texels keep their size while a camera moves."""
 
 
@@ -81,7 +81,7 @@ class CalibrationOverrides:
 
 def calibration_overrides(descriptor: Descriptor, light: str, calibration_extent: str) -> CalibrationOverrides:
     """Return the overrides that a calibration of this extent tries (``skugga.shadows.algorithm.Cost``)."""
-    sizes = {"few": (1024, 2048)}.get(calibration_extent, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
+    sizes = {"few": (1024, 2048)}.get(calibration_extent, CALIBRATED_MAP_SIZES if light == SUN else CALIBRATED_MAP_SIZES[:3])
     taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if calibration_extent == "full" else ()
     return CalibrationOverrides(
         [{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": filter_value} for filter_value in taps]
@@ -119,7 +119,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     size, bits, taps = shadows.map_size, shadows.depth_bits, shadows.filter
     if size == "auto":
         target_px = _target_px(descriptor) if descriptor.bands else MAX_TEXEL_PX
-        size = _automatic_size(max(footprints_px) / target_px, LARGEST_MAP)
+        size = _automatic_size(max(footprints_px) / target_px, MAX_AUTOMATIC_MAP_SIZE)
         covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
         remark = f", above the target of {target_px}: this is the largest automatic size" if covers_px > target_px else ""
         reasons.append(
@@ -203,7 +203,7 @@ def lamp_map_settings(
     shadows: Shadows,
     taps: MapFilter,
     taps_reasons: list[NamedReason],
-    points: int = MAX_POINTS,
+    points: int = MAX_LIGHT_POINTS,
 ) -> tuple[LampMapSettings, list[NamedReason]]:
     """Return the settings of a lamp's map, and the reasons for automatic values.
 
@@ -213,7 +213,8 @@ def lamp_map_settings(
     size, reasons = shadows.map_size, []
     if size == "auto":
         size = _automatic_size(
-            width_m / descriptor.pixel_m / MAX_TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP
+            width_m / descriptor.pixel_m / MAX_TEXEL_PX,
+            MAX_AUTOMATIC_MAP_SIZE // 2 if lamp.kind == "omni" else MAX_AUTOMATIC_MAP_SIZE,
         )
         texel_px = width_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
         reason = f"a texel covers {texel_px:.2g} pixels at the target"
@@ -237,14 +238,14 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
         *request.hard_edges_reasons,
         *(
             NamedReason(name=f"{prefix}{key} {getattr(shadows, key)}", reason=f"no effect: {reason}")
-            for key, (only_value, reason) in FIXED_SETTINGS.items()
+            for key, (only_value, reason) in FIXED_PERSPECTIVE_SETTINGS.items()
             if getattr(shadows, key) not in ("auto", only_value)
         ),
     ]
     size, bits = shadows.map_size, shadows.depth_bits
     taps, taps_reasons = _taps(request)
     if size == "auto":
-        size = PERSPECTIVE_TEXELS
+        size = PERSPECTIVE_MAP_SIZE
         reasons.append(NamedReason(name=f"{prefix}map_size {size}", reason="texels are small near the eye: few are enough"))
     if bits == "auto":
         bits = 24 if light == SUN else 32
@@ -285,7 +286,7 @@ def _cascades(
         first, last = _splits(len(bands), count)
         worst_px = (texels_a_pixel[first, last] / near_m[first]).max(axis=1)
         worst = float(worst_px.min())
-        size = _automatic_size(worst / target_px, LARGEST_MAP) if shadows.map_size == "auto" else shadows.map_size
+        size = _automatic_size(worst / target_px, MAX_AUTOMATIC_MAP_SIZE) if shadows.map_size == "auto" else shadows.map_size
         inner = size - 2 * MAP_BORDER_TEXELS
         max_px = np.inf if shadows.map_size != "auto" else max(worst, target_px * inner)
         mean_px = np.where(worst_px <= max_px, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
@@ -309,7 +310,7 @@ def _target_px(descriptor: Descriptor) -> float:
 
 def _automatic_size(texels: float, max_size: int) -> int:
     """Return the automatic map size that holds ``texels`` and the border."""
-    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), SMALLEST_MAP, max_size))
+    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), MIN_AUTOMATIC_MAP_SIZE, max_size))
 
 
 @cached("process", 16 * MIB)
@@ -318,7 +319,8 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
 
     A band is an interval of distances from the eye. Range (i, j) consists of the bands i to j, of n bands in all.
 
-    - Extents (n, n, 3): sides of the range's bounds in light space, metres, rounded up to powers of ``EXTENT_STEP``; NaN where j <
+    - Extents (n, n, 3): sides of the range's bounds in light space, metres, rounded up to powers of ``EXTENT_ROUNDING_FACTOR``;
+    NaN where j <
       i.
     - Near distances (n,): where each band starts, metres from the eye.
     - Sums (n, n): over the range's bands, each band's share of the visible surfaces divided by its near distance.
@@ -329,7 +331,11 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
     span = np.full((len(bands), len(bands), 3), np.nan)
     for i in range(len(bands)):
         span[i, i:] = np.maximum.accumulate(high[i:]) - np.minimum.accumulate(low[i:])
-    return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP)), near_m, cumulative[None, 1:] - cumulative[:-1, None]
+    return (
+        EXTENT_ROUNDING_FACTOR ** np.ceil(np.log(span) / np.log(EXTENT_ROUNDING_FACTOR)),
+        near_m,
+        cumulative[None, 1:] - cumulative[:-1, None],
+    )
 
 
 @cached("process", 16 * MIB)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
-from skugga.shadows.area_light import mean_over_light
+from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.maps.filling import visibility_by_maps
-from skugga.shadows.maps.resolve import TUNED_SIZES, calibration_overrides, resolve_shadow_map
+from skugga.shadows.maps.resolve import TUNED_MAP_SIZES, calibration_overrides, resolve_shadow_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import nearest_caster_m
 from skugga.shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
@@ -46,7 +46,7 @@ def fill(
     The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
     if isinstance(settings, LampMapSettings) and settings.filter == "sun":
-        return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
+        return mean_visibility_of_area_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []
@@ -102,7 +102,7 @@ ALGORITHM = Algorithm(
     resolve=resolve_shadow_map,
     cache_names=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.disc_samples_before_edges"),
     search=Search(
-        search_space={"map_size": TUNED_SIZES, "cascades": (1, 2, 4)},
+        search_space={"map_size": TUNED_MAP_SIZES, "cascades": (1, 2, 4)},
         is_tunable=_is_tunable,
         compared_overrides=tuple({"map_size": size, "filter": taps} for size, taps in product((2048, 1024, 4096, 512), (1, 3))),
         variants=VARIANTS,

@@ -21,7 +21,7 @@ from skugga.terrain.level.level import SUN
 DISC_WIDTH = float(2.0 * np.tan(np.radians(SUN_RADIUS_DEG)))
 """Width of a penumbra across the light, as a share of the distance from its caster."""
 
-MAX_FINE_SHARE = 0.75
+MAX_FINE_TEXEL_SHARE = 0.75
 """Largest texel that counts as fine, as a share of a penumbra.
 
 The sign of the gain in ``soft_error`` changes there, in measured views.
@@ -32,7 +32,7 @@ Taps = Literal[1, 3]
 
 def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps, str]:
     """Return the taps along a side for the cascades of a sun's map, and the reason."""
-    share = fine_share(descriptor, cascades)
+    share = fine_texel_share(descriptor, cascades)
     if share is None:
         return 3, "it is not known how wide penumbrae are: 3 x 3 taps smooth the texel stairs along shadow edges"
     words = f"texels are finer than penumbrae in {100.0 * share:.0f} % of the cast shadow"
@@ -41,7 +41,7 @@ def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps,
     return 1, f"by soft error: {words}, so one tap comes nearer to the sun's disc than 3 x 3, which only blur"
 
 
-def fine_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | None:
+def fine_texel_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | None:
     """Return the share of the visible cast shadow where texels are finer than penumbrae; leaves never count as fine.
 
     It is ``None`` where the distances from casters are unknown.
@@ -56,6 +56,6 @@ def fine_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | N
                 (candidate for candidate in cascades if candidate.far_m is None or band.near_m < candidate.far_m), cascades[-1]
             )
             cast_sum += cast
-            if kind != "forest" and np.sqrt(np.prod(cascade.texel_m)) <= MAX_FINE_SHARE * DISC_WIDTH * casting.thrown_m:
+            if kind != "forest" and np.sqrt(np.prod(cascade.texel_m)) <= MAX_FINE_TEXEL_SHARE * DISC_WIDTH * casting.thrown_m:
                 fine_sum += cast
     return fine_sum / cast_sum if cast_sum > 0.0 else None

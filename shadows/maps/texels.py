@@ -73,10 +73,10 @@ def shadow_map_texel_m(
     sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
     sides = [max(cascade.texel_m[0], cascade.texel_m[1] / sine) for cascade in settings.cascades]
     ends_m = [cascade.far_m for cascade in settings.cascades[:-1] if cascade.far_m is not None]
-    return np.array(sides)[np.searchsorted(ends_m, _from_eye_m(buffer))]
+    return np.array(sides)[np.searchsorted(ends_m, _eye_distance_m(buffer))]
 
 
-def _from_eye_m(buffer: GeometryBuffer) -> np.ndarray:
+def _eye_distance_m(buffer: GeometryBuffer) -> np.ndarray:
     """Return the distance of a perspective view's points (rows, cols) from the eye, metres; 0 in a map."""
     if not isinstance(buffer.view, PerspectiveView):
         return np.asarray(0.0)

@@ -22,13 +22,13 @@ from skugga.terrain.scene import Scene
 MAP_BORDER_TEXELS = 12
 """Texels around the receivers: the bias moves look-ups by up to 8, taps by up to 2."""
 
-SIZE_STEP = 64
+MAP_SIZE_STEP = 64
 """Map sizes are multiples of this, so that the blocks of a level share textures."""
 
 POSITION_ERROR = 4.0 * float(np.finfo(np.float32).eps)
 """Upper bound of the float32 error of positions, as a share of the coordinates' extent: 8 units in the last place."""
 
-NEAREST_SHARE = 1e-4
+MIN_NEAR_PLANE_SHARE = 1e-4
 """Lower bound of the distance of a lamp's nearest receiver, as a share of the farthest one's."""
 
 CUBE_FACES = np.array([
@@ -59,7 +59,7 @@ class DepthMap:
         The casting trees; ``None`` without any.
     pixels
         Flat indices (n,) of the points that the map serves in a perspective view; ``None`` in a map view.
-    reach
+    tree_bounds
         Bounds of the trees that matter: rotation, translation, low and high, as ``skugga.terrain.casters.casting.occluding_trees``
         takes them. ``None``: all trees matter.
     shaders
@@ -72,7 +72,7 @@ class DepthMap:
     depth_bits: int
     trees: TreeInstances | None
     pixels: np.ndarray | None
-    reach: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
+    tree_bounds: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
     shaders: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
 
     @property
@@ -146,7 +146,7 @@ def _sun_map(
         border += border_texels(float(high[2] - low[2]), texel)
     first, size = _window(low, high, texel, border, stable)
     for axis in (0, 1):  # a block wider than planned gets coarser texels instead of a map too large for the device
-        while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * border[axis] + SIZE_STEP):
+        while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * border[axis] + MAP_SIZE_STEP):
             texel[axis] *= 2.0
             first, size = _window(low, high, texel, border, stable)
     if settings.bias == "receiver_plane" and buffer.corners_frame_m is not None:
@@ -171,8 +171,8 @@ def _sun_map(
         "depth_step": 1.0 / steps,
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(receivers)
-    reach = rotation, offset_m, np.zeros(3), window_m
-    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, reach)
+    tree_bounds = rotation, offset_m, np.zeros(3), window_m
+    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, tree_bounds)
 
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: TreeInstances | None) -> DepthMap | None:
@@ -186,7 +186,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
     nearest_m, farthest_m = _depth_range(buffer.position_frame_m, buffer.valid, position, face_from_frame, tangent)
     if not farthest_m > 0.0:
         return None
-    near, far = max(0.98 * nearest_m, NEAREST_SHARE * farthest_m), 1.02 * farthest_m
+    near, far = max(0.98 * nearest_m, MIN_NEAR_PLANE_SHARE * farthest_m), 1.02 * farthest_m
     uniforms = {
         "lamp": True,
         "light_from_frame": tuple(rotation.T.ravel()),
@@ -308,7 +308,7 @@ def _window(
     """
     first = (np.floor(low[:2] / texel) if stable else low[:2] / texel) - border
     size = np.floor(high[:2] / texel - first).astype(np.int64) + 1 + border
-    return first, -(-size // SIZE_STEP) * SIZE_STEP
+    return first, -(-size // MAP_SIZE_STEP) * MAP_SIZE_STEP
 
 
 def _stable_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:

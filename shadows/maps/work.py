@@ -6,9 +6,9 @@ from math import ceil
 
 import numpy as np
 
-from skugga.shadows.area_light import scaled_by_points
+from skugga.shadows.area_light import scale_work
 from skugga.shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, SIZE_STEP
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MAP_SIZE_STEP
 from skugga.shadows.work import Counts, Work, Workload
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import SUN
@@ -23,7 +23,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
         windows = sun_windows(task.descriptor, settings)
         return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing_pixels)}
     if settings.filter == "sun":
-        return scaled_by_points(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
+        return scale_work(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     faces = 6 if task.light_kind == "omni" else 1
     windows = [(float(settings.map_size**2), task.level_light_m2)] * faces
     return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.visible_pixels)}
@@ -32,7 +32,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
 def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Work:
     """Return the work of a perspective map."""
     if settings.filter == "sun":
-        return scaled_by_points(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
+        return scale_work(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     windows = [(float(settings.map_size**2), task.seen_light_m2)]
     return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing_pixels)}
 
@@ -57,7 +57,7 @@ def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: floa
         "triangles": count * task.triangles("meshes"), "trees": count * task.trees,
     }  # fmt: skip
     ground = {"ground": count * task.ground_triangles}
-    if task.in_map:  # the nodes of the block are read whatever casts
+    if task.is_map_view:  # the nodes of the block are read whatever casts
         ground |= {"pixels": task.pixels, "nodes": task.nodes}
     else:
         ground["trees drawn"] = trees
@@ -87,6 +87,6 @@ def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
         size = [side / texel + 2 * MAP_BORDER_TEXELS for side, texel in zip(span_m, cascade.texel_m, strict=True)]
         if settings.fit == "tight":
             size = [float(settings.map_size)] * 2
-        texels = float(ceil(size[0] / SIZE_STEP) * SIZE_STEP * ceil(size[1] / SIZE_STEP) * SIZE_STEP)
+        texels = float(ceil(size[0] / MAP_SIZE_STEP) * MAP_SIZE_STEP * ceil(size[1] / MAP_SIZE_STEP) * MAP_SIZE_STEP)
         windows.append((texels, span_m[0] * span_m[1]))
     return windows

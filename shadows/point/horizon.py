@@ -24,7 +24,7 @@ from skugga.terrain.scene import Scene
 HORIZON_DIRECTIONS = 720
 """Default number of directions of a horizon: every half degree."""
 
-WHOLE_TREES_M = 1e-3
+TREE_PIXEL_M = 1e-3
 """Pixel size in metres for which the tree instances of a map are requested: so small that no tree is dropped as invisible."""
 
 
@@ -144,11 +144,11 @@ def sees_sun(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: 
     up = np.flatnonzero(lit)
     lit[up] = ~is_ground_occluded(surroundings.scene, surroundings.place, azimuth[up], _tangent(altitude[up]))
     left = np.flatnonzero(lit)
-    lit[left] = clears_objects(surroundings, azimuth[left], altitude[left])
+    lit[left] = is_clear_of_objects(surroundings, azimuth[left], altitude[left])
     return lit
 
 
-def clears_objects(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
+def is_clear_of_objects(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
     """Return whether rays towards azimuths and altitudes (n,) meet neither meshes nor leaves: bool (n,)."""
     free = np.ones(len(azimuth_deg), bool)
     for kind in ("meshes", "forest"):
@@ -186,7 +186,7 @@ def _trees_around(scene: Scene, place: PointPlace) -> VisibleTrees | None:
     if scene.objects.trees is None:
         return None
     frame = scene.world.frame_near_earth(place.eye_earth_m)
-    instances = tree_instances_in_map(scene.objects, frame, WHOLE_TREES_M)
+    instances = tree_instances_in_map(scene.objects, frame, TREE_PIXEL_M)
     if instances is None:
         return None
     enu_from_frame = place.earth_from_enu.T @ frame.frame_from_earth.T

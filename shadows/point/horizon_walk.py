@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.point.place import PointPlace
-from skugga.shadows.point.relief_pages import TILE_QUADS, detail_ends, paged_relief, quad_height
+from skugga.shadows.point.relief_pages import TILE_QUADS, detail_distance_ranges, paged_relief, quad_height
 from skugga.shadows.point.sight_lines import SightLines, sight_lines
 from skugga.terrain.casters.reach import PATCH_QUADS, longest_shadow_m
 from skugga.terrain.compiled import compiled, internal
@@ -70,7 +70,7 @@ class PageArrays(NamedTuple):
         ``PagedLevel.high_m``.
     scale
         Nodes of the finest level of detail per node of this one.
-    blocks
+    has_columns
         Whether cells are columns with flat tops.
     """
 
@@ -81,7 +81,7 @@ class PageArrays(NamedTuple):
     height: np.ndarray
     high: np.ndarray
     scale: float
-    blocks: bool
+    has_columns: bool
 
 
 class LineArrays(NamedTuple):
@@ -164,7 +164,7 @@ def _walk_to_ground(
     count = len(azimuth_deg)
     missing = np.full(count, np.nan)
     walks = WalkStates(np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_), tangent, missing, missing.copy())
-    for level, (near, far) in enumerate(detail_ends(_farthest_nodes(lines))):
+    for level, (near, far) in enumerate(detail_distance_ranges(_farthest_nodes(lines))):
         walks.piece[:], walks.share[:], walks.ended[:] = 0, 0.0, stops_at_first_occluder & np.isfinite(walks.distance)
         pages = ground.level(level)
         while not walks.ended.all():
@@ -172,7 +172,7 @@ def _walk_to_ground(
             _walk(
                 PageArrays(
                     pages.bound_m, pages.first_row, pages.first_col, pages.page_index, pages.height_m, pages.high_m,
-                    2.0**level, ground.blocks,
+                    2.0**level, ground.has_columns,
                 ),
                 LineArrays(
                     lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first_occluder,
@@ -219,7 +219,7 @@ def _walk(pages, lines, walks, needed_pages):
 
 @internal
 def _follow(pages, lines, walks, needed_pages, n):
-    shift = 0.5 if pages.blocks else 0.0
+    shift = 0.5 if pages.has_columns else 0.0
     scale, kappa, eye = pages.scale, lines.curvature[n], lines.eye
     row0, col0 = lines.row[n, 0], lines.col[n, 0]
     best = walks.tangent[n]
@@ -267,7 +267,7 @@ def _follow(pages, lines, walks, needed_pages, n):
             if distance_nodes >= lines.near:
                 height = pages.height[number]
                 end = min(t_out, 1.0)
-                if pages.blocks:
+                if pages.has_columns:
                     h = np.float64(height[i, j])
                     best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + t * ds, s0 + end * ds, ds * step)
                     best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + end * ds, s0 + end * ds, ds * step)

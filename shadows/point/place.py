@@ -60,7 +60,7 @@ class PointPlace:
         return (point_earth_m - self.eye_earth_m) @ self.earth_from_enu
 
 
-POINT = "point"
+POINT_PARAMETER = "point"
 """The name of the parameter in error messages about coordinates."""
 
 
@@ -95,14 +95,14 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     x, y = _on_grid(scene, ground, at, crs)
     allowed = _allowed_places(scene, at, crs)
     if not max(abs(x), abs(y)) <= MAX_COORDINATE:
-        raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
+        raise InputError(POINT_PARAMETER, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
     ground_m, has_ground = ground.ground_at(row, col)
     if not has_ground or not np.isfinite(ground_m):  # the nearest node is outside of the raster or in a hole
         ground_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y)))
         has_ground = bool(np.isfinite(ground_m))
     if not has_ground:
-        raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
+        raise InputError(POINT_PARAMETER, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     foot, up = scene.world.ground(ground.grid.crs, np.float64(x), np.float64(y))
     lon = lat = None
     if not scene.world.flat:

@@ -66,8 +66,8 @@ class PagedLevel:
     def put(self, row: int, col: int, height_m: np.ndarray) -> None:
         """Store the heights (257, 257) of the page at ``row`` and ``col`` of ``bound_m``."""
         if self.page_count == len(self.height_m):
-            room = max(2 * self.page_count, 16)
-            self.height_m, self.high_m = _grown_copy(self.height_m, room), _grown_copy(self.high_m, room)
+            capacity = max(2 * self.page_count, 16)
+            self.height_m, self.high_m = _enlarged_copy(self.height_m, capacity), _enlarged_copy(self.high_m, capacity)
         self.height_m[self.page_count] = height_m
         self.high_m[self.page_count] = _tile_max(height_m)
         self.page_index[row, col] = self.page_count
@@ -104,7 +104,7 @@ class PagedRelief:
     levels: dict[int, PagedLevel]
 
     @property
-    def blocks(self) -> bool:
+    def has_columns(self) -> bool:
         """Whether cells are columns with flat tops, and not nodes with triangles between them."""
         return self.elevation.surface == "blocks"
 
@@ -134,7 +134,7 @@ class PagedRelief:
 
         ``row0`` and ``col0`` are the first row and column, counted at this level of detail.
         """
-        if self.blocks:
+        if self.has_columns:
             return Columns(self.world, self.elevation, level).heights(row0, col0, rows, cols)[0]
         surface = Surface(self.world, self.elevation, self.grid.coarser(level))
         return surface.height_window(row0, col0, rows, cols).height_m
@@ -156,7 +156,7 @@ class PagedRelief:
         The height is in metres, and NaN without ground. Small holes of the raster have an interpolated height, but are not shown.
         """
         near_row, near_col = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
-        if self.blocks:
+        if self.has_columns:
             height, is_visible = Columns(self.world, self.elevation, 0).heights(near_row, near_col, 1, 1)
             return float(height[0, 0]), bool(is_visible[0, 0])
         row0, col0 = int(np.floor(row)), int(np.floor(col))
@@ -194,7 +194,7 @@ def _page_cache(world: World, elevation: Elevation, map_crs: CRS) -> PageCache:
     return PageCache(map_grid(world, map_crs, 1.01 * probe.step * cell_m / step_at_anchor_m(world, probe)), {})
 
 
-def detail_ends(farthest_nodes: float) -> list[tuple[float, float]]:
+def detail_distance_ranges(farthest_nodes: float) -> list[tuple[float, float]]:
     """Return the nearest and the farthest distance at which each level of detail is used, in nodes at full detail.
 
     The last range includes ``farthest_nodes``.
@@ -241,9 +241,9 @@ def _columns_per_revolution(ground: PagedRelief) -> float:
     return 360.0 / ground.grid.step
 
 
-def _grown_copy(array: np.ndarray, room: int) -> np.ndarray:
-    """Return a copy of an array of pages, enlarged to ``room`` pages."""
-    grown = np.empty((room, *array.shape[1:]), array.dtype)
+def _enlarged_copy(array: np.ndarray, capacity: int) -> np.ndarray:
+    """Return a copy of an array of pages, enlarged to ``capacity`` pages."""
+    grown = np.empty((capacity, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array
     return grown
 

@@ -4,11 +4,11 @@ A line is the geodesic of its azimuth on the ellipsoid. It leaves the vertical p
 tangent plane like a circle with the ellipsoid's radius in that azimuth (Euler's formula, 1/R = cos^2 A / M + sin^2 A / N). After
 100 km the drop is accurate to 0.1 m, a millionth of a radian (0.04 m at the latitudes from 0 to 80).
 
-The positions on the grid are exact for ``SPOKES`` azimuths and a few distances. Between these azimuths a trigonometric polynomial
-interpolates them. Few harmonics suffice, because each one belongs to a further power of the distance divided by the earth's radius.
-At a pole of a grid in degrees this fails, and the positions are computed for every azimuth. Between two distances a line is
-straight on the grid. Each distance is an eighth larger than the one before. So the error is at most a few hundred-thousandths of
-the distance.
+The positions on the grid are exact for ``EXACT_AZIMUTHS`` azimuths and a few distances. Between these azimuths a trigonometric
+polynomial interpolates them. Few harmonics suffice, because each one belongs to a further power of the distance divided by the
+earth's radius. At a pole of a grid in degrees this fails, and the positions are computed for every azimuth. Between two distances
+a line is straight on the grid. Each distance is an eighth larger than the one before. So the error is at most a few
+hundred-thousandths of the distance.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from skugga.terrain.geo.grid import Grid
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, is_longitude_latitude, transformer
 from skugga.terrain.ground.elevation import Elevation
 
-FIRST_M, GROWTH = 500.0, 1.125
+FIRST_DISTANCE_M, DISTANCE_GROWTH = 500.0, 1.125
 """The first distance in metres at which positions of lines are computed, and the factor from one distance to the next."""
 
-SPOKES, HARMONICS = 20, 8
+EXACT_AZIMUTHS, HARMONICS = 20, 8
 """Number of azimuths with exact positions, and number of harmonics of the polynomial that interpolates between them."""
 
-SPOKES_ERROR = 1e-3
+HARMONICS_TOLERANCE_NODES = 1e-3
 """Tolerance in nodes for the harmonics that the polynomial leaves out. If they exceed it, every line is computed exactly."""
 
 
@@ -63,15 +63,17 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
 
     They reach at least to ``farthest_m``, or to the edge of the area where the grid's CRS is defined.
     """
-    count = max(int(np.ceil(np.log(max(farthest_m / FIRST_M, 1.0)) / np.log(GROWTH))), 1)
-    distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
+    count = max(int(np.ceil(np.log(max(farthest_m / FIRST_DISTANCE_M, 1.0)) / np.log(DISTANCE_GROWTH))), 1)
+    distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
     if ground.world.flat:
         row, col = _flat_nodes(ground, place, azimuth_deg, distance)
         return SightLines(azimuth_deg, distance, row, col, np.zeros(len(azimuth_deg)))
-    spokes = _spokes(ground.world, ground.elevation, ground.grid, place, count)
-    distance = distance[: spokes.real.shape[1] // 2]
-    if spokes.is_smooth:
-        nodes = _between_spokes(spokes.real, spokes.imaginary, np.radians(azimuth_deg)).reshape(-1, len(distance), 2)
+    polynomials = _azimuth_polynomials(ground.world, ground.elevation, ground.grid, place, count)
+    distance = distance[: polynomials.real.shape[1] // 2]
+    if polynomials.is_smooth:
+        nodes = _between_exact_azimuths(polynomials.real, polynomials.imaginary, np.radians(azimuth_deg)).reshape(
+            -1, len(distance), 2
+        )
         nodes[:, 0] = place.row, place.col
     else:
         nodes = _globe_nodes(ground.grid, place, azimuth_deg, distance)
@@ -79,17 +81,17 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
 
 
 @dataclass(frozen=True, eq=False)
-class Spokes:
+class AzimuthPolynomials:
     """Trigonometric polynomials in the azimuth that give the rows and columns of lines of sight at k distances.
 
-    They interpolate between the exact lines at a few azimuths (spokes).
+    They interpolate between the exact lines at a few azimuths.
 
     Attributes
     ----------
     real, imaginary
         (m, 2 k): real and imaginary parts of the coefficients, for m harmonics.
     is_smooth
-        Whether the polynomials are accurate between the spokes.
+        Whether the polynomials are accurate between these azimuths.
     """
 
     real: np.ndarray
@@ -98,19 +100,19 @@ class Spokes:
 
 
 @cached("scene", 4 * MIB)
-def _spokes(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> Spokes:
+def _azimuth_polynomials(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> AzimuthPolynomials:
     """Return the polynomials for lines of sight from a place, at ``count`` + 2 distances.
 
     Distances beyond the edge of the area where the grid's CRS is defined are left out. The result is cached, since a report uses
     one place several times.
     """
-    distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
-    nodes = _globe_nodes(grid, place, np.arange(SPOKES) * (360.0 / SPOKES), distance)
+    distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
+    nodes = _globe_nodes(grid, place, np.arange(EXACT_AZIMUTHS) * (360.0 / EXACT_AZIMUTHS), distance)
     finite = np.isfinite(nodes).all(axis=(0, 2))
     nodes = nodes[:, : int(np.argmin(finite)) if not finite.all() else len(distance)]
-    harmonics = np.fft.rfft(nodes, axis=0).reshape(SPOKES // 2 + 1, -1) / SPOKES
-    is_smooth = bool(np.abs(harmonics[HARMONICS:]).max(initial=0.0) * SPOKES < SPOKES_ERROR)
-    return Spokes(harmonics[:HARMONICS].real.copy(), harmonics[:HARMONICS].imag.copy(), is_smooth)
+    harmonics = np.fft.rfft(nodes, axis=0).reshape(EXACT_AZIMUTHS // 2 + 1, -1) / EXACT_AZIMUTHS
+    is_smooth = bool(np.abs(harmonics[HARMONICS:]).max(initial=0.0) * EXACT_AZIMUTHS < HARMONICS_TOLERANCE_NODES)
+    return AzimuthPolynomials(harmonics[:HARMONICS].real.copy(), harmonics[:HARMONICS].imag.copy(), is_smooth)
 
 
 def _flat_nodes(
@@ -151,7 +153,7 @@ def _curvature(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _between_spokes(real, imaginary, azimuth):
+def _between_exact_azimuths(real, imaginary, azimuth):
     """Return the values (n, k) of trigonometric polynomials with coefficients (m, k) at azimuths (n,) in radians."""
     out = np.empty((len(azimuth), real.shape[1]))
     for n in range(len(azimuth)):

@@ -18,7 +18,7 @@ from skugga.terrain.geo.clock import day_bounds
 
 STEP_S = 60.0
 FINE_STEP_S = 2.0
-COARSE_STEP_S = 300.0
+SUN_HOURS_STEP_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -217,12 +217,12 @@ def _occluders_at(
 
 
 def sampled_sun_hours(surroundings: Surroundings, day: date, clock: tzinfo) -> float:
-    """Return the approximate hours of direct sun of a day, from samples every ``COARSE_STEP_S`` seconds.
+    """Return the approximate hours of direct sun of a day, from samples every ``SUN_HOURS_STEP_S`` seconds.
 
     It is faster than ``sun_day`` and meant for many points. The start and the end of each interval of sun are off by at most 2.5
     minutes.
     """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
-    _, to_sun = sun_samples(surroundings.scene.world, begin + COARSE_STEP_S / 2, end, COARSE_STEP_S)
+    _, to_sun = sun_samples(surroundings.scene.world, begin + SUN_HOURS_STEP_S / 2, end, SUN_HOURS_STEP_S)
     azimuth, altitude = angles_at(surroundings.place, to_sun[:-1])
-    return float(sees_sun(surroundings, azimuth, altitude).sum() * COARSE_STEP_S / 3600.0)
+    return float(sees_sun(surroundings, azimuth, altitude).sum() * SUN_HOURS_STEP_S / 3600.0)

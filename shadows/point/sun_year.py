@@ -2,7 +2,7 @@
 
 The sun is sampled every ``YEAR_STEP_S`` seconds, and each sample counts for one step. So the start and the end of an interval of
 direct sun are off by at most half a step. Over a day these errors mostly cancel. The sun is compared with the horizon by ground,
-which is computed every ``FINE_HORIZON_DEG`` degrees of azimuth and interpolated linearly. Buildings and trees are tested by rays.
+which is computed every ``HORIZON_STEP_DEG`` degrees of azimuth and interpolated linearly. Buildings and trees are tested by rays.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from datetime import UTC, date, timedelta, tzinfo
 
 import numpy as np
 
-from skugga.shadows.point.horizon import Surroundings, clears_objects
+from skugga.shadows.point.horizon import Surroundings, is_clear_of_objects
 from skugga.shadows.point.horizon_walk import relief_horizon
 from skugga.shadows.point.sun_angles import angles_at, sun_directions
 from skugga.terrain.geo.clock import day_bounds, has_day
 
 YEAR_STEP_S = 300.0
-FINE_HORIZON_DEG = 0.1
+HORIZON_STEP_DEG = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
     up = altitude > 0.0
     lit = up & (altitude > _interpolated_relief_deg(surroundings, azimuth))
     above = np.flatnonzero(lit)
-    lit[above] = clears_objects(surroundings, azimuth[above], altitude[above])
+    lit[above] = is_clear_of_objects(surroundings, azimuth[above], altitude[above])
     which = np.searchsorted(midnight, times_s, side="right") - 1
     hours = [np.bincount(which, weights=is_sun * (YEAR_STEP_S / 3600.0), minlength=len(days)) for is_sun in (up, lit)]
     return SunYear(days, *hours)
@@ -62,6 +62,6 @@ def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
 
 def _interpolated_relief_deg(surroundings: Surroundings, azimuth_deg: np.ndarray) -> np.ndarray:
     """Return the elevation angle of the ground's horizon, (n,) degrees, towards azimuths (n,) in degrees."""
-    grid = np.arange(0.0, 360.0 + FINE_HORIZON_DEG / 2, FINE_HORIZON_DEG)
+    grid = np.arange(0.0, 360.0 + HORIZON_STEP_DEG / 2, HORIZON_STEP_DEG)
     tangent = relief_horizon(surroundings.scene, surroundings.place, grid).tangent
     return np.interp(azimuth_deg, grid, np.degrees(np.arctan(tangent)))

@@ -131,10 +131,12 @@ def _copy_heights(window: NodeHeights, out: np.ndarray) -> None:
     out[:rows, :cols] = window.height_m
 
 
-def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridOrientation, ends: tuple[float, float]) -> SunTrack:
+def sun_track(
+    day: WindowSun, nodes: BareNodes, world: World, orientation: GridOrientation, time_range_min: tuple[float, float]
+) -> SunTrack:
     """Return the direction to the sun over a block's cells, in the order of a turned grid, between two moments.
 
-    ``ends`` are the moments, minutes after the start of the day's window of time.
+    ``time_range_min`` holds the moments, minutes after the start of the day's window of time.
     """
     view = nodes.view
     row, col = (values.ravel() for values in block_sample_positions(view))
@@ -143,7 +145,7 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridO
     point, up = world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
     up, down, right = up[0], point[2] - point[1], point[4] - point[3]
     towards = np.empty((3, TRACK_TIMES, len(row)))
-    for n, sun in enumerate(day.direction(np.linspace(*ends, TRACK_TIMES))):
+    for n, sun in enumerate(day.direction(np.linspace(*time_range_min, TRACK_TIMES))):
         rise = up @ sun
         flat = sun - rise[:, None] * up
         length = np.linalg.norm(flat, axis=1)
@@ -159,7 +161,9 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, orientation: GridO
     first, after_row, after_col = np.stack(orientation.from_turned(*turned, view.rows, view.cols), axis=1)
     grid_from_turned = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
     last_index = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
-    return SunTrack(float(ends[0]), float(ends[1]), towards @ quadratic_fit(i, j, shape).T, grid_from_turned, last_index)
+    return SunTrack(
+        float(time_range_min[0]), float(time_range_min[1]), towards @ quadratic_fit(i, j, shape).T, grid_from_turned, last_index
+    )
 
 
 @internal

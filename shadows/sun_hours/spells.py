@@ -29,7 +29,7 @@ from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearan
 from skugga.shadows.sweep.grid import GridOrientation, copy_into
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
-UNSHADED = np.float32(1e6)
+NO_OCCLUDER_CLEARANCE = np.float32(1e6)
 """Clearance that stands for the absence of any occluder."""
 
 SHADOW_SIDE_WEIGHT = 0.75
@@ -45,7 +45,7 @@ then counts as lit from its own sunrise on. A cell that was sunlit at the moment
 MAX_WALKS = 3
 """Maximum number of walks along a cell's line of sight to refine one crossing."""
 
-CROSSING_TOLERANCE_MIN = 1.0
+CROSSING_TOLERANCE_MINUTES = 1.0
 """Correction of a crossing's time, minutes, below which no further walk follows. The remaining error is a tenth of it."""
 
 BAND_ROWS = 128
@@ -57,27 +57,27 @@ class SunSpells(NamedTuple):
 
     Attributes
     ----------
-    since
+    spell_start_min
         Start of the current spell, minutes after the start of the day's window of time; -1 in shade.
-    day
+    day_min
         Minutes of sun on the current date.
-    first, last
+    first_min, last_min
         Earliest and latest clock time of sun on any date, minutes from midnight; NaN without sun.
-    longest
+    longest_min
         The longest spell on any date, minutes.
-    total
+    total_min
         Minutes of sun on all complete dates.
-    days
+    day_count
         Number of dates with enough sun.
     """
 
-    since: np.ndarray
-    day: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    longest: np.ndarray
-    total: np.ndarray
-    days: np.ndarray
+    spell_start_min: np.ndarray
+    day_min: np.ndarray
+    first_min: np.ndarray
+    last_min: np.ndarray
+    longest_min: np.ndarray
+    total_min: np.ndarray
+    day_count: np.ndarray
 
 
 class WalkInput(NamedTuple):
@@ -155,7 +155,7 @@ def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientat
     return out
 
 
-def add_between(
+def add_sun_between(
     spells: SunSpells,
     moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample],
     clock: ClockReading,
@@ -179,9 +179,9 @@ def add_between(
     def band(rows: slice) -> None:
         part = SunSpells(*(values[rows] for values in spells))
         four = (before.clearance[rows], start_moment.clearance[rows], end_moment.clearance[rows], after.clearance[rows])
-        _add_sun(part, *four, times, floors, is_first_step, floored, rows.start, len(spells.day), clock, walk_input)
+        _add_sun(part, *four, times, floors, is_first_step, floored, rows.start, len(spells.day_min), clock, walk_input)
 
-    _in_bands(band, len(spells.day), cores)
+    _in_bands(band, len(spells.day_min), cores)
 
 
 def end_spells(spells: SunSpells, minutes: float, clock: ClockReading) -> None:
@@ -192,11 +192,11 @@ def end_spells(spells: SunSpells, minutes: float, clock: ClockReading) -> None:
 def end_day(spells: SunSpells, threshold_min: float) -> None:
     """Add the current date's minutes of sun to the total, and set them to 0 for the next date.
 
-    A date with at least ``threshold_min`` minutes of sun counts in ``SunSpells.days``.
+    A date with at least ``threshold_min`` minutes of sun counts in ``SunSpells.day_count``.
     """
-    np.add(spells.total, spells.day, out=spells.total)
-    np.add(spells.days, spells.day >= np.float32(threshold_min), out=spells.days, casting="unsafe")
-    spells.day[:] = 0.0
+    np.add(spells.total_min, spells.day_min, out=spells.total_min)
+    np.add(spells.day_count, spells.day_min >= np.float32(threshold_min), out=spells.day_count, casting="unsafe")
+    spells.day_min[:] = 0.0
 
 
 def clearances(ray_height: np.ndarray, shade: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int) -> np.ndarray:
@@ -224,7 +224,7 @@ def _compute_clearances(ray_height, shade, eye_height_m, out):
         ray_height_row, shade_row, out_row = ray_height[i], shade[i], out[i]
         for j in range(cols):
             clearance = ray_height_row[j] - shade_row[j] + eye_height_m
-            out_row[j] = UNSHADED if clearance > UNSHADED else clearance
+            out_row[j] = NO_OCCLUDER_CLEARANCE if clearance > NO_OCCLUDER_CLEARANCE else clearance
 
 
 @compiled
@@ -259,7 +259,7 @@ def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, f
                     begin = max(t0 if lit1 and s0 < -FLOOR_MARGIN_SINE else begin, t0 + (t1 - t0) * s0 / (s0 - s1))
                 elif s1 <= 0.0:
                     end = min(t1 if lit0 and s1 < -FLOOR_MARGIN_SINE else end, t0 + (t1 - t0) * s0 / (s0 - s1))
-            since = np.float64(spells.since[i, j])
+            since = np.float64(spells.spell_start_min[i, j])
             if since >= 0.0 and (end < begin or begin > t0):
                 _end_spell(spells, i, j, since, t0, clock)
                 since = -1.0
@@ -269,7 +269,7 @@ def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, f
                 if end < t1:
                     _end_spell(spells, i, j, since, end, clock)
                     since = -1.0
-            spells.since[i, j] = since
+            spells.spell_start_min[i, j] = since
 
 
 @internal
@@ -280,9 +280,9 @@ def _estimate_crossing(before, e0, e1, after, times):
     """
     tb, t0, t1, ta = times[0], times[1], times[2], times[3]
     by_before = by_after = np.nan
-    if tb < t0 and before < UNSHADED and e0 < UNSHADED and before != e0:
+    if tb < t0 and before < NO_OCCLUDER_CLEARANCE and e0 < NO_OCCLUDER_CLEARANCE and before != e0:
         by_before = t0 + e0 * (t0 - tb) / (before - e0)
-    if ta > t1 and after < UNSHADED and e1 < UNSHADED and after != e1:
+    if ta > t1 and after < NO_OCCLUDER_CLEARANCE and e1 < NO_OCCLUDER_CLEARANCE and after != e1:
         by_after = t1 - e1 * (ta - t1) / (after - e1)
     dark, lit = (by_after, by_before) if e0 >= 0.0 else (by_before, by_after)
     known_dark, known_lit = t0 <= dark <= t1, t0 <= lit <= t1
@@ -291,7 +291,7 @@ def _estimate_crossing(before, e0, e1, after, times):
     if known_lit:
         return lit
     middle = 0.5 * (t0 + t1)
-    if e0 >= UNSHADED or e1 >= UNSHADED:
+    if e0 >= NO_OCCLUDER_CLEARANCE or e1 >= NO_OCCLUDER_CLEARANCE:
         return middle
     return 0.5 * (middle + t0 + (t1 - t0) * e0 / (e0 - e1))
 
@@ -315,7 +315,7 @@ def _refine_crossing(walk_input, i, j, lit0, crossing, t0, t1):
             following = 0.5 * (low + high)
         before, clearance_before = t, clearance
         t, correction_min = following, abs(following - t)
-        if correction_min < CROSSING_TOLERANCE_MIN:
+        if correction_min < CROSSING_TOLERANCE_MINUTES:
             break
     return t
 
@@ -331,21 +331,21 @@ def _end_spell(spells, i, j, since, until, clock):
     length = until - since
     if length <= 0.0:
         return
-    spells.day[i, j] += length
-    spells.longest[i, j] = max(spells.longest[i, j], length)
+    spells.day_min[i, j] += length
+    spells.longest_min[i, j] = max(spells.longest_min[i, j], length)
     begun, ended = _clock_time(clock, since), _clock_time(clock, until)
-    if not spells.first[i, j] <= begun:
-        spells.first[i, j] = begun
-    if not spells.last[i, j] >= ended:
-        spells.last[i, j] = ended
+    if not spells.first_min[i, j] <= begun:
+        spells.first_min[i, j] = begun
+    if not spells.last_min[i, j] >= ended:
+        spells.last_min[i, j] = ended
 
 
 @compiled
 def _end_all_spells(spells, until, clock):
-    rows, cols = spells.since.shape
+    rows, cols = spells.spell_start_min.shape
     for i in range(rows):
         for j in range(cols):
-            since = np.float64(spells.since[i, j])
+            since = np.float64(spells.spell_start_min[i, j])
             if since >= 0.0:
                 _end_spell(spells, i, j, since, until, clock)
-                spells.since[i, j] = -1.0
+                spells.spell_start_min[i, j] = -1.0

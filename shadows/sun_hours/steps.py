@@ -16,26 +16,26 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.scene import Scene
 
-LONG_STEP_MIN, SHORT_STEP_MIN = 3.0, 1.0
+LONG_STEP_MINUTES, SHORT_STEP_MINUTES = 3.0, 1.0
 """Minutes between two samples: the long step for ground where it misses little, and the short step for all other ground.
 
 A block of 4.2 million cells takes less time with the long step than with still longer steps, which need more walks. With the long
 step hours of sun are accurate to a third of a minute.
 """
 
-SAMPLED_CELLS = 1000
+MAX_SAMPLED_CELLS = 1000
 """Number of cells of a block, chosen at random, that are tested."""
 
-TRACK_MIN = 15
+TRACK_INTERVAL_MINUTES = 15
 """Minutes during which the sun's path is approximated by a parabola."""
 
-MAX_MISSED_MIN = 0.006
+MAX_MISSED_MINUTES = 0.006
 """Upper bound of the mean minutes a day that long steps may miss.
 
 Mountains have 0.000 to 0.005, cities 0.02 to 0.06, and surfaces of woods 0.05 to 0.19.
 """
 
-IDENTITY = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
+IDENTITY_ORIENTATION = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
 
 
 def sampling_step_min(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> float:
@@ -44,25 +44,27 @@ def sampling_step_min(scene: Scene, nodes: BareNodes, day: WindowSun, least_alti
     Points ``height_m`` metres above the ground are tested, while the sun is above ``least_altitude_deg``. Ground beside the block
     is ignored. It is far from most cells, and distant ground casts shadows that last longer than a step.
     """
-    missed_min = missed_minutes(lit_by_minute(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MIN))
-    return LONG_STEP_MIN if missed_min.mean() <= MAX_MISSED_MIN else SHORT_STEP_MIN
+    missed_min = missed_minutes(lit_by_minute(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MINUTES))
+    return LONG_STEP_MINUTES if missed_min.mean() <= MAX_MISSED_MINUTES else SHORT_STEP_MINUTES
 
 
 def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
     """Return whether some cells of a block see the sun, for each minute that it is up: bool (cells, minutes).
 
-    The arguments are those of ``sampling_step_min``. At most ``SAMPLED_CELLS`` cells are chosen at random.
+    The arguments are those of ``sampling_step_min``. At most ``MAX_SAMPLED_CELLS`` cells are chosen at random.
     """
     rows, cols = np.nonzero(nodes.shows_ground)
-    sample = np.random.default_rng(0).choice(len(rows), min(SAMPLED_CELLS, len(rows)), replace=False)
+    sample = np.random.default_rng(0).choice(len(rows), min(MAX_SAMPLED_CELLS, len(rows)), replace=False)
     cells = np.stack([rows[sample], cols[sample]], axis=1)
     ground = walked_ground(scene, nodes, ())
     parts = [np.empty((len(cells), 0), bool)]
-    for span in sun_spans(day, nodes.view, scene.world, least_altitude_deg, TRACK_MIN):
+    for span in sun_spans(day, nodes.view, scene.world, least_altitude_deg, TRACK_INTERVAL_MINUTES):
         first, last = span.sample_min(0), span.sample_min(len(span.samples_min) - 1)
-        for begin in np.arange(first, last, TRACK_MIN):
-            times = np.arange(begin, min(begin + TRACK_MIN, last))
-            track = sun_track(day, nodes, scene.world, IDENTITY, (float(begin), float(min(begin + TRACK_MIN, last))))
+        for begin in np.arange(first, last, TRACK_INTERVAL_MINUTES):
+            times = np.arange(begin, min(begin + TRACK_INTERVAL_MINUTES, last))
+            track = sun_track(
+                day, nodes, scene.world, IDENTITY_ORIENTATION, (float(begin), float(min(begin + TRACK_INTERVAL_MINUTES, last)))
+            )
             parts.append(_sunlit_by_minute(ground, track, cells, height_m, times))
     return np.concatenate(parts, axis=1)
 

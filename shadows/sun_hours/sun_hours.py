@@ -3,9 +3,9 @@
 The sun is sampled in even time steps, and at its rise and set. If no step is requested, each block's ground determines it
 (``skugga.shadows.sun_hours.steps``). For ground without objects the line sweep (``skugga.shadows.sweep``) gives the clearance, the
 margin by which each cell sees the sun. The times at which clearances change their signs are derived from it
-(``skugga.shadows.sun_hours.spells``). With steps longer than ``MIN_WALK_STEP_MIN``, walks along lines of sight refine these times.
-If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half of it is
-visible.
+(``skugga.shadows.sun_hours.spells``). With steps longer than ``MIN_WALK_STEP_MINUTES``, walks along lines of sight refine these
+times. If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half of it
+is visible.
 
 The sweep uses a turned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the turned grid
 from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis of the grid.
@@ -28,7 +28,7 @@ from skugga.shadows.sun_hours.spells import (
     ClockReading,
     SunSpells,
     WalkInput,
-    add_between,
+    add_sun_between,
     clearances,
     empty_spells,
     end_day,
@@ -36,7 +36,7 @@ from skugga.shadows.sun_hours.spells import (
     turned_copy,
     turned_spells,
 )
-from skugga.shadows.sun_hours.steps import IDENTITY, sampling_step_min
+from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_min
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
 from skugga.shadows.sweep.grid import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
@@ -54,17 +54,17 @@ from skugga.terrain.scene import Scene
 LINES_PER_COLUMN = 8
 """Sweep lines per column of nodes (``skugga.shadows.sweep.lines``). With four lines, errors on surfaces of trees are doubled."""
 
-CASTER_SEARCH_MIN = 15.0
+CASTER_SEARCH_STEP_MINUTES = 15.0
 """Minutes between two searches for ground beside a block that casts shadows on it.
 
 Ground that hides the sun only between two searches is missed. Such ground is at least about fifteen times as far away as the block
 is wide.
 """
 
-RENDERED_STEP_MIN = 2.0
+RENDERED_STEP_MINUTES = 2.0
 """Default minutes between two samples if objects stand on the ground. Each sample is a rendered picture of the shadows."""
 
-MIN_WALK_STEP_MIN = 3.0
+MIN_WALK_STEP_MINUTES = 3.0
 """Time step, minutes, beyond which walks along lines of sight refine the time of a change between sun and shade."""
 
 RIM_TOLERANCE_PX = 1e-6
@@ -165,7 +165,7 @@ def sun_hours(
     else:
         block = _RenderedBlock(scene, view, plan_of)
     valid = block.valid()
-    block_spells = _BlockSpells(view, IDENTITY, empty_spells((view.rows, view.cols)))
+    block_spells = _BlockSpells(view, IDENTITY_ORIENTATION, empty_spells((view.rows, view.cols)))
     if valid.any():
         step_min = rules.step_min or block.step_min(days[len(days) // 2])
         for day in days:
@@ -175,14 +175,18 @@ def sun_hours(
             end_day(block_spells.spells, rules.threshold_h * 60.0)
             if on_day is not None:
                 on_day()
-    spells = turned_spells(block_spells.spells, block_spells.orientation, IDENTITY)
+    spells = turned_spells(block_spells.spells, block_spells.orientation, IDENTITY_ORIENTATION)
 
     def shown(values: np.ndarray) -> np.ndarray:
         return np.where(valid, values, np.float32(np.nan))
 
-    hours = spells.total / np.float32(60.0 * max(len(days), 1))
+    hours = spells.total_min / np.float32(60.0 * max(len(days), 1))
     return SunHours(
-        shown(hours), shown(spells.first), shown(spells.last), shown(spells.longest / np.float32(60.0)), shown(spells.days)
+        shown(hours),
+        shown(spells.first_min),
+        shown(spells.last_min),
+        shown(spells.longest_min / np.float32(60.0)),
+        shown(spells.day_count),
     )
 
 
@@ -216,7 +220,7 @@ class _BlockSpells:
         """The ``quadratic_fit`` for values at ``block_sample_positions``, in the order of the turned grid."""
         row, col = block_sample_positions(self.view)
         i, j = self.orientation.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
-        return quadratic_fit(i, j, self.spells.day.shape)
+        return quadratic_fit(i, j, self.spells.day_min.shape)
 
 
 def _add_span(
@@ -228,7 +232,7 @@ def _add_span(
 
     def add(four: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
         walk_input = block.walk_input(day, (four[1].minutes, four[2].minutes), block_spells.orientation)
-        add_between(block_spells.spells, four, clock, block_spells.fit, is_first_step, walk_input, CORES)
+        add_sun_between(block_spells.spells, four, clock, block_spells.fit, is_first_step, walk_input, CORES)
 
     for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
         if orientation != block_spells.orientation:
@@ -286,18 +290,20 @@ class _TerrainBlock:
             )
             yield node_clearance.orientation, arrays[-1]
 
-    def walk_input(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
+    def walk_input(self, day: WindowSun, time_range_min: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
         """Return the input of walks between two moments, or ``None`` if the moments are so close that walks are not needed.
 
-        ``ends`` are the moments, minutes after the window's start. ``orientation`` is that of the cells' turned grid.
+        ``time_range_min`` holds the moments, minutes after the window's start. ``orientation`` is that of the cells' turned grid.
         """
-        if ends[1] - ends[0] <= MIN_WALK_STEP_MIN:
+        if time_range_min[1] - time_range_min[0] <= MIN_WALK_STEP_MINUTES:
             return None
         patches = tuple(dict.fromkeys(patch for recent in self._recent_patches for patch in recent))
         if self._ground is None or self._ground[0] != patches:
             self._ground = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
-        return WalkInput(self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, ends), self._height_m)
+        return WalkInput(
+            self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, time_range_min), self._height_m
+        )
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
@@ -311,9 +317,9 @@ class _TerrainBlock:
         for number in range(len(span.samples_min)):
             minutes = span.sample_min(number)
             if not self._has_all_ground and minutes >= end:
-                begin = np.floor(minutes / CASTER_SEARCH_MIN) * CASTER_SEARCH_MIN
+                begin = np.floor(minutes / CASTER_SEARCH_STEP_MINUTES) * CASTER_SEARCH_STEP_MINUTES
                 before = after if begin == end else self._patches(day, float(np.clip(begin, first, last)))
-                end = begin + CASTER_SEARCH_MIN
+                end = begin + CASTER_SEARCH_STEP_MINUTES
                 after = self._patches(day, float(np.clip(end, first, last)))
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
@@ -336,15 +342,15 @@ class _RenderedBlock:
 
     def step_min(self, day: WindowSun) -> float:
         """Return the minutes between two samples, which are the same for all days."""
-        return RENDERED_STEP_MIN
+        return RENDERED_STEP_MINUTES
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
-        """Yield, for each moment of a span, ``IDENTITY`` and the clearances (rows, cols) of the cells."""
+        """Yield, for each moment of a span, ``IDENTITY_ORIENTATION`` and the clearances (rows, cols) of the cells."""
         for number in range(len(span.samples_min)):
             frame = self._render(day.sun(span.sample_min(number), self._scene.world))
-            yield IDENTITY, frame.visibilities[SUN] - np.float32(0.5)
+            yield IDENTITY_ORIENTATION, frame.visibilities[SUN] - np.float32(0.5)
 
-    def walk_input(self, day: WindowSun, ends: tuple[float, float], orientation: GridOrientation) -> None:
+    def walk_input(self, day: WindowSun, time_range_min: tuple[float, float], orientation: GridOrientation) -> None:
         """Return ``None``: rendered shadows are not refined by walks."""
 
     def _render(self, sun: Sun) -> Frame:

@@ -26,10 +26,10 @@ BLOCK_SAMPLES = 5
 MIN_REFRACTED_DEG = -0.8333
 """Altitude below which refraction is set to 0, because no part of the sun's disc is visible."""
 
-HORIZON_OFFSET_MIN = 0.02
+HORIZON_OFFSET_MINUTES = 0.02
 """Minutes by which the first moment of a span is moved forward, and the last one back, so that the sun is above the horizon."""
 
-MIN_SPACING_MIN = 0.25
+MIN_SPACING_MINUTES = 0.25
 """Minimum minutes between two samples."""
 
 
@@ -43,9 +43,9 @@ class WindowSun:
         The window.
     times_min
         (n,): minutes after the window's start.
-    towards_earth
+    to_sun_earth
         (n, 3): earth-fixed unit vectors towards the apparent sun.
-    unrefracted_earth
+    to_sun_unrefracted_earth
         (n, 3): earth-fixed unit vectors towards the sun without refraction.
     azimuth_deg, altitude_deg
         (n,), degrees: apparent azimuths and altitudes at the level's anchor.
@@ -55,15 +55,15 @@ class WindowSun:
 
     window: DailyWindow
     times_min: np.ndarray
-    towards_earth: np.ndarray
-    unrefracted_earth: np.ndarray
+    to_sun_earth: np.ndarray
+    to_sun_unrefracted_earth: np.ndarray
     azimuth_deg: np.ndarray
     altitude_deg: np.ndarray
     lift_deg: np.ndarray
 
     def direction(self, minutes: np.ndarray) -> np.ndarray:
         """Return unit vectors (k, 3) towards the sun, at minutes (k,) after the window's start."""
-        towards = np.stack([np.interp(minutes, self.times_min, axis) for axis in self.towards_earth.T], axis=1)
+        towards = np.stack([np.interp(minutes, self.times_min, axis) for axis in self.to_sun_earth.T], axis=1)
         return towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
     def sun(self, minutes: float, world: World) -> Sun:
@@ -95,9 +95,9 @@ class SunSpan:
     def sample_min(self, number: int) -> float:
         """Return the moment, in minutes, for which the sun of sample ``number`` is computed.
 
-        At the ends of the span it is moved inwards by ``HORIZON_OFFSET_MIN``.
+        At the ends of the span it is moved inwards by ``HORIZON_OFFSET_MINUTES``.
         """
-        first, last = self.samples_min[0] + HORIZON_OFFSET_MIN, self.samples_min[-1] - HORIZON_OFFSET_MIN
+        first, last = self.samples_min[0] + HORIZON_OFFSET_MINUTES, self.samples_min[-1] - HORIZON_OFFSET_MINUTES
         return float(np.clip(self.samples_min[number], first, max(first, last)))
 
 
@@ -154,14 +154,14 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     _, up = world.ground(view.grid.crs, x, y)
     up, floor = up.reshape(-1, 3), np.sin(np.radians(floor_deg))
-    heights = refracted_sine(day.unrefracted_earth @ up.T) - floor
+    heights = refracted_sine(day.to_sun_unrefracted_earth @ up.T) - floor
     spells = []
     for first, last in _above_zero(day.times_min, heights.max(axis=1)):
         steps = np.arange(np.ceil(first / step_min), np.floor(last / step_min) + 1.0) * step_min
         floor_crossings = [t for spell in _above_zero(day.times_min, heights.min(axis=1)) for t in spell if first < t < last]
         knots = [first]
         for moment in sorted([*steps, *floor_crossings]):
-            if moment - knots[-1] >= MIN_SPACING_MIN and last - moment >= MIN_SPACING_MIN:
+            if moment - knots[-1] >= MIN_SPACING_MINUTES and last - moment >= MIN_SPACING_MINUTES:
                 knots.append(float(moment))
         moments = np.array([*knots, last])
         above_floor_sine = np.stack([np.interp(moments, day.times_min, heights_at_point) for heights_at_point in heights.T], axis=1)

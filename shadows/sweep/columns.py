@@ -43,7 +43,7 @@ HEIGHT_TOLERANCE_M = 1e-6
 
 NO_COLUMN = np.float32(-1e30)
 
-POINTS_AT_A_TIME = 2**15
+POINTS_PER_CHUNK = 2**15
 
 
 class TurnedColumns(NamedTuple):
@@ -113,9 +113,9 @@ class ColumnGround:
     towards_at_zero: np.ndarray
     towards_per_metre: np.ndarray
 
-    def tilted(self, angle: float) -> TurnedColumns:
-        """Return the columns with the ray heights for a sun that is higher by ``angle``, radians."""
-        cosine, sine = np.cos(angle), np.sin(angle)
+    def with_raised_sun(self, angle_rad: float) -> TurnedColumns:
+        """Return the columns with the ray heights for a sun that is higher by ``angle_rad``."""
+        cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         return self.columns._replace(
             ray_height_at_zero=cosine * self.columns.ray_height_at_zero - sine * self.towards_at_zero,
             ray_height_per_metre=cosine * self.columns.ray_height_per_metre - sine * self.towards_per_metre,
@@ -162,26 +162,26 @@ class ColumnSweep:
         """Size in bytes."""
         return sum(ground.columns.height.nbytes for ground in self.grounds) + 40 * self.row.size
 
-    def above_m(self, angle: float, needs_height: bool, cores: int) -> np.ndarray:
+    def obstruction_height_m(self, angle_rad: float, needs_height: bool, cores: int) -> np.ndarray:
         """Return by how many metres columns rise above the rays from a buffer's pixels (rows, cols) to the sun.
 
-        The sun is higher than the scene's sun by ``angle``, radians. A value over 0 means that a column blocks the ray. If
+        The sun is higher than the scene's sun by ``angle_rad``. A value over 0 means that a column blocks the ray. If
         ``needs_height``, the value is the largest height of a column above the ray, in metres. Otherwise only its sign is
         meaningful, and the search is faster. ``cores`` is the number of threads.
         """
-        grounds = [ground.tilted(angle) for ground in self.grounds]
-        ray_heights = np.cos(angle) * self.ray_height_m - np.sin(angle) * self.towards_m
+        grounds = [ground.with_raised_sun(angle_rad) for ground in self.grounds]
+        ray_heights = np.cos(angle_rad) * self.ray_height_m - np.sin(angle_rad) * self.towards_m
         on_columns = np.flatnonzero(np.isnan(ray_heights))
         ray_heights[on_columns] = _ray_heights(grounds[0], self.row[on_columns], self.t[on_columns], self.height_m[on_columns])
         above = np.zeros(len(self.row))
 
         def sweep_chunk(first: int) -> None:
-            part = slice(first, first + POINTS_AT_A_TIME)
+            part = slice(first, first + POINTS_PER_CHUNK)
             for ground, turned in zip(self.grounds, grounds, strict=True):
                 row = self._turned_rows_on(ground, self.row[part])
                 _follow_rays(turned, row, self.t[part] / turned.side, ray_heights[part], needs_height, above[part])
 
-        map_on_cores(sweep_chunk, range(0, len(above), POINTS_AT_A_TIME), cores)
+        map_on_cores(sweep_chunk, range(0, len(above), POINTS_PER_CHUNK), cores)
         return np.append(above, 0.0)[self.point_index]
 
     def _turned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:

@@ -232,15 +232,15 @@ def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([a0 + h * (a1 + h * (a2 + h * a3)), a1 + h * (2.0 * a2 + h * 3.0 * a3), a2 + h * 3.0 * a3, a3], axis=1)
 
 
-EVERY_ROW = slice(None)
+ALL_ROWS = slice(None)
 """All rows of a grid."""
 
 Window = tuple[tuple[int, int], tuple[int, int]]
 """A window of a grid: its first row and the row after its last one, and the same of its columns."""
 
 
-def bordered(
-    n: int, m: int, filled_rows: slice = EVERY_ROW, window_to_fill: Window = ((0, 0), (0, 0))
+def allocate_bordered_grid(
+    n: int, m: int, filled_rows: slice = ALL_ROWS, window_to_fill: Window = ((0, 0), (0, 0))
 ) -> tuple[np.ndarray, np.ndarray]:
     """Allocate a float32 grid (n, m + 2) with border columns, and return it and its view (n, m) without them.
 
@@ -258,7 +258,7 @@ def bordered(
     return with_border, with_border[:, 1:-1]
 
 
-def close_border(with_border: np.ndarray, filled_rows: slice = EVERY_ROW) -> np.ndarray:
+def close_border(with_border: np.ndarray, filled_rows: slice = ALL_ROWS) -> np.ndarray:
     """Copy the last column of a grid to its right border, in the rows ``filled_rows``, and return the grid."""
     with_border[filled_rows, -1] = with_border[filled_rows, -2]
     return with_border
@@ -447,7 +447,7 @@ def turned_linear_values(
     column of the grid before turning.
     """
     rows, cols = height.shape
-    with_border, inside = bordered(*((cols, rows) if orientation.swapped else (rows, cols)))
+    with_border, inside = allocate_bordered_grid(*((cols, rows) if orientation.swapped else (rows, cols)))
     target = orientation.restored(inside)  # the same memory, in the grid's own order
 
     def band(first: int) -> None:

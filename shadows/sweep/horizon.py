@@ -30,7 +30,7 @@ STRIP_NODES = 2**21
 """Approximate number of nodes of a whole grid that are processed at a time."""
 
 
-class Section(NamedTuple):
+class HorizonGrid(NamedTuple):
     """A turned grid (n, m) with border columns, rotated and mirrored so that the sun stands before row 0.
 
     Attributes
@@ -102,7 +102,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     azimuth = np.radians(azimuth_deg)
     ray_height = turned_linear_values(height_m, orientation, 1.0, 0.0, 0.0, cores)
     towards = turned_linear_values(height_m, orientation, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
-    section = Section(ray_height, towards, column_of_t, HIGHER_DIAGONALS)
+    section = HorizonGrid(ray_height, towards, column_of_t, HIGHER_DIAGONALS)
     n, m = ray_height.shape
     out = np.full((n, m), NO_HORIZON_SLOPE)
     low, high = float(t_of_column[:, 0].min()) + 1.0, float(t_of_column[:, 0].max()) + m
@@ -114,7 +114,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
 
 
 def horizon_tangents(
-    section: Section,
+    section: HorizonGrid,
     lines: int,
     row: np.ndarray,
     t: np.ndarray,

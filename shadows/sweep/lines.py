@@ -50,7 +50,8 @@ LINEARITY_TOLERANCE = 0.01
 
 
 class TurnedGrid(NamedTuple):
-    """A turned grid (n, m) including two border columns (``skugga.shadows.sweep.grid.bordered``), with the positions of its lines.
+    """A turned grid (n, m) including two border columns (``skugga.shadows.sweep.grid.allocate_bordered_grid``), with the positions
+    of its lines.
 
     The grid is rotated and mirrored so that the sun stands before row 0. A position across the lines is t, in cells.
 

@@ -12,7 +12,7 @@ from skugga.shadows.sweep.grid import (
     NO_RAY_HEIGHTS,
     GridOrientation,
     Window,
-    bordered,
+    allocate_bordered_grid,
     close_border,
     copy_into,
     orientation_towards,
@@ -38,7 +38,7 @@ FIT_TOLERANCE_NODES = 0.01
 RANK_TOLERANCE = 1e-9
 """Relative size of a pivot of the fit's QR decomposition below which the terms count as linearly dependent."""
 
-MAX_LEAN_COLUMNS = 0.05
+RAY_DIRECTION_TOLERANCE = 0.05
 """Tolerance in columns per row for the direction of rays.
 
 On the round earth, rays that shift to the right at one position of a grid may shift to the left at another one, by at most this.
@@ -126,7 +126,7 @@ class SunRays:
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Return values (rows, cols) float32 of the grid's nodes as a turned grid with border columns."""
-        with_border, inside = bordered(*(values.shape[::-1] if self.orientation.swapped else values.shape))
+        with_border, inside = allocate_bordered_grid(*(values.shape[::-1] if self.orientation.swapped else values.shape))
         copy_into(values, self.orientation.restored(inside))
         return close_border(with_border)
 
@@ -233,21 +233,21 @@ class GroundWindow:
     towards_m: np.ndarray
     first_ground_row: int = 0
 
-    def tilted(self, angle: float) -> TurnedGrid:
-        """Return the turned grid for a sun that is higher by ``angle``, radians. Angles other than 0 need ``towards_m``."""
-        if angle == 0.0:
+    def with_raised_sun(self, angle_rad: float) -> TurnedGrid:
+        """Return the turned grid for a sun that is higher by ``angle_rad``. Angles other than 0 need ``towards_m``."""
+        if angle_rad == 0.0:
             return self.turned_grid
-        ray_height = np.float32(np.cos(angle)) * self.turned_grid.ray_height - np.float32(np.sin(angle)) * self.towards_m
+        ray_height = np.float32(np.cos(angle_rad)) * self.turned_grid.ray_height - np.float32(np.sin(angle_rad)) * self.towards_m
         return self.turned_grid._replace(ray_height=ray_height)
 
 
 def grounds_of_block(
-    rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft: bool, culled: Collection[Patch] = ()
+    rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft_edges: bool, culled: Collection[Patch] = ()
 ) -> list[GroundWindow]:
     """Return the ground that casts shadows on a map's block, by level of detail: the coarsest first, the block's own last.
 
-    ``soft`` tells whether to compute ``GroundWindow.towards_m``. The heights of ``culled`` patches are not read, since they cast no
-    shadow on the block.
+    ``soft_edges`` tells whether to compute ``GroundWindow.towards_m``. The heights of ``culled`` patches are not read, since they
+    cast no shadow on the block.
     """
     patches = [patch for patch in patches if not (patch.lod and _lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []
@@ -258,7 +258,7 @@ def grounds_of_block(
         windows = [surface.height_window(*window, rim=True) for window in patch_windows(casting)]
         if detail and not windows and not grounds:
             continue  # no ray heights to pass on
-        grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, detail_patches))
+        grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft_edges, detail_patches))
     return grounds
 
 
@@ -297,12 +297,12 @@ def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
     rows, cols = block.shape
     i, j = rays.orientation.to_turned(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
     block_i, block_j = rays.orientation.to_turned(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
-    lean = patch.lod == 0 and rays.columns_per_row < MAX_LEAN_COLUMNS
+    lean = patch.lod == 0 and rays.columns_per_row < RAY_DIRECTION_TOLERANCE
     return bool(i.min() >= block_i.max() or (j.min() >= block_j.max() and not lean))
 
 
 @cached("light", 1024 * MIB)
-def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, soft: bool) -> tuple[SunRays, GroundWindow]:
+def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, soft_edges: bool) -> tuple[SunRays, GroundWindow]:
     """Return the sun's rays over the ground of a perspective view, and this ground as a turned grid. The last result is cached.
 
     If the drawn ground is decimated (drawn with fewer nodes), all other nodes get values on the drawn triangles. Quads are then cut
@@ -312,7 +312,9 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, sof
     rows, cols = nodes.height_m.shape
     rays = rays_at(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
     if nodes.errors is None:
-        return rays, _ground(rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], soft)
+        return rays, _ground(
+            rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], soft_edges
+        )
     row, col = (
         np.rint((ground_mesh.grid.y0 - ground_mesh.y) / ground_mesh.grid.step),
         np.rint((ground_mesh.x - ground_mesh.grid.x0) / ground_mesh.grid.step),
@@ -323,18 +325,22 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, sof
     )
     ray_heights = rays.turned(_interpolate_on_triangles(corner, ray_height_m, ground_mesh.triangles, rows, cols))
     towards = (
-        rays.turned(_interpolate_on_triangles(corner, towards_m, ground_mesh.triangles, rows, cols)) if soft else NO_RAY_HEIGHTS
+        rays.turned(_interpolate_on_triangles(corner, towards_m, ground_mesh.triangles, rows, cols))
+        if soft_edges
+        else NO_RAY_HEIGHTS
     )
     is_cut_nw_se = np.pad(rays.orientation.turned_cuts(_falling_quads(corner, ground_mesh.triangles, rows, cols)), ((0, 0), (1, 1)))
     turned_grid = TurnedGrid(ray_heights, *rays.window_cubics(0, nodes.row0, nodes.col0, rows, cols), is_cut_nw_se)
     return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), turned_grid, towards)
 
 
-def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, patches: Iterable[Patch] = ()) -> GroundWindow:
+def _ground(
+    rays: SunRays, detail: int, windows: list[NodeHeights], soft_edges: bool, patches: Iterable[Patch] = ()
+) -> GroundWindow:
     """Return the ground of windows of heights as one turned grid.
 
     The grid also covers ``patches`` without heights, because the fitted positions of its lines depend on its size. Outside of the
-    windows it holds no ground. ``soft`` tells whether to compute ``GroundWindow.towards_m``.
+    windows it holds no ground. ``soft_edges`` tells whether to compute ``GroundWindow.towards_m``.
     """
     starts = [(w.row0, w.col0) for w in windows] + [(p.row * PATCH_QUADS, p.col * PATCH_QUADS) for p in patches]
     ends = [(w.row0 + w.shape[0], w.col0 + w.shape[1]) for w in windows]
@@ -344,10 +350,11 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
 
     spans = [rays.turned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
     first_ground_row = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
-    filled_rows = (0, None) if soft or detail else (first_ground_row, max(end for (_, end), _ in spans))  # no other row is read
+    # no row beside ``filled_rows`` is read
+    filled_rows = (0, None) if soft_edges or detail else (first_ground_row, max(end for (_, end), _ in spans))
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
-        with_border, inside = bordered(
+        with_border, inside = allocate_bordered_grid(
             *((cols, rows) if rays.orientation.swapped else (rows, cols)), slice(*filled_rows), *spans[:1]
         )
         grid_view = rays.orientation.restored(inside)
@@ -356,7 +363,7 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
         return close_border(with_border, slice(*filled_rows))
 
     turned_grid = TurnedGrid(turned(rays.write_ray_heights), *rays.window_cubics(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
-    towards_m = turned(rays.write_towards) if soft else NO_RAY_HEIGHTS
+    towards_m = turned(rays.write_towards) if soft_edges else NO_RAY_HEIGHTS
     return GroundWindow(detail, row0, col0, (rows, cols), turned_grid, towards_m, first_ground_row)
 
 

@@ -40,15 +40,14 @@ from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, RAYS_BEND_REASON, GridOrie
 from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT
 from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_view, grounds_of_block, rays_at
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
+from skugga.shadows.sweep.targets import SweepTargets, max_abs_ray_height_m, targets_of_buffer, targets_of_nodes
 from skugga.shadows.work import Work, Workload, is_decimated
-from skugga.terrain.casters.reach import Casters, Patch, Receivers
-from skugga.terrain.compiled import CORES, compiled, run_in_chunks
+from skugga.terrain.casters.reach import Casters, Patch
+from skugga.terrain.compiled import CORES
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.geo.light_space import light_bounds
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
@@ -107,19 +106,19 @@ def fill(
     with log.record_pass(sweep_pass) as record:
         if not buffer.valid.any():
             return np.ones(buffer.valid.shape, np.float32)
-        soft = settings.filter == "sun"
+        soft_edges = settings.filter == "sun"
         if buffer.columns is not None:
             return _fill_columns(
-                buffer, scene, light, casters, strips_of_sun(SUN_DISC_STRIPS) if soft else np.zeros(1), log, record
+                buffer, scene, light, casters, sun_strip_angles(SUN_DISC_STRIPS) if soft_edges else np.zeros(1), log, record
             )
-        rays, grounds = _grounds(buffer, scene, casters, soft)
-        targets = _targets_of_buffer(rays, grounds[-1], buffer)
+        rays, grounds = _grounds(buffer, scene, casters, soft_edges)
+        targets = targets_of_buffer(rays, grounds[-1], buffer)
         log.keep_layer("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft))
-        if not soft:
+        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges))
+        if not soft_edges:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
         visibility = np.zeros(buffer.valid.shape, np.float32)
-        for angle in strips_of_sun(SUN_DISC_STRIPS):
+        for angle in sun_strip_angles(SUN_DISC_STRIPS):
             visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
         return visibility / np.float32(SUN_DISC_STRIPS)
 
@@ -134,10 +133,10 @@ def _fill_columns(
     sweep = column_sweep(buffer, scene, casters)
     visibility = np.zeros(buffer.valid.shape, np.float32)
     for angle in angles:
-        visibility += sweep.above_m(angle, False, CORES) <= 0.0
+        visibility += sweep.obstruction_height_m(angle, False, CORES) <= 0.0
 
     def shadow_height_m() -> np.ndarray:
-        return buffer.height_m + sweep.above_m(0.0, True, CORES).astype(np.float32)
+        return buffer.height_m + sweep.obstruction_height_m(0.0, True, CORES).astype(np.float32)
 
     log.keep_layer("shadow-height", light, shadow_height_m)
     record.bytes = max(record.bytes, sweep.nbytes)
@@ -162,12 +161,12 @@ def fill_nodes(
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
-        targets = _targets_of_nodes(rays, grounds[-1], nodes)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft_edges=False, culled=casters.culled)
+        targets = targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
+        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges=False))
         return rays.orientation.restored_copy(lit, targets.window)
 
 
@@ -205,9 +204,9 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     errors of ``fill_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-    grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
+    grounds = grounds_of_block(rays, nodes.surface, patches, soft_edges=False)
     ground = grounds[-1]
-    targets = _targets_of_nodes(rays, ground, nodes)
+    targets = targets_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
     window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # after the left border
     shade = np.empty(ground.turned_grid.ray_height.shape, np.float32)  # only the window is written: the rest takes no memory
@@ -216,12 +215,12 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     return NodeClearance(rays.orientation, ground.turned_grid.ray_height[window], shade[window], rays.ray_height_per_metre)
 
 
-def _bytes(grounds: list[GroundWindow], targets: _Targets, soft: bool) -> int:
-    sheets = sum((1 + soft) * ground.turned_grid.ray_height.nbytes + ground.towards_m.nbytes for ground in grounds)
+def _bytes(grounds: list[GroundWindow], targets: SweepTargets, soft_edges: bool) -> int:
+    sheets = sum((1 + soft_edges) * ground.turned_grid.ray_height.nbytes + ground.towards_m.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].turned_grid.ray_height.size
 
 
-def strips_of_sun(count: int) -> np.ndarray:
+def sun_strip_angles(count: int) -> np.ndarray:
     """Return the angles of horizontal strips of the sun's disc above the disc's centre: (count,) radians.
 
     The strips have equal areas. Each angle leads to the height that halves the area of its strip. The share of the disc below a
@@ -232,52 +231,15 @@ def strips_of_sun(count: int) -> np.ndarray:
     return np.radians(SUN_RADIUS_DEG) * np.interp((np.arange(count) + 0.5) / count, share, x)
 
 
-@dataclass(frozen=True, eq=False)
-class _Targets:
-    """The nodes and points that a sweep evaluates for a buffer's pixels (rows, cols).
-
-    Attributes
-    ----------
-    t_range
-        Minimum and maximum t (the position across the sweep lines, in cells) of all nodes and points.
-    nodes
-        bool (rows, cols): pixels that show a node of the grid.
-    rows, cols
-        First row of the nodes on the turned grid, and the one after the last; columns likewise.
-    window
-        The same window on the grid before turning.
-    off_nodes
-        bool (rows, cols): pixels that show a point between nodes or above the ground.
-    row, col, t
-        (n,): positions of the points of ``off_nodes`` on the turned grid, and across the lines.
-    ray_height_m
-        (n,), metres: ray heights of the points of ``off_nodes``; NaN for points of the ground.
-    towards_m
-        (n,), metres: coordinates of the points of ``off_nodes`` along the axis towards the sun.
-    """
-
-    t_range: tuple[float, float]
-    nodes: np.ndarray
-    rows: tuple[int, int]
-    cols: tuple[int, int]
-    window: tuple[slice, slice]
-    off_nodes: np.ndarray
-    row: np.ndarray
-    col: np.ndarray
-    t: np.ndarray
-    ray_height_m: np.ndarray
-    towards_m: np.ndarray
-
-
-def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool) -> tuple[SunRays, list[GroundWindow]]:
+def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft_edges: bool) -> tuple[SunRays, list[GroundWindow]]:
     """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft_edges, casters.culled)
     assert buffer.ground is not None
-    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft)
+    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft_edges)
     return rays, [ground]
 
 
@@ -297,68 +259,8 @@ def _reference_node(scene: Scene, view: MapView, valid: np.ndarray) -> tuple[flo
     return view.row0 + row * view.row_step, view.col0 + col * view.col_step
 
 
-def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
-    """Return the minimum and maximum t (the position across the sweep lines, in cells) of receivers, extended by one cell."""
-    low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.from_frame(receivers.frame))
-    ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
-    return ends[0] - 1.0, ends[1] + 1.0
-
-
-def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
-    """Return where a view's nodes lie on the turned grid, and their window of the ground's grid as slices.
-
-    On the turned grid these are the first row and the one after the last, and the same of columns.
-    """
-    top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
-    return *rays.turned_window(top, left, (view.rows, view.cols), *ground.shape), (
-        slice(top, top + view.rows),
-        slice(left, left + view.cols),
-    )
-
-
-def _targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Targets:
-    none, shape = np.zeros(0), (nodes.view.rows, nodes.view.cols)
-    all_nodes, no_pixels = (np.broadcast_to(np.bool_(value), shape) for value in (True, False))
-    return _Targets(
-        _t_range(rays, nodes), all_nodes, *_window_of(rays, ground, nodes.view), no_pixels, none, none, none, none, none
-    )
-
-
-def _targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Targets:
-    view = buffer.view
-    on_nodes = isinstance(view, MapView) and view.on_nodes
-    on_triangles = buffer.kind == RELIEF if buffer.lifted is None else (buffer.kind == RELIEF) & ~buffer.lifted
-    nodes = buffer.valid & on_triangles & on_nodes
-    off_nodes = buffer.valid & ~nodes
-    rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
-    pixels = np.flatnonzero(off_nodes)
-    t, ray_height_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
-    if isinstance(view, MapView):
-        if nodes.any():
-            rows, cols, window = _window_of(rays, ground, view)
-        pixel_row_col = np.divmod(pixels, view.cols)
-        row, col = view.row0 + pixel_row_col[0] * view.row_step, view.col0 + pixel_row_col[1] * view.col_step
-    else:
-        row, col = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixels)
-    row -= ground.row0
-    col -= ground.col0
-    turned_row, turned_col = rays.orientation.to_turned_in_place(row, col, *ground.shape)
-    run_in_chunks(len(pixels), _set_nan, ray_height_m, on_triangles.reshape(-1), pixels)
-    return _Targets(
-        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, turned_row, turned_col, t, ray_height_m, towards_m
-    )
-
-
-@compiled
-def _set_nan(first, last, values, mask, which):
-    """Set values (n,) to NaN where a mask (m,) is true at their indices ``which`` (n,)."""
-    for n in range(first, last):
-        if mask[which[n]]:
-            values[n] = np.nan
-
-
 def _sweep_grounds(
-    grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float, shade: np.ndarray
+    grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle: float, shade: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
 
@@ -369,10 +271,10 @@ def _sweep_grounds(
     for coarse in coarser:
         level_t_range = targets.t_range[0] / 2**coarse.detail, targets.t_range[1] / 2**coarse.detail
         entry = sweep_to_state(
-            coarse.tilted(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.first_ground_row
+            coarse.with_raised_sun(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.first_ground_row
         )
         detail = coarse.detail
-    turned_grid = ground.tilted(angle)
+    turned_grid = ground.with_raised_sun(angle)
     points_ray_height_m = (
         targets.ray_height_m if angle == 0.0 else np.cos(angle) * targets.ray_height_m - np.sin(angle) * targets.towards_m
     )
@@ -381,7 +283,7 @@ def _sweep_grounds(
         targets.col,
         targets.t,
         points_ray_height_m,
-        RAY_HEIGHT_ROUNDING * _max_abs_ray_height_m(turned_grid.ray_height, targets),
+        RAY_HEIGHT_ROUNDING * max_abs_ray_height_m(turned_grid.ray_height, targets),
     )
     return sweep_nodes(
         turned_grid, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES,
@@ -389,21 +291,7 @@ def _sweep_grounds(
     )  # fmt: skip
 
 
-def _max_abs_ray_height_m(ray_height: np.ndarray, targets: _Targets) -> float:
-    """Return the largest absolute ray height of the ground around the points, metres; 0 without points.
-
-    ``ray_height`` (n, m) is that of the turned grid with its borders. The result determines the rounding of comparisons.
-    """
-    if not targets.row.size:
-        return 0.0
-    (i, end_i), (j, end_j) = (
-        (max(int(np.floor(index.min())) - 1, 0), max(int(np.ceil(index.max())) + 2, 1))
-        for index in (targets.row, targets.col + 1.0)
-    )
-    return float(np.fmax.reduce(np.abs(ray_height[i:end_i, j:end_j]), axis=None, initial=0.0))
-
-
-def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float) -> np.ndarray:
+def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle: float) -> np.ndarray:
     """Return which of a buffer's points see a sun that is higher than the scene's sun by ``angle``, radians: bool (rows, cols)."""
     lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.nodes.shape, np.bool_)
@@ -413,7 +301,9 @@ def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lin
     return sunlit
 
 
-def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, height_m: np.ndarray) -> np.ndarray:
+def _shadow_height_m(
+    rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, height_m: np.ndarray
+) -> np.ndarray:
     """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
     ray_height = grounds[-1].turned_grid.ray_height
     shade = np.full(ray_height.shape if targets.nodes.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
@@ -429,9 +319,9 @@ def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Targe
 
 
 def _work(task: Workload, settings: SweepSettings) -> Work:
-    nodes = task.nodes + task.outside_triangles / 2.0 if task.in_map else _ground_nodes(task)
+    nodes = task.nodes + task.outside_triangles / 2.0 if task.is_map_view else _ground_nodes(task)
     strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
-    rasterised = task.triangles("relief") * task.decimated
+    rasterised = task.triangles("relief") * task.has_decimated_ground
     counts = {
         "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels,
         "points": task.visible_pixels,
@@ -455,7 +345,7 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 
 DIVERGING_RAYS_REASON = "a lamp's rays diverge, but the lines of the sweep run along one azimuth"
 
-REFUSES: dict[Requirement, str] = {
+REFUSALS: dict[Requirement, str] = {
     "spot": DIVERGING_RAYS_REASON,
     "omni": DIVERGING_RAYS_REASON,
     "meshes": "meshes are not a heightfield: the sweep has one height per position",
@@ -463,7 +353,7 @@ REFUSES: dict[Requirement, str] = {
     "bent rays": RAYS_BEND_REASON,
 }
 
-FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
+FULL_DETAIL_GROUP, DECIMATED_GROUP = "sweep", "sweep of decimated ground"
 """Groups of views with separate constants of the error model: those that draw all nodes of the ground, and all others."""
 
 ALGORITHM = Algorithm(
@@ -471,10 +361,10 @@ ALGORITHM = Algorithm(
     description="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
     plural="sweep",
     fill=fill,
-    ignores_idle_casters=lambda settings: True,
+    allows_caster_culling=lambda settings: True,
     node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
     passes=PASSES,
-    refusals=REFUSES,
+    refusals=REFUSALS,
     layers=("shadow-height",),
     needs_opengl=False,
     settings=(SweepSettings,),
@@ -483,7 +373,8 @@ ALGORITHM = Algorithm(
     search=Search(variants=({"filter": "sun"},)),
     cost=Cost(_work, calibration_settings=_calibration_settings),
     accuracy=Accuracy(
-        groups=(FULL_DETAIL, DECIMATED), group_of=lambda descriptor: DECIMATED if is_decimated(descriptor) else FULL_DETAIL
+        groups=(FULL_DETAIL_GROUP, DECIMATED_GROUP),
+        group_of=lambda descriptor: DECIMATED_GROUP if is_decimated(descriptor) else FULL_DETAIL_GROUP,
     ),
     mark=Mark("star", "orange"),
 )

@@ -195,7 +195,7 @@ def error_metrics(
         interior=_share(interior_mask, decidable),
         interior_parts=int((sizes >= MIN_PART_PX).sum()),
         interior_sees=metric_coverage(dark, truth, region).covered_share,
-        boundary=truth.boundary,
+        boundary=truth.undecidable_share,
         soft_error=soft_error(visibility, true_visibility),
     )
 
@@ -241,7 +241,7 @@ def distance_to_edges_px(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the mask of the pixels whose classes ``far_from_edges`` reads, bool of the given ``shape``.
+    """Return the mask of the pixels whose classes ``is_far_from_edges`` reads, bool of the given ``shape``.
 
     It is for pixels ``row``, ``col`` (n,) and their distances (n,).
     """
@@ -250,7 +250,7 @@ def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, 
     return out
 
 
-def far_from_edges(dark: np.ndarray, valid: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
+def is_far_from_edges(dark: np.ndarray, valid: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
     """Return which pixels lie farther from both sides of any shadow boundary than given distances, bool (n,).
 
     ``row``, ``col`` and ``distance_px`` (n,) are the pixels and their distances. Distances are as in ``distance_to_edges_px``. The

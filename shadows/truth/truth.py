@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
-from skugga.shadows.area_light import disc_points, sun_disc
+from skugga.shadows.area_light import disc_points, sun_disc_directions
 from skugga.shadows.attached import attached, faces_away
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work, Workload
@@ -77,12 +77,12 @@ class Truth:
     valid: np.ndarray
 
     @property
-    def boundary(self) -> float:
+    def undecidable_share(self) -> float:
         """Share of undecidable pixels of the surface; 0 without a surface."""
         return float(1.0 - self.decidable.sum() / self.valid.sum()) if self.valid.any() else 0.0
 
     @property
-    def cast(self) -> float:
+    def cast_share(self) -> float:
         """Share of the surface's pixels in cast shadow (attached shadow excluded); 0 without a surface."""
         return float((self.valid & ~self.attached & ~self.lit).sum() / self.valid.sum()) if self.valid.any() else 0.0
 
@@ -169,7 +169,7 @@ def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayS
     visibility = np.zeros(buffer.valid.shape, np.float32)
     if light == SUN:
         assert scene.sun is not None
-        for direction in sun_disc(scene.sun.in_frame(buffer.frame), samples):
+        for direction in sun_disc_directions(scene.sun.in_frame(buffer.frame), samples):
             visibility += lit_mask_towards(buffer, rays, direction)
         return visibility / np.float32(samples)
     return _sphere_visibility(buffer, scene, light, rays, samples)
@@ -235,7 +235,7 @@ def coverage_truth(
     return out
 
 
-def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_px: int = 256) -> float:
+def simplification_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_px: int = 256) -> float:
     """Return the simplification error: the share of pixels whose truth differs between the drawn and the full ground.
 
     In a map the full ground is the raster's bilinear surface on a grid of half its cells (or half the drawn step, if that is

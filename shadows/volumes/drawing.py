@@ -53,7 +53,7 @@ SILHOUETTE_DEPTH_FACTOR = 1.0 + 2.0**-10
 """Factor of the depth by which silhouettes are drawn nearer than the surfaces that they lie on."""
 
 
-def count(
+def count_volumes(
     buffer: GeometryBuffer,
     scene: Scene,
     light: np.ndarray,
@@ -176,7 +176,7 @@ def _count_points(
             added = np.full(len(parts), _layers_around_viewer(volume_set, points, light) if clamped else 0)
             for counting, faces in _counting_methods(volume_set, points, light, settings):
                 visible_faces = cull_faces(clip, faces, counting == "z_fail", parts, depths, size, clamped)
-                added += visible_faces.added
+                added += visible_faces.added_layers
                 if not len(visible_faces.faces):
                     continue
                 with gl.uploaded_mesh(program, volume_set.vertices, faces[visible_faces.faces]) as array:
@@ -220,7 +220,7 @@ def _counting_methods(
         return [("z_pass", volumes.faces)]
     if settings.counting == "z_fail":
         return [("z_fail", volumes.faces)]
-    uses_z_fail = may_shade_near(volumes.low_m, volumes.high_m, points.near_frame_m, light)[volumes.part]
+    uses_z_fail = may_shade_near(volumes.low_m, volumes.high_m, points.near_frame_m, light)[volumes.caster_of_face]
     return [("z_pass", volumes.faces[~uses_z_fail]), ("z_fail", volumes.faces[uses_z_fail])]
 
 

@@ -79,7 +79,7 @@ def max_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) ->
     return len(silhouette.caps) if max_winding is None else min(pole_count + max_winding, len(silhouette.caps))
 
 
-def batches(
+def layer_batches(
     points: np.ndarray,
     triangles: np.ndarray,
     edges: Edges,

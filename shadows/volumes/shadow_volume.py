@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.shadows.algorithm import BENT_MAP_REASON, COMPANION_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
-from skugga.shadows.area_light import mean_over_light
+from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
-from skugga.shadows.volumes.drawing import count, faces_in_front, visible_silhouettes
+from skugga.shadows.volumes.drawing import count_volumes, faces_in_front, visible_silhouettes
 from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.shadows.volumes.work import volume_work
@@ -39,7 +39,7 @@ def fill(
     the light. Raises ``GraphicsError``.
     """
     if settings.filter == "sun":
-        return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
+        return mean_visibility_of_area_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     silhouettes_pass, stencil_pass = log.pass_names(light, kinds, PASSES)
     light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.record_pass(silhouettes_pass) as record:
@@ -48,7 +48,7 @@ def fill(
     log.keep_layer("volumes", light, faces_in_front, buffer, scene, volumes)
     with log.record_pass(stencil_pass) as record:
         receiver_mask = buffer.valid & ~attached(buffer, scene, light)
-        counts = count(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
+        counts = count_volumes(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
     log.keep_layer("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
 

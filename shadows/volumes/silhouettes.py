@@ -78,7 +78,7 @@ def homogeneous(light: np.ndarray) -> np.ndarray:
     return light_frame
 
 
-def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np.ndarray:
+def faces_light(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return which triangles (m, 3) of vertices (n, 3) face a light (4,), bool (m,). A triangle seen exactly edge-on does not.
 
     The test is in float64, on vertices rounded to float32, as they are drawn. A triangle (a, b, c) faces a light l where
@@ -119,7 +119,7 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
     rows, cols = position.shape[:2]
     triangles = sheet_triangles(is_cut_nw_se)
     is_valid = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
-    is_facing = facing(position, triangles, light)
+    is_facing = faces_light(position, triangles, light)
     if isinstance(sheet, ColumnMesh):  # triangles without area cast no shadow, so they count as facing the light
         is_facing |= ~np.repeat(sheet.has_area.ravel(), 2)
     orientations = (orientations_of(is_facing, rule) * is_valid).reshape(*is_cut_nw_se.shape, 2)

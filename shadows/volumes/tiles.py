@@ -74,13 +74,13 @@ class CulledFaces:
         int32 (f,): numbers of the faces, rectangle by rectangle.
     starts
         int64 (k + 1,): index of each rectangle's first face.
-    added
+    added_layers
         int64 (k,): number that culled faces add to the count of each pixel of a rectangle, the same in all of them.
     """
 
     faces: np.ndarray
     starts: np.ndarray
-    added: np.ndarray
+    added_layers: np.ndarray
 
 
 def cull_faces(

@@ -24,13 +24,13 @@ import numpy as np
 
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes.edges import Edges, closed_parts, connected_parts, edges_of
-from skugga.shadows.volumes.layers import batches
+from skugga.shadows.volumes.layers import layer_batches
 from skugga.shadows.volumes.silhouettes import (
     ALL_CODE,
     FACING_CODE,
     TURNED_AWAY_CODE,
     Silhouette,
-    facing,
+    faces_light,
     orientations_of,
     sheet_silhouette,
     silhouette,
@@ -61,29 +61,29 @@ class Volumes:
         float32 (n, 4): homogeneous, metres.
     faces
         int32 (m, 3): counter-clockwise from outside of the volumes.
-    part
+    caster_of_face
         int32 (m,): the caster of each face.
     low_m, high_m
         float64 (parts, 3): bounds of the casters, metres.
     edges
         int32 (e, 2): vertex numbers of the silhouette's edges.
-    first_cap, casting
+    first_cap, cap_count
         Index of the first face that is a near cap (a casting triangle), and number of near caps.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
-    part: np.ndarray
+    caster_of_face: np.ndarray
     low_m: np.ndarray
     high_m: np.ndarray
     edges: np.ndarray
     first_cap: int
-    casting: int
+    cap_count: int
 
     @property
     def caps(self) -> np.ndarray:
         """The casting triangles, int32 (c, 3), counter-clockwise as seen from the light."""
-        return self.faces[self.first_cap : self.first_cap + self.casting]
+        return self.faces[self.first_cap : self.first_cap + self.cap_count]
 
     @property
     def nbytes(self) -> int:
@@ -191,12 +191,12 @@ def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray
         rule[contains_lamp] = np.where(
             _heights_m(vertices, triangles[contains_lamp], light) < CONTACT_TOLERANCE_M, np.int8(0), rule[contains_lamp]
         )
-    orientations = orientations_of(facing(vertices, triangles, light), rule)
+    orientations = orientations_of(faces_light(vertices, triangles, light), rule)
     if not orientations.any():
         return []
     return [
         _volumes(vertices, silhouette(triangles, edges, batch), light, part, low, high)
-        for batch in batches(vertices, triangles, edges, orientations, light, MAX_VOLUME_LAYERS)
+        for batch in layer_batches(vertices, triangles, edges, orientations, light, MAX_VOLUME_LAYERS)
     ]
 
 
@@ -246,11 +246,11 @@ def _volumes(
         far = np.column_stack([points - light[:3], np.zeros(count)])
         sides = np.concatenate([np.column_stack([b, a, a + count]), np.column_stack([b, a + count, b + count])])
         faces = np.concatenate([sides, caps, caps[:, ::-1] + count])
-    part = caster_of_vertex[used_vertices][faces[:, 0] % count] if count else np.zeros(0, np.int32)
+    caster_of_face = caster_of_vertex[used_vertices][faces[:, 0] % count] if count else np.zeros(0, np.int32)
     return Volumes(
         np.concatenate([near, far]).astype(np.float32),
         faces.astype(np.int32),
-        part,
+        caster_of_face,
         low,
         high,
         edges.astype(np.int32),

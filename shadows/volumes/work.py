@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.area_light import scaled_by_points
+from skugga.shadows.area_light import scale_work
 from skugga.shadows.volumes.settings import StencilSettings, VolumeSettings
 from skugga.shadows.volumes.tiles import CULLING_TILE_PX, MIN_RECTANGLE_COST, RECTANGLE_COST
 from skugga.shadows.work import Counts, Work, Workload
@@ -12,7 +12,7 @@ from skugga.terrain.casters.clip_space import AFFINE_PART_PX
 from skugga.terrain.casters.reach import PATCH_QUADS
 from skugga.terrain.level.level import SUN
 
-MARKED_LAYERS = 50.0
+MARKED_LAYER_COST_RATIO = 50.0
 """Number of layers over the whole picture that take as long as one layer that is counted in marked pixels only.
 
 A layer over the whole picture covers many rectangles, where it is not drawn. Few layers cover a rectangle of marked pixels.
@@ -24,14 +24,14 @@ GROUND_SIDES_PER_TRIANGLE = 0.6
 In 12 perspective views of rasters there were 0.35 to 0.9.
 """
 
-SHEET_TRIANGLES = 2 * PATCH_QUADS**2
+TRIANGLES_PER_PATCH = 2 * PATCH_QUADS**2
 """Triangles of a patch of ground outside of a map's block."""
 
 
 def volume_work(task: Workload, settings: VolumeSettings) -> Work:
     """Return the work of shadow volumes over the whole picture."""
     counts = {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
-    return scaled_by_points(counts, settings.light_points) if settings.filter == "sun" else counts
+    return scale_work(counts, settings.light_points) if settings.filter == "sun" else counts
 
 
 def silhouette_counts(task: Workload) -> Counts:
@@ -81,13 +81,13 @@ def stencil_counts(task: Workload, settings: StencilSettings, marked_share: floa
             "layers": task.facing_pixels * np.sqrt(np.log1p(layers)),
         }
     else:
-        layer_cost = np.log1p(MARKED_LAYERS * layers * marked_share)
+        layer_cost = np.log1p(MARKED_LAYER_COST_RATIO * layers * marked_share)
         counts |= {
             "faces beside marks": sides * faces_drawn * marked_share**0.25,
             "layers beside marks": task.facing_pixels * layer_cost,
         }
-    if task.in_map:
+    if task.is_map_view:
         parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
-        relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.caster_facts("relief") else 0.0
+        relief = 1.0 + task.outside_triangles / TRIANGLES_PER_PATCH if task.caster_facts("relief") else 0.0
         counts["sheets"] = parts * (relief + (task.caster_facts("meshes") is not None))
     return counts

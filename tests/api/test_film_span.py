@@ -25,7 +25,7 @@ def path(*times: str) -> CameraPathSpec:
 def test_a_day_includes_both_ends():
     span = film_span(MORNING, EVENING, "10m")
     assert span == FilmSpan(73, 600.0, datetime.fromisoformat(MORNING))
-    assert span.parse_time(72) == datetime.fromisoformat(EVENING) and span.length_s == 43200.0
+    assert span.frame_time(72) == datetime.fromisoformat(EVENING) and span.length_s == 43200.0
     assert film_span(MORNING, EVENING, "7m").frames == 103  # the last frame is at 17:54
     assert film_span(MORNING, MORNING, "7m").frames == 1
 
@@ -65,7 +65,7 @@ def test_the_last_frame_is_the_last_that_fits(length_s, step_s):
             film_span(MORNING, end.isoformat(), f"{step_s}s")
         return
     span = film_span(MORNING, end.isoformat(), f"{step_s}s")
-    assert span.parse_time(span.frames - 1) <= end < span.parse_time(span.frames)
+    assert span.frame_time(span.frames - 1) <= end < span.frame_time(span.frames)
 
 
 INVALID_SPANS = {

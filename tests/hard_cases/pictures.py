@@ -36,7 +36,7 @@ PAPER, INK = (255, 255, 255), (24, 24, 24)
 def color_image(scene: Scene, view: View, **overrides: Any) -> Image.Image:
     """Return a view in colour, white off the surface."""
     frame = render(scene, view, **overrides)
-    return Image.fromarray(np.where(frame.opaque[..., None], frame.color, 255).astype(np.uint8))
+    return Image.fromarray(np.where(frame.opaque_mask[..., None], frame.color, 255).astype(np.uint8))
 
 
 def visibility_image(scene: Scene, view: View, **overrides: Any) -> Image.Image:

@@ -56,7 +56,7 @@ PLANES = ((30.0, 0.0), (60.0, 45.0), (85.0, 225.0), (89.5, 310.0))
 def planes(trial: Trial) -> Iterator[tuple[Scene, float]]:
     """Yield tilted planes under suns at the zenith and aslant, if these reach them; and the sun's angle from their normals.
 
-    In a thorough run the suns take turns over the planes, and every slope has them all.
+    In a thorough run each plane has one of the suns in turn, so that every slope is tested with all suns.
     """
     all_planes = [
         (slope, 22.5 + aspect_deg) for slope in (0, 15, 30, 45, 60, 70, 80, 85, 88, 89.5) for aspect_deg in range(0, 360, 45)
@@ -82,7 +82,7 @@ def planes(trial: Trial) -> Iterator[tuple[Scene, float]]:
     {"false_shadow": 0.0},
 )
 def test_tilted_planes_are_lit(trial: Trial) -> dict[str, float]:
-    """All numbers of taps and both derived biases of a map take turns over the planes: one each, in a thorough run two.
+    """Each plane is drawn with one combination of taps and derived bias in turn; in a thorough run with two.
 
     The camera sees the plane's middle. At the raster's rim heights continue level for half a cell, and a steep plane's texels are
     hundreds of metres high.
@@ -140,7 +140,10 @@ def test_less_bias_shows_acne(trial: Trial) -> dict[str, float]:
     {"gap_texels": 1.0},
 )
 def test_a_cube_touches_its_shadow(trial: Trial) -> dict[str, float]:
-    """For maps also with the bias ``normal_offset``, whose bound 0.71 t sin(theta) / tan(a) is below a texel's t / sin(a)."""
+    """Maps are also tested with the bias ``normal_offset``.
+
+    Its bound 0.71 t sin(theta) / tan(a) is smaller than the t / sin(a) of a texel.
+    """
     azimuth, size = 211.0, 256 if trial.thorough else 128
     from_sun = -plane_normal(90.0, azimuth)[:2]
     cube = box((1.0, 1.0, 1.0))

@@ -135,7 +135,7 @@ EDGE_ON_TRIANGLES = triangle_soup([[[-3, 0, 1], [3, 0, 1], [0, 0, 6]], [[-3, 0, 
 
 
 def house_with_moved_corner(steps: int) -> trimesh.Trimesh:
-    """Return a house beside them, with one corner of its roof moved north by steps of float32."""
+    """Return a house with one corner of its roof moved north by a number of float32 steps."""
     house = box((5, 4, 4), at_m=(9, -4))
     vertices = np.asarray(house.vertices, np.float32)
     corner = int(np.argmax(vertices @ [1.0, -1.0, 1.0]))

@@ -219,7 +219,7 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
 
 
 def split_cascades_at(far_m: float) -> SettingsChange:
-    """End the first cascade at that distance."""
+    """Return a change of settings that ends the first cascade at a distance from the eye."""
 
     def change(settings: AlgorithmSettings) -> AlgorithmSettings:
         assert isinstance(settings, ShadowMapSettings)

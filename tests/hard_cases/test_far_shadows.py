@@ -37,7 +37,7 @@ def worst_length_error(trial: Trial, peak: FarPeak) -> float:
     {"length": 0.01},
 )
 def test_a_peak_shades_what_lies_far_away(trial: Trial) -> dict[str, float]:
-    """On WGS 84, where the shadow's end is solved numerically; the sphere's formula gives 39.46 km."""
+    """The shadow's end on WGS 84 is solved numerically. The formula for a sphere gives a length of 39.46 km."""
     peak = far_peak(trial, PEAK_M, 2.0, view_radius_m=2000.0, curved=True)
     assert peak.length_m == pytest.approx(longest_shadow_m(PEAK_M, 2.0), rel=0.001)
     return {"length": worst_length_error(trial, peak)}

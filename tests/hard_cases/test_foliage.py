@@ -147,7 +147,7 @@ def flicker_between(first: RenderedView, second: RenderedView) -> tuple[float, i
     "a camera that goes 180 degrees round a tree, and one overhead that turns", {"flicker": 1e-3}, algorithms=FOLIAGE_ALGORITHMS,
 )  # fmt: skip
 def test_camera_round_a_tree(trial: Trial) -> dict[str, float]:
-    """Points of the first picture, as the others see them. Points must be decidable in both, which excludes fringes of leaves."""
+    """The points of the first picture are looked up in the others. They must be decidable in both: leaf edges are excluded."""
     scene = forest_scene(trial, [(0.0, 0.0)], (110.0, 35.0), height=[20.0] * 2, crown=[9.0] * 2, species="conifer")
     px, target = (640 if trial.thorough else 224), np.array([-12.0, 4.0, 0.0])
     orbit_views, overhead_views = [], []

@@ -50,7 +50,10 @@ def level(
 
 
 def picture_and_map_size(trial: Trial) -> tuple[int, int]:
-    """Return pixels and texels a side: half the table's, since a frame's truth takes a second at 1024 pixels."""
+    """Return pixels and texels a side.
+
+    Both are small, since the truth of a frame takes a second at 1024 pixels.
+    """
     return (288, 2048) if trial.thorough else (160, 1024)
 
 
@@ -93,7 +96,7 @@ def pass_notes(rendered: RenderedView) -> str:
     algorithms=MAP_ALGORITHMS,
 )  # fmt: skip
 def test_sun_in_the_axis(trial: Trial) -> dict[str, float]:
-    """Both ways off the axis, up and sideways: the eye looks at a low sun."""
+    """The eye looks at a low sun. The view's axis is turned away from the sun in both directions, upwards and sideways."""
     sun, eye = (0.0, 12.0), (0, -20, 5)
     scene, results, uniform_count = level(trial, BODIES, sun), [], 0
     offsets_deg = [0.0, 1e-8, 1e-4, 1.0, 2.9, 3.1, 10.0]
@@ -122,7 +125,7 @@ def test_sun_in_the_axis(trial: Trial) -> dict[str, float]:
     {"interior": 0.0, "not finite": 0.0, "edge p95 beyond a shadow map's, px": 1.0}, algorithms=(PERSPECTIVE_ALGORITHM,),
 )  # fmt: skip
 def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
-    """The shadow map is one tightly fitted map of as many texels."""
+    """The perspective map is compared with a single shadow map of the same size, fitted tightly to the visible ground."""
     sun, eye = (180.0, 30.0), (0, -25, 14)
     scene, map_trial, results = level(trial, BODIES, sun), replace(trial, algorithm="shadow_map"), []
     offsets_deg = [0.0, 1e-6, -1e-6, 3.1, -3.1] + (
@@ -149,10 +152,9 @@ def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
     {"interior": 0.0, "not finite": 0.0, "jump of edge_p95_px": 1.0},
 )  # fmt: skip
 def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
-    """Steps of 1e-4 degrees on either side of the singular angle, wider ones beyond: away from it maps change with the view
-    anyway.
+    """The angle changes in steps of 1e-4 degrees near the singular angle, and in wider steps farther away.
 
-    The jump is that from one frame to the next.
+    The figure ``jump of edge_p95_px`` is the largest difference between two successive frames.
     """
     sun, eye, bodies = (80.0, 35.0), (2, -14, 9), [*BODIES, block((9, 9, 0.3), (8, 0), 5)]
     scene, results = level(trial, bodies, sun), []
@@ -247,7 +249,7 @@ def test_fields_of_view(trial: Trial) -> dict[str, float]:
     {"interior": 0.0, DISPLACED: 1.0, "not finite": 0.0},
 )  # fmt: skip
 def test_from_a_pebble_to_a_mountain(trial: Trial) -> dict[str, float]:
-    """Mountains are 4 km high: their shadows take some rows of pixels below the horizon. A boulder stands behind the eye."""
+    """Mountains are 4 km high, so that their shadows cover some rows of pixels below the horizon. A boulder is behind the eye."""
     results = []
     for sun in ((60.0, 8.0), (300.0, 20.0), (190.0, 30.0)):
         bodies = [

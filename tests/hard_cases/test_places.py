@@ -147,7 +147,7 @@ def relative_outline_error(trial: Trial, scene: Scene, place: Place, sun: tuple[
     {"off its outline, of 0.1 m or a texel": 1.0},
 )
 def test_true_north(trial: Trial) -> dict[str, float]:
-    """Cells are 1 m: between its lines, 8 a cell, the sweep may err by a fraction of a cell."""
+    """Cells are 1 m wide. The sweep has eight lines per cell, and may err by a fraction of a cell between two lines."""
     place = Place("EPSG:32633", 18.0, 57.7, 1.0, cells=261)
     suns = [(67.0, 40.0), (180.0, 40.0), (222.0, 40.0), (300.0, 50.0)]
     suns = suns if trial.thorough else suns[:1]
@@ -169,7 +169,7 @@ SAME_PLACE_BY_CRS = {
     {"off its outline, of 1 % of its length": 1.0, "sun_deg": 1e-6},
 )
 def test_same_scene_in_every_crs(trial: Trial) -> dict[str, float]:
-    """The sun is that of a time, by the library that the engine uses, at the place itself."""
+    """The expected sun is that of one time at each place, computed by the library that the engine uses."""
     time = datetime.fromisoformat("2024-10-21T15:00:00-05:00")
     azimuth, altitude, _ = apparent_position(time, -85.3, 36.1)
     length_m, outline_error, sun_error_deg = MAST_M / np.tan(np.radians(altitude)), 0.0, 0.0

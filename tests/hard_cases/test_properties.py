@@ -278,7 +278,7 @@ def _worse(worst: dict[str, float], figures: dict[str, float]) -> None:
     algorithms=ALGORITHMS,
 )  # fmt: skip
 def test_random_situations(trial: Trial) -> dict[str, float]:
-    """The same situations each time; ``tests.hard_cases.hunt`` draws others."""
+    """Every run tests the same random situations. ``tests.hard_cases.hunt`` draws others."""
     worst: dict[str, float] = {}
 
     @settings(

@@ -226,7 +226,7 @@ def larger_figures(first: dict[str, float], second: dict[str, float]) -> dict[st
     BLOCK_BOUNDS,
 )
 def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
-    """A camera sees the triangles between cells: a single row has none."""
+    """A camera sees the triangles between cells. A single row has none, so ``perspective_shadow_map`` skips it."""
     worst: dict[str, float] = {}
     grids = [(0.1, (120, 120)), (1000.0, (120, 120)), (10.0, (1, 24))]
     if trial.thorough:
@@ -247,7 +247,7 @@ def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
     thorough=False,
 )
 def test_smallest_rasters(trial: Trial) -> dict[str, float]:
-    """As maps: a camera sees triangles between nodes, and a single node has none."""
+    """The rasters are drawn as maps only. A camera sees the triangles between nodes, and a single node has none."""
     single_cell = np.full((64, 64), np.nan, np.float32)
     single_cell[30, 33] = 5.0
     worst: dict[str, float] = {}
@@ -351,7 +351,7 @@ UNUSUAL_RASTERS = {
 
 @pytest.mark.parametrize("file", UNUSUAL_RASTERS)
 def test_odd_rasters_of_the_world_are_drawn(gl, shared_data, make_scene, file):
-    """R6: with the selector's plan under a low sun. The map is neither all lit nor all dark, and finite on all ground."""
+    """Hard case R6: the selector plans a map under a low sun. It has light and shadow, and is finite on all ground."""
     scene = make_scene(shared_data / "odd" / file, 75.0, 3.0)
     frame = render(scene, scene.view(size=(96, 96)))
     assert frame.valid.mean() > UNUSUAL_RASTERS[file]
@@ -362,6 +362,6 @@ def test_odd_rasters_of_the_world_are_drawn(gl, shared_data, make_scene, file):
 
 
 def test_a_raster_of_nothing_is_refused(shared_data, make_scene):
-    """R6: every cell of this raster is nodata."""
+    """Hard case R6: every cell of this raster is nodata."""
     with pytest.raises(SourceError, match="CHM_empty.tif.*no height in any cell"):
         make_scene(shared_data / "odd" / "CHM_empty.tif")

@@ -57,7 +57,7 @@ def max_differing_share(first: list[np.ndarray], second: list[np.ndarray]) -> fl
     {"values that differ": 0.0},
 )
 def test_the_same_again(trial: Trial) -> dict[str, float]:
-    """A new process takes seconds: only the thorough case starts one."""
+    """Only a thorough run starts a new process, since that takes seconds."""
     px = 512 if trial.thorough else 128
     first = pictures(trial.algorithm, trial.folder, px)
     cached = pictures(trial.algorithm, trial.folder, px)
@@ -70,7 +70,7 @@ def test_the_same_again(trial: Trial) -> dict[str, float]:
 
 @pytest.mark.long
 def test_another_rasteriser(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
-    """Masks by the available graphics hardware differ from the software rasteriser's only where truth is not decidable."""
+    """Shadow masks drawn by graphics hardware equal those of the software rasteriser at all decidable pixels."""
     record = HARDWARE_CASE.run(ENGINE, True, tmp_path)
     record_property(RECORD_PROPERTY, json.dumps(record))
     assert not failures(record)

@@ -11,7 +11,7 @@ from skugga.shadows.attached import attached
 from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.drawing import draw_map
 from skugga.shadows.maps.lookup import look_up
-from skugga.shadows.maps.resolve import EXTENT_STEP
+from skugga.shadows.maps.resolve import EXTENT_ROUNDING_FACTOR
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, sun_maps
 from skugga.shadows.passes import PassRecord
@@ -247,7 +247,7 @@ def test_a_full_turn(trial: Trial) -> dict[str, float]:
                 continue
             plan = make_plan(facts, scene.loaded.level, {"algorithm": "shadow_map", "map_size": 256, "cascades": 1})
             texel_m = np.array(plan.settings["sun"]["relief"].cascades[0].texel_m)
-            rungs = np.log(texel_m * (256 - 2 * MAP_BORDER_TEXELS)) / np.log(EXTENT_STEP)
+            rungs = np.log(texel_m * (256 - 2 * MAP_BORDER_TEXELS)) / np.log(EXTENT_ROUNDING_FACTOR)
             off_ladder_count += not np.abs(rungs - np.rint(rungs)).max() < 1e-9
             frames, step_count = frames + 1, step_count + (before is not None and before != texel_m.tolist())
             before = texel_m.tolist()

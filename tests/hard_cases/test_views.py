@@ -122,7 +122,7 @@ def _distance_m(rendered: RenderedView) -> np.ndarray:
     tuple(name for name in SHADOW_ALGORITHMS if name != "sweep"),
 )
 def test_close_to_a_wall(trial: Trial) -> dict[str, float]:
-    """Seen straight on, every pixel shows the wall."""
+    """Every pixel of a camera that looks straight at the wall shows the wall."""
     views = {f"{eye_distance_m:g}": (eye((0, 3 + eye_distance_m, 2), (0, -10, 2)), None) for eye_distance_m in (0.1, 0.03, 0.01)}
     views |= {
         f"along {eye_distance_m:g}": (eye((0, 3 + eye_distance_m, 2), (8, 3 + eye_distance_m, 1)), None)
@@ -137,7 +137,7 @@ def test_close_to_a_wall(trial: Trial) -> dict[str, float]:
 @pytest.mark.parametrize("algorithm", ["shadow_map", "shadow_volume", "hybrid", "planar"])
 @pytest.mark.parametrize("size", [(16384, 1), (1, 16384)])
 def test_a_line_of_pixels_is_drawn_by_the_block(gl, tmp_path, algorithm, size):
-    """The house lies in the line's middle, its shadow beside it."""
+    """The house and its shadow lie in the middle of the line of pixels."""
     trial = Trial(algorithm, True, tmp_path)
     half_m = [0.25 * count for count in size]
     sides_m = [2.0 * half + 60.0 for half in half_m]

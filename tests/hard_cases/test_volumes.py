@@ -122,7 +122,7 @@ def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
     {"wrong or interior": 0},
 )
 def test_caster_without_end(trial: Trial) -> dict[str, float]:
-    """Every pixel of the floor that is decidable in closed form counts; for maps those farther than two texels from the edge.
+    """Compare the pixels of the floor that are decidable in closed form; for maps, only those over two texels from the edge.
 
     At half a degree a map's bias leaves a gap of metres beside the wall, which case H3 covers; maps skip that sun. Rays are no
     reference here: over 200 km of floor they start 10 cm above it, so that their shadow ends 11 cm too soon.
@@ -159,7 +159,7 @@ PLATE_COUNTS = (127, 128, 129, 255, 256, 257, 512)
 def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
     """The floor's point (x, y) is in shadow where |x| < 3 and |y - z / tan(60)| < 3 for a plate's height z.
 
-    The case tests counting: points within half a metre of the shadow's edge are excluded, which no algorithm's texels reach.
+    The case tests the counting of layers. So points within half a metre of the shadow's edge are excluded. No texel is so large.
     """
     views = {
         "beside": eye((9, 9, 1.2), (0, 0, 0.2)), "below": eye((0.3, 0.2, 0.3), (2, 3, 0.2), fov=100),

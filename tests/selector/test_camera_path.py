@@ -22,7 +22,7 @@ from skugga.selector import replanning
 from skugga.selector.choices import Choice
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.planner.planner import make_plan
-from skugga.selector.replanning import MAX_CHANGED, PATIENCE, Replanner, casting, mix_pictures, next_share
+from skugga.selector.replanning import MAX_CHANGED_SHARE, PATIENCE, Replanner, casting_kinds, mix_pictures, next_share
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -165,7 +165,7 @@ def chosen_algorithms(plan: Plan) -> ChosenAlgorithms:
 
 def caster_change_counts(plans: list[Plan]) -> list[int]:
     """Return the cumulative count of real changes before each frame: changes of the set of casters."""
-    return np.cumsum([0, *(casting(previous) != casting(current) for previous, current in pairwise(plans))]).tolist()
+    return np.cumsum([0, *(casting_kinds(previous) != casting_kinds(current) for previous, current in pairwise(plans))]).tolist()
 
 
 def switch_counts(plans: list[Plan]) -> list[int]:
@@ -183,7 +183,7 @@ def test_replanner_switches_no_more_often_than_casters_change(flight, level, sun
     replanner = Replanner(plans=predict_plan)
     plans = [replanner.plan(frame_moment.descriptor, level) for frame_moment in moments]
     fresh_plans = [predict_plan(frame_moment.descriptor, level) for frame_moment in moments]
-    caster_kinds = [casting(plan)[SUN] for plan in plans]
+    caster_kinds = [casting_kinds(plan)[SUN] for plan in plans]
     assert (
         "forest" not in caster_kinds[0] and "forest" in caster_kinds[GLIDE_FRAMES + DIVE_FRAMES] and caster_kinds[-1] == frozenset()
     )
@@ -219,8 +219,10 @@ def test_replanner_switch_in_flight_changes_few_pixels(gl, flight, level):
             changed_share(*(mix_pictures(old.visibility, new.visibility, mix_share) for mix_share in (before, share)))
         )
         full_changes.append(changed_share(old.visibility, new.visibility))
-    assert len(frame_changes) == COMPARED_FRAMES and max(full_changes) > 3.0 * MAX_CHANGED  # otherwise the test would be vacuous
-    assert max(frame_changes) <= MAX_CHANGED
+    assert (
+        len(frame_changes) == COMPARED_FRAMES and max(full_changes) > 3.0 * MAX_CHANGED_SHARE
+    )  # otherwise the test would be vacuous
+    assert max(frame_changes) <= MAX_CHANGED_SHARE
 
 
 @settings(max_examples=20)
@@ -230,7 +232,7 @@ def test_next_share_ends_and_changes_few_pixels_a_frame(rows, cols, seed):
     rng = np.random.default_rng(seed)
     valid = rng.random((rows, cols)) < 0.5
     before, after = ({light: np.where(valid, rng.random((rows, cols)), np.nan) for light in (SUN, "lamp")} for _ in range(2))
-    max_changed_pixels, share, frames = max(int(MAX_CHANGED * valid.sum()), 1), 0.0, 0
+    max_changed_pixels, share, frames = max(int(MAX_CHANGED_SHARE * valid.sum()), 1), 0.0, 0
     while share < 1.0:
         previous_share, share, frames = share, next_share(before, after, share), frames + 1
         classes = [
@@ -299,9 +301,9 @@ def test_replanner_switch_at_rest_changes_few_pixels_a_frame(gl, scene, level, p
         shown_pictures.append(picture)
     frame_changes = [changed_share(before, after) for before, after in pairwise(shown_pictures)]
     valid_count = int((~np.isnan(shown_pictures[0])).sum())
-    assert 0.0 < max(frame_changes) <= MAX_CHANGED
+    assert 0.0 < max(frame_changes) <= MAX_CHANGED_SHARE
     assert mixed_count == np.ceil(
-        round(changed_share(shown_pictures[0], shown_pictures[-1]) * valid_count) / int(MAX_CHANGED * valid_count)
+        round(changed_share(shown_pictures[0], shown_pictures[-1]) * valid_count) / int(MAX_CHANGED_SHARE * valid_count)
     )
     assert np.array_equal(
         shown_pictures[-1], render_visibilities(replanner.plan(rest_moment.descriptor, level))[SUN], equal_nan=True
@@ -321,8 +323,8 @@ def test_replanner_draws_new_casters_at_once_and_mixes_the_rest(gl, scene, level
     assert replanner.transition is not None and chosen_algorithms(replanner.transition.plan)[SUN, "forest"][0] == "shadow_map"
     old, new = (render_frame(scene, wood_moment.view, drawn_plan) for drawn_plan in (replanner.transition.plan, plan))
     share = replanner.share(old.visibilities, new.visibilities)
-    assert changed_share(old.visibility, mix_pictures(old.visibility, new.visibility, share)) <= MAX_CHANGED
-    assert changed_share(old.visibility, new.visibility) > MAX_CHANGED
+    assert changed_share(old.visibility, mix_pictures(old.visibility, new.visibility, share)) <= MAX_CHANGED_SHARE
+    assert changed_share(old.visibility, new.visibility) > MAX_CHANGED_SHARE
 
 
 def test_replanner_keeps_the_choice_of_returning_casters(scene, level):
@@ -385,7 +387,8 @@ def test_replanner_at_rest_keeps_its_plan_through_a_day(scene, level, place):
     moments, replanner = day_moments(scene, place), Replanner(plans=predict_plan)
     plans = [replanner.plan(frame_moment.descriptor, level) for frame_moment in moments]
     fresh_plans = [predict_plan(frame_moment.descriptor, level) for frame_moment in moments]
-    assert casting(plans[0])[SUN] == casting(plans[-1])[SUN] == frozenset() and "forest" in casting(plans[len(plans) // 2])[SUN]
+    assert casting_kinds(plans[0])[SUN] == casting_kinds(plans[-1])[SUN] == frozenset()
+    assert "forest" in casting_kinds(plans[len(plans) // 2])[SUN]
     assert caster_change_counts(plans) == caster_change_counts(fresh_plans) and caster_change_counts(plans)[-1] >= 2
     assert switch_counts(plans)[-1] <= caster_change_counts(plans)[-1] + 2
     assert switch_counts(fresh_plans)[-1] > switch_counts(plans)[-1], "else nothing is tested"

@@ -185,13 +185,13 @@ def test_plan_refuses_the_levels_algorithm_by_its_key(level_file):
         make_plan(describe(scene, scene.view("map")), scene.loaded.level)
 
 
-@pytest.mark.parametrize("asked", ["level", "request"])
-def test_plan_replaces_a_sweep_by_maps_where_rays_bend(gl, write_raster, make_scene, asked):
+@pytest.mark.parametrize("source", ["level", "request"])
+def test_plan_replaces_a_sweep_by_maps_where_rays_bend(gl, write_raster, make_scene, source):
     """A level that requests a sweep serves all zooms, and its widest zooms are no error."""
     row, col = np.mgrid[:100, :100]
     raster = write_raster((900.0 * np.sin(row / 3.0) * np.cos(col / 4.0) + 900.0).astype(np.float32), "EPSG:4326", 8.0, 48.0, 0.03)
-    scene = make_scene(raster, 120.0, 4.0, **({"shadows": {"algorithm": {"relief": "sweep"}}} if asked == "level" else {}))
-    overrides = {} if asked == "level" else {"algorithm": "sweep"}
+    scene = make_scene(raster, 120.0, 4.0, **({"shadows": {"algorithm": {"relief": "sweep"}}} if source == "level" else {}))
+    overrides = {} if source == "level" else {"algorithm": "sweep"}
     for width_deg, name in ((3.0, "shadow_map"), (0.05, "sweep")):
         view = scene.view(bounds=(9.0, 46.0, 9.0 + width_deg, 46.0 + 0.6 * width_deg), size=(40, 24), crs="EPSG:4326")
         plan = plan_of(scene, view, **overrides)
@@ -200,20 +200,20 @@ def test_plan_replaces_a_sweep_by_maps_where_rays_bend(gl, write_raster, make_sc
         assert [record.name for record in frame.passes] == plan.passes
         (reason,) = [named_reason.reason for named_reason in plan.reasons if named_reason.name == f"sun/relief: {name}"]
         bends = "the sun's rays bend across the view; shadow_map can draw it"
-        assert reason == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
+        assert reason == (f"the {source} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {source}")
         rejected = {named_reason.name: named_reason.reason for named_reason in plan.rejected}
         assert rejected.get("sweep") == (bends if name == "shadow_map" else None)
 
 
-@pytest.mark.parametrize("asked", [{}, {"algorithm": "sweep"}])
+@pytest.mark.parametrize("overrides", [{}, {"algorithm": "sweep"}])
 @pytest.mark.parametrize(("azimuth", "name"), [(180.0, "shadow_map"), (0.0, "shadow_map"), (90.0, "sweep")])
-def test_plan_draws_maps_near_a_pole_by_shadow_maps(gl, write_raster, make_scene, azimuth, name, asked):
+def test_plan_draws_maps_near_a_pole_by_shadow_maps(gl, write_raster, make_scene, azimuth, name, overrides):
     """Rows of a map in degrees narrow towards the pole. Under a sun in the east, lines run along the rows."""
     heights = np.zeros((61, 61), np.float32)
     heights[27:34, 27:34] = 60.0
     scene = make_scene(write_raster(heights, "EPSG:4326", 15.0, 89.99, 1e-4), azimuth, 30.0)
     view = raster_view(scene, None, None, None, None).view
-    plan = plan_of(scene, view, **asked)
+    plan = plan_of(scene, view, **overrides)
     assert plan.algorithm["sun"]["relief"] == name
     assert (render_frame(scene, view, plan).visibility == 0).any()
 

@@ -33,12 +33,12 @@ def test_least_expected_loss_excludes_likely_misses():
     verdict = least_expected_loss(
         [forecast("quick", 1e-3, LIKELY_MISS_CHANCE + 0.01, error=0.02), forecast("sure", 1e6, LIKELY_MISS_CHANCE)], 0.01
     )
-    assert (verdict.winner.name, verdict.met) == ("sure", True)
+    assert (verdict.winner.name, verdict.meets_target) == ("sure", True)
 
 
 def test_least_expected_loss_reports_the_miss_of_the_nearest():
     verdict = least_expected_loss([forecast("far", 1.0, 1.0, error=0.3), forecast("near", 9.0, 0.9, error=0.02)], 0.01)
-    assert (verdict.winner.name, verdict.met) == ("near", False)
+    assert (verdict.winner.name, verdict.meets_target) == ("near", False)
     assert verdict.missed_by == "an error of 2.0 %, 1.0 % more than 1.0 %"
 
 
@@ -66,7 +66,7 @@ def test_least_expected_loss_penalises_by_the_median_overshoot():
 
 def test_least_expected_loss_takes_the_nearest_if_all_are_late():
     verdict = least_expected_loss([forecast("a", 300.0, 0.0), forecast("b", 200.0, 0.0)], 0.01, 10.0)
-    assert (verdict.winner.name, verdict.met) == ("b", False)
+    assert (verdict.winner.name, verdict.meets_target) == ("b", False)
     assert "190 ms more than 10 ms" in verdict.missed_by
 
 

@@ -14,7 +14,7 @@ from skugga.selector import film
 from skugga.selector.film import FilmFrame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
 from skugga.selector.planner.planner import make_plan
-from skugga.selector.replanning import MAX_CHANGED, PATIENCE, Replanner
+from skugga.selector.replanning import MAX_CHANGED_SHARE, PATIENCE, Replanner
 from skugga.shadows.draw import draw
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -150,9 +150,9 @@ def test_film_switch_is_spread_logged_and_recorded(gl, figure, caplog):
         if previous.transition or current.transition:
             # The sun rests and the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.
             changed_count = (np.abs(previous.color.astype(int) - current.color).max(axis=-1) > 40).sum()
-            assert changed_count <= 1.5 * max(MAX_CHANGED * valid_count, 1.0)
+            assert changed_count <= 1.5 * max(MAX_CHANGED_SHARE * valid_count, 1.0)
     total_change = np.abs(frames[switch.number - 1].color.astype(int) - frames[-1].color).max(axis=-1) > 40
-    assert total_change.sum() > 2 * MAX_CHANGED * valid_count  # otherwise the test would be vacuous
+    assert total_change.sum() > 2 * MAX_CHANGED_SHARE * valid_count  # otherwise the test would be vacuous
     for frame in (*frames[:3], *frames[-2:]):
         assert (frame.color == still_of(figure, frame)).all()
     assert not (switch_frame.color == still_of(figure, switch_frame)).all()
@@ -171,13 +171,13 @@ def test_frame_moments_at_rest_share_one_view(hills):
     moments = frame_moments(hills, FilmRequest(FilmSpan(3, 60.0, NOON), "map", size=SIZE))
     assert isinstance(moments[0].view, MapView) and all(moment.view is moments[0].view for moment in moments)
     assert [moment.second for moment in moments] == [0.0, 60.0, 120.0]
-    assert moments[2].words == "frame 3 (2024-06-21T12:02:00-04:00)"
+    assert moments[2].label == "frame 3 (2024-06-21T12:02:00-04:00)"
 
 
 def test_frame_moments_start_at_the_requested_second(figure):
     moments = frame_moments(figure, FilmRequest(FilmSpan(2, 0.25, None, 10.0), "eye", size=SIZE))
     assert [moment.second for moment in moments] == [10.0, 10.25]
-    assert moments[1].words == "frame 2 (0.25 s)" and isinstance(moments[1].view, PerspectiveView)
+    assert moments[1].label == "frame 2 (0.25 s)" and isinstance(moments[1].view, PerspectiveView)
 
 
 def test_frame_moments_take_size_from_request_or_path(figure):

@@ -40,13 +40,13 @@ def test_map_class_contains_its_middle(sun):
 
 def test_map_probes_add_noise_for_other_blocks():
     probes = make_probes(3, -1, "sweep").merged_with(make_probes(4, -1, "shadow_map 512"))
-    observations = probes.of(MapClass(4, -1))
+    observations = probes.observations_of_class(MapClass(4, -1))
     assert observations is not None and [observation.choice for observation in observations["sun"]] == ["shadow_map 512"]
     observation, original = observations["sun"][0], seen()
     assert (observation.error, observation.ms) == (original.error, original.ms)
     assert observation.error_noise == hypot(original.error_noise, BLOCK_ERROR_SD) > observation.ms_noise
     assert observation.ms_noise == hypot(original.ms_noise, BLOCK_TIME_SD) > original.ms_noise
-    assert probes.of(MapClass(5, -1)) is None and probes.of(MapClass(3, 0)) is None and probes.of(None) is None
+    assert all(probes.observations_of_class(other) is None for other in (MapClass(5, -1), MapClass(3, 0), None))
 
 
 def test_map_probes_merge_replaces_the_same_class():

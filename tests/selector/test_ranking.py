@@ -35,7 +35,7 @@ figures = st.builds(
 )
 def test_best_candidate_by_hand(max_error, max_ms, winner, met):
     verdict = best_candidate(CANDIDATES, max_error, max_ms)
-    assert (verdict.winner, verdict.met) == (winner, met)
+    assert (verdict.winner, verdict.meets_target) == (winner, met)
     assert (verdict.missed_by is None) is met
 
 
@@ -66,7 +66,7 @@ def test_best_candidate_meets_the_target_if_any_does(candidates, max_error, max_
     verdict = best_candidate(candidates, max_error, max_ms)
     casting_candidates = [candidate for candidate in candidates if candidate.name != "none"] or candidates
     on_target = [candidate for candidate in casting_candidates if relative_overshoot(candidate, max_error, max_ms) == 0.0]
-    assert verdict.met is bool(on_target) is (verdict.missed_by is None)
+    assert verdict.meets_target is bool(on_target) is (verdict.missed_by is None)
     if on_target:
         assert verdict.winner in on_target and verdict.winner.ms <= TIME_TIE_RATIO * min(candidate.ms for candidate in on_target)
     elif max_ms is not None and any(candidate.ms <= max_ms for candidate in casting_candidates):

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from skugga.selector.planner.planner import make_plan
 from skugga.selector.replanning import (
-    MAX_CHANGED,
+    MAX_CHANGED_SHARE,
     MAX_TRANSITION_FRAMES,
     PATIENCE,
     SWITCH_TIME_GAIN,
     PlanFunction,
     Replanner,
-    casting,
+    casting_kinds,
     choices_from_plan,
     expected_transition_frames,
     is_better,
@@ -178,7 +178,7 @@ def test_choices_from_plan_reproduce_the_plan(descriptor, level):
         replanned = make_plan(descriptor, level, choices=choices_from_plan(plan))
         if name != "none":  # no choice is none
             assert (replanned.algorithm, replanned.settings) == (plan.algorithm, plan.settings)
-        assert casting(plan) == {"sun": frozenset() if name == "none" else {"meshes"}}
+        assert casting_kinds(plan) == {"sun": frozenset() if name == "none" else {"meshes"}}
 
 
 def test_replanner_transition_changes_few_pixels_a_frame(gl, scene, descriptor, level):
@@ -201,7 +201,7 @@ def test_replanner_transition_changes_few_pixels_a_frame(gl, scene, descriptor, 
         frame_changes.append(changed_share(previous, frame))
         previous = frame
     total_change = changed_share(before, previous)
-    assert total_change > MAX_CHANGED  # otherwise the test would be vacuous
+    assert total_change > MAX_CHANGED_SHARE  # otherwise the test would be vacuous
     assert mixed_count + 1 == expected_transition_frames(
         *(policy(descriptor, level, {"algorithm": {"sun": {"meshes": name}}}) for name in policy.rows)
     )

@@ -22,12 +22,25 @@ ALL_GOLDENS_FILTER = " and ".join(f"not {name}" for name in UNSUPPORTED_LEVELS)
 
 
 @pytest.mark.parametrize(
-    ("those", "count"), [(FEW_GOLDENS_FILTER, 6), pytest.param(ALL_GOLDENS_FILTER, 28, marks=pytest.mark.long)], ids=["few", "all"]
+    ("test_filter", "count"),
+    [(FEW_GOLDENS_FILTER, 6), pytest.param(ALL_GOLDENS_FILTER, 28, marks=pytest.mark.long)],
+    ids=["few", "all"],
 )
-def test_goldens_on_softpipe(gl, those, count):
+def test_goldens_on_softpipe(gl, test_filter, count):
     if not gl.renderer.startswith(RENDERER):
         pytest.skip(f"softpipe needs a Mesa with {RENDERER}. The renderer is {gl.renderer}.")
-    command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "tests.softpipe", "tests/shadows/test_snapshots.py", "-k", those]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-n",
+        "0",
+        "-p",
+        "tests.softpipe",
+        "tests/shadows/test_snapshots.py",
+        "-k",
+        test_filter,
+    ]
     process = subprocess.run(command, cwd=ROOT, env={**os.environ, **SOFTPIPE}, capture_output=True, text=True, timeout=600)
     assert process.returncode == 0, process.stdout
     assert re.search(rf"= {count} passed(, \d+ deselected)? in", process.stdout), "none is skipped"

@@ -12,7 +12,7 @@ from skugga.api.catalogue import find_level
 from skugga.shadows.area_light import ball_points, disc_points
 from skugga.shadows.attached import attached
 from skugga.shadows.executed_effects import executed_effects
-from skugga.shadows.penumbra import MAX_POINTS
+from skugga.shadows.penumbra import MAX_LIGHT_POINTS
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import soft_error
 from skugga.shadows.truth.truth import ALL_KINDS, area_visibility, ray_scene
@@ -68,7 +68,7 @@ def test_light_points_cover_disc_and_ball_evenly():
     directions_3d /= np.linalg.norm(directions_3d, axis=1, keepdims=True)
     directions_2d = directions_3d[:, :2] / np.linalg.norm(directions_3d[:, :2], axis=1, keepdims=True)
     chord_offsets = np.linspace(-0.95, 0.95, 39)
-    for points, directions in ((disc_points(MAX_POINTS), directions_2d), (ball_points(MAX_POINTS), directions_3d)):
+    for points, directions in ((disc_points(MAX_LIGHT_POINTS), directions_2d), (ball_points(MAX_LIGHT_POINTS), directions_3d)):
         assert np.linalg.norm(points, axis=1).max() < 1.0
         shares = (points @ directions.T > chord_offsets[:, None, None]).mean(axis=1)
         share_errors = np.abs(shares - disc_share_beyond_chord(chord_offsets)[:, None])
@@ -165,11 +165,11 @@ def test_plan_and_records_name_light_points(gl, tmp_path):
     plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "perspective_shadow_map"}, filter="sun")
     assert plan.settings["sun"]["meshes"].filter == plan.settings["spot"]["meshes"].filter == "sun"
     reasons = {reason.name: reason.reason for reason in plan.reasons}
-    assert str(MAX_POINTS) in reasons["filter sun"] and str(MAX_POINTS) in reasons["spot: filter sun"]
+    assert str(MAX_LIGHT_POINTS) in reasons["filter sun"] and str(MAX_LIGHT_POINTS) in reasons["spot: filter sun"]
     frame = render_frame(scene, view, plan)
     assert "soft_edges" in plan.effect_names and "soft_edges" in executed_effects(frame.passes)
     points = {(record.name.split("/")[0], record.name.split(": ")[-1]): record.light_points for record in frame.passes}
-    assert points["sun", "stencil"] == points["spot", "depth map"] == MAX_POINTS
+    assert points["sun", "stencil"] == points["spot", "depth map"] == MAX_LIGHT_POINTS
     hard = render_frame(scene, view, plan_of(scene, view, algorithm="shadow_volume", filter=1))
     assert {record.light_points for record in hard.passes} == {1} and "soft_edges" not in executed_effects(hard.passes)
 

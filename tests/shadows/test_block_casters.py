@@ -10,7 +10,7 @@ import pytest
 from morecantile import tms as matrix_sets
 
 from skugga.configs import LEVELS_FOLDER
-from skugga.shadows.block_casters import NOTHING_CASTS, NOTHING_OUTSIDE
+from skugga.shadows.block_casters import NO_CASTERS_NOTE, NO_OUTSIDE_CASTERS_NOTE
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import clear_caches
@@ -42,8 +42,8 @@ SUN_ALTITUDES_DEG = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
 def omissions_disabled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Disable all omissions, so that each block draws everything that its plan lists."""
     with monkeypatch.context() as patch:
-        patch.setattr("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset())
-        patch.setattr("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *of: False)
+        patch.setattr("skugga.shadows.block_casters.culled_patches", lambda *arguments: frozenset())
+        patch.setattr("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *arguments: False)
         clear_caches("light")
         yield
 
@@ -120,8 +120,8 @@ def test_block_casters_record_what_a_block_omits(gl, monkeypatch):
     frame = render_frame(scene, view, plan)
     records = {record.name: record for record in frame.passes}
     assert list(records) == plan.passes and "cast_shadows" in plan.effect_names
-    assert records["outside_casters"].note == NOTHING_OUTSIDE and records["outside_casters"].is_left_out
-    assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].is_left_out
+    assert records["outside_casters"].note == NO_OUTSIDE_CASTERS_NOTE and records["outside_casters"].is_left_out
+    assert records["sun/relief: sweep"].note == NO_CASTERS_NOTE and records["sun/relief: sweep"].is_left_out
     assert frame.effects == plan.effect_names - {"cast_shadows", "outside_casters"}
     assert executed_effects(drawn_fast(scene, view, plan).passes) == frame.effects
     with omissions_disabled(monkeypatch):

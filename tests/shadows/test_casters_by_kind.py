@@ -73,8 +73,8 @@ def test_truths_of_kinds_multiply(gl, village, buffer):
         assert (product_without_kind != combined.lit)[decidable].mean() > 0.005, "each kind is needed"
 
 
-@pytest.mark.parametrize(("taps", "sure"), [(1, True), (3, False)])
-def test_shadow_maps_of_kinds_multiply(gl, village, taps, sure):
+@pytest.mark.parametrize(("taps", "is_exact"), [(1, True), (3, False)])
+def test_shadow_maps_of_kinds_multiply(gl, village, taps, is_exact):
     """With one tap the product is exact: the map of all casters holds the nearest depth of the kinds.
 
     With n taps, of which shares a, b and c are lit past each kind, the lit share is between max(0, a + b + c - 2) and min(a, b, c)
@@ -90,7 +90,7 @@ def test_shadow_maps_of_kinds_multiply(gl, village, taps, sure):
     valid = combined.valid
     shares = [frame.visibility[valid].astype(np.float64) for frame in kind_frames]
     product, combined_visibility = np.prod(shares, axis=0), combined.visibility[valid]
-    if sure:
+    if is_exact:
         np.testing.assert_array_equal(product, combined_visibility)
     in_penumbra = [(0.0 < share) & (share < 1.0) for share in shares]
     overlap = np.sum(in_penumbra, axis=0) > 1

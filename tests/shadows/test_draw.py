@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skugga.shadows import draw as module
-from skugga.shadows.draw import LIT, SHADED, draw, heights_suffice
+from skugga.shadows.draw import SHADING_NEEDS, VISIBILITY_NEEDS, draw, heights_suffice
 from skugga.shadows.picture import Needs
 from skugga.shadows.render import render_frame
 from skugga.terrain.errors import InputError
@@ -53,9 +53,9 @@ def test_draw_by_heights_equals_the_frame_across_blocks(gl, hills):
     scene = hills(225.0, 22.0)
     view = node_view(scene)
     plan = plan_of(scene, view)
-    assert view.cols > BLOCK_PX and heights_suffice(scene, view, plan, SHADED)
+    assert view.cols > BLOCK_PX and heights_suffice(scene, view, plan, SHADING_NEEDS)
     progress: list[tuple[int, int]] = []
-    picture, frame = draw(scene, view, plan, SHADED, lambda *count: progress.append(count)), render_frame(scene, view, plan)
+    picture, frame = draw(scene, view, plan, SHADING_NEEDS, lambda *count: progress.append(count)), render_frame(scene, view, plan)
     assert picture.color is not None and picture.opacity is not None and picture.reach is not None
     # The search for casters starts at the ground that a block shows, not at its whole square: up to a hundredth less far here.
     assert picture.reach.used_m == pytest.approx(frame.reach.used_m, rel=0.02) and picture.reach.clipped == frame.reach.clipped
@@ -73,8 +73,8 @@ def test_draw_visibility_by_heights_equals_the_frame(gl, hills, altitude):
     scene = hills(225.0, altitude)
     view = node_view(scene)
     plan = plan_of(scene, view)
-    assert heights_suffice(scene, view, plan, LIT)
-    picture, frame = draw(scene, view, plan, LIT), render_frame(scene, view, plan)
+    assert heights_suffice(scene, view, plan, VISIBILITY_NEEDS)
+    picture, frame = draw(scene, view, plan, VISIBILITY_NEEDS), render_frame(scene, view, plan)
     assert picture.visibility is not None and picture.reach == frame.reach
     np.testing.assert_array_equal(picture.valid, frame.valid)
     np.testing.assert_array_equal(np.isnan(picture.visibility), ~frame.valid)
@@ -89,7 +89,7 @@ def test_draw_falls_back_to_frames_for_single_blocks(gl, hills, monkeypatch):
     scene = hills(225.0, 22.0)
     view = node_view(scene)
     plan, original = plan_of(scene, view), module.ground_picture
-    expected = draw(scene, view, plan, SHADED)
+    expected = draw(scene, view, plan, SHADING_NEEDS)
     calls: list[int] = []
 
     def fail_every_other_call(*arguments):
@@ -97,13 +97,13 @@ def test_draw_falls_back_to_frames_for_single_blocks(gl, hills, monkeypatch):
         return None if len(calls) % 2 else original(*arguments)
 
     monkeypatch.setattr(module, "ground_picture", fail_every_other_call)
-    picture = draw(scene, view, plan, SHADED)
+    picture = draw(scene, view, plan, SHADING_NEEDS)
     assert len(calls) > 1 and expected.color is not None and picture.color is not None
     np.testing.assert_array_equal(picture.opacity, expected.opacity)
     assert np.abs(picture.color.astype(int) - expected.color).max() <= 1
 
 
-@pytest.mark.parametrize("needs", [SHADED, LIT])
+@pytest.mark.parametrize("needs", [SHADING_NEEDS, VISIBILITY_NEEDS])
 def test_draw_off_the_data_is_empty(gl, hills, needs: Needs):
     scene = hills(225.0, 22.0)
     near = node_view(scene, 60, 80)
@@ -118,4 +118,4 @@ def test_draw_refuses_too_many_pixels(hills):
     scene = hills(225.0, 22.0)
     view = node_view(scene, 60, 80)
     with pytest.raises(InputError, match="size"):
-        draw(scene, MapView(view.grid, 0.0, 0.0, 1.0, 1.0, 9000, 9000), plan_of(scene, view), SHADED)
+        draw(scene, MapView(view.grid, 0.0, 0.0, 1.0, 1.0, 9000, 9000), plan_of(scene, view), SHADING_NEEDS)

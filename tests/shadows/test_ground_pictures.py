@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from skugga.selector.film import COLOR
+from skugga.selector.film import COLOR_NEEDS
 from skugga.shadows import ground_pictures
-from skugga.shadows.draw import SHADED, draw, heights_suffice
+from skugga.shadows.draw import SHADING_NEEDS, draw, heights_suffice
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -61,7 +61,7 @@ def test_ground_picture_equals_the_frame(gl, hills, azimuth, altitude, zoom, row
     scene = hills(azimuth, altitude)
     view = view_of(scene, zoom, rows, cols)
     plan = plan_of(scene, view)
-    assert heights_suffice(scene, view, plan, SHADED)
+    assert heights_suffice(scene, view, plan, SHADING_NEEDS)
     picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
     assert picture is not None and frame.valid.any() and not frame.valid.all()
     assert np.array_equal(picture.valid, frame.valid)
@@ -82,7 +82,7 @@ def test_ground_picture_has_the_colours_of_a_style(gl, hills, style, exaggeratio
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
     picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
-    assert picture is not None and heights_suffice(scene, view, plan, SHADED)
+    assert picture is not None and heights_suffice(scene, view, plan, SHADING_NEEDS)
     color_difference = np.abs(picture.color.astype(int) - frame.color)
     assert color_difference.max() <= 1 and (color_difference > 0).mean() <= MAX_DIFFERING_SHARE
 
@@ -123,7 +123,7 @@ def test_ground_picture_with_other_level_settings(gl, hills, keys):
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
     picture, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
-    assert heights_suffice(scene, view, plan, SHADED) != ("weather" in keys)
+    assert heights_suffice(scene, view, plan, SHADING_NEEDS) != ("weather" in keys)
     assert np.array_equal(picture.opacity, frame.opacity)
     assert np.abs(picture.color.astype(int) - frame.color).max() <= 1
 
@@ -136,9 +136,9 @@ def test_ground_picture_between_nodes_equals_the_frame(gl, hills, altitude, size
     view = scene.view(size=size)
     assert isinstance(view, MapView) and not view.on_nodes
     plan = plan_of(scene, view)
-    assert heights_suffice(scene, view, plan, COLOR)
+    assert heights_suffice(scene, view, plan, COLOR_NEEDS)
     frame = render_frame(scene, view, plan)
-    assert np.array_equal(draw(scene, view, plan, COLOR).color, frame.color) and frame.valid.any() and not frame.valid.all()
+    assert np.array_equal(draw(scene, view, plan, COLOR_NEEDS).color, frame.color) and frame.valid.any() and not frame.valid.all()
     if scene.sun_is_up:
         assert len(np.unique(frame.opacity)) > 2
 
@@ -152,7 +152,7 @@ def test_ground_picture_caches_its_ground_for_all_suns(gl, hills, monkeypatch):
     )
     for azimuth in (200.0, 220.0, 240.0):
         lit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=20.0))
-        draw(lit_scene, view, plan_of(lit_scene, view), COLOR)
+        draw(lit_scene, view, plan_of(lit_scene, view), COLOR_NEEDS)
     assert len(buffered_views) == 1
 
 

@@ -140,7 +140,7 @@ def test_edge_pixels_lie_where_class_or_object_changes(ridge):
 def test_antialiasing_is_independent_of_block_parts(gl, ridge, monkeypatch):
     """The colour of a pixel does not depend on the part of a block that its samples are drawn with."""
     single_part_frame = render(ridge, view_of(ridge), algorithm="shadow_volume")
-    monkeypatch.setattr(map_edges, "PART_PX", 17)
+    monkeypatch.setattr(map_edges, "SAMPLED_PART_PX", 17)
     split_frame = render(ridge, view_of(ridge), algorithm="shadow_volume")
     assert (
         np.abs(single_part_frame.color.astype(int) - split_frame.color).max() <= 1

@@ -156,12 +156,12 @@ FRAME_CASES: list[tuple[str, bool, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(
-    ("view", "trees", "asked"), FRAME_CASES, ids=lambda value: value.get("algorithm") if isinstance(value, dict) else None
+    ("view", "trees", "overrides"), FRAME_CASES, ids=lambda value: value.get("algorithm") if isinstance(value, dict) else None
 )
-def test_pass_records_count_every_opengl_draw(gl, build, monkeypatch, view, trees, asked):
+def test_pass_records_count_every_opengl_draw(gl, build, monkeypatch, view, trees, overrides):
     """Draws are counted at the OpenGL call: none is missing, none counts twice, and none was never made."""
-    scene = build(trees, lights={"spot": SPOT} if asked["algorithm"] != "truth" else {})
-    plan = plan_of(scene, scene.view(view), **asked)
+    scene = build(trees, lights={"spot": SPOT} if overrides["algorithm"] != "truth" else {})
+    plan = plan_of(scene, scene.view(view), **overrides)
     clear_caches("light")
     calls: list[moderngl.Program] = []
     original = moderngl.VertexArray.render

@@ -15,7 +15,7 @@ from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.views.cameras import MAX_EYE_OR_TARGET_HEIGHT_M, POSITION_DESCRIPTION
 from skugga.api.request import PictureRequest
 from skugga.api.settings import Settings
-from skugga.selector.film_request import ALONG_PATH, FilmSpan
+from skugga.selector.film_request import PATH_VIEW_NAME, FilmSpan
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.sun_path import as_utc, check_times
 from skugga.terrain.level.camera_file import CameraPathSpec
@@ -99,7 +99,7 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
             raise InputError.conflict("view", "path", "Use one of them; a path is a view of its own")
         _check_positions(body.path)
     span = film_span(getattr(body, "from"), body.to, body.step, body.fps, body.path, body.seconds, settings.max_animation_frames)
-    view = ALONG_PATH if body.path is not None else level.view_named(body.view)
+    view = PATH_VIEW_NAME if body.path is not None else level.view_named(body.view)
     own_size = body.path.size if body.path is not None else level.view_sizes[view]
     if (size := body.size or own_size) is not None:
         _check_pixels(size, span.frames, settings)

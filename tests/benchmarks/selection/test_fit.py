@@ -23,7 +23,7 @@ from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.shadows.maps.settings import Cascade, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.plan import Step
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.sweep.sweep import DECIMATED
+from skugga.shadows.sweep.sweep import DECIMATED_GROUP
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
@@ -144,7 +144,7 @@ def test_the_fit_recovers_floors_spreads_and_interior_errors():
     assert model.floor["shadow_volume"] == pytest.approx(0.02, rel=0.01)
     assert model.spread["shadow_volume"] == pytest.approx(0.3, rel=0.03)
     assert model.floor["sweep"] == pytest.approx(0.004, rel=1e-6) and model.spread["sweep"] == MIN_SPREAD
-    assert model.floor["hybrid"] == model.floor[DECIMATED] == 0.0  # no row has these
+    assert model.floor["hybrid"] == model.floor[DECIMATED_GROUP] == 0.0  # no row has these
     wrong_share = 0.004 * CAST_SHARE
     assert model.interior["sweep"] == pytest.approx((0.1 * wrong_share + INTERIOR_OFFSET) / (wrong_share + INTERIOR_OFFSET))
     assert model.interior["hybrid"] == 0.0

@@ -73,7 +73,7 @@ def test_save_profile_is_atomic(profile, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("change", "why"),
+    ("change", "reason_part"),
     [
         ({"rates_ns": {"planar": {"pixels": -1.0}}}, "rates_ns.planar.pixels"),
         ({"rates_ns": {"planar": {"pixels": float("nan")}}}, "rates_ns.planar.pixels"),
@@ -88,12 +88,12 @@ def test_save_profile_is_atomic(profile, monkeypatch):
         ({"renderer": "another"}, "another device"),
     ],
 )
-def test_load_profile_ignores_invalid_values_with_a_reason(profile, change, why):
+def test_load_profile_ignores_invalid_values_with_a_reason(profile, change, reason_part):
     path = save_profile(profile)
     path.write_text(json.dumps(json.loads(path.read_text()) | change), encoding="utf-8")
     assert load_profile(RENDERER, VERSION) is None
     reason = missing_profile_reason(RENDERER, VERSION)
-    assert why in reason and str(path) in reason and "skugga calibrate" in reason and "\n" not in reason
+    assert reason_part in reason and str(path) in reason and "skugga calibrate" in reason and "\n" not in reason
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"schema_version": 1}'])

@@ -14,7 +14,7 @@ from skugga.selector.cost.device_estimate import estimated_profile, is_current, 
 from skugga.selector.cost.device_profile import load_profile, profile_digest, profile_path, save_profile
 from skugga.selector.cost.error_model import packaged_model
 from skugga.selector.cost.typical_device import model_for_device, typical_device
-from skugga.selector.predict import ESTIMATED, predicted_plan
+from skugga.selector.predict import ESTIMATED_TIMES_REASON, predicted_plan
 from skugga.terrain.gl import device as gl_module
 from skugga.terrain.level.level import Shadows
 from tests.selector.test_predict import make_descriptor, make_request, name_of
@@ -147,5 +147,5 @@ def test_choice_for_an_error_does_not_depend_on_the_factor(monkeypatch, max_erro
         estimated_profile.cache.clear()
         plan = predicted_plan(descriptor, make_request(descriptor, max_error=max_error), None, estimated_profile("llvmpipe", "1"))
         names.add(name_of(plan))
-        assert any(reason.reason == ESTIMATED for reason in plan.reasons)
+        assert any(reason.reason == ESTIMATED_TIMES_REASON for reason in plan.reasons)
     assert len(names) == 1

@@ -31,7 +31,7 @@ from skugga.shadows.hybrid.settings import HybridSettings
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.plan import Step
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.sweep.sweep import DECIMATED
+from skugga.shadows.sweep.sweep import DECIMATED_GROUP
 from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.facts.descriptor import Descriptor
@@ -260,14 +260,14 @@ def test_error_group_of_a_sweep_over_decimated_ground():
     full_ground, decimated_ground = on_ground(MAX_UNDECIMATED_TRIANGLES // 2), on_ground(MAX_UNDECIMATED_TRIANGLES // 2 + 1)
     assert [error_group_of(ground, sweep_step) for ground in (full_ground, decimated_ground, on_ground(None))] == [
         "sweep",
-        DECIMATED,
+        DECIMATED_GROUP,
         "sweep",
     ]
     assert expected_errors(full_ground, SUN, [sweep_step], MODEL).wrong_cast == pytest.approx(MODEL.floor["sweep"])
-    assert expected_errors(decimated_ground, SUN, [sweep_step], MODEL).wrong_cast == pytest.approx(MODEL.floor[DECIMATED])
+    assert expected_errors(decimated_ground, SUN, [sweep_step], MODEL).wrong_cast == pytest.approx(MODEL.floor[DECIMATED_GROUP])
     map_step = step("shadow_map", cascades((0.4, 0.4)), kinds=("relief",))
     assert error_group_of(decimated_ground, map_step) == "shadow_map"  # a shadow map draws the ground that is shown
-    assert packaged_model().floor[DECIMATED] > packaged_model().floor["sweep"]
+    assert packaged_model().floor[DECIMATED_GROUP] > packaged_model().floor["sweep"]
 
 
 def test_smoothed_differing_shares_spreads_one_sample():

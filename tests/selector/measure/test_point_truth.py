@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skugga.api.catalogue import find_level
-from skugga.selector.measure.point_truth import PictureTruth, PointCounts, lattice_offsets, share_interval
+from skugga.selector.measure.point_truth import PictureTruth, PointCounts, lattice_offsets, wilson_interval
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import error_metrics
@@ -64,7 +64,7 @@ def test_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
     view = scene.view(name) if level == "scene" else scene.view(name, size=(240, 192))
     truth = picture_truth(scene, view)
     full_truth = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
-    assert truth.every == 2
+    assert truth.spacing_px == 2
     for number in (0, 3):
         lattice = truth.lattice(number)
         for field in ("lit", "attached", "valid"):
@@ -98,7 +98,7 @@ def test_lattice_of_a_map_walks_rays_to_the_same_truth(gl, request, tmp_path, le
     assert truth.casters.patches and embree.offset_m == truth.rays.offset_m
     for number in (0, 3):
         lattice_truth = truth.lattice(number).truth
-        points = subsampled_points(truth.picture, truth.every, lattice_offsets(truth.every)[number])
+        points = subsampled_points(truth.picture, truth.spacing_px, lattice_offsets(truth.spacing_px)[number])
         expected = trace_truth(points, scene, truth.casters, TRUTH_SAMPLES, rays=embree)
         decidable = lattice_truth.decidable & expected.decidable
         assert np.array_equal(lattice_truth.lit[decidable], expected.lit[decidable])
@@ -118,12 +118,12 @@ def test_sum_of_all_lattices_equals_the_error_metrics(gl, scene, name):
     total = PointCounts()
     for number in range(truth.lattice_count):
         total += truth.counts(truth.lattice(number), dark, (), 1.0)
-    assert total.wrong_cast / total.cast == pytest.approx(expected.wrong_cast, rel=0.01) and expected.wrong_cast > 0.005
-    assert total.inside / total.decided == pytest.approx(expected.interior, rel=0.02, abs=2e-5)
+    assert total.wrong_cast_count / total.cast_count == pytest.approx(expected.wrong_cast, rel=0.01) and expected.wrong_cast > 0.005
+    assert total.interior_count / total.decidable_count == pytest.approx(expected.interior, rel=0.02, abs=2e-5)
     unshadowed_counts = truth.counts(
         truth.lattice(0), np.zeros_like(dark), (), 1.0
     )  # without any shadow, most of the lost shadow is interior
-    assert unshadowed_counts.wrong_cast == unshadowed_counts.cast and unshadowed_counts.inside > 10
+    assert unshadowed_counts.wrong_cast_count == unshadowed_counts.cast_count and unshadowed_counts.interior_count > 10
 
 
 def test_subsampled_view_keeps_the_pixel_width(scene):
@@ -142,4 +142,4 @@ def test_subsampled_view_keeps_the_pixel_width(scene):
 )
 def test_share_interval_matches_published_tables(part, total, low, high):
     """Wilson's score interval without correction (R. Newcombe, Two-sided confidence intervals for the single proportion, 1998)."""
-    assert share_interval(part, total) == pytest.approx((low, high), abs=1e-4)
+    assert wilson_interval(part, total) == pytest.approx((low, high), abs=1e-4)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from skugga.selector.choices import Choice
 from skugga.selector.cost.error_model import ExpectedErrors, SharedErrors, packaged_model
 from skugga.selector.gaussian_estimate import SharedVariance
-from skugga.selector.measure.point_truth import share_interval
+from skugga.selector.measure.point_truth import wilson_interval
 from skugga.selector.measure.probing import ErrorMeasurement, expected_gain, leader_of, probe_options
 from skugga.selector.options import LightOptions, PredictedChoice
 from skugga.shadows.plan import Step
@@ -65,9 +65,13 @@ class FakeProber:
             return ErrorMeasurement(
                 candidate.error, candidate.error, candidate.error, candidate.interior, candidate.interior, candidate.interior, count
             )
-        limits = share_interval(round(candidate.error * count), count)
+        limits = wilson_interval(round(candidate.error * count), count)
         return ErrorMeasurement(
-            candidate.error, *limits, candidate.interior, *share_interval(round(10 * candidate.interior * count), 10 * count), count
+            candidate.error,
+            *limits,
+            candidate.interior,
+            *wilson_interval(round(10 * candidate.interior * count), 10 * count),
+            count,
         )
 
     def add_points_s(self) -> float | None:

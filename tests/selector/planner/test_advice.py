@@ -13,23 +13,23 @@ from hypothesis import strategies as st
 
 from skugga.selector.choices import Choice, StandaloneRequest
 from skugga.selector.planner import advice
-from skugga.selector.planner.advice import NO_RULE, choices_by_rules
+from skugga.selector.planner.advice import NO_RULE_REASON, choices_by_rules
 from skugga.selector.planner.advice_rules import (
-    CLOSED_SHARE,
-    COARSE_TEXEL_PX,
-    MAX_FEW_TRIANGLES,
     MAX_LAMP_DISTANCE_SHARE,
+    MAX_SHARP_TEXEL_PX,
     MAX_VISIBLE_LIT_SHARE,
+    MAX_VOLUME_TRIANGLES,
+    MIN_CLOSED_SHARE,
+    MIN_COARSE_TEXEL_PX,
     MIN_COMPLEX_LAYERS,
-    MIN_GAIN,
+    MIN_TEXEL_GAIN,
     REFERENCE_MAP_TEXELS,
     RULES,
-    SHARP_TEXEL_PX,
     TYPICAL_MAP_ERROR,
     RuleInput,
 )
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.bent_rays import MAX_LEAN_PX, MAX_STRAIGHT_M
+from skugga.shadows.bent_rays import MAX_STRAIGHT_M, MAX_SUMMIT_SHIFT_PX
 from skugga.shadows.registry import can_serve
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
@@ -99,7 +99,7 @@ def test_rules_fall_back_to_a_map_without_facts():
     """A rule does not apply while its facts are unknown. The fallback is a shadow map."""
     for descriptor in (sun_descriptor("meshes"), sun_descriptor("meshes", bands=[], pixel=None, receivers_light_m=None)):
         choice = rule_choices(descriptor)["sun"]
-        assert choice.algorithm == {"meshes": "shadow_map"} and choice.reason == {"meshes": NO_RULE}
+        assert choice.algorithm == {"meshes": "shadow_map"} and choice.reason == {"meshes": NO_RULE_REASON}
     round_earth = sun_descriptor("relief", flat_world=False)  # the extent of the ground to sweep is unknown
     assert rule_of(round_earth, "relief") is None
     assert rule_choices(map_descriptor("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None))
@@ -149,7 +149,7 @@ def test_rules_sweep_as_wide_an_angle_on_a_small_body():
 def test_rules_sweep_while_summits_lean_by_less_than_a_pixel():
     """In a corner of the block, 512 sqrt(2) pixels from its middle, verticals lean by as many pixels per radius."""
     radius_m = 1_737_400.0
-    limit_m = MAX_LEAN_PX * radius_m / (512.0 * np.sqrt(2.0))
+    limit_m = MAX_SUMMIT_SHIFT_PX * radius_m / (512.0 * np.sqrt(2.0))
     for relief_m, algorithm in ((0.999 * limit_m, "sweep"), (1.001 * limit_m, "shadow_map")):
         facts = {"flat_world": False, "block_relief_m": relief_m, "pixel_m": 10.0, "receivers_light_m": (2e4, 1e4, 2e4)}
         moon = map_descriptor("relief", radius_m=radius_m, lights=sun_facts(area_share=0.9), **facts)
@@ -166,16 +166,19 @@ def test_rules_take_volumes_for_strict_errors_except_foliage():
 
 
 @pytest.mark.parametrize(
-    ("asked", "relief", "meshes"),
+    ("overrides", "relief", "meshes"),
     [
         ({}, "sweep", "shadow_volume"), ({"filter": 1}, "sweep", "shadow_volume"), ({"filter": "sun"}, "sweep", "shadow_map"),
         ({"filter": 5}, "shadow_map", "shadow_map"), ({"map_size": 512}, "shadow_map", "shadow_map"),
         ({"bias": "polygon_offset"}, "shadow_map", "shadow_map"), ({"stencil": "two_pass"}, "sweep", "shadow_volume"),
     ],
 )  # fmt: skip
-def test_rules_take_a_map_if_its_settings_are_requested(asked, relief, meshes):
+def test_rules_take_a_map_if_its_settings_are_requested(overrides, relief, meshes):
     descriptor = sun_descriptor("relief", "meshes", stands=[make_caster_facts(triangles=12, closed_share=1.0)])
-    assert chosen_algorithm(descriptor, "relief", **asked) == relief and chosen_algorithm(descriptor, "meshes", **asked) == meshes
+    assert (
+        chosen_algorithm(descriptor, "relief", **overrides) == relief
+        and chosen_algorithm(descriptor, "meshes", **overrides) == meshes
+    )
 
 
 def test_rules_take_a_map_for_foliage_and_its_neighbours():
@@ -190,8 +193,8 @@ def test_rules_take_a_map_for_foliage_and_its_neighbours():
 
 def test_rules_take_volumes_for_few_closed_polygons():
     for triangles, closed, algorithm in (
-        (MAX_FEW_TRIANGLES, CLOSED_SHARE, "shadow_volume"), (MAX_FEW_TRIANGLES + 1, 1.0, "shadow_map"),
-        (MAX_FEW_TRIANGLES, 0.9 * CLOSED_SHARE, "shadow_map"), (0, 1.0, "shadow_map"),
+        (MAX_VOLUME_TRIANGLES, MIN_CLOSED_SHARE, "shadow_volume"), (MAX_VOLUME_TRIANGLES + 1, 1.0, "shadow_map"),
+        (MAX_VOLUME_TRIANGLES, 0.9 * MIN_CLOSED_SHARE, "shadow_map"), (0, 1.0, "shadow_map"),
     ):  # fmt: skip
         descriptor = sun_descriptor("meshes", stands=[make_caster_facts(triangles=triangles, closed_share=closed)])
         assert chosen_algorithm(descriptor) == algorithm
@@ -205,7 +208,7 @@ def test_rules_take_volumes_for_few_closed_polygons():
 def test_rules_take_a_map_for_a_narrow_lamp():
     """A texel at the lamp's target is 2 x 40 m x tan(cutoff) / 1024 wide, and a pixel is 0.05 m."""
     light_facts = {"lights": {"lamp": LightFacts(nearest_edge_m=0.1, volume_layers=100.0)}}
-    sharp_deg = float(np.degrees(np.arctan(SHARP_TEXEL_PX * 0.05 * REFERENCE_MAP_TEXELS / 80.0)))
+    sharp_deg = float(np.degrees(np.arctan(MAX_SHARP_TEXEL_PX * 0.05 * REFERENCE_MAP_TEXELS / 80.0)))
     for cutoff_deg, name in ((0.99 * sharp_deg, "narrow light"), (1.01 * sharp_deg, "complex shadows from near")):
         descriptor = sun_descriptor("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **light_facts)
         assert rule_of(descriptor, light_name="lamp") == name
@@ -231,16 +234,17 @@ def test_rules_take_a_map_for_a_lamp_near_the_camera():
 def test_rules_do_not_take_a_map_for_the_sun_behind_the_camera():
     """The sun is never near, and a small share of shadow does not make shadows simple."""
     lights = near_edge_facts(
-        2 * COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, to_view_deg=179.0, casts={"meshes": {"share": 0.001}}
+        2 * MIN_COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, to_view_deg=179.0, casts={"meshes": {"share": 0.001}}
     )
     assert rule_of(sun_descriptor("meshes", lights=lights)) == "complex shadows from near"
 
 
 def test_rules_take_the_hybrid_for_near_complex_shadows():
     for texel_px, layers, name in (
-        (1.01 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "complex shadows from near"),
-        (1.01 * COARSE_TEXEL_PX, 0.9 * MIN_COMPLEX_LAYERS, None),
-        (0.99 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "far from every edge"), (0.99 * COARSE_TEXEL_PX, 0.0, "far from every edge"),
+        (1.01 * MIN_COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "complex shadows from near"),
+        (1.01 * MIN_COARSE_TEXEL_PX, 0.9 * MIN_COMPLEX_LAYERS, None),
+        (0.99 * MIN_COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "far from every edge"),
+        (0.99 * MIN_COARSE_TEXEL_PX, 0.0, "far from every edge"),
     ):  # fmt: skip
         assert rule_of(sun_descriptor("meshes", lights=near_edge_facts(texel_px, volume_layers=layers))) == name
 
@@ -248,10 +252,14 @@ def test_rules_take_the_hybrid_for_near_complex_shadows():
 def test_rules_take_a_perspective_map_for_a_small_visible_part():
     for share, far_m, name in (
         (MAX_VISIBLE_LIT_SHARE, 1024.0, "small part of the lit area seen"), (1.01 * MAX_VISIBLE_LIT_SHARE, 1024.0, None),
-        (MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_GAIN, "small part of the lit area seen"), (MAX_VISIBLE_LIT_SHARE, 15.0 * MIN_GAIN, None),
+        (MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_TEXEL_GAIN, "small part of the lit area seen"),
+        (MAX_VISIBLE_LIT_SHARE, 15.0 * MIN_TEXEL_GAIN, None),
     ):  # fmt: skip
         bands = [band(16.0, 32.0), band(32.0, far_m)]
-        assert rule_of(sun_descriptor("meshes", bands=bands, lights=near_edge_facts(2 * COARSE_TEXEL_PX, area_share=share))) == name
+        assert (
+            rule_of(sun_descriptor("meshes", bands=bands, lights=near_edge_facts(2 * MIN_COARSE_TEXEL_PX, area_share=share)))
+            == name
+        )
 
 
 def cast_band(near_m: float, far_m: float) -> dict[str, Any]:
@@ -261,8 +269,8 @@ def cast_band(near_m: float, far_m: float) -> dict[str, Any]:
 def test_rules_take_a_perspective_map_under_a_spot():
     """The bands of the sun's view are unknown under a spot. Those of the visible surfaces in its light decide."""
     for share, far_m, name in (
-        (MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_GAIN, "small part of the lit area seen"),
-        (1.01 * MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_GAIN, None), (MAX_VISIBLE_LIT_SHARE, 15.0 * MIN_GAIN, None),
+        (MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_TEXEL_GAIN, "small part of the lit area seen"),
+        (1.01 * MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_TEXEL_GAIN, None), (MAX_VISIBLE_LIT_SHARE, 15.0 * MIN_TEXEL_GAIN, None),
     ):  # fmt: skip
         casts = {"meshes": {"share": 0.1, "bands": [cast_band(16.0, 32.0), cast_band(32.0, far_m)]}}
         facts = LightFacts(nearest_edge_m=4.0, area_share=share, casts=casts)

@@ -58,14 +58,14 @@ def test_normal_offset_is_no_larger_than_needed(gl, write_raster, make_scene, ta
     assert shaded_share(make_scene, raster, 127, 20, bias_scale=0.8, **overrides) > 1e-3
 
 
-@pytest.mark.parametrize(("taps", "enough"), [(1, 1.0), (2, 2.0), (3, 3.0), (5, 5.0)])
-def test_polygon_offset_suffices_only_for_one_tap(gl, write_raster, make_scene, taps, enough):
+@pytest.mark.parametrize(("taps", "sufficient_scale"), [(1, 1.0), (2, 2.0), (3, 3.0), (5, 5.0)])
+def test_polygon_offset_suffices_only_for_one_tap(gl, write_raster, make_scene, taps, sufficient_scale):
     """Taps of n a side need a slope factor of n. The customary factor is 1.1."""
     raster = write_plane(write_raster, 60, 37)
     overrides = {"bias": "polygon_offset", "filter": taps}
     share = shaded_share(make_scene, raster, 127, 20, **overrides)
     assert share == 0.0 if taps == 1 else share > 0.05
-    assert shaded_share(make_scene, raster, 127, 20, bias_scale=enough, **overrides) == 0.0
+    assert shaded_share(make_scene, raster, 127, 20, bias_scale=sufficient_scale, **overrides) == 0.0
 
 
 @pytest.mark.parametrize("light", ["sun", "lamp"])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
 from skugga.shadows.maps import shadow_map
-from skugga.shadows.maps.resolve import LARGEST_MAP, MAX_CASCADE_TEXEL_PX
+from skugga.shadows.maps.resolve import MAX_AUTOMATIC_MAP_SIZE, MAX_CASCADE_TEXEL_PX
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.truth.metrics import error_metrics
@@ -124,7 +124,7 @@ def test_automatic_map_size_bounds_texels_for_any_splits(shares, cascades):
     shares = [share / sum(shares) for share in shares]
     plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", "cascades": cascades})
     map_settings = plan.settings["sun"]["relief"]
-    if map_settings.map_size == LARGEST_MAP:
+    if map_settings.map_size == MAX_AUTOMATIC_MAP_SIZE:
         return
     near_m, bands = 0.0, descriptor(shares).bands
     for cascade in map_settings.cascades:

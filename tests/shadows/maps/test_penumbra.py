@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
-from skugga.shadows.area_light import sun_disc
+from skugga.shadows.area_light import sun_disc_directions
 from skugga.shadows.attached import attached
 from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, MAX_HALF_DISC_TEXELS, disc_samples_before_edges
 from skugga.terrain.casters.reach import find_casters
@@ -124,7 +124,7 @@ def test_plane_under_part_of_the_sun_is_partly_lit(gl, write_raster, make_scene)
 
 def test_disc_samples_are_the_rays_of_truth():
     """Both use the same spiral, and the bits before an edge are those of the samples before it."""
-    rays = sun_disc(np.array([0.0, -1.0, 0.0]), DISC_SAMPLES)
+    rays = sun_disc_directions(np.array([0.0, -1.0, 0.0]), DISC_SAMPLES)
     disc_radius = np.hypot(rays[:, 0], rays[:, 2]) / -rays[:, 1] / DISC_TANGENT
     angle = np.arange(DISC_SAMPLES) * np.pi * (3.0 - 5.0**0.5)
     for bits, coordinate in zip(

@@ -261,7 +261,7 @@ def test_perspective_maps_split_where_one_map_is_too_coarse(gl, tmp_path):
         maps = maps_of(scene, buffer, map_size)
         counts.append(len(maps))
         np.testing.assert_array_equal(np.sort(np.concatenate([fitted_map.depth_map.pixels for fitted_map in maps])), receivers)
-    assert counts[0] < counts[1] <= perspective_shadow_map.MAX_RANGES
+    assert counts[0] < counts[1] <= perspective_shadow_map.MAX_DISTANCE_RANGES
     single_map = perspective_shadow_map.perspective_map(
         buffer,
         buffer.valid & ~attached(buffer, scene),

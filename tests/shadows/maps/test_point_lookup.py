@@ -37,20 +37,20 @@ def render_close_view(scene: Scene, **overrides: Any) -> Frame:
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "overrides",
     [
         {"filter": 1}, {"filter": 3}, {"filter": 5, "depth_bits": 24}, {"filter": 3, "depth_bits": 32, "cascades": 4},
         {"filter": 3, "bias": "normal_offset"}, {"filter": 3, "bias": "polygon_offset"},
     ],
-    ids=lambda asked: "-".join(str(value) for value in asked.values()),
+    ids=lambda overrides: "-".join(str(value) for value in overrides.values()),
 )  # fmt: skip
-def test_point_lookup_equals_the_shader(gl, landscape, monkeypatch, asked):
+def test_point_lookup_equals_the_shader(gl, landscape, monkeypatch, overrides):
     """Results are equal to the bit on the rasteriser with the loop's arithmetic. Elsewhere only points on texel borders differ."""
-    loop_frame = render_close_view(landscape, **asked)
+    loop_frame = render_close_view(landscape, **overrides)
     with monkeypatch.context() as patch:
         # a map that reports not to be uniform is looked up by the shader
         patch.setattr(DepthMap, "is_uniform", property(lambda depth_map: False))
-        shader_frame = render_close_view(landscape, **asked)
+        shader_frame = render_close_view(landscape, **overrides)
     assert any("point_lookup" in label for record in loop_frame.passes for label in record.loops)
     assert not any("point_lookup" in label for record in shader_frame.passes for label in record.loops)
     assert 0.05 < np.nanmean(shader_frame.visibility < 1.0) < 0.95

@@ -17,7 +17,7 @@ from skugga.shadows.maps.post_perspective import (
     camera_matrix,
     fit_to_bounds,
     horizon_distance,
-    kind_of,
+    light_kind_in_clip_space,
     light_matrix,
     post_perspectives,
     project_points,
@@ -86,13 +86,15 @@ def test_camera_matrix_refuses_invalid_planes(near, far, slide):
 def test_kind_of_classifies_suns(direction, kind):
     """The camera looks north: suns stand before it, behind it, and across its axis."""
     matrix = camera_matrix(make_camera([0, 0, 2], 0, 0), 0.5, 1.0, 100.0, 3.0)
-    assert kind_of(matrix @ [*direction, 0.0]) == kind
+    assert light_kind_in_clip_space(matrix @ [*direction, 0.0]) == kind
 
 
 def test_kind_of_a_lamp_depends_on_the_slide_back():
     """Two metres behind the eye the lamp is a sink. From a slide of three metres on, it is a point in front."""
     camera = make_camera([0, 0, 2], 0, 0)
-    kinds = [kind_of(camera_matrix(camera, 0.5, 1.0, 100.0, slide) @ [5, -2, 4, 1]) for slide in (0.0, 1.9, 2.0, 3.0)]
+    kinds = [
+        light_kind_in_clip_space(camera_matrix(camera, 0.5, 1.0, 100.0, slide) @ [5, -2, 4, 1]) for slide in (0.0, 1.9, 2.0, 3.0)
+    ]
     assert kinds == ["sink", "sink", "parallel", "point"]
 
 

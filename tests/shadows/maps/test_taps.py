@@ -7,7 +7,7 @@ import pytest
 from skugga.api.catalogue import find_level
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.maps.settings import Cascade
-from skugga.shadows.maps.taps import DISC_WIDTH, MAX_FINE_SHARE, fine_share, sun_taps
+from skugga.shadows.maps.taps import DISC_WIDTH, MAX_FINE_TEXEL_SHARE, fine_texel_share, sun_taps
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
@@ -39,7 +39,7 @@ def cascade(texel_m: float, far_m: float | None = None) -> Cascade:
 
 
 THROW_DISTANCE_M = 50.0
-MAX_FINE_TEXEL_M = MAX_FINE_SHARE * DISC_WIDTH * THROW_DISTANCE_M
+MAX_FINE_TEXEL_M = MAX_FINE_TEXEL_SHARE * DISC_WIDTH * THROW_DISTANCE_M
 
 
 @pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * MAX_FINE_TEXEL_M, 3), (1.1 * MAX_FINE_TEXEL_M, 1)])
@@ -50,20 +50,20 @@ def test_sun_taps_follow_texel_and_penumbra_widths(texel_m, taps):
 
 def test_fine_share_weights_cascades_by_their_shadow():
     fine_near = [cascade(0.5 * MAX_FINE_TEXEL_M, far_m=2.0), cascade(2.0 * MAX_FINE_TEXEL_M)]
-    assert fine_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.6, 0.2)), fine_near) == pytest.approx(0.75)
-    assert fine_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2, 0.6)), fine_near) == pytest.approx(0.25)
+    assert fine_texel_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.6, 0.2)), fine_near) == pytest.approx(0.75)
+    assert fine_texel_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2, 0.6)), fine_near) == pytest.approx(0.25)
 
 
 def test_fine_share_counts_foliage_as_coarse_and_skips_relief():
     cascades = [cascade(0.1 * MAX_FINE_TEXEL_M)]
-    assert fine_share(
+    assert fine_texel_share(
         make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2), forest=casting(THROW_DISTANCE_M, 0.6)), cascades
     ) == pytest.approx(0.25)
     assert (
-        fine_share(make_descriptor(relief=casting(None, 0.9)), cascades) is None
+        fine_texel_share(make_descriptor(relief=casting(None, 0.9)), cascades) is None
         and sun_taps(make_descriptor(relief=casting(None, 0.9)), cascades)[0] == 3
     )
-    assert fine_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2), relief=casting(None, 0.9)), cascades) == 1.0
+    assert fine_texel_share(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.2), relief=casting(None, 0.9)), cascades) == 1.0
 
 
 @pytest.mark.parametrize(("level", "view", "map_size", "taps"), [

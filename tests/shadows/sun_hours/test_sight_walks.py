@@ -121,10 +121,10 @@ def test_walked_crossings_in_15_minute_steps_match_rays(open_scene, monkeypatch)
     hours, _, _ = ray_truth(scene, view, row, col, day, step_min=0.5)
 
     def mean_error_min() -> float:
-        answer = sun_hours(scene, view, [day], SunRules(step_min=15.0), forbid_plan)
-        return float(60.0 * np.abs(answer.hours[row, col] - hours).mean())
+        result = sun_hours(scene, view, [day], SunRules(step_min=15.0), forbid_plan)
+        return float(60.0 * np.abs(result.hours[row, col] - hours).mean())
 
     walked_error_min = mean_error_min()
-    monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.MIN_WALK_STEP_MIN", np.inf)
+    monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.MIN_WALK_STEP_MINUTES", np.inf)
     unwalked_error_min = mean_error_min()
     assert walked_error_min < 1.0 and walked_error_min < 0.5 * unwalked_error_min

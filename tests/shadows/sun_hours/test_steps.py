@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skugga.api.raster_view import raster_view
-from skugga.shadows.sun_hours.steps import LONG_STEP_MIN, SHORT_STEP_MIN, missed_minutes, sampling_step_min
+from skugga.shadows.sun_hours.steps import LONG_STEP_MINUTES, SHORT_STEP_MINUTES, missed_minutes, sampling_step_min
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
@@ -78,8 +78,8 @@ def poles() -> np.ndarray:
 
 
 def test_sampling_step_is_long_over_smooth_ground_only(open_scene):
-    assert sampling_step_of(open_scene(dome(), 30.0)) == LONG_STEP_MIN
-    assert sampling_step_of(open_scene(poles(), 1.0)) == SHORT_STEP_MIN
+    assert sampling_step_of(open_scene(dome(), 30.0)) == LONG_STEP_MINUTES
+    assert sampling_step_of(open_scene(poles(), 1.0)) == SHORT_STEP_MINUTES
 
 
 def test_sun_hours_without_a_step_use_the_sampling_step(open_scene):
@@ -87,7 +87,7 @@ def test_sun_hours_without_a_step_use_the_sampling_step(open_scene):
     view = raster_view(scene).view.as_nodes()
     days = window_suns(scene.world, [window_of(scene, SPRING)])
     default_hours, long_step_hours, hourly_step_hours = (
-        sun_hours(scene, view, days, SunRules(step), forbid_plan).hours for step in (None, LONG_STEP_MIN, 60.0)
+        sun_hours(scene, view, days, SunRules(step), forbid_plan).hours for step in (None, LONG_STEP_MINUTES, 60.0)
     )
     np.testing.assert_array_equal(default_hours, long_step_hours)
     assert not np.array_equal(default_hours, hourly_step_hours, equal_nan=True)

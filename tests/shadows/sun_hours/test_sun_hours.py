@@ -87,7 +87,7 @@ def test_sun_hours_behind_a_wall(open_scene, day, step):
     heights = np.zeros((301, 121))
     heights[:, 60] = 80.0  # the wall runs along grid north
     scene = open_scene(heights)
-    answer = compute_sun_hours(scene, window_of(scene, day), step_min=step)
+    result = compute_sun_hours(scene, window_of(scene, day), step_min=step)
     minutes, azimuth, altitude = sun_by_minute(scene, day)
     convergence_deg = grid_north_deg(scene)
     assert abs(convergence_deg) > 2.0
@@ -96,12 +96,12 @@ def test_sun_hours_behind_a_wall(open_scene, day, step):
         clears_wall = (altitude > 0.0) & (np.tan(np.radians(altitude)) * cells * CELL_M > 80.0 * np.abs(sun_across_wall))
         morning, evening = sun_across_wall > 0.0, sun_across_wall < 0.0
         west, east = (150, 60 - cells), (150, 60 + cells)
-        assert answer.first[west] == pytest.approx(minutes[clears_wall & morning][0], abs=0.5), cells
-        assert answer.last[east] == pytest.approx(minutes[clears_wall & evening][-1], abs=0.5), cells
+        assert result.first[west] == pytest.approx(minutes[clears_wall & morning][0], abs=0.5), cells
+        assert result.last[east] == pytest.approx(minutes[clears_wall & evening][-1], abs=0.5), cells
         is_up = altitude > 0.0
-        assert answer.last[west] == pytest.approx(minutes[is_up & evening][-1], abs=0.5)
-        assert answer.hours[west] * 60.0 == pytest.approx(answer.last[west] - answer.first[west], abs=0.01)
-        assert answer.longest[east] == pytest.approx(answer.hours[east], abs=1e-3)
+        assert result.last[west] == pytest.approx(minutes[is_up & evening][-1], abs=0.5)
+        assert result.hours[west] * 60.0 == pytest.approx(result.last[west] - result.first[west], abs=0.01)
+        assert result.longest[east] == pytest.approx(result.hours[east], abs=1e-3)
 
 
 @pytest.mark.parametrize("step", [20.0, 5.0])
@@ -110,36 +110,36 @@ def test_sun_hours_of_deep_pits_are_zero_at_dusk_too(open_scene, step):
     heights = np.zeros((41, 41))
     heights[5:36:5, 5:36:5] = -9000.0  # pits of one cell, 3 km wide, with a horizon 72 degrees high
     scene = open_scene(heights, "EPSG:32611", 500e3, 3800e3, 3000.0)
-    answer = compute_sun_hours(scene, window_of(scene, WINTER), step_min=step)
+    result = compute_sun_hours(scene, window_of(scene, WINTER), step_min=step)
     pits = heights < 0.0
-    assert (answer.hours[pits] == 0.0).all() and np.isnan(answer.first[pits]).all()
-    assert (answer.hours[0] > 9.0).all()
+    assert (result.hours[pits] == 0.0).all() and np.isnan(result.first[pits]).all()
+    assert (result.hours[0] > 9.0).all()
 
 
 def test_sun_hours_in_a_bowl(open_scene):
     row, col = np.mgrid[-100:101, -100:101]
     distance_cells = np.hypot(row, col)
     scene = open_scene(np.where(distance_cells < 30.0, 0.0, distance_cells * CELL_M * np.tan(np.radians(25.0))))
-    answer = compute_sun_hours(scene, window_of(scene, SPRING), step_min=5.0)
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=5.0)
     minutes, _, altitude = sun_by_minute(scene, SPRING)
     minutes_above_rim = minutes[altitude > 25.0]
-    assert answer.hours[100, 100] * 60.0 == pytest.approx(minutes_above_rim[-1] - minutes_above_rim[0], abs=1.0)
-    assert answer.first[100, 100] == pytest.approx(minutes_above_rim[0], abs=0.5)
+    assert result.hours[100, 100] * 60.0 == pytest.approx(minutes_above_rim[-1] - minutes_above_rim[0], abs=1.0)
+    assert result.first[100, 100] == pytest.approx(minutes_above_rim[0], abs=0.5)
 
 
 def test_sun_hours_of_a_slope_follow_its_incidence_angle(open_scene):
     tilt_deg = 30.0
     heights = np.arange(80)[:, None] * CELL_M * np.tan(np.radians(tilt_deg)) * np.ones((1, 60))  # falls towards grid north
     scene = open_scene(heights)
-    answer = compute_sun_hours(scene, window_of(scene, SPRING), step_min=5.0)
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=5.0)
     minutes, azimuth, altitude = sun_by_minute(scene, SPRING)
     convergence_deg = grid_north_deg(scene)
     incidence_cosine = np.sin(np.radians(altitude)) * np.cos(np.radians(tilt_deg)) + np.cos(np.radians(altitude)) * np.sin(
         np.radians(tilt_deg)
     ) * np.cos(np.radians(azimuth - convergence_deg))
     is_sunlit = (incidence_cosine > 0.0) & (altitude > 0.0)
-    assert 60.0 * answer.hours[40, 30] == pytest.approx(0.1 * is_sunlit.sum(), abs=0.5)
-    assert answer.first[40, 30] == pytest.approx(minutes[is_sunlit][0], abs=0.5)
+    assert 60.0 * result.hours[40, 30] == pytest.approx(0.1 * is_sunlit.sum(), abs=0.5)
+    assert result.first[40, 30] == pytest.approx(minutes[is_sunlit][0], abs=0.5)
     winter = compute_sun_hours(scene, window_of(scene, WINTER), step_min=5.0)
     assert winter.hours[40, 30] == 0.0 and np.isnan(winter.first[40, 30]) and np.isnan(winter.last[40, 30])
 
@@ -206,23 +206,23 @@ def test_sun_hours_follow_the_clock_and_23_hour_days(open_scene):
 
 def test_sun_hours_of_a_wide_raster_have_local_sunrise(open_scene):
     scene = open_scene(np.zeros((20, 70)), cell=2000.0)
-    answer = compute_sun_hours(scene, window_of(scene, SPRING), step_min=15.0)
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=15.0)
     start, minutes = datetime(2024, 3, 21, tzinfo=UTC), np.arange(0.0, 1440.0, 0.25)
     to_degrees = Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform
     for col in (2, 35, 67):
         lon, lat = to_degrees(EAST + (col + 0.5) * 2000.0, NORTH - 10.5 * 2000.0)
         sunlit_minutes = minutes[sun_path([start + timedelta(minutes=float(m)) for m in minutes], lon, lat).altitude_deg > 0.0]
-        assert answer.first[10, col] == pytest.approx(sunlit_minutes[0], abs=2.0)  # refraction lifts the sun at the middle only
-        assert answer.last[10, col] == pytest.approx(sunlit_minutes[-1], abs=3.5)
-    assert answer.first[10, 2] - answer.first[10, 67] > 6.0  # 1.7 degrees of longitude
+        assert result.first[10, col] == pytest.approx(sunlit_minutes[0], abs=2.0)  # refraction lifts the sun at the middle only
+        assert result.last[10, col] == pytest.approx(sunlit_minutes[-1], abs=3.5)
+    assert result.first[10, 2] - result.first[10, 67] > 6.0  # 1.7 degrees of longitude
 
 
 def test_sun_hours_keep_nodata(open_scene):
     heights = np.zeros((40, 50))
     heights[10:20, 30:35] = np.nan
     scene = open_scene(heights)
-    answer = compute_sun_hours(scene, window_of(scene, SPRING), step_min=30.0)
-    for values in (answer.hours, answer.longest, answer.days):
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=30.0)
+    for values in (result.hours, result.longest, result.days):
         np.testing.assert_array_equal(np.isnan(values), np.isnan(heights))
 
 
@@ -232,10 +232,10 @@ def test_sun_hours_match_rays_over_fractal_mountains(open_scene):
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
     (day,) = window_suns(scene.world, [window])
     hours, first, last = ray_truth(scene, view, row, col, day, step_min=0.5)
-    answer = compute_sun_hours(scene, window, step_min=2.0)
-    error_min = 60.0 * np.abs(answer.hours[row, col] - hours)
+    result = compute_sun_hours(scene, window, step_min=2.0)
+    error_min = 60.0 * np.abs(result.hours[row, col] - hours)
     assert error_min.mean() < 0.5 and np.percentile(error_min, 99) < 3.0
-    for computed, expected in ((answer.first, first), (answer.last, last)):
+    for computed, expected in ((result.first, first), (result.last, last)):
         assert np.nanpercentile(np.abs(computed[row, col] - expected), 90) < 1.0  # a missed glance of sun shifts it by hours
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep import rays
-from skugga.shadows.sweep.grid import bordered, fitted_cubics
+from skugga.shadows.sweep.grid import allocate_bordered_grid, fitted_cubics
 from skugga.shadows.sweep.rays import patch_windows
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill, fill_nodes
@@ -68,7 +68,7 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
     empty_row_counts = []
 
     def with_high_ground(n: int, m: int, filled_rows: slice, *window_to_fill: object) -> tuple[np.ndarray, np.ndarray]:
-        with_border, inside = bordered(n, m, filled_rows, *window_to_fill)
+        with_border, inside = allocate_bordered_grid(n, m, filled_rows, *window_to_fill)
         is_empty_row = np.ones(n, bool)
         is_empty_row[filled_rows] = False
         with_border[is_empty_row] = 1e30
@@ -76,7 +76,7 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
         return with_border, inside
 
     before = sweep_results()
-    monkeypatch.setattr(rays, "bordered", with_high_ground)
+    monkeypatch.setattr(rays, "allocate_bordered_grid", with_high_ground)
     after = sweep_results()
     assert all(0.02 < (visibility == 0.0).mean() < 0.98 for visibility in before) and min(empty_row_counts) > 0
     assert all(np.array_equal(original, patched) for original, patched in zip(before, after, strict=True))

@@ -220,7 +220,7 @@ def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
 
 
 def test_strips_of_sun_have_equal_areas():
-    angles = sweep.strips_of_sun(16)
+    angles = sweep.sun_strip_angles(16)
     assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(SUN_RADIUS_DEG)
     rng = np.random.default_rng(0)
     disc = rng.uniform(-1.0, 1.0, (200_000, 2))

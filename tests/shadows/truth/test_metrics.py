@@ -17,9 +17,9 @@ from skugga.shadows.truth.metrics import (
     edge_metric_coverage,
     edge_test_region,
     error_metrics,
-    far_from_edges,
     interior,
     interior_region,
+    is_far_from_edges,
     metric_coverage,
     soft_error,
 )
@@ -65,8 +65,8 @@ def test_error_metrics_ignore_boundary_pixels():
 def test_truth_cast_is_the_share_of_the_surface():
     """Of eight pixels that show a surface, three are in shadow, one of them attached. Pixels off the surface do not count."""
     reference = truth(pixel_row("1111100000"), attached=pixel_row("0000000100"), valid=pixel_row("1111111100"))
-    assert reference.cast == 2 / 8
-    assert truth(pixel_row("00"), valid=pixel_row("00")).cast == 0.0
+    assert reference.cast_share == 2 / 8
+    assert truth(pixel_row("00"), valid=pixel_row("00")).cast_share == 0.0
 
 
 def test_error_metrics_count_one_half_as_lit():
@@ -278,9 +278,9 @@ def test_far_from_edges_depends_only_on_the_test_region(shape):
     row, col = np.nonzero(valid)
     for distance in (0.5, 2.0, 3.7, 8.0, 1000.0):
         is_far = distance_to_edges_px(dark, valid)[row, col] > distance
-        assert np.array_equal(far_from_edges(dark, valid, row, col, np.full(len(row), distance)), is_far)
+        assert np.array_equal(is_far_from_edges(dark, valid, row, col, np.full(len(row), distance)), is_far)
         for k in range(0, len(row), 97):
             single_pixel = row[k : k + 1], col[k : k + 1], np.array([distance])
             outside_region = ~edge_test_region(*single_pixel, shape) & valid
-            assert far_from_edges(dark ^ outside_region, valid, *single_pixel)[0] == is_far[k]
-    assert far_from_edges(valid & False, valid, row, col, np.full(len(row), 5.0)).all()
+            assert is_far_from_edges(dark ^ outside_region, valid, *single_pixel)[0] == is_far[k]
+    assert is_far_from_edges(valid & False, valid, row, col, np.full(len(row), 5.0)).all()

@@ -9,13 +9,13 @@ import pytest
 
 from skugga.selector.candidates import candidates
 from skugga.selector.measure.compare import Comparison, compare, false_colours
-from skugga.shadows.area_light import sun_disc
+from skugga.shadows.area_light import sun_disc_directions
 from skugga.shadows.attached import attached
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth import truth
 from skugga.shadows.truth.metrics import MAX_INTERIOR, ErrorMetrics, block_shares, coverage_error, error_metrics, soft_error
-from skugga.shadows.truth.truth import Truth, coverage_truth, fill, jittered_views, surface_error, trace_truth
+from skugga.shadows.truth.truth import Truth, coverage_truth, fill, jittered_views, simplification_error, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
@@ -73,7 +73,7 @@ def baseline(scene, view, reference) -> ErrorMetrics:
 def test_shadow_map_is_near_truth(gl, baseline):
     """This is the baseline of the defects below."""
     assert baseline.wrong < 0.005 and baseline.wrong_cast < 0.03 and baseline.interior < MAX_INTERIOR and baseline.edge_p95 <= 2.0
-    assert baseline.boundary < 0.15
+    assert baseline.undecidable_share < 0.15
 
 
 def test_wrong_bias_raises_false_shadow(gl, scene, view, reference, baseline):
@@ -146,7 +146,7 @@ def test_truth_is_decidable_away_from_edges(reference):
 def test_truth_with_more_samples_decides_fewer_pixels(scene, view, reference):
     finer = trace_truth(*_trace_arguments(scene, geometry(scene, view)), samples=16)
     np.testing.assert_array_equal(finer.lit, reference.lit)
-    assert finer.boundary >= reference.boundary - 0.01
+    assert finer.undecidable_share >= reference.undecidable_share - 0.01
     with pytest.raises(ValueError, match="square"):
         jittered_views(view, 5)
 
@@ -167,7 +167,7 @@ def test_noise_floor_is_far_below_the_errors(gl, comparison, baseline):
 
 def test_sun_disc_has_the_suns_size_and_centre():
     to_sun = np.array([0.3, -0.4, 0.5]) / np.linalg.norm([0.3, -0.4, 0.5])
-    directions = sun_disc(to_sun, 400)
+    directions = sun_disc_directions(to_sun, 400)
     angles = np.degrees(np.arccos(np.clip(directions @ to_sun, -1, 1)))
     assert 0.25 < angles.max() <= 0.2651 and np.allclose(directions.mean(axis=0), to_sun, atol=1e-3)
     assert (angles < 0.265 / 2**0.5).mean() == pytest.approx(0.5, abs=0.02)  # equal areas
@@ -198,7 +198,7 @@ def test_surface_error_of_simplified_ground(scene):
     for zoom in (9, 13):
         block = block_at(-84.25, 36.2933, zoom)
         buffer, casters = geometry(scene, block)
-        results[zoom] = surface_error(buffer, scene, casters)
+        results[zoom] = simplification_error(buffer, scene, casters)
     assert results[13] < 0.02 < results[9]
 
 

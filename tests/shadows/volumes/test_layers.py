@@ -9,8 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.shadows.volumes.edges import edges_of
-from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, max_layers, may_shade_near
-from skugga.shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, orientations_of, sheet_silhouette, silhouette
+from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, layer_batches, max_layers, may_shade_near
+from skugga.shadows.volumes.silhouettes import (
+    FACING_RULE_CODES,
+    Silhouette,
+    faces_light,
+    orientations_of,
+    sheet_silhouette,
+    silhouette,
+)
 from skugga.terrain.errors import InputError
 from skugga.terrain.ground.sheet import sheet_of
 
@@ -50,7 +57,7 @@ def folded_strip(count: int) -> Mesh:
 
 def caster_silhouette(mesh: Mesh, light: np.ndarray, rule: str = "facing") -> Silhouette:
     vertices, triangles = mesh
-    return silhouette(triangles, edges_of(vertices, triangles), orientations_of(facing(vertices, triangles, light), rule))  # type: ignore
+    return silhouette(triangles, edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))  # type: ignore
 
 
 def count_covering_triangles(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -139,7 +146,7 @@ def test_max_layers_of_a_thousand_boxes_fits_the_stencil(light: np.ndarray):
         max_layers(mesh[0], outline, light),
     )
     assert counted_layers <= layer_bound <= 60
-    assert len(batches(*mesh, edges_of(*mesh), orientations_of(facing(*mesh, light), "facing"), light)) == 1
+    assert len(layer_batches(*mesh, edges_of(*mesh), orientations_of(faces_light(*mesh, light), "facing"), light)) == 1
 
 
 def test_max_layers_of_rough_ground_fits_the_stencil():
@@ -159,22 +166,22 @@ def test_max_layers_of_rough_ground_fits_the_stencil():
 )
 def test_batches_fit_the_stencil_and_partition_the_mesh(mesh: Mesh):
     vertices, triangles = mesh
-    edges, orientations = edges_of(vertices, triangles), orientations_of(facing(vertices, triangles, OVERHEAD_LIGHT), "all")
+    edges, orientations = edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, OVERHEAD_LIGHT), "all")
     layers = len(triangles) // 2
     assert max_layers(vertices, silhouette(triangles, edges, orientations), OVERHEAD_LIGHT) == layers > MAX_STENCIL_LAYERS
-    groups = batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT)
+    groups = layer_batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT)
     assert 2 <= len(groups) <= 2 * layers / MAX_STENCIL_LAYERS
     assert all(max_layers(vertices, silhouette(triangles, edges, group), OVERHEAD_LIGHT) <= MAX_STENCIL_LAYERS for group in groups)
     assert (np.sum(np.abs(groups), axis=0) == 1).all() and (np.sum(groups, axis=0) == orientations).all()
-    [group] = batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, layers)
+    [group] = layer_batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, layers)
     np.testing.assert_array_equal(group, orientations)
-    assert len(batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, 1)) >= layers
+    assert len(layer_batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, 1)) >= layers
 
 
 def test_batches_keep_plates_whole():
     vertices, triangles = stacked_squares(300)
-    edges, orientations = edges_of(vertices, triangles), orientations_of(facing(vertices, triangles, OVERHEAD_LIGHT), "all")
-    groups = batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, 100)
+    edges, orientations = edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, OVERHEAD_LIGHT), "all")
+    groups = layer_batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, 100)
     assert all((group[::2] == group[1::2]).all() for group in groups)
     heights = [vertices[triangles[group != 0], 2] for group in groups]
     assert all(before.min() > after.max() for before, after in zip(heights, heights[1:], strict=False))  # from the light on
@@ -186,14 +193,14 @@ def test_max_layers_of_no_caster_is_zero():
     none = sheet_silhouette(sheet_of(position), OVERHEAD_LIGHT, "turned_away")
     assert len(none.caps) == 0 and max_layers(position, none, OVERHEAD_LIGHT) == 0
     vertices, triangles = position.reshape(-1, 3), sheet_of(position).triangles
-    [group] = batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD_LIGHT)
+    [group] = layer_batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD_LIGHT)
     assert not group.any()
 
 
 def test_batches_refuse_zero_layers():
     vertices, triangles = stacked_squares(2)
     with pytest.raises(InputError, match="layer_limit: '0' is not allowed. Allowed: 1 or more"):
-        batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD_LIGHT, 0)
+        layer_batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD_LIGHT, 0)
 
 
 COORDINATE = st.floats(-5, 5, allow_subnormal=False)

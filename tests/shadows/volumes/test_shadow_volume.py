@@ -244,17 +244,17 @@ def test_volumes_under_suns_of_all_altitudes_match_truth(gl, tmp_path, azimuth, 
     check_volumes(shadow_case(scene), least_dark=0.03 if altitude <= 2.0 else 0.0)
 
 
-@pytest.mark.parametrize("way", [20.0, -20.0])
-def test_volumes_with_the_sun_in_the_view_axis_match_truth(gl, tmp_path, way):
+@pytest.mark.parametrize("distance_m", [20.0, -20.0])
+def test_volumes_with_the_sun_in_the_view_axis_match_truth(gl, tmp_path, distance_m):
     """The sun is exactly behind the eye, where no shadow is visible, or exactly ahead."""
     azimuth_rad, altitude_rad = np.radians([200.0, 35.0])
     to_sun = np.array(
         [np.sin(azimuth_rad) * np.cos(altitude_rad), np.cos(azimuth_rad) * np.cos(altitude_rad), np.sin(altitude_rad)]
     )
-    start = np.array([0.0, 0.0, 2.0]) + way * to_sun if way > 0 else np.array([0.0, 6.0, 1.0])
-    scene = build_mesh_scene(tmp_path, [box((8, 6, 5))], 200, 35, **eye_views(start, start - way * to_sun, fov=90))
+    start = np.array([0.0, 0.0, 2.0]) + distance_m * to_sun if distance_m > 0 else np.array([0.0, 6.0, 1.0])
+    scene = build_mesh_scene(tmp_path, [box((8, 6, 5))], 200, 35, **eye_views(start, start - distance_m * to_sun, fov=90))
     visibility, _ = check_volumes(shadow_case(scene))
-    assert (visibility[np.isfinite(visibility)] == 0.0).any() == (way < 0)
+    assert (visibility[np.isfinite(visibility)] == 0.0).any() == (distance_m < 0)
 
 
 @pytest.mark.parametrize("altitude", [2.0, 35.0])
@@ -429,7 +429,7 @@ def from_below(buffer: GeometryBuffer) -> np.ndarray:
 # -- cache
 
 
-def kept(case: ShadowCase, mask: str | None = None) -> tuple[int, int]:
+def cached_and_edge_counts(case: ShadowCase, mask: str | None = None) -> tuple[int, int]:
     """Return the number of cached volumes of a frame, and the number of edges of all its silhouettes."""
     log = PassLog()
     case.volume_visibility(mask, log)
@@ -450,18 +450,19 @@ def test_volumes_are_cached_while_sun_and_casters_rest(gl, tmp_path, mask):
     path.write_text(json.dumps(keys | {"sun": {"azimuth": 200, "altitude": 35}}), encoding="utf-8")
     scene = build_scene(load_level(path))
     clear_caches("light")
-    cached_count, edges = kept(shadow_case(scene), mask)
+    cached_count, edges = cached_and_edge_counts(shadow_case(scene), mask)
     assert cached_count == 0 and edges > 0
-    assert kept(shadow_case(scene), mask)[0] > 0 and kept(shadow_case(scene, scene.view("near")), mask)[0] > 0
+    assert cached_and_edge_counts(shadow_case(scene), mask)[0] > 0
+    assert cached_and_edge_counts(shadow_case(scene, scene.view("near")), mask)[0] > 0
     near_case, far_case = shadow_case(scene), shadow_case(scene, scene.view("far"))
     assert (near_case.buffer.frame.origin_earth_m != far_case.buffer.frame.origin_earth_m).any()
-    assert kept(far_case, mask)[0] == 0
-    assert kept(shadow_case(scene.with_sun(SunSpec(azimuth=200.01, altitude=35))), mask)[0] == 0
+    assert cached_and_edge_counts(far_case, mask)[0] == 0
+    assert cached_and_edge_counts(shadow_case(scene.with_sun(SunSpec(azimuth=200.01, altitude=35))), mask)[0] == 0
     moved_case = shadow_case(scene.at_second(1.0))
-    assert kept(moved_case, mask)[0] == 0 and kept(shadow_case(scene), mask)[0] > 0
+    assert cached_and_edge_counts(moved_case, mask)[0] == 0 and cached_and_edge_counts(shadow_case(scene), mask)[0] > 0
     moved_visibility = moved_case.volume_visibility(mask)
     clear_caches("light")
-    assert kept(shadow_case(scene), mask)[0] == 0
+    assert cached_and_edge_counts(shadow_case(scene), mask)[0] == 0
     np.testing.assert_array_equal(moved_case.volume_visibility(mask), moved_visibility)
     assert (moved_visibility != shadow_case(scene).volume_visibility(mask))[moved_case.buffer.valid].any()
 

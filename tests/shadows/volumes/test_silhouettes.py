@@ -16,7 +16,7 @@ from skugga.shadows.volumes.silhouettes import (
     TURNED_AWAY_CODE,
     FacingRule,
     Silhouette,
-    facing,
+    faces_light,
     orientations_of,
     sheet_silhouette,
     silhouette,
@@ -149,7 +149,7 @@ def signed_count(
 
 def silhouette_of(mesh: Mesh, light: np.ndarray, rule: FacingRule | np.ndarray) -> Silhouette:
     vertices, triangles = mesh
-    return silhouette(triangles, edges_of(vertices, triangles), orientations_of(facing(vertices, triangles, light), rule))
+    return silhouette(triangles, edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))
 
 
 def vertex_balance(outline: Silhouette) -> np.ndarray:
@@ -190,7 +190,7 @@ def test_silhouette_caps_face_the_light(light: np.ndarray):
     vertices, triangles = tangle(np.random.default_rng(1))
     for rule in RULES:
         outline = silhouette_of((vertices, triangles), light, rule)
-        assert facing(vertices, outline.caps, light).all()
+        assert faces_light(vertices, outline.caps, light).all()
         np.testing.assert_array_equal(outline.edges.dtype, np.int32)
         assert (outline.multiplicity >= 1).all()
 
@@ -274,18 +274,18 @@ def test_silhouette_of_random_triangles_is_closed(vertices, triangles, light, ru
 def test_facing_uses_float32_vertices():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1e-9], [1, 1, 1.0]])
     light = np.array([0.0, 1.0, 1e-10, 0.0])
-    assert not facing(vertices, np.array([[0, 1, 2]]), light)[0]
+    assert not faces_light(vertices, np.array([[0, 1, 2]]), light)[0]
     vertices[:, 2] += 1.0  # in float32 the triangle is level now
-    assert facing(vertices, np.array([[0, 1, 2]]), light)[0]
+    assert faces_light(vertices, np.array([[0, 1, 2]]), light)[0]
 
 
 def test_facing_is_false_for_edge_on_triangles():
     wall = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1]], float)
-    assert not facing(wall, np.array([[0, 1, 2], [0, 2, 1]]), np.array([0.0, 0.0, 1.0, 0.0])).any()
-    assert facing(wall, np.array([[0, 1, 2], [0, 2, 1]]), np.array([0.0, -1.0, 0.0, 1.0])).tolist() == [True, False]
+    assert not faces_light(wall, np.array([[0, 1, 2], [0, 2, 1]]), np.array([0.0, 0.0, 1.0, 0.0])).any()
+    assert faces_light(wall, np.array([[0, 1, 2], [0, 2, 1]]), np.array([0.0, -1.0, 0.0, 1.0])).tolist() == [True, False]
 
 
-def test_turns_of_rules_and_codes():
+def test_orientations_of_rules_and_codes():
     faces = np.array([True, False])
     assert orientations_of(faces, "facing").tolist() == [1, 0]
     assert orientations_of(faces, "turned_away").tolist() == [0, -1]
@@ -303,7 +303,7 @@ def test_silhouette_functions_name_invalid_arguments():
         orientations_of(np.ones(2, bool), np.array([1, 4]))
     for light in ([0.0, 0.0, 0.0, 0.0], [0.0, np.nan, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.5]):
         with pytest.raises(InputError, match="light"):
-            facing(np.eye(3), np.array([[0, 1, 2]]), np.array(light))
+            faces_light(np.eye(3), np.array([[0, 1, 2]]), np.array(light))
 
 
 @given(

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes import drawing as volume_drawing
-from skugga.shadows.volumes.drawing import count
+from skugga.shadows.volumes.drawing import count_volumes
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.shadows.volumes.tiles import CULLING_TILE_PX, CulledFaces, cull_faces, depth_bounds, marked_tiles, rectangles
 from skugga.shadows.volumes.volumes import volumes_of
@@ -124,7 +124,7 @@ def test_cull_faces_keeps_every_count(seed, behind, clamped):
         kept_faces = culled.faces[culled.starts[number] : culled.starts[number + 1]]
         assert len(np.unique(kept_faces)) == len(kept_faces)
         np.testing.assert_array_equal(
-            counts[kept_faces][:, inside].sum(axis=0) + culled.added[number], counts[:, inside].sum(axis=0)
+            counts[kept_faces][:, inside].sum(axis=0) + culled.added_layers[number], counts[:, inside].sum(axis=0)
         )
 
 
@@ -149,7 +149,7 @@ def all_faces(
 def stencil_counts(case: ShadowCase, pixel_mask: np.ndarray, is_marked: bool, counting: Any = "auto") -> np.ndarray:
     light = np.array(case.scene.light_position(case.light, case.buffer.frame))
     volumes = volumes_of(case.buffer, case.scene, light, case.scene.objects.kinds, case.casters, PassRecord("volumes"))
-    return count(
+    return count_volumes(
         case.buffer, case.scene, light, volumes, VolumeSettings(counting=counting), pixel_mask, is_marked, PassRecord("stencil")
     )
 

@@ -282,7 +282,7 @@ def test_a_view_of_the_sky_alone_runs_all_passes(gl, floor, make_scene, target):
     scene = make_scene(floor, views=eye_view((0, 0, 10), target, fov=20.0))
     frame = render(scene, scene.view("eye"))
     assert not frame.valid.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
-    assert frame.opaque.all() and [record.name for record in frame.passes] == frame.plan.passes
+    assert frame.opaque_mask.all() and [record.name for record in frame.passes] == frame.plan.passes
     between = srgb_encoded(np.array([SKY_ZENITH, SKY_HORIZON], np.float32)).astype(int)
     assert (frame.color >= between.min(axis=0) - 1).all() and (frame.color <= between.max(axis=0) + 1).all()
 
