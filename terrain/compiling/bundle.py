@@ -45,7 +45,7 @@ def use_bundled_loops(folder: Path = FOLDER, cpuinfo: Path = Path("/proc/cpuinfo
         is_compatible = json.loads((folder / VERSIONS_FILE).read_text(encoding="utf-8")) == installed_versions() and _is_v3(cpuinfo)
         if is_compatible and not any(name in os.environ for name in NUMBA_TARGET):
             os.environ.update(NUMBA_TARGET)
-        return is_compatible and _is_set(os.environ)
+        return is_compatible and _is_numba_target_set(os.environ)
     return False
 
 
@@ -58,5 +58,5 @@ def _is_v3(cpuinfo: Path) -> bool:
     return frozenset(flags.partition(":")[2].split()) >= V3_CPU_FLAGS
 
 
-def _is_set(environment: Mapping[str, str]) -> bool:
+def _is_numba_target_set(environment: Mapping[str, str]) -> bool:
     return all(environment.get(name) == value for name, value in NUMBA_TARGET.items())

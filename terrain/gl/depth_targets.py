@@ -103,10 +103,10 @@ class DepthTargets:
         for target in self._targets:
             target.content = None
 
-    def evict_owned_by(self, owner: object) -> None:
-        """Invalidate all cached contents, since their owners are not recorded.
+    def evict_computed_from(self, elevation: object) -> None:
+        """Invalidate all cached contents, since their scenes are not recorded.
 
-        Scenes other than ``owner`` draw their depth maps again once.
+        Scenes over other elevations draw their depth maps again once.
         """
         self.clear()
 
