@@ -42,7 +42,7 @@ MIN_ALTITUDE_SINE = np.sin(np.radians(5.0))
 towards sunset.
 """
 
-COARSEST_WAVE_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
+COARSEST_WAVELENGTH_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
 """Wavelength of the coarsest octave, number of octaves, seed. The finest octave has a wavelength of 250 m."""
 
 CLOUD_EDGE_WIDTH = 0.26
@@ -58,7 +58,7 @@ NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAI
 """Upper bound of the sum of all octaves."""
 
 FADE_RANGE = 1 / 16, 1 / 2
-"""Pixel sizes, as shares of ``COARSEST_WAVE_M``, between which clouds fade into their mean density."""
+"""Pixel sizes, as shares of ``COARSEST_WAVELENGTH_M``, between which clouds fade into their mean density."""
 
 INVISIBLE_SHARE = 0.008
 """Largest share of a point's light whose loss is not visible.
@@ -154,7 +154,7 @@ def _noise_on(x):
     out = np.empty(x.size * x.size)
     for i in range(x.size):
         for j in range(x.size):
-            out[i * x.size + j] = _noise(x[j] * COARSEST_WAVE_M, x[i] * COARSEST_WAVE_M, -np.inf, np.inf)
+            out[i * x.size + j] = _noise(x[j] * COARSEST_WAVELENGTH_M, x[i] * COARSEST_WAVELENGTH_M, -np.inf, np.inf)
     return out
 
 
@@ -165,7 +165,7 @@ def _noise(x_m, y_m, low, high):
     The sum stops early once the remaining octaves cannot change whether it is below ``low`` or above ``high``.
     """
     # The lattice is rotated, and each octave again by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
-    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_WAVE_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_WAVE_M
+    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_WAVELENGTH_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_WAVELENGTH_M
     total, amplitude = 0.0, 1.0
     for k in range(CLOUD_OCTAVES):
         total += amplitude * noise_at(x, y, CLOUD_SEED + k)
@@ -205,8 +205,8 @@ def _layer_position(x, y, z, height, layer_m, to_sun, centre, drift):
 
 
 @compiled
-def _fade(pixel_m):
-    return min(max((pixel_m / COARSEST_WAVE_M - FADE_RANGE[0]) / (FADE_RANGE[1] - FADE_RANGE[0]), 0.0), 1.0)
+def _fade_share(pixel_m):
+    return min(max((pixel_m / COARSEST_WAVELENGTH_M - FADE_RANGE[0]) / (FADE_RANGE[1] - FADE_RANGE[0]), 0.0), 1.0)
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
@@ -225,7 +225,7 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
     rotation, origin = anchor_from_frame
     cover, threshold, max_opacity, layer_m, to_sun, centre, drift = layer
     eye, tangent, pixel_m = size
-    fade = _fade(pixel_m)
+    fade = _fade_share(pixel_m)
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
             if not valid[i, j] or sunlight[i, j] == 0.0:
@@ -233,7 +233,7 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
             p = position[i, j]
             if tangent > 0.0:
                 x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-                fade = _fade(tangent * np.sqrt(x * x + y * y + z * z))
+                fade = _fade_share(tangent * np.sqrt(x * x + y * y + z * z))
             x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
             y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
             z = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + origin[2]
@@ -284,12 +284,12 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
-        nearest = farthest = _fade(map_pixel_m(scene.world, view))
+        nearest = farthest = _fade_share(map_pixel_m(scene.world, view))
     else:
         assert isinstance(view, PerspectiveView)
         distance_m = coarse_view.distance_m if len(coarse_view.distance_m) else np.zeros(1)
         boxes = _boxes_of_coarse_view(scene, layer, coarse_view)
-        nearest, farthest = (_fade(view.pixel * float(m)) for m in (distance_m.min(), distance_m.max()))
+        nearest, farthest = (_fade_share(view.pixel * float(m)) for m in (distance_m.min(), distance_m.max()))
     densest = max((_max_density(*box, layer.threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
     return {"cover": cover, "taken": float(direct * layer.max_opacity * density)}
@@ -341,17 +341,19 @@ def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseVi
         distance_m, height_m = np.concatenate([distance_m, 1.25 * distance_m[far]]), np.concatenate([height_m, height_m[far]])
     positions = _layer_positions(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(distance_m, 1.0)))
-    rise_m = _unseen_rise_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_ALTITUDE_SINE)
+    rise_m = _missed_object_height_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_ALTITUDE_SINE)
     octaves, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
     for near, far in pairwise(octaves) if len(octaves) > 1 else zip(octaves, octaves, strict=True):
-        west, east, south, north = _box(positions[(octave == near) | (octave == far)], coarse_view.spacing * 2.0**far + rise_m)
+        west, east, south, north = _box(
+            positions[(octave == near) | (octave == far)], coarse_view.spacing_tangent * 2.0**far + rise_m
+        )
         box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
         if box[0] <= box[1] and box[2] <= box[3]:
             boxes.append(box)
     return boxes
 
 
-def _unseen_rise_m(scene: Scene, coarse_view: CoarseView) -> float:
+def _missed_object_height_m(scene: Scene, coarse_view: CoarseView) -> float:
     """Return the maximum height, metres, of visible objects above the points of a coarse view, which may miss them.
 
     Trees count always, meshes if they are in view.
@@ -401,7 +403,7 @@ def _max_noise(west, east, south, north, low, high):
     is discarded if this bound is not above the maximum found so far. Other cells are split into four, down to a radius of one
     metre.
     """
-    rows, cols = int((north - south) / (COARSEST_WAVE_M / 8.0)) + 1, int((east - west) / (COARSEST_WAVE_M / 8.0)) + 1
+    rows, cols = int((north - south) / (COARSEST_WAVELENGTH_M / 8.0)) + 1, int((east - west) / (COARSEST_WAVELENGTH_M / 8.0)) + 1
     cells = np.empty((256, 4))
     best, evaluations = low, 0
     for i in range(rows):
@@ -415,7 +417,7 @@ def _max_noise(west, east, south, north, low, high):
                 x, y, half_x, half_y = cells[count, 0], cells[count, 1], cells[count, 2], cells[count, 3]
                 value = _noise(x, y, -np.inf, np.inf)
                 radius = np.sqrt(half_x * half_x + half_y * half_y)
-                max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_WAVE_M
+                max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_WAVELENGTH_M
                 for _ in range(CLOUD_OCTAVES):
                     max_rise += amplitude * min(MAX_NOISE_SLOPE * radius / wave_m, 2.0 * MAX_NOISE)
                     amplitude, wave_m = amplitude * OCTAVE_GAIN, wave_m / 2.0

@@ -54,7 +54,7 @@ from skugga.terrain.shading_loops import shoulder
 from skugga.terrain.sky import horizon_colors, horizontal_sun_direction, sky_colors, sky_of, transmittances
 from skugga.terrain.srgb import srgb_of_linear
 
-CONTRAST = 0.02
+THRESHOLD_CONTRAST = 0.02
 """Contrast of a black object with the horizon at the distance that defines the visibility."""
 
 CLEAR_AIR_M = 100_000.0
@@ -86,11 +86,12 @@ def judge(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the descriptor has no visibility")
     assert isinstance(visibility_m, float) and isinstance(farthest_m, float) and isinstance(shows_from_m, float)
     if farthest_m <= shows_from_m:
-        reason = f"no visible surface is farther than {_metres(farthest_m)}; at {_metres(visibility_m)} of visibility"
-        return Verdict(False, f"{reason} haze shows from {_metres(shows_from_m)} on")
+        reason = f"no visible surface is farther than {_length_text(farthest_m)}; at {_length_text(visibility_m)} of visibility"
+        return Verdict(False, f"{reason} haze shows from {_length_text(shows_from_m)} on")
     share = 100.0 * -np.expm1(-farthest_m * extinction(visibility_m))
     return Verdict(
-        True, f"at {_metres(visibility_m)} of visibility, haze makes up {share:.2f} % of what lies {_metres(farthest_m)} away"
+        True,
+        f"at {_length_text(visibility_m)} of visibility, haze makes up {share:.2f} % of what lies {_length_text(farthest_m)} away",
     )
 
 
@@ -126,7 +127,7 @@ def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
 
 def extinction(visibility_m: float) -> float:
     """Return the extinction coefficient of green light, per metre, by Koschmieder's formula."""
-    return float(-np.log(CONTRAST) / visibility_m)
+    return float(-np.log(THRESHOLD_CONTRAST) / visibility_m)
 
 
 def extinctions(visibility_m: float) -> np.ndarray:
@@ -144,7 +145,7 @@ def max_visible_distance_m(scene: Scene, view: PerspectiveView, coarse_view: Coa
     eye, _, _, inward = _frustum(view, frame)
     farthest = [farthest_mesh_m(scene, view, frame)]
     if ground is not None:
-        farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
+        farthest.append(_max_clipped_distance(ground.position_frame_m, ground.triangles, eye, inward))
     trees, in_view = trees_in_view(scene, view, frame)
     if trees is not None:
         size = np.hypot(np.sqrt(2.0) * trees.shape[in_view, :2].max(axis=1), trees.shape[in_view, 2])
@@ -170,7 +171,7 @@ def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> f
     if solids is None or vertices is None:
         return 0.0
     eye, _, _, inward = _frustum(view, frame)
-    return float(_farthest(vertices, solids.triangles, eye, inward))
+    return float(_max_clipped_distance(vertices, solids.triangles, eye, inward))
 
 
 def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -188,7 +189,7 @@ def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
     return eye, camera_from_frame, tangents, inward
 
 
-def hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
+def shadow_hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
     """Return the distance beyond which haze hides the difference between sunlight and shadow, metres.
 
     Beyond it no channel of a pixel in shadow differs from the same pixel in sunlight by more than one of 255. The distance is 0 if
@@ -197,11 +198,11 @@ def hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
     if not scene.sun_is_up:
         return 0.0
     darkest = horizon_colors(scene).min(axis=0)
-    shares = [_max_hiding_transmittance((dark,), (white,)) for dark, white in zip(darkest, _white_in_sun(scene), strict=True)]
+    shares = [_max_hiding_transmittance((dark,), (white,)) for dark, white in zip(darkest, _sunlit_white(scene), strict=True)]
     return float((-np.log(shares) / extinctions(visibility_of(scene, view))).max())
 
 
-def _white_in_sun(scene: Scene) -> np.ndarray:
+def _sunlit_white(scene: Scene) -> np.ndarray:
     """Return an upper bound of the linear display colour (3,) of direct sunlight: a white surface, or 1 for glints on water."""
     if scene.loaded.level.water is not None:
         return np.ones(3)
@@ -251,7 +252,7 @@ def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     return (255.0 * (srgb_of_linear(lowest + bins * ENCODER_BIN_WIDTH) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
 
 
-def _metres(length_m: float) -> str:
+def _length_text(length_m: float) -> str:
     return f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
 
 
@@ -300,7 +301,7 @@ def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, t
 
 
 @compiled
-def _farthest(position, triangles, eye, inward):
+def _max_clipped_distance(position, triangles, eye, inward):
     """Return the maximum distance from the eye of triangles clipped by planes through the eye with normals ``inward`` (m, 3)."""
     squared_distance, outside = np.zeros(len(position)), np.zeros(len(position), np.uint8)
     for n in range(len(position)):

@@ -95,7 +95,7 @@ def _max_hidden_in_map(scene: Scene, view: MapView, hidden_sky: SkyView) -> floa
     cells, (means, table) = visible_cells(scene.elevation, view), hidden_sky.means
     if cells is None:
         return 0.0
-    fractional_level = _pyramid_position(scene, view, hidden_sky)
+    fractional_level = _pyramid_level(scene, view, hidden_sky)
     number = min(int(fractional_level), len(table) - 1)
     level_values, margin = _pyramid_values(means, table, number), MARGIN_NODES if fractional_level > 0.0 else 1
     return float(level_values[block_slices(cells, 2 ** (hidden_sky.lod + number), level_values.shape, margin)].max())
@@ -124,7 +124,7 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     return float((albedo * daylight_of(scene).sky).max()) * max_slope_sky_factor(scene) * (night + (1.0 - night) * day)
 
 
-def _pyramid_position(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:
+def _pyramid_level(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:
     """Return the fractional level of the pyramid of hidden shares at which nodes are as far apart as a map's pixels; 0 or more."""
     return max(float(np.log2(map_pixel_m(scene.world, view) / hidden_sky.node_m)), 0.0)
 

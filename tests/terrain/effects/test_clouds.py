@@ -108,7 +108,7 @@ def test_max_density_bounds_every_place_in_a_box(west: float, south: float, side
     bound = clouds._max_density(west, west + side, south, south + side, threshold)
     assert sampled_max <= bound
     sample_step_m = side / 59.0
-    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_WAVE_M * 1.5 / CLOUD_EDGE_WIDTH
+    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_WAVELENGTH_M * 1.5 / CLOUD_EDGE_WIDTH
     assert bound <= sampled_max + slope * (sample_step_m + 1.0)
 
 

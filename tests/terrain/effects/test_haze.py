@@ -20,13 +20,13 @@ from skugga.terrain.effects.haze import (
     EFFECT,
     ENCODER_BIN_WIDTH,
     RAYLEIGH_PER_M,
-    _farthest,
+    _max_clipped_distance,
     _max_hiding_transmittance,
     _max_invisible_share,
     apply_haze,
     extinction,
     extinctions,
-    hiding_distance_m,
+    shadow_hiding_distance_m,
     visibility_of,
 )  # fmt: skip
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -59,7 +59,7 @@ def make_floor_scene(tmp_path):
 
 
 def hiding_distance_of_view_m(scene: Scene) -> float:
-    return hiding_distance_m(scene, scene.view("v"))
+    return shadow_hiding_distance_m(scene, scene.view("v"))
 
 
 def points_east_of_eye(
@@ -220,7 +220,7 @@ def sun_shadow_steps(scene: Scene, distance_m: float) -> np.ndarray:
 @pytest.mark.parametrize("visibility", [80, 5000])
 def test_hiding_distance_is_where_sunlight_ceases_to_show(make_floor_scene, altitude, visibility):
     scene = make_floor_scene(sun={"azimuth": 130, "altitude": altitude}, weather={"visibility": visibility})
-    beyond_m = hiding_distance_m(scene, scene.view("v"))
+    beyond_m = shadow_hiding_distance_m(scene, scene.view("v"))
     assert sun_shadow_steps(scene, beyond_m * 1.0001).max() <= 1
     assert sun_shadow_steps(scene, 2.0 * beyond_m).max() <= 1
     assert sun_shadow_steps(scene, 0.8 * beyond_m).max() > 1
@@ -291,7 +291,7 @@ def farthest_of_wall_m(wall_distance_m: float, col: float, row: float, half: flo
     The pyramid is centred on the tangents ``col`` to the east and ``row`` up.
     """
     inward = np.array([[0, 1, 0], [1, half - col, 0], [-1, half + col, 0], [0, half - row, 1], [0, half + row, -1.0]])
-    return _farthest(
+    return _max_clipped_distance(
         WALL_VERTICES_M + [0.0, wall_distance_m, 0.0] * (WALL_VERTICES_M[:, 1:2] == 0.0), WALL_TRIANGLES, np.zeros(3), inward
     )
 
