@@ -283,7 +283,7 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own_buffer.height_m]
     if not above:
         row, col = np.nonzero(~buffer.valid)
-        linear[row, col] = sky(scene, view, *picture.pixels_of(row, col))
+        linear[row, col] = sky(scene, view, *picture.pixels_of_points(row, col))
         linear = picture.averaged(linear)
         layers.append(own_buffer.position_frame_m)
     return [srgb_encoded(linear), *layers]

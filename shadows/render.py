@@ -351,7 +351,7 @@ def _run_effects(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBl
 def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
     """Write the sky's colour to the pixels and samples without a surface."""
     row, col = np.nonzero(~picture.buffer.valid)
-    pixel_row, pixel_col = picture.pixels_of(row, col)
+    pixel_row, pixel_col = picture.pixels_of_points(row, col)
     linear[row, col] = sky(scene, view, pixel_row, pixel_col)
 
 

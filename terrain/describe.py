@@ -119,7 +119,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
         rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
         reach = _bounds_at_unit_distance(view, rotation @ coarse_view.buffer.frame.frame_from_earth)
         visible = _LightSpacePoints(points @ rotation.T + translation, coarse_view.eye_frame_m @ rotation.T + translation, *reach)
-        bands = _distance_bands(distance_m, visible, scene.objects.tallest_m, coarse_view.spacing)
+        bands = _distance_bands(distance_m, visible, scene.objects.tallest_m, coarse_view.spacing_tangent)
         all_bands = join_bands(bands) if bands else None
         span = (
             np.full(3, median_m * view.pixel) if all_bands is None else np.subtract(all_bands.high_light_m, all_bands.low_light_m)

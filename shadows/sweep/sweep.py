@@ -164,7 +164,7 @@ def fill_nodes(
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
         grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
         targets = _targets_of_nodes(rays, grounds[-1], nodes)
-        lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
+        lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
@@ -327,7 +327,7 @@ def _targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> 
 def _targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Targets:
     view = buffer.view
     on_nodes = isinstance(view, MapView) and view.on_nodes
-    on_triangles = buffer.kind == RELIEF if buffer.lifted is None else (buffer.kind == RELIEF) & ~buffer.lifted
+    on_triangles = buffer.kind == RELIEF if buffer.is_lifted is None else (buffer.kind == RELIEF) & ~buffer.is_lifted
     nodes = buffer.valid & on_triangles & on_nodes
     off_nodes = buffer.valid & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))

@@ -210,8 +210,8 @@ def _visible_points(
     is_drawn = buffer.kind.ravel()[indices] == MESHES
     if draws_ground:
         is_drawn |= buffer.kind.ravel()[indices] == RELIEF
-    if buffer.lifted is not None:
-        is_drawn &= ~buffer.lifted.ravel()[indices]
+    if buffer.is_lifted is not None:
+        is_drawn &= ~buffer.is_lifted.ravel()[indices]
     return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, ground, clip, origin, near)
 
 

@@ -66,7 +66,7 @@ def hidden_by_relief(
     rays = ProbeRays(
         point_frame_m[None], np.broadcast_to(to_light, (1, *point_frame_m.shape)), np.full((1, len(point_frame_m)), np.inf)
     )
-    return _is_hidden(world, elevation, probes, np.zeros((1, *point_frame_m.shape)), rays)[0]
+    return _is_occluded(world, elevation, probes, np.zeros((1, *point_frame_m.shape)), rays)[0]
 
 
 def _locate_on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_earth_m: np.ndarray) -> OverviewProbes:
@@ -97,10 +97,10 @@ def blocked_by_relief(
 
     ``probe_positions`` are the positions of the probes on the raster's overview.
     """
-    return _is_hidden(world, elevation, probe_positions, rays.start_frame_m - probes.point_frame_m, rays)
+    return _is_occluded(world, elevation, probe_positions, rays.start_frame_m - probes.point_frame_m, rays)
 
 
-def _is_hidden(
+def _is_occluded(
     world: World, elevation: Elevation, probe_positions: OverviewProbes, start_offset: np.ndarray, rays: ProbeRays
 ) -> np.ndarray:
     """Return whether the ground blocks each ray (k, n). ``start_offset`` (k, n, 3) are offsets of the starts from the probes."""

@@ -19,7 +19,7 @@ from skugga.terrain.scene import Scene
 HALO = 2
 """Extra rows and columns of nodes on each side of a view."""
 
-BOUNDING_NODES = 33
+MAX_BOUNDING_NODES = 33
 """Maximum number of rows and of columns of the nodes that bound a view's ground. The earth bends by less than a metre between them.
 """
 
@@ -32,7 +32,7 @@ class BareNodes:
     ----------
     view, frame
         The view, with one node in each pixel, and its local frame.
-    per_pixel
+    nodes_per_pixel
         Number of nodes along the side of a displayed pixel, which shows the mean of its nodes.
     surface
         The nodes' heights, with ``HALO`` more nodes on each side. They include the rim, ground for one node beyond the raster. The
@@ -45,7 +45,7 @@ class BareNodes:
     """
 
     view: MapView
-    per_pixel: int
+    nodes_per_pixel: int
     frame: LocalFrame
     surface: NodeHeights
     position_frame_m: np.ndarray
@@ -66,25 +66,25 @@ class BareNodes:
         return self.surface.valid[HALO:-HALO, HALO:-HALO]
 
 
-def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:
+def bare_nodes(scene: Scene, view: MapView, nodes_per_pixel: int) -> BareNodes:
     """Return the nodes of a view that has a node in every pixel. They are cached, since they are the same under every sun.
 
-    ``per_pixel`` is the number of nodes along the side of a displayed pixel.
+    ``nodes_per_pixel`` is the number of nodes along the side of a displayed pixel.
     """
-    return _bare_nodes(scene.world, scene.elevation, view, per_pixel)
+    return _bare_nodes(scene.world, scene.elevation, view, nodes_per_pixel)
 
 
 @cached("scene", 64 * MIB)
-def _bare_nodes(world: World, elevation: Elevation, view: MapView, per_pixel: int) -> BareNodes:
+def _bare_nodes(world: World, elevation: Elevation, view: MapView, nodes_per_pixel: int) -> BareNodes:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     row0, col0 = int(view.row0), int(view.col0)
     heights = surface.height_window(row0 - HALO, col0 - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO, rim=True)
     row, col = (
-        np.unique(np.rint(np.linspace(first, first + count - 1, BOUNDING_NODES)).astype(np.int64))
+        np.unique(np.rint(np.linspace(first, first + count - 1, MAX_BOUNDING_NODES)).astype(np.int64))
         for first, count in ((row0, view.rows), (col0, view.cols))
     )
     row, col = (axis.ravel() for axis in np.meshgrid(row, col, indexing="ij"))
     source_height = heights.coarser.height_m if isinstance(heights, RefinedWindow) else heights.height_m
     ends = np.nanmin(source_height), np.nanmax(source_height)
     position = np.stack([surface.positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
-    return BareNodes(view, per_pixel, frame, heights, position, np.isfinite(position[..., 2]))
+    return BareNodes(view, nodes_per_pixel, frame, heights, position, np.isfinite(position[..., 2]))

@@ -41,10 +41,10 @@ def scenes(tmp_path_factory):
 
 
 def test_only_lamps_that_reach_are_probed_planned_and_drawn(gl, scenes, monkeypatch):
-    probed_lamps, original_facts = [], light_facts._facts
+    probed_lamps, original_facts = [], light_facts._facts_of_light
     monkeypatch.setattr(
         light_facts,
-        "_facts",
+        "_facts_of_light",
         lambda view_probes, lamp, share: probed_lamps.append(lamp and lamp.name) or original_facts(view_probes, lamp, share),
     )
     frames, descriptors = [], []
