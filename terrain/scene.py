@@ -138,7 +138,9 @@ class Scene:
     @cached_property
     def without_refraction(self) -> Scene:
         """The same scene with the sun's geometric position, as without an atmosphere."""
-        return self if self.sun is None or not self.sun.lift_deg else replace(self, sun=self.sun.without_refraction(self.world))
+        return (
+            self if self.sun is None or not self.sun.refraction_deg else replace(self, sun=self.sun.without_refraction(self.world))
+        )
 
     def close(self) -> None:
         """Close the level's raster and release its objects. Evict the cache entries computed from either, for all suns."""

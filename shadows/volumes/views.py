@@ -147,7 +147,7 @@ def receiver_stencil(
             if buffer.solids_frame_m is not None and scene.objects.solids is not None:
                 gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.objects.solids.triangles)
             if points.ground is not None:
-                gl.draw_sheet(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
+                gl.draw_grid_mesh(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
         is_drawn = is_drawn & _covered_mask(target)[points.row, points.col]

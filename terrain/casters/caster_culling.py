@@ -39,7 +39,8 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.extremes import update_ranges
 from skugga.terrain.ground.grid_key import grid_key
-from skugga.terrain.ground.surface import RefinedWindow, Surface, refine_row
+from skugga.terrain.ground.surface import RefinedWindow, Surface
+from skugga.terrain.ground.surface_loops import refine_row
 from skugga.terrain.scene import Scene
 
 SUN_RADIUS_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))

@@ -153,7 +153,7 @@ def _max_hidden_in_view(hidden_sky: SkyView, coarse_view: CoarseView) -> float:
         previous_spacing, next_spacing = (np.insert(spacing, position, np.nan, axis=axis) for position in (0, spacing.shape[axis]))
         # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
         radius = np.fmax(radius, np.fmin(previous_spacing, next_spacing))
-    highest, table = hidden_sky.highest
+    highest, table = hidden_sky.maxima
     has_node = buffer.valid & np.isfinite(nodes[..., 0])
     return float(_max_around_nodes(highest, table, nodes[has_node], radius[has_node]))
 

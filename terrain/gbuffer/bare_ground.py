@@ -29,7 +29,8 @@ from skugga.terrain.ground.sky_view_factor import (
     sky_occlusion_row,
     square_corners,
 )
-from skugga.terrain.ground.surface import Surface, add_heights, interpolate_columns, interpolate_row_between, map_pixel_m
+from skugga.terrain.ground.surface import Surface, map_pixel_m
+from skugga.terrain.ground.surface_loops import add_heights, interpolate_columns, interpolate_row_between
 from skugga.terrain.scene import Scene
 
 

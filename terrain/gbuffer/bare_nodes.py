@@ -86,5 +86,5 @@ def _bare_nodes(world: World, elevation: Elevation, view: MapView, nodes_per_pix
     row, col = (axis.ravel() for axis in np.meshgrid(row, col, indexing="ij"))
     source_height = heights.coarser.height_m if isinstance(heights, RefinedWindow) else heights.height_m
     ends = np.nanmin(source_height), np.nanmax(source_height)
-    position = np.stack([surface.positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
+    position = np.stack([surface.node_positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
     return BareNodes(view, nodes_per_pixel, frame, heights, position, np.isfinite(position[..., 2]))

@@ -184,7 +184,7 @@ def _build_mesh(
     ``tolerance`` is the height error of the mesh, in pixels.
     """
     grid, height = nodes.grid, nodes.height_m[row, col]
-    position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
+    position = Surface(world, elevation, grid).node_positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces, faces_at_nodes = face_normals(position, triangles), node_faces(len(position), triangles)
     return GroundMesh(
         position, height, smooth_normals(faces, faces_at_nodes), triangles, faces, faces_at_nodes,

@@ -242,7 +242,7 @@ def read_features(
         problem = "no feature with a geometry" if len(fid) else "no features"
         raise SourceError(source, problem, _TABLE_REMEDY if is_table else "Use points or polygons")
     # A column WKT goes before the other columns, and then the geometry type is unknown.
-    file_crs = _crs(source, meta["crs"] or (table_crs if meta["geometry_type"] == "Point" else None), crs)
+    file_crs = _layer_crs(source, meta["crs"] or (table_crs if meta["geometry_type"] == "Point" else None), crs)
     axes = axes_of(file_crs)
     if not axes.are_standard:
         geometry[:] = shapely.transform(geometry, axes.xy, interleaved=False)
@@ -325,7 +325,7 @@ def same_coordinates(file_crs: CRS, crs: CRS) -> bool:
     return file_crs.equals(crs, ignore_axis_order=True)
 
 
-def _crs(source: str, text: str | None, target: CRS) -> CRS:
+def _layer_crs(source: str, text: str | None, target: CRS) -> CRS:
     try:
         if text:
             return CRS.from_user_input(text)

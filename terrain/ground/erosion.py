@@ -28,13 +28,13 @@ TIME_STEP = 0.25
 HILLSIDE_AREA = 1e-3
 """Area that drains through a channel's head, as a share of the square of the ground's longest side."""
 
-CREEP = 0.1
+CREEP_FRACTION = 0.1
 """Soil creep, which rounds crests: the fraction of the way to its neighbours' mean that a cell moves in a step."""
 
 FINAL_CREEP_STEPS = 6
 """Final steps of creep alone: they soften the straight edges of channels cut along eight directions."""
 
-SHIFT_CELLS, SHIFT_WAVE_CELLS = 1.8, 3.1
+DISPLACEMENT_CELLS, DISPLACEMENT_WAVELENGTH_CELLS = 1.8, 3.1
 """Displacement of the ground at a refinement, and the wavelength of its noise, in cells of the coarser grid."""
 
 
@@ -48,7 +48,7 @@ def erode(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np
     height, side = start.copy(), max(start.shape) - 1.0
     for refinement in range(halvings + 1):
         if refinement:
-            height, uplift = _refine(height, SHIFT_CELLS, seed + 2 * refinement), _refine(uplift, 0.0, 0)
+            height, uplift = _refine(height, DISPLACEMENT_CELLS, seed + 2 * refinement), _refine(uplift, 0.0, 0)
             side *= 2.0
         for _ in range(STEPS_PER_REFINEMENT[min(refinement, len(STEPS_PER_REFINEMENT) - 1)]):
             order, receiver = drainage(height)
@@ -123,11 +123,11 @@ def _creep(height):
     for i in range(1, rows - 1):
         for j in range(1, cols - 1):
             mean = 0.25 * (before[i - 1, j] + before[i + 1, j] + before[i, j - 1] + before[i, j + 1])
-            height[i, j] += CREEP * (mean - before[i, j])
+            height[i, j] += CREEP_FRACTION * (mean - before[i, j])
 
 
 @compiled
-def _refine(coarse_grid, shift, seed):
+def _refine(coarse_grid, displacement_cells, seed):
     """Return a grid of (2 m - 1, 2 n - 1) nodes, interpolated bilinearly in (m, n) nodes at positions displaced by noise.
 
     The rim is not displaced.
@@ -137,9 +137,9 @@ def _refine(coarse_grid, shift, seed):
     for i in range(2 * rows - 1):
         for j in range(2 * cols - 1):
             y, x = 0.5 * i, 0.5 * j
-            if shift > 0.0:
-                u, v = x / SHIFT_WAVE_CELLS, y / SHIFT_WAVE_CELLS
-                displacement = shift * min(1.0, 0.25 * min(min(x, y), min(cols - 1 - x, rows - 1 - y)))
+            if displacement_cells > 0.0:
+                u, v = x / DISPLACEMENT_WAVELENGTH_CELLS, y / DISPLACEMENT_WAVELENGTH_CELLS
+                displacement = displacement_cells * min(1.0, 0.25 * min(min(x, y), min(cols - 1 - x, rows - 1 - y)))
                 x += displacement * fractal_at(u, v, 2, seed)
                 y += displacement * fractal_at(u + 31.7, v + 47.1, 2, seed + 1)
             x, y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)

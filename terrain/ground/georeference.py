@@ -22,7 +22,7 @@ MAX_DEGREE_CELL = 0.02
 MAX_CELL_M = 50_000.0
 """Maximum side of a cell in a projected CRS, metres: a thousand such cells reach round the earth."""
 
-STATE_CRS_HINT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
+ASSIGN_CRS_HINT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
 
 
 def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
@@ -72,7 +72,7 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
         guess = (
             "; its coordinates may be degrees: EPSG:4326" if looks_like_degrees and has_small_cells and not gt.is_identity else ""
         )
-        raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({STATE_CRS_HINT}{guess})")
+        raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({ASSIGN_CRS_HINT}{guess})")
     try:
         crs = CRS.from_user_input(dataset.crs.to_wkt())
     except (CRSError, RasterioError):
@@ -90,14 +90,14 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
         expected_text = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
         raise SourceError(
             source, f"its coordinates ({extent_text}) lie outside its CRS {crs.name}",
-            f"Give {expected_text}, or state the CRS of these coordinates, such as a UTM zone for metres ({STATE_CRS_HINT})",
+            f"Give {expected_text}, or state the CRS of these coordinates, such as a UTM zone for metres ({ASSIGN_CRS_HINT})",
         )  # fmt: skip
     if crs.is_projected and looks_like_degrees and has_small_cells:
         unit = crs.axis_info[0].unit_name
         raise SourceError(
             source,
             f"its coordinates ({extent_text}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit})) look like degrees, not {crs.name}",
-            f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({STATE_CRS_HINT})",
+            f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({ASSIGN_CRS_HINT})",
         )  # fmt: skip
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0)
     if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MAX_CELL_M:

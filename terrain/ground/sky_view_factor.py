@@ -112,7 +112,7 @@ class SkyView:
         return pyramid(self.occlusion, np.mean)
 
     @cached_property
-    def highest(self) -> tuple[np.ndarray, np.ndarray]:
+    def maxima(self) -> tuple[np.ndarray, np.ndarray]:
         """Mip pyramid of maxima over 2 x 2 nodes, as ``pyramid`` returns it."""
         return pyramid(self.occlusion, np.max)
 

@@ -24,7 +24,7 @@ SENTINELS = (
 MIN_SENTINEL = 1e9
 """Absolute value from which a number, such as 1e38, is a sentinel: no unit gives such heights."""
 
-NEAR_SHARE = 0.25
+NEAR_DISTANCE_SHARE = 0.25
 """Other values count as near a sentinel within this share of its distance to their mean."""
 
 MIN_NEAR_DISTANCE_M = 50.0
@@ -89,7 +89,7 @@ class UndeclaredNodata:
         self._plausible_sentinels[value] += int(is_sentinel.sum())
         if others_m.size:
             sentinel_m = float(height_m[is_sentinel][0])
-            near_m = max(NEAR_SHARE * abs(float(others_m.mean()) - sentinel_m), MIN_NEAR_DISTANCE_M)
+            near_m = max(NEAR_DISTANCE_SHARE * abs(float(others_m.mean()) - sentinel_m), MIN_NEAR_DISTANCE_M)
             self._near_counts[value] += int((np.abs(others_m - sentinel_m) < near_m).sum())
 
     @property

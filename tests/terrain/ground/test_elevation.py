@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground import elevation as module
-from skugga.terrain.ground.elevation import FILL_CELLS, Elevation
+from skugga.terrain.ground.elevation import MAX_FILL_CELLS, Elevation
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"
@@ -70,7 +70,7 @@ def test_centre_of_a_large_hole_is_not_filled(write_raster):
     values[:, 50:350] = np.nan
     elevation = Elevation(str(write_raster(values, UTM, 0, 300, 10)))
     height, valid = heights_at(elevation, 15, np.arange(400))
-    assert np.isnan(height[0, 50 + FILL_CELLS + 2 : 350 - FILL_CELLS - 2]).all()
+    assert np.isnan(height[0, 50 + MAX_FILL_CELLS + 2 : 350 - MAX_FILL_CELLS - 2]).all()
     assert np.isfinite(height[0, :52]).all() and not valid[0, 50:350].any()
 
 
