@@ -72,7 +72,7 @@ from skugga.terrain.level.level import EffectName, load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.shading import shade, srgb_encoded
-from skugga.terrain.sky import sky
+from skugga.terrain.sky import sky_pixel_colors
 
 SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells a side and a map's pixels, their size, and the length and height of the waves of its ground."""
@@ -283,7 +283,7 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own_buffer.height_m]
     if not above:
         row, col = np.nonzero(~buffer.valid)
-        linear[row, col] = sky(scene, view, *picture.pixels_of_points(row, col))
+        linear[row, col] = sky_pixel_colors(scene, view, *picture.pixels_of_points(row, col))
         linear = picture.averaged(linear)
         layers.append(own_buffer.position_frame_m)
     return [srgb_encoded(linear), *layers]

@@ -14,7 +14,7 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.level.level import CasterKind, LoadedLevel
-from skugga.terrain.lights import LampRig, lamp_rig
+from skugga.terrain.lights import AnimatedLamp, animated_lamp
 from skugga.terrain.meshes.solids import Solids
 from skugga.terrain.trees.trees import Trees
 
@@ -52,7 +52,7 @@ class SceneObjects:
         if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
         other = replace(self, seconds=seconds)
-        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_crease", "lamp_rigs")})
+        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_crease", "animated_lamps")})
         return other
 
     @cached_property
@@ -90,10 +90,12 @@ class SceneObjects:
         return place_meshes(self.loaded, self.world, self.elevation)
 
     @cached_property
-    def lamp_rigs(self) -> dict[str, LampRig]:
+    def animated_lamps(self) -> dict[str, AnimatedLamp]:
         """The level's lamps by name, each with its positions at all times of the clock."""
         key_path, geolocator = f"{self.loaded.path}: lights", Geolocator(self.world, self.elevation)
-        return {name: lamp_rig(name, spec, geolocator, f"{key_path}.{name}") for name, spec in self.loaded.level.lights.items()}
+        return {
+            name: animated_lamp(name, spec, geolocator, f"{key_path}.{name}") for name, spec in self.loaded.level.lights.items()
+        }
 
     @cached_property
     def solids(self) -> Solids | None:

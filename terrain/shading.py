@@ -25,12 +25,12 @@ from skugga.terrain.shading_loops import (
     DaylightInFrame,
     ShadingParameters,
     Tints,
-    albedo_rows,
     encode_rows,
     luminance_of,
     shade_bare_ground,
     shade_rows,
-    slope_sky_rows,
+    write_albedo_rows,
+    write_slope_sky_rows,
 )
 from skugga.terrain.srgb import srgb_of_linear
 from skugga.terrain.style import TINT_COUNT, tint_table, veil_table
@@ -218,7 +218,7 @@ def slope_sky_view_factor(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the sky-view factor (rows, cols) float32 of each slope without its surroundings: 0.5 if vertical, 1 if level."""
     out = np.zeros(buffer.valid.shape, np.float32)
     centre = scene.world.up_origin(buffer.frame)
-    run_in_chunks(len(out), slope_sky_rows, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
+    run_in_chunks(len(out), write_slope_sky_rows, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
     return out
 
 
@@ -231,7 +231,7 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the linear albedo (rows, cols, 3) float32 of a buffer's points, with tint and water, as a new array."""
     albedo = np.zeros((*buffer.valid.shape, 3), np.float32)
     run_in_chunks(
-        len(albedo), albedo_rows, buffer.shading_inputs, scene.world.up_origin(buffer.frame), buffer.albedo,
+        len(albedo), write_albedo_rows, buffer.shading_inputs, scene.world.up_origin(buffer.frame), buffer.albedo,
         shading_parameters(scene, buffer.view, buffer.frame), albedo,
     )  # fmt: skip
     if scene.loaded.level.water is not None:

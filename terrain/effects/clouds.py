@@ -29,7 +29,7 @@ from skugga.terrain.ground.visible_cells import CellRange, full_cell_range, visi
 from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of, night_sky_share
-from skugga.terrain.shading_loops import dusk_of
+from skugga.terrain.shading_loops import twilight_sky_share
 
 CLOUD_HEIGHT_M, CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
@@ -65,7 +65,7 @@ INVISIBLE_SHARE = 0.008
 
 If light loses the share ``a``, its sRGB code loses the share ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``. The code, without the
 offset of the sRGB curve, is at most 1.055. The loss is smaller in the linear part of the curve near black, and where
-``skugga.terrain.shading_loops.shoulder`` compresses bright light. It reaches a step of 1/255 at ``a`` = 0.0089. The smaller value
+``skugga.terrain.shading_loops.tone_curve`` compresses bright light. It reaches a step of 1/255 at ``a`` = 0.0089. The smaller value
 here allows for the 4096 steps of the encoding table.
 """
 
@@ -306,7 +306,7 @@ def _direct_share(scene: Scene) -> float:
     low, high = scene.height_range_m
     bare = low == high and scene.objects.kinds == ("relief",)
     direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
-    sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else MIN_SKY_SHARE)
+    sky = light.sky * (night + (1.0 - night) * float(twilight_sky_share(sine))) * (1.0 if bare else MIN_SKY_SHARE)
     sky = sky * (1.0 - scene.style.sky_greying)  # greying takes this share from a pure red, green or blue
     return float((direct / (direct + sky)).max())
 

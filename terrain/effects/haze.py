@@ -50,7 +50,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, geodetic
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of
-from skugga.terrain.shading_loops import shoulder
+from skugga.terrain.shading_loops import tone_curve
 from skugga.terrain.sky import horizon_colors, horizontal_sun_direction, sky_colors, sky_of, transmittances
 from skugga.terrain.srgb import srgb_of_linear
 
@@ -207,7 +207,7 @@ def _sunlit_white(scene: Scene) -> np.ndarray:
     if scene.loaded.level.water is not None:
         return np.ones(3)
     sunlight = daylight_of(scene).sun
-    return np.array([shoulder(channel) for channel in sunlight])
+    return np.array([tone_curve(channel) for channel in sunlight])
 
 
 def _visible_haze_distance_m(scene: Scene, visibility_m: float) -> float:

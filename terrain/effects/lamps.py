@@ -22,7 +22,7 @@ from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible
 from skugga.terrain.lights import CONE_FADE_SHARE, Lamp
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import LEAF_TRANSLUCENCY, daylight_of, exposure_of, night_sky_share
-from skugga.terrain.shading_loops import MIN_SKY_FACTOR, dusk_of
+from skugga.terrain.shading_loops import MIN_SKY_FACTOR, twilight_sky_share
 from skugga.terrain.srgb import srgb_of_linear
 
 MAX_NAMED_LAMPS = 8
@@ -112,7 +112,7 @@ def _min_visible_irradiance(scene: Scene) -> float:
     """
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_sky_share(scene)
-    sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
+    sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * twilight_sky_share(sine))
     ground_light = 0.25 * (1.0 if scene.sun is None else MIN_SKY_FACTOR) * sky if "meshes" not in scene.objects.kinds else 0.0
     increments = np.geomspace(1e-6, 1.0, 256)
     return float(

@@ -35,7 +35,7 @@ from skugga.terrain.shading import (
     sky_lit_albedo,
     srgb_encoded,
 )
-from skugga.terrain.shading_loops import dusk_of
+from skugga.terrain.shading_loops import twilight_sky_share
 from skugga.terrain.style import tint_table
 
 COMPARED_SHADES = 4096
@@ -120,7 +120,7 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
     albedo = sky_lit_albedo(tints, shading_parameters(scene, view)).max(axis=0) if plain else np.ones(3)
     night = night_sky_share(scene)
-    day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
+    day = 0.0 if scene.highest_sun_deg is None else float(twilight_sky_share(np.sin(np.radians(scene.highest_sun_deg))))
     return float((albedo * daylight_of(scene).sky).max()) * max_slope_sky_factor(scene) * (night + (1.0 - night) * day)
 
 

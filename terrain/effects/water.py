@@ -47,7 +47,7 @@ from skugga.terrain.shading import (
     srgb_encoded,
     water_in,
 )
-from skugga.terrain.shading_loops import dusk_of, shoulder
+from skugga.terrain.shading_loops import tone_curve, twilight_sky_share
 from skugga.terrain.sky import sky_color, sky_of
 
 WIND_M_S = 3.0
@@ -220,12 +220,12 @@ def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np
     """
     light, night = daylight_of(scene), night_sky_share(scene)
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
-    sky = light.sky * (night + (1.0 - night) * dusk_of(sine))
+    sky = light.sky * (night + (1.0 - night) * twilight_sky_share(sine))
     draped = scene.loaded.level.terrain.imagery is not None
     water_albedo = np.array(scene.style.water)
     darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, shading_parameters(scene, view)), water_albedo)
     dark, bright = MIN_SKY_VIEW_FACTOR * sky * darkest, (sky + light.sun * max(sine, 0.0) + _max_lamp_irradiance(scene)) * brightest
-    bright = np.array([shoulder(channel) for channel in bright])
+    bright = np.array([tone_curve(channel) for channel in bright])
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, TESTED_ANGLE_COUNT))
     tested_colors = (dark + (bright - dark) * np.linspace(0.0, 1.0, TESTED_COLOR_COUNT)[:, None, None] ** 2).astype(np.float32)
     tested_colors = np.ascontiguousarray(np.broadcast_to(tested_colors, (TESTED_COLOR_COUNT, TESTED_ANGLE_COUNT, 3)))

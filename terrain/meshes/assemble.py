@@ -115,7 +115,7 @@ def solids(placement: Placement, seconds: float) -> Solids:
         albedo=np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body, _ in visible)]),
         corner_normals_earth=np.concatenate([np.empty((0, 3, 3), np.float32), *normals]),
         body=np.repeat(np.arange(len(visible), dtype=np.int32), counts),
-        closed=tuple(body.closed for body, _ in visible),
+        is_closed=tuple(body.is_closed for body, _ in visible),
         caster_vertices_earth_m=caster_vertices,
         caster_triangles=caster_triangles,
     )

@@ -50,7 +50,7 @@ MAX_CROWN_RATIO = 1.2
 HEXAGONAL_PACKING = 2.0 / np.sqrt(3.0)
 """Number of crowns in a square with a crown's diameter as side, in a closed canopy (hexagonal packing)."""
 
-_BLOCK = 1024
+_BLOCK_CELLS = 1024
 """Side of the blocks of treetop detection, cells."""
 
 _SQUARE_M, _SQUARE_CELLS = 1000.0, 16.0
@@ -191,7 +191,7 @@ class Canopy:
         unit_m: float,
         window: CellWindow,
         crown_of: Callable[[np.ndarray], np.ndarray],
-        window_m: tuple[float, float],
+        radius_line: tuple[float, float],
         seed: int,
     ) -> Iterator[CanopyTrees]:
         """Yield the trees of a window of the canopy, in parts.
@@ -209,7 +209,7 @@ class Canopy:
             The window of cells.
         crown_of
             Function from heights to usual crown diameters, both in metres.
-        window_m
+        radius_line
             Radius of a treetop's window: metres, and metres per metre of height (``TREETOP_WINDOW_M``).
         seed
             Seed of the hashes from which positions and other random properties of trees derive.
@@ -229,27 +229,27 @@ class Canopy:
                 yield from self._scatter_low_trees(crs, unit_m, square, crown_of, detection_limit_m, seed)
         if np.isinf(detection_limit_m):
             return
-        for row, col, height_m in self.tops(to_m, window, window_m):
+        for row, col, height_m in self.treetops(to_m, window, radius_line):
             x, y = self.xy(crs, row, col)
             valid = np.isfinite(x) & np.isfinite(y) & (height_m >= detection_limit_m)
             positions = TreePositions(x[valid], y[valid], point_keys(seed, x[valid] * unit_m, y[valid] * unit_m))
             yield CanopyTrees(positions, height_m[valid])
 
-    def tops(
-        self, metres_from_cells: np.ndarray, window: CellWindow, window_m: tuple[float, float]
+    def treetops(
+        self, metres_from_cells: np.ndarray, window: CellWindow, radius_line: tuple[float, float]
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield rows, columns and heights (metres) of the treetops in a window, block by block.
 
-        ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground. ``window_m`` is the radius of a
+        ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground. ``radius_line`` is the radius of a
         treetop's window: metres, and metres per metre of height.
         """
-        offsets, distance_m = _window_offsets(metres_from_cells, window_m[0] + window_m[1] * MAX_HEIGHT_M)
+        offsets, distance_m = _window_offsets(metres_from_cells, radius_line[0] + radius_line[1] * MAX_HEIGHT_M)
         halo = int(np.abs(offsets).max())
-        for top in range(window.row0, window.row1, _BLOCK):
-            for left in range(window.col0, window.col1, _BLOCK):
-                rows, cols = min(_BLOCK, window.row1 - top), min(_BLOCK, window.col1 - left)
+        for top in range(window.row0, window.row1, _BLOCK_CELLS):
+            for left in range(window.col0, window.col1, _BLOCK_CELLS):
+                rows, cols = min(_BLOCK_CELLS, window.row1 - top), min(_BLOCK_CELLS, window.col1 - left)
                 heights = self.heights_m(top - halo, left - halo, rows + 2 * halo, cols + 2 * halo)
-                is_top = _treetop_mask(heights, halo, top - halo, left - halo, offsets, distance_m, *window_m)
+                is_top = _treetop_mask(heights, halo, top - halo, left - halo, offsets, distance_m, *radius_line)
                 row, col = np.nonzero(is_top)
                 yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
 
