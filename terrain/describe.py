@@ -12,7 +12,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.clip_space import bend_px
-from skugga.terrain.casters.reach import overview_on_grid
+from skugga.terrain.casters.overview_cells import overview_on_grid
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.lamps import visible_lamps
 from skugga.terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of

@@ -19,8 +19,8 @@ from typing import Protocol
 import numpy as np
 from pyproj import CRS
 
-from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.fine_cells import fine_cells
+from skugga.terrain.casters.overview_cells import CELL_MARGIN_WIDTHS, columns_per_turn, overview_light_space, overview_on_grid
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -30,15 +30,11 @@ from skugga.terrain.geo.sun import position_at
 from skugga.terrain.geo.world import (
     EARTH_RADIUS_M,
     LONGITUDE_LATITUDE,
-    WGS84,
     LocalFrame,
-    World,
-    epsg_of,
     is_longitude_latitude,
     transformer,
 )
 from skugga.terrain.ground.columns import ColumnIndices, ColumnWindow
-from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
 
@@ -58,9 +54,6 @@ MAX_FULL_DETAIL_NODES_PER_CELL, MIN_FULL_DETAIL_NODES = 16, 2 * PATCH_QUADS
 ends. The distance falls in proportion to the number of nodes per cell. Nodes that are denser than cells only repeat the raster's
 bilinear surface. Without this rule maps with pixels of centimetres would read millions of patches.
 """
-
-CELL_MARGIN_WIDTHS = 1.5
-"""Maximum distance of an overview cell's ground from the cell's centre, in widths of a cell, with a margin."""
 
 COARSE_CELL_NODES = PATCH_QUADS / 4
 """Half the width of an overview cell, in nodes of the block's grid, above which finer cells replace the cell."""
@@ -222,7 +215,7 @@ def _needs_sun_casters(scene: Scene, buffer: Receivers) -> bool:
 
 def _occluder_cell_mask(scene: Scene, buffer: Receivers) -> np.ndarray:
     """Return the mask (rows, cols) of the overview's cells whose ground may lie between a buffer's points and the sun."""
-    light, slack = _overview_light_space(scene)
+    light, slack = overview_light_space(scene)
     return _is_towards_sun(scene, buffer, light, slack)
 
 
@@ -295,66 +288,8 @@ def _sunward_extent_m(scene: Scene, buffer: Receivers, occluder_mask: np.ndarray
     assert scene.light is not None
     if not occluder_mask.any():
         return 0.0
-    towards = scene.light.horizontal_sunward_m(_overview_light_space(scene)[0][occluder_mask])
+    towards = scene.light.horizontal_sunward_m(overview_light_space(scene)[0][occluder_mask])
     return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
-
-
-@cached("light", 256 * MIB)
-def _overview_light_space(scene: Scene) -> tuple[np.ndarray, float]:
-    """Return the highest ground of each of the overview's cells, and the radius of a cell's ground with a margin, metres.
-
-    The ground is a point in light space (rows, cols, 3) above the cell's centre, NaN in holes.
-    """
-    point, up = _overview_on_earth(scene.world, scene.elevation)
-    assert scene.light is not None
-    top = point + up * scene.elevation.overview.high_m[..., None]
-    return scene.light.from_earth(top), _overview_cell_m(scene) * CELL_MARGIN_WIDTHS
-
-
-@cached("scene", 256 * MIB)
-def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    return world.ground(elevation.crs, *_overview_xy(elevation))
-
-
-def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    overview = elevation.overview
-    rows, cols = overview.heights_m.shape
-    factor = 2**overview.lod
-    col, row = np.meshgrid((np.arange(cols) + 0.5) * factor - 0.5, (np.arange(rows) + 0.5) * factor - 0.5)
-    return elevation.xy(row, col)
-
-
-def _overview_cell_m(scene: Scene) -> float:
-    return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.lod
-
-
-@cached("scene", 256 * MIB)
-def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows, columns and half widths of the overview's cells on a map grid, each float64 (rows, cols), in nodes.
-
-    Rows and columns are those of the cells' centres. Half widths include a margin. Columns are continuous across the antimeridian.
-    """
-    x, y = _overview_xy(elevation)
-    if grid.crs != elevation.crs:
-        x, y = transformer(elevation.crs, grid.crs).transform(x, y)
-    row, col = grid.row(np.asarray(y)), grid.col(np.asarray(x))
-    period = _columns_per_turn(grid)
-    if period is not None and np.isfinite(col).all():
-        col = np.unwrap(np.unwrap(col, period=period, axis=1), period=period, axis=0)
-    size = np.zeros_like(row)
-    with np.errstate(invalid="ignore"):
-        for values in (row, col):
-            for axis in (0, 1):
-                if values.shape[axis] > 1:
-                    size = np.fmax(size, np.abs(np.gradient(values, axis=axis)))
-    return row, col, size + 1.0
-
-
-def _columns_per_turn(grid: Grid) -> float | None:
-    """Return the number of a grid's columns round the earth; ``None`` in a CRS whose maps do not close round the earth."""
-    if grid.crs.is_geographic:
-        return 360.0 / grid.step
-    return 2.0 * np.pi * WGS84.a / grid.step if epsg_of(grid.crs) == 3857 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,7 +324,7 @@ def _find_occluder_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _
     occluder_mask = occluder_mask & np.isfinite(row) & np.isfinite(col) & np.isfinite(half_extent_nodes)
     row, col, half_extent_nodes = row[occluder_mask], col[occluder_mask], half_extent_nodes[occluder_mask]
     rows, cols = block_ground.shape
-    period = _columns_per_turn(grid)
+    period = columns_per_turn(grid)
     if period is not None and len(col):
         col = col + period * np.rint((block_ground.col0 + cols / 2 - np.median(col)) / period)
     outside = occluder_mask.copy()

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.terrain.casters.reach import longest_shadow_m, overview_on_grid
+from skugga.terrain.casters.overview_cells import overview_on_grid
+from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView
 from skugga.terrain.scene import Scene
 

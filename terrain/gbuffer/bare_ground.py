@@ -18,17 +18,9 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.geometry import normal_stencil_radius
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.cell_finder import STEREOGRAPHIC, cell_in_square, lattice_square, project_to_plane, square_corners
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.sky_view_factor import (
-    STEREOGRAPHIC,
-    SkyView,
-    cell_in_square,
-    lattice_square,
-    mip_pair,
-    project_to_plane,
-    sky_occlusion_row,
-    square_corners,
-)
+from skugga.terrain.ground.sky_view_factor import SkyView, mip_pair, sky_occlusion_row
 from skugga.terrain.ground.surface import Surface, map_pixel_m
 from skugga.terrain.ground.surface_loops import add_heights, interpolate_columns, interpolate_row_between
 from skugga.terrain.scene import Scene
