@@ -1,4 +1,4 @@
-"""Cloud shadows: how much ground they shade, where they lie, and when they are called for."""
+"""Cloud shadows: how much ground they shade, where they lie, and when they are needed."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def test_clouds_are_left_out_with_a_reason(make_scene, write_raster, keys: dict,
     assert np.array_equal(with_clouds, without_clouds)
 
 
-def test_clouds_are_called_for_only_where_they_show(make_cloudy_scene) -> None:
+def test_clouds_are_needed_only_where_they_show(make_cloudy_scene) -> None:
     # At this cover a cloud lies over this ground at some times, and none at others.
     scene = make_cloudy_scene(0.02, size=40)
     run_count, invisible_count = 0, 0

@@ -139,7 +139,7 @@ def test_haze_leaves_invalid_pixels_unchanged(make_floor_scene):
     assert (color[0, 1] == 0.125).all() and (color[0, 0] != 0.125).all()
 
 
-def test_haze_is_not_called_for_in_maps_near_views_and_sky(make_floor_scene):
+def test_haze_is_not_needed_in_maps_near_views_and_sky(make_floor_scene):
     hazy_scene = make_floor_scene(weather={"visibility": 100})
     assert "no viewing distance" in verdict(hazy_scene, "map").reason and not verdict(hazy_scene, "map").is_needed
     near = make_floor_scene(eye=(0.0, 0.0, 3.0), target=(0.0, 0.5, 0.0))
@@ -257,9 +257,9 @@ def test_clear_air_visibility_grows_with_the_eye_s_height(make_floor_scene):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("away", [0.98, 1.02])
+@pytest.mark.parametrize("distance_ratio", [0.98, 1.02])
 @pytest.mark.parametrize("altitude", [35, -20])
-def test_haze_is_called_for_exactly_where_it_shows(gl, make_floor_scene, altitude, away):
+def test_haze_is_needed_exactly_where_it_shows(gl, make_floor_scene, altitude, distance_ratio):
     """The visibility puts the farthest visible point just before, or just beyond, the distance from which haze can show."""
     keys = {
         "sun": {"azimuth": 200, "altitude": altitude},
@@ -268,12 +268,12 @@ def test_haze_is_called_for_exactly_where_it_shows(gl, make_floor_scene, altitud
     }
     probe = make_floor_scene(weather={"visibility": 1e7}, **keys)
     facts = describe(probe, probe.view("v"), "v").facts["haze"]
-    visibility = 1e7 * facts["farthest_m"] / facts["shows_from_m"] / away
+    visibility = 1e7 * facts["farthest_m"] / facts["shows_from_m"] / distance_ratio
     scene = make_floor_scene(weather={"visibility": visibility}, **keys)
     auto_color, passes = render_picture(scene, "auto")
     without_haze = render_picture(scene, "off")[0]
     if verdict(scene).is_needed:
-        assert away > 1.0 and "haze" in passes and (auto_color != without_haze).any()
+        assert distance_ratio > 1.0 and "haze" in passes and (auto_color != without_haze).any()
     else:
         assert "haze" not in passes and (auto_color == without_haze).all()
         assert np.abs(render_picture(scene, "on")[0] - without_haze).max() <= 1

@@ -1,4 +1,4 @@
-"""Snow: where it lies, what steep ground shows, and when it is called for."""
+"""Snow: where it lies, what steep ground shows, and when it is needed."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_snow_of_map_parts_agrees(make_slope_scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "called", "reason"),
+    ("keys", "is_needed", "reason"),
     [
         ({}, True, "38 to 52 degrees"),
         ({"weather": {"snow": False}}, False, "the level sets no snow"),
@@ -138,16 +138,16 @@ def test_snow_of_map_parts_agrees(make_slope_scene) -> None:
         ({"water": {"level": 50.0}}, True, "slopes below"),
     ],
 )
-def test_snow_is_called_for_only_where_it_shows(make_slope_scene, keys: dict, called: bool, reason: str) -> None:
+def test_snow_is_needed_only_where_it_shows(make_slope_scene, keys: dict, is_needed: bool, reason: str) -> None:
     scene = make_slope_scene(10.0, **keys)
     view = scene.view(size=(60, 60))
     verdict = snow.judge(describe(scene, view))
-    assert verdict.is_needed is called and reason in verdict.reason
+    assert verdict.is_needed is is_needed and reason in verdict.reason
     frames = []
-    for wish in ("on", "off"):
-        level = scene.loaded.level.model_copy(update={"effects": {"snow": wish}})
+    for setting in ("on", "off"):
+        level = scene.loaded.level.model_copy(update={"effects": {"snow": setting}})
         frames.append(render_frame(scene, view, make_plan(describe(scene, view), level, {})).color.astype(int))
-    assert (np.abs(frames[0] - frames[1]).max() > 1) == called
+    assert (np.abs(frames[0] - frames[1]).max() > 1) == is_needed
 
 
 def test_sunlit_snow_is_not_overexposed(make_slope_scene) -> None:

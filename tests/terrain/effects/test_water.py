@@ -1,4 +1,4 @@
-"""Standing water: its surface wherever ground lies below it, its paint, and its reflections."""
+"""Standing water: its surface wherever ground lies below it, its colour, and its reflections."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_seen_facets_match_integrals_over_all_facets(cosine):
 
 @pytest.mark.parametrize("altitude_deg", [90.0, 50.0, 20.0])
 def test_glint_carries_the_fresnel_share_of_sunlight(altitude_deg):
-    """White paint sends pi times its radiance up, so the integral is divided by pi.
+    """A white matt surface reflects pi times its radiance upwards, so the integral is divided by pi.
 
     Waves hide some of the light from each other.
     """
@@ -202,7 +202,7 @@ def test_glint_peaks_under_the_sun_and_is_symmetric():
 
 
 @pytest.mark.parametrize("name", ["map", "rim", "down"])
-def test_water_is_called_for_by_day_and_changes_only_water(make_lake, name):
+def test_water_is_needed_by_day_and_changes_only_water(make_lake, name):
     scene = make_lake()
     assert verdict(scene, name).is_needed
     with_water, without_water = (render_lake(scene, name, water_on) for water_on in (True, False))

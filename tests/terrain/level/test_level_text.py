@@ -32,7 +32,7 @@ def level(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected_text"),
     [
         (NESTED_LISTS, "after alias expansion"),
         (NESTED_MERGES, "after alias expansion"),
@@ -47,11 +47,11 @@ def level(tmp_path):
     ],
     ids=["lists", "merges", "chain", "itself", "brackets", "dashes", "values", "escape", "surrogate", "key"],
 )
-def test_harmful_level_text_is_rejected_in_one_short_line(level, text, said):
+def test_harmful_level_text_is_rejected_in_one_short_line(level, text, expected_text):
     with pytest.raises(LevelError) as caught:
         load_level(level(LEVEL_HEAD + text))
     message = str(caught.value)
-    assert said in message and "line " in message and len(message) < 500 and message.isprintable()
+    assert expected_text in message and "line " in message and len(message) < 500 and message.isprintable()
 
 
 def test_anchors_aliases_and_merges_are_expanded():

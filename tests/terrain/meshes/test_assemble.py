@@ -244,7 +244,7 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
 
 
 @pytest.mark.parametrize(
-    "mesh, kind, said",
+    "mesh, kind, expected_text",
     [
         ({"source": "arrow.ply", "at": [101, 0]}, None, []),  # on the outermost half cell
         ({"source": "arrow.ply", "at": [120, 0]}, LevelError, ["meshes.0.at", "(120.0, 0.0)", "-105.00, -55.00, 105.00, 55.00"]),
@@ -269,14 +269,14 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
         ({"source": "none.geojson", "height": 3}, SourceError, ["none.geojson", "no such file"]),
     ],
 )  # fmt: skip
-def test_mesh_error_names_the_key_in_one_line(scene_of, mesh, kind, said):
+def test_mesh_error_names_the_key_in_one_line(scene_of, mesh, kind, expected_text):
     scene = scene_of(FLOOR_TERRAIN, mesh)
     if kind is None:
         assert assemble_solids(scene) is not None
         return
     with pytest.raises(kind) as caught:
         assemble_solids(scene)
-    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert all(part in str(caught.value) for part in expected_text), str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -316,7 +316,7 @@ def test_building_in_a_flat_world(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "mesh, kind, said",
+    "mesh, kind, expected_text",
     [
         ({"height": "storeys"}, SourceError, ["b.gpkg", "no attribute 'storeys'", "tall, name"]),
         ({}, LevelError, ["meshes.0.height: missing", "b.gpkg (tall, name)", "surface and ground"]),
@@ -334,26 +334,26 @@ def test_building_in_a_flat_world(tmp_path):
         ({"surface": "none.tif", "ground": "dem.tif"}, SourceError, ["none.tif"]),
     ],
 )
-def test_building_error_names_the_key_in_one_line(tmp_path, level_ground, mesh, kind, said):
+def test_building_error_names_the_key_in_one_line(tmp_path, level_ground, mesh, kind, expected_text):
     source = write_footprints(tmp_path / "b.gpkg", [SQUARE, COURTYARD_BLOCK], tall=[3.0, 1500.0], name=["tower", "yard"])
     with pytest.raises(kind) as caught:
         place_footprints(tmp_path, level_ground, source=source, **mesh)
-    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert all(part in str(caught.value) for part in expected_text), str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    "geometry, said",
+    "geometry, expected_text",
     [
         (shapely.Point(500100, 5000100), ["Point geometries", "Use polygons, or a model"]),
         (affinity.translate(SQUARE, 50000, 0), ["footprints within 15.6", "on the terrain: within 15.0"]),
     ],
 )
-def test_invalid_geometry_is_rejected(tmp_path, level_ground, geometry, said):
+def test_invalid_geometry_is_rejected(tmp_path, level_ground, geometry, expected_text):
     source = write_footprints(tmp_path / "b.gpkg", [geometry])
     with pytest.raises(SourceError) as caught:
         place_footprints(tmp_path, level_ground, source=source, height=5)
-    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert all(part in str(caught.value) for part in expected_text), str(caught.value)
 
 
 def test_no_usable_height_is_a_single_error(tmp_path, level_ground):

@@ -131,7 +131,7 @@ def write_truncated_glb(path):
 
 
 @pytest.mark.parametrize(
-    "name, write, said",
+    "name, write, expected_text",
     [
         ("none.glb", lambda path: None, "no such file"),
         ("broken.glb", write_truncated_glb, "cannot be read"),
@@ -142,12 +142,12 @@ def write_truncated_glb(path):
         ("line.obj", write_degenerate_triangle, "no triangle with an area"),
     ],
 )
-def test_invalid_model_is_rejected_in_one_line(tmp_path, capfd, name, write, said):
+def test_invalid_model_is_rejected_in_one_line(tmp_path, capfd, name, write, expected_text):
     write(tmp_path / name)
     with pytest.raises(SourceError) as caught:
         read_model(str(tmp_path / name))
     message = str(caught.value)
-    assert name in message and said in message and "\n" not in message, message
+    assert name in message and expected_text in message and "\n" not in message, message
     assert capfd.readouterr() == ("", "")
 
 
