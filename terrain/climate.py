@@ -5,7 +5,8 @@ Latitude and height alone decide, so that a place has the same colour in every m
 - **Ice** lies above the snow line. The snow line is at sea level in Antarctica and highest in the dry subtropics.
 - **Vegetation** thins out in the subtropics, where air sinks and dries, and towards the poles, where it is cold.
 
-The model ignores rain from mountains and coasts: Florida and the Sahara get the same share of desert colours, at most ``MAX_ARID``.
+The model ignores rain from mountains and coasts: Florida and the Sahara get the same share of desert colours, at most
+``MAX_DESERT_SHARE``.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Rounded from the lower ends of glaciers in the Alps, Scandinavia, Svalbard, the 
 ICE_BLEND_M = 250.0
 """Half the range of heights, centred on the snow line, over which ground blends into ice."""
 
-MAX_ARID, ARID_LATITUDES_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
+MAX_DESERT_SHARE, ARID_LATITUDES_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
 """Share of the desert's colours in the middle of the dry belt, and the latitudes over which that share rises and falls."""
 
 TUNDRA_LATITUDES_DEG = (60.0, 70.0), (-52.0, -60.0)
@@ -89,7 +90,7 @@ def _arid_share(latitude_deg: np.ndarray) -> np.ndarray:
     (rise_start, rise_end), (fall_start_deg, fade_end) = ARID_LATITUDES_DEG
     abs_latitude = np.abs(latitude_deg)
     return (
-        MAX_ARID
+        MAX_DESERT_SHARE
         * smoothstep((abs_latitude - rise_start) / (rise_end - rise_start))
         * smoothstep((fade_end - abs_latitude) / (fade_end - fall_start_deg))
     )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skugga.terrain.meshes.assemble import Placement
     from skugga.terrain.trees.forest import Planting
 
-CREASE_DISTANCE = 0.8
+MIN_EDGE_NORMAL_DISTANCE = 0.8
 """Minimum distance of the unit normals of two faces at a sharp edge: 47 degrees. Below it the surface counts as smooth."""
 
 
@@ -111,8 +111,8 @@ class SceneObjects:
     def solid_crease(self) -> np.ndarray:
         """How far the smooth surface round each triangle of the meshes bends upwards, float32 (n,).
 
-        The measure is that of ``skugga.terrain.meshes.facets.creases``. Sharp edges (``CREASE_DISTANCE``) do not count. It is the
-        same at every second of the clock, since bodies are rigid and share no vertices.
+        The measure is that of ``skugga.terrain.meshes.facets.creases``. Sharp edges (``MIN_EDGE_NORMAL_DISTANCE``) do not count. It
+        is the same at every second of the clock, since bodies are rigid and share no vertices.
         """
         if self.solids is None:
             return np.zeros(0, np.float32)
@@ -120,7 +120,7 @@ class SceneObjects:
 
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
         normals, adjacency = face_normals(vertices, triangles), node_faces(len(vertices), triangles)
-        return creases(vertices, normals, triangles, adjacency, CREASE_DISTANCE, np.ones(len(triangles), np.bool_))
+        return creases(vertices, normals, triangles, adjacency, MIN_EDGE_NORMAL_DISTANCE, np.ones(len(triangles), np.bool_))
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:

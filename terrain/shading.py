@@ -60,7 +60,7 @@ MAP_FOLIAGE_FACTOR = 2.0
 LEAF_TRANSLUCENCY = 0.3
 """Share of foliage's light that does not depend on its normal. Leaves are translucent and lie in all directions."""
 
-CLOUD_LIGHT = (0.94, 0.97, 1.00)
+CLOUD_LIGHT_COLOR = (0.94, 0.97, 1.00)
 """Linear colour of the light that passes through clouds."""
 
 OVERCAST_GROUND_EXPOSURE = 0.56
@@ -97,7 +97,7 @@ def daylight_of(scene: Scene) -> Daylight:
     cover, style = scene.loaded.level.weather.cloud_cover, scene.style
     clear_sky_light, grey = (
         np.array(style.skylight) * LEVEL_GROUND_EXPOSURE * SKY_SHARE / (1.0 + SKY_SHARE),
-        np.array(CLOUD_LIGHT) * OVERCAST_GROUND_EXPOSURE,
+        np.array(CLOUD_LIGHT_COLOR) * OVERCAST_GROUND_EXPOSURE,
     )
     sun = np.array(style.sunlight) * exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     return Daylight(np.zeros(3) if scene.loaded.level.weather.is_overcast else sun, (1.0 - cover) * clear_sky_light + cover * grey)

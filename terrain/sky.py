@@ -35,11 +35,11 @@ SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
 CLOUDY_SKY = (0.60, 0.64, 0.68)
 """Linear colour of an overcast sky."""
 
-AIR_DEPTH = (0.105, 0.180, 0.325)
+OPTICAL_DEPTH_OF_AIR = (0.105, 0.180, 0.325)
 """Optical depth of the air overhead for red, green and blue light: Rayleigh scattering, ozone and 0.05 of aerosol."""
 
 SINGLE_SCATTERING_SHARE = 0.45
-"""Share of ``AIR_DEPTH`` that colours the horizon. Multiple scattering compensates the rest."""
+"""Share of ``OPTICAL_DEPTH_OF_AIR`` that colours the horizon. Multiple scattering compensates the rest."""
 
 MAX_AIR_MASS = 22.0
 """Maximum optical air mass of a path, as of a sun at 1.5 degrees. A longer path is lit from above, too."""
@@ -50,7 +50,7 @@ LOW_SUN_DEG = (2.0, 16.0)
 OPPOSITE_SHARE = 0.22
 """Share of the sunlight's colour in the horizon opposite to the sun."""
 
-DAY_FADE, LOW_SUN_FADE = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
+HIGH_SUN_FADE_RATES, LOW_SUN_FADE_RATES = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
 """Rates per sine of the altitude at which the horizon's colour fades into the zenith's: under a high sun, and under a low one."""
 
 ZENITH_DARKENING = 0.25
@@ -80,9 +80,9 @@ class Sky(NamedTuple):
         The zenith's colour.
     glow
         The colour of the light round the sun.
-    aureole
+    aureole_share
         Share of ``glow``, 0 to 1.
-    fade
+    fade_rates
         (3,), rates per sine of the altitude at which the horizon's colour fades into the zenith's.
     sun_sine_cosine
         (2,), sine and cosine of the sun's altitude.
@@ -92,8 +92,8 @@ class Sky(NamedTuple):
     opposite: np.ndarray
     zenith: np.ndarray
     glow: np.ndarray
-    aureole: float
-    fade: np.ndarray
+    aureole_share: float
+    fade_rates: np.ndarray
     sun_sine_cosine: np.ndarray
 
 
@@ -113,7 +113,7 @@ def sky_of(scene: Scene) -> Sky:
 
     zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - ZENITH_DARKENING * low_sun_share) + cover * grey) * brightness
     aureole = (1.0 - cover) * twilight
-    fade = np.array(DAY_FADE) + (np.array(LOW_SUN_FADE) - np.array(DAY_FADE)) * low_sun_share
+    fade = np.array(HIGH_SUN_FADE_RATES) + (np.array(LOW_SUN_FADE_RATES) - np.array(HIGH_SUN_FADE_RATES)) * low_sun_share
     sun = np.array([sine, np.sqrt(max(1.0 - sine * sine, 0.0))])
     return Sky(horizon_color(1.0), horizon_color(OPPOSITE_SHARE), zenith, np.sqrt(lit) * brightness, aureole, fade, sun)
 
@@ -258,4 +258,4 @@ def _sunlight_color(altitude_deg: float) -> np.ndarray:
     """
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
-    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(AIR_DEPTH))
+    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(OPTICAL_DEPTH_OF_AIR))

@@ -26,7 +26,7 @@ from skugga.terrain.level.parts import PerspectiveSpec
 LATTICE_NODES = 257
 """Nodes of the lattice along its longer side."""
 
-MAX_VIEWED_M, MAX_VIEWED_CELLS = 60_000.0, 240.0
+MAX_SEARCHED_SIDE_M, MAX_SEARCHED_SIDE_CELLS = 60_000.0, 240.0
 """Longest side of the part of a level that is searched, in metres or in cells, whichever is longer.
 
 Beyond that distance air hides the ground. With fewer cells the picture would show single cells.
@@ -76,7 +76,7 @@ class _Lattice:
     ----------
     height_m
         (rows, cols) float64, heights in metres; NaN without ground.
-    light
+    brightness
         (rows, cols), brightness of each node, 0 to 1.
     step_m
         Distance between nodes in metres.
@@ -85,7 +85,7 @@ class _Lattice:
     """
 
     height_m: np.ndarray
-    light: np.ndarray
+    brightness: np.ndarray
     step_m: float
     points_earth_m: np.ndarray
 
@@ -104,7 +104,14 @@ def find_viewpoint(world: World, elevation: Elevation, sun: Sun | None) -> Persp
     azimuths = np.radians(np.arange(AZIMUTH_COUNT) * 360.0 / AZIMUTH_COUNT)
     sun_azimuth = np.nan if sun is None else np.radians(sun.azimuth_deg)
     scores = _view_scores(
-        lattice.height_m, lattice.light, lattice.step_m, eyes, np.unique(heights_m), azimuths, np.radians(PITCHES_DEG), sun_azimuth
+        lattice.height_m,
+        lattice.brightness,
+        lattice.step_m,
+        eyes,
+        np.unique(heights_m),
+        azimuths,
+        np.radians(PITCHES_DEG),
+        sun_azimuth,
     )
     if not scores.max() > 0.0:
         return None
@@ -137,7 +144,7 @@ def _level_coordinates(world: World, elevation: Elevation, points_earth_m: np.nd
 def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     """Return the lattice of the level, or of its most rugged part where the level is wider than the searched part."""
     cell_m = elevation.cell_size_m(world.metres_per_unit)
-    widest_m = max(MAX_VIEWED_M, MAX_VIEWED_CELLS * cell_m)
+    widest_m = max(MAX_SEARCHED_SIDE_M, MAX_SEARCHED_SIDE_CELLS * cell_m)
     row, col = (elevation.rows - 1) / 2, (elevation.cols - 1) / 2
     if max(elevation.rows, elevation.cols) * cell_m > widest_m:
         row, col = _most_rugged_cell(world, elevation, sun, widest_m / cell_m)

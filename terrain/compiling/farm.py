@@ -177,7 +177,7 @@ class _Queue:
         self._sorter.prepare()
         self._ready: list[int] = []
 
-    def _urgency(self, number: int) -> tuple[int, int]:
+    def _priority(self, number: int) -> tuple[int, int]:
         return -self._tasks[number].product_index, self._chain_bytes[number]
 
     @property
@@ -187,7 +187,7 @@ class _Queue:
 
     def take(self) -> int | None:
         """Return the number of the next task, or ``None`` if all remaining tasks wait for their callees."""
-        self._ready = sorted([*self._ready, *self._sorter.get_ready()], key=self._urgency)
+        self._ready = sorted([*self._ready, *self._sorter.get_ready()], key=self._priority)
         return self._ready.pop() if self._ready else None
 
     def finish(self, number: int) -> None:

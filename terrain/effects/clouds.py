@@ -31,7 +31,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of, night_sky_share
 from skugga.terrain.shading_loops import twilight_sky_share
 
-CLOUD_HEIGHT_M, CLEARANCE_M = 1500.0, 500.0
+CLOUD_HEIGHT_M, CLOUD_CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
 
 DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
@@ -57,7 +57,7 @@ MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
 NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
 """Upper bound of the sum of all octaves."""
 
-FADE_RANGE = 1 / 16, 1 / 2
+FADE_WAVELENGTH_SHARES = 1 / 16, 1 / 2
 """Pixel sizes, as shares of ``COARSEST_WAVELENGTH_M``, between which clouds fade into their mean density."""
 
 INVISIBLE_SHARE = 0.008
@@ -121,7 +121,7 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
     centre = np.array([0.0, 0.0, -1e12]) if world.flat else -anchor_from_earth @ world.anchor_earth_m
     return CloudLayer(
         cover, threshold_of(cover), 1.0 - CLOUD_TRANSMITTANCE * (1.0 - cover**4),
-        max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLEARANCE_M),
+        max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLOUD_CLEARANCE_M),
         anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.seconds * np.array(DRIFT_M_PER_S),
     )  # fmt: skip
 
@@ -206,7 +206,13 @@ def _layer_position(x, y, z, height, layer_m, to_sun, centre, drift):
 
 @compiled
 def _fade_share(pixel_m):
-    return min(max((pixel_m / COARSEST_WAVELENGTH_M - FADE_RANGE[0]) / (FADE_RANGE[1] - FADE_RANGE[0]), 0.0), 1.0)
+    return min(
+        max(
+            (pixel_m / COARSEST_WAVELENGTH_M - FADE_WAVELENGTH_SHARES[0]) / (FADE_WAVELENGTH_SHARES[1] - FADE_WAVELENGTH_SHARES[0]),
+            0.0,
+        ),
+        1.0,
+    )
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:

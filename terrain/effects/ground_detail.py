@@ -40,10 +40,10 @@ HUE_SHIFT = (0.55, 0.0, -0.85)
 drier.
 """
 
-HUE_WAVES = 3
+HUE_WAVE_COUNT = 3
 """Number of waves that change the hue, longest first."""
 
-FLAT_GROUND_FACTOR = 0.45
+FLAT_GROUND_AMPLITUDE_FACTOR = 0.45
 """Factor of all amplitudes on level ground without tints, for example a floor or a square."""
 
 DETAIL_SEED = 71
@@ -110,7 +110,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 def max_albedo_change(pixel_m: float) -> float:
     """Return an upper bound of the relative change of the albedo where pixels are ``pixel_m`` metres wide."""
     visible_amplitudes = [amplitude * _resolved_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
-    return float(MAX_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT)) * sum(visible_amplitudes[:HUE_WAVES])))
+    return float(MAX_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT)) * sum(visible_amplitudes[:HUE_WAVE_COUNT])))
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
@@ -124,7 +124,7 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
         _apply_detail,
         albedo,
         _detail(buffer, scene, view),
-        1.0 if high > low else FLAT_GROUND_FACTOR,
+        1.0 if high > low else FLAT_GROUND_AMPLITUDE_FACTOR,
         np.array(HUE_SHIFT),
     )
 
@@ -210,7 +210,7 @@ def _add_waves(x, y, pixel_width_m, waves, column, out):
         for n in range(x.size):
             value = _resolved_share(wave, pixel_width_m[n]) * waves[k, 1] * noise[n]
             out[column[n], 0] += value
-            if k < HUE_WAVES:
+            if k < HUE_WAVE_COUNT:
                 out[column[n], 1] += value
 
 

@@ -17,7 +17,7 @@ mean is (1 - exp(-z / H)) H / z of the density at the ground. Ground is therefor
 **Colour.** V refers to green light. The air itself scatters at most 13.6e-6 / m of green light, and this part of b is proportional
 to the inverse fourth power of the wavelength (J. W. Strutt, Lord Rayleigh 1871). Scattering by dust and droplets hardly depends on
 the wavelength. Distant ridges are therefore blue in clear air and grey in mist. A level that sets no visibility has clear air
-(``CLEAR_AIR_M``).
+(``CLEAR_AIR_VISIBILITY_M``).
 
 **Visibility threshold.** The encoder to sRGB rounds linear colours to bins that are 1/4096 wide, 0.8 of a step of 1/255 at black.
 Two linear colours x < y look alike if the sRGB codes of all bins that they can fall into differ by at most one of 255. The slope of
@@ -57,7 +57,7 @@ from skugga.terrain.srgb import srgb_of_linear
 THRESHOLD_CONTRAST = 0.02
 """Contrast of a black object with the horizon at the distance that defines the visibility."""
 
-CLEAR_AIR_M = 100_000.0
+CLEAR_AIR_VISIBILITY_M = 100_000.0
 """Default visibility: clear weather, without the dust of a dry summer."""
 
 SCALE_HEIGHT_M = 8000.0
@@ -69,10 +69,10 @@ RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 ENCODER_BIN_WIDTH = 1.0 / 4096.0
 """Width of the bins of linear colour in ``skugga.terrain.shading.srgb_encoded``."""
 
-TESTED_SHARES = np.geomspace(1e-5, 1.0, 2048)
+TESTED_LIGHT_SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Shares of light that the tests of visibility try, each 0.6 % larger than the one before."""
 
-SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
+SAMPLED_PIXEL_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 """Possible shares of a pixel that a surface fills, by the pixel's samples (``skugga.terrain.gbuffer.antialias``)."""
 
 
@@ -119,10 +119,10 @@ def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
     if visibility_m is not None:
         return visibility_m
     if isinstance(view, MapView):
-        return CLEAR_AIR_M
+        return CLEAR_AIR_VISIBILITY_M
     height_m = float(view.eye_earth_m[2] if scene.world.flat else geodetic(view.eye_earth_m, scene.world.ellipsoid)[2])
     up = max(height_m - scene.height_range_m[0], 1e-3) / SCALE_HEIGHT_M
-    return CLEAR_AIR_M * up / -float(np.expm1(-up))
+    return CLEAR_AIR_VISIBILITY_M * up / -float(np.expm1(-up))
 
 
 def extinction(visibility_m: float) -> float:
@@ -225,12 +225,12 @@ def _max_hiding_transmittance(horizon: tuple[float, ...], white: tuple[float, ..
 
     ``horizon`` and ``white`` are the linear colours of the horizon and of a white surface in sunlight.
     """
-    air = (1.0 - TESTED_SHARES)[:, None] * np.array(horizon)
-    lit = air + TESTED_SHARES[:, None] * np.array(white)
+    air = (1.0 - TESTED_LIGHT_SHARES)[:, None] * np.array(horizon)
+    lit = air + TESTED_LIGHT_SHARES[:, None] * np.array(white)
     is_indistinguishable = np.logical_and.reduce(
-        [_look_alike(covered_share * air, covered_share * lit) for covered_share in SAMPLE_SHARES]
+        [_look_alike(covered_share * air, covered_share * lit) for covered_share in SAMPLED_PIXEL_SHARES]
     )
-    return float(TESTED_SHARES[is_indistinguishable].max(initial=TESTED_SHARES[0]))
+    return float(TESTED_LIGHT_SHARES[is_indistinguishable].max(initial=TESTED_LIGHT_SHARES[0]))
 
 
 @cached("process", MIB)
@@ -240,9 +240,9 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
     Black and white are tested. The test on black uses the brightest colour of the horizon, the test on white the darkest.
     """
     black = np.zeros((1, len(darkest)))
-    is_indistinguishable = _look_alike(black, TESTED_SHARES[:, None] * brightest)
-    is_indistinguishable &= _look_alike(1.0 - TESTED_SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
-    return float(TESTED_SHARES[is_indistinguishable].max(initial=TESTED_SHARES[0]))
+    is_indistinguishable = _look_alike(black, TESTED_LIGHT_SHARES[:, None] * brightest)
+    is_indistinguishable &= _look_alike(1.0 - TESTED_LIGHT_SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
+    return float(TESTED_LIGHT_SHARES[is_indistinguishable].max(initial=TESTED_LIGHT_SHARES[0]))
 
 
 def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:

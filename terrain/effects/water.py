@@ -50,12 +50,12 @@ from skugga.terrain.shading import (
 from skugga.terrain.shading_loops import tone_curve, twilight_sky_share
 from skugga.terrain.sky import sky_color, sky_of
 
-WIND_M_S = 3.0
+WIND_SPEED_M_S = 3.0
 """A light breeze."""
 
-MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_M_S
+MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_SPEED_M_S
 
-NORMAL_FRESNEL = 0.02
+NORMAL_REFLECTANCE = 0.02
 """Fresnel reflectance at normal incidence: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
 MAX_PIXELS = 2_000_000
@@ -314,7 +314,7 @@ def _reflection_at(cosine, mean_square_slope):
     deviation = np.sqrt(0.5 * mean_square_slope)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
     eye_dot_normal = slope * np.sqrt(1.0 - cosine * cosine) + cosine
-    return NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * grazing, 2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine, area
+    return NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * grazing, 2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine, area
 
 
 @compiled
@@ -333,7 +333,7 @@ def _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope
     tilt = min((eye_up_cosine + sun_up_cosine) / bisector_length, 1.0)
     if (1.0 / (tilt * tilt) - 1.0) > 25.0 * mean_square_slope:  # only 1e-11 of the waves are so steep
         return 0.0
-    fresnel = NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
+    fresnel = NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
     slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / mean_square_slope) / (mean_square_slope * tilt**4)
     lit_area, _ = _visible_facets(sun_up_cosine, mean_square_slope)
     return fresnel * slopes * sun_up_cosine / (4.0 * area * lit_area) * min(np.degrees(sun_up_cosine), 1.0)

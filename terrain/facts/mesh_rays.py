@@ -37,7 +37,7 @@ class Bvh:
         Origin of the coordinates (3,), earth-fixed metres.
     extent_m
         Longest side of the bounding box of all triangles, metres.
-    low, high
+    box_low, box_high
         Minimum and maximum corner of each node's box (nodes, 3).
     first
         For an inner node i its first child; the second is ``first[i] + 1``. For a max_leaf_triangles its first triangle.
@@ -49,8 +49,8 @@ class Bvh:
 
     origin_earth_m: np.ndarray
     extent_m: float
-    low: np.ndarray
-    high: np.ndarray
+    box_low: np.ndarray
+    box_high: np.ndarray
     first: np.ndarray
     count: np.ndarray
     corner: np.ndarray
@@ -97,7 +97,7 @@ def _find_hits(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance (...) along each ray to the nearest or to any hit, infinite without one, and its triangle (...)."""
     start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
-    boxes = tree.low, tree.high, tree.first, tree.count
+    boxes = tree.box_low, tree.box_high, tree.first, tree.count
     hits = _trace(*boxes, tree.corner, tree.edge_a, tree.edge_b, start, directions, np.ravel(length_m), find_nearest)
     return hits[0].reshape(np.shape(length_m)), hits[1].reshape(np.shape(length_m))
 

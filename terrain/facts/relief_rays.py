@@ -35,7 +35,7 @@ class OverviewProbes:
         Fractional cell positions (n,).
     height_m
         Heights of the probes (n,), metres.
-    up
+    up_frame
         Up directions in the probes' frame (n, 3).
     row_from_frame, col_from_frame
         Gradients of the row and the column (n, 3): cells per metre along each axis of the probes' frame.
@@ -44,7 +44,7 @@ class OverviewProbes:
     row: np.ndarray
     col: np.ndarray
     height_m: np.ndarray
-    up: np.ndarray
+    up_frame: np.ndarray
     row_from_frame: np.ndarray
     col_from_frame: np.ndarray
 
@@ -110,13 +110,13 @@ def _is_occluded(
     def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.einsum("kij,ij->ki", a, b)
 
-    rise = dot(direction, probe_positions.up)
+    rise = dot(direction, probe_positions.up_frame)
     bend = world.curvature / 2.0
     return _trace_blocked(
         heights, tops, tops.max(), SKIP_BLOCK_CELLS,
         probe_positions.row + dot(start_offset, probe_positions.row_from_frame),
         probe_positions.col + dot(start_offset, probe_positions.col_from_frame),
-        probe_positions.height_m + dot(start_offset, probe_positions.up), dot(direction, probe_positions.row_from_frame),
+        probe_positions.height_m + dot(start_offset, probe_positions.up_frame), dot(direction, probe_positions.row_from_frame),
         dot(direction, probe_positions.col_from_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), MIN_OCCLUDER_CELLS,
     )  # fmt: skip

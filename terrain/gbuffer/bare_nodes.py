@@ -16,7 +16,7 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import NodeHeights, RefinedWindow, Surface
 from skugga.terrain.scene import Scene
 
-HALO = 2
+HALO_NODES = 2
 """Extra rows and columns of nodes on each side of a view."""
 
 MAX_BOUNDING_NODES = 33
@@ -35,8 +35,8 @@ class BareNodes:
     nodes_per_pixel
         Number of nodes along the side of a displayed pixel, which shows the mean of its nodes.
     surface
-        The nodes' heights, with ``HALO`` more nodes on each side. They include the rim, ground for one node beyond the raster. The
-        rim casts shadows, but is not visible (not ``valid``).
+        The nodes' heights, with ``HALO_NODES`` more nodes on each side. They include the rim, ground for one node beyond the
+        raster. The rim casts shadows, but is not visible (not ``valid``).
     position_frame_m
         float64 (2, n, 3), points whose bounds contain the ground, metres: some of the nodes, at the lowest and at the highest
         height of all nodes.
@@ -54,7 +54,7 @@ class BareNodes:
     @property
     def height_m(self) -> np.ndarray:
         """Heights (rows, cols) float32, metres, of the ground that casts shadows; NaN without such ground."""
-        return self.surface.height_m[HALO:-HALO, HALO:-HALO]
+        return self.surface.height_m[HALO_NODES:-HALO_NODES, HALO_NODES:-HALO_NODES]
 
     @property
     def columns(self) -> None:
@@ -63,7 +63,7 @@ class BareNodes:
     @property
     def shows_ground(self) -> np.ndarray:
         """bool (rows, cols), whether a node shows ground."""
-        return self.surface.valid[HALO:-HALO, HALO:-HALO]
+        return self.surface.valid[HALO_NODES:-HALO_NODES, HALO_NODES:-HALO_NODES]
 
 
 def bare_nodes(scene: Scene, view: MapView, nodes_per_pixel: int) -> BareNodes:
@@ -78,7 +78,9 @@ def bare_nodes(scene: Scene, view: MapView, nodes_per_pixel: int) -> BareNodes:
 def _bare_nodes(world: World, elevation: Elevation, view: MapView, nodes_per_pixel: int) -> BareNodes:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     row0, col0 = int(view.row0), int(view.col0)
-    heights = surface.height_window(row0 - HALO, col0 - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO, rim=True)
+    heights = surface.height_window(
+        row0 - HALO_NODES, col0 - HALO_NODES, view.rows + 2 * HALO_NODES, view.cols + 2 * HALO_NODES, rim=True
+    )
     row, col = (
         np.unique(np.rint(np.linspace(first, first + count - 1, MAX_BOUNDING_NODES)).astype(np.int64))
         for first, count in ((row0, view.rows), (col0, view.cols))

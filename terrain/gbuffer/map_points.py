@@ -161,12 +161,12 @@ def crease_at(facet_normals, is_cut_nw_se, row, col, normal):
 
 
 @internal
-def _crease_at_node(facet_normals, is_cut_nw_se, near_r, near_c, normal):
+def _crease_at_node(facet_normals, is_cut_nw_se, nearest_row, nearest_col, normal):
     """Return the largest distance between a unit normal (3,) and the unit normals of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
         down, right, half = k // 4, k // 2 % 2, k % 2
-        r, c = near_r - 1 + down, near_c - 1 + right
+        r, c = nearest_row - 1 + down, nearest_col - 1 + right
         # Only one facet of the quad has the node as a corner, unless the diagonal ends there.
         diagonal_ends_here = (down == right) == is_cut_nw_se[r, c]
         if not diagonal_ends_here and half != 1 - down:

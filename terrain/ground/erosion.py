@@ -3,7 +3,8 @@
 The equation is dz/dt = U - K A^0.5 S (A drained area, S slope), solved implicitly along the drainage tree: J. Braun and S. D.
 Willett (2013), "A very efficient O(n), implicit and parallel method to solve the stream power equation", Geomorphology
 180-181:170-179. A priority flood from the rim builds the tree, so no path ends in a pit: R. Barnes et al. (2014), "Priority-flood",
-Computers & Geosciences 62:117-127. A constant, ``HILLSIDE_AREA``, is added to A. Where A is smaller, slopes are those of hillsides.
+Computers & Geosciences 62:117-127. A constant, ``CHANNEL_HEAD_AREA_SHARE``, is added to A. Where A is smaller, slopes are those of
+hillsides.
 
 Main valleys form on a coarse grid, their tributaries on finer ones. Each refinement displaces the ground sideways by noise, so
 rivers meander instead of following eight directions.
@@ -25,7 +26,7 @@ STEPS_PER_REFINEMENT = (40, 20, 12, 8, 6)
 TIME_STEP = 0.25
 """Length of a step, in units of the time in which an uplift of 1 raises the ground by its longest side (K is 1)."""
 
-HILLSIDE_AREA = 1e-3
+CHANNEL_HEAD_AREA_SHARE = 1e-3
 """Area that drains through a channel's head, as a share of the square of the ground's longest side."""
 
 CREEP_FRACTION = 0.1
@@ -112,7 +113,7 @@ def _incise(height, uplift, order, receiver, cell):
         c, r = order[k], receiver[order[k]]
         if r != c:
             distance = cell * np.sqrt(float((c // cols - r // cols) ** 2 + (c % cols - r % cols) ** 2))
-            incision = TIME_STEP * np.sqrt(area[c] + HILLSIDE_AREA) / distance
+            incision = TIME_STEP * np.sqrt(area[c] + CHANNEL_HEAD_AREA_SHARE) / distance
             flat[c] = (flat[c] + TIME_STEP * lift[c] + incision * flat[r]) / (1.0 + incision)
 
 

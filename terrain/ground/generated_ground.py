@@ -30,7 +30,7 @@ ENGINEERING_CRS_WKT = (
 STRIP_ROWS = 128
 """Rows that a thread computes at a time."""
 
-COARSEST_CELLS = 48
+COARSEST_GRID_CELLS = 48
 """Cells along the longest side of the grid on which main valleys form."""
 
 MAX_HALVINGS = 4
@@ -48,10 +48,10 @@ MEANDER_CELLS, MEANDER_WAVELENGTH_CELLS = 1.1, 7.3
 It makes rivers wind: on the eroded grid they run in only eight directions.
 """
 
-GULLY_WAVELENGTH_CELLS, GULLY_SHARE = 3.0, 0.05
+GULLY_WAVELENGTH_CELLS, GULLY_HEIGHT_RATIO = 3.0, 0.05
 """Gullies: wavelength of their longest octave in cells of the eroded grid, and their height over wavelength times slope."""
 
-SEDIMENT_HEIGHTS, SEDIMENT_BLEND, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
+SEDIMENT_HEIGHTS, SEDIMENT_BLEND_HEIGHT, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
 """Valley fill of ``landscape``: its mean height and variation, its blend width to the hills, and the lake's share of the ground.
 
 Heights and width are shares of the relief.
@@ -114,7 +114,7 @@ def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
     y, x = (np.arange(cells + 1) / max(rows, cols) for cells in (rows, cols))
     floor = SEDIMENT_HEIGHTS[0] + SEDIMENT_HEIGHTS[1] * fractal(2.0 * x, 2.0 * y, 2, seed + 2)
     above = height - floor
-    filled = floor + 0.5 * (above + np.sqrt(above * above + SEDIMENT_BLEND**2))
+    filled = floor + 0.5 * (above + np.sqrt(above * above + SEDIMENT_BLEND_HEIGHT**2))
     lake = np.partition(filled.ravel(), int(LAKE_SHARE * filled.size))[int(LAKE_SHARE * filled.size)]
     return np.maximum(filled, lake).astype(np.float32)
 
@@ -126,13 +126,13 @@ def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndar
     side.
     """
     longest = max(rows, cols)
-    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS_FACTOR / COARSEST_CELLS)), 0, MAX_HALVINGS))
+    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS_FACTOR / COARSEST_GRID_CELLS)), 0, MAX_HALVINGS))
     # The shorter side gets cells in proportion, but enough for a valley.
-    nodes_y, nodes_x = (max(round(COARSEST_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
-    x, y = (np.arange(n) * (SURROUNDINGS_FACTOR / COARSEST_CELLS) for n in (nodes_x, nodes_y))
+    nodes_y, nodes_x = (max(round(COARSEST_GRID_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
+    x, y = (np.arange(n) * (SURROUNDINGS_FACTOR / COARSEST_GRID_CELLS) for n in (nodes_x, nodes_y))
     start = 0.02 * fractal(6.0 * x, 6.0 * y, 3, seed + 10)
     eroded = erode(start, uplift(x, y), halvings, seed + 20)
-    scale = COARSEST_CELLS * 2**halvings / (SURROUNDINGS_FACTOR * longest)  # eroded cells per cell
+    scale = COARSEST_GRID_CELLS * 2**halvings / (SURROUNDINGS_FACTOR * longest)  # eroded cells per cell
     first_row, first_col = ((n - 1 - cells * scale) / 2 for n, cells in zip(eroded.shape, (rows, cols), strict=True))
     octaves = max(int(np.log2(GULLY_WAVELENGTH_CELLS / scale)), 0)  # down to wavelengths of two cells
     return _fill_strips(_add_roughness, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)
@@ -181,5 +181,5 @@ def _add_roughness(out, row0, eroded, first_row, first_col, scale, octaves, seed
             if octaves > 0:
                 slope = np.sqrt(slope_y * slope_y + slope_x * slope_x)
                 gullies = ridged_at(x / GULLY_WAVELENGTH_CELLS, y / GULLY_WAVELENGTH_CELLS, octaves, seed + 6) - 0.85
-                height += GULLY_SHARE * GULLY_WAVELENGTH_CELLS * slope * gullies
+                height += GULLY_HEIGHT_RATIO * GULLY_WAVELENGTH_CELLS * slope * gullies
             out[i, j] = height

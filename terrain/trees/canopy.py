@@ -190,7 +190,7 @@ class Canopy:
         crs: CRS,
         unit_m: float,
         window: CellWindow,
-        crown_of: Callable[[np.ndarray], np.ndarray],
+        crown_diameter_of: Callable[[np.ndarray], np.ndarray],
         radius_line: tuple[float, float],
         seed: int,
     ) -> Iterator[CanopyTrees]:
@@ -207,7 +207,7 @@ class Canopy:
             Unit of ``crs`` in metres.
         window
             The window of cells.
-        crown_of
+        crown_diameter_of
             Function from heights to usual crown diameters, both in metres.
         radius_line
             Radius of a treetop's window: metres, and metres per metre of height (``TREETOP_WINDOW_M``).
@@ -220,13 +220,13 @@ class Canopy:
             If the raster cannot be read, or its CRS cannot be transformed into ``crs``.
         """
         to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
-        detection_limit_m = _detection_limit_m(cell_m, crown_of, self.min_height_m)
+        detection_limit_m = _detection_limit_m(cell_m, crown_diameter_of, self.min_height_m)
         if self.min_height_m < TREE_HEIGHT_M:
             detection_limit_m = max(detection_limit_m, TREE_HEIGHT_M)  # hedges and vines have no single tops
         if detection_limit_m > self.min_height_m:
             side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):
-                yield from self._scatter_low_trees(crs, unit_m, square, crown_of, detection_limit_m, seed)
+                yield from self._scatter_low_trees(crs, unit_m, square, crown_diameter_of, detection_limit_m, seed)
         if np.isinf(detection_limit_m):
             return
         for row, col, height_m in self.treetops(to_m, window, radius_line):
@@ -313,7 +313,7 @@ class Canopy:
         crs: CRS,
         unit_m: float,
         square: shapely.Polygon,
-        crown_of: Callable[[np.ndarray], np.ndarray],
+        crown_diameter_of: Callable[[np.ndarray], np.ndarray],
         below_m: float,
         seed: int,
     ) -> Iterator[CanopyTrees]:
@@ -324,11 +324,11 @@ class Canopy:
         west, south, _, _ = square.bounds
         origin, step, heights = self._linear_map(crs, square)
         heights = np.where(heights < below_m, heights, 0.0)
-        edges_m = _height_classes(crown_of, self.min_height_m)
+        edges_m = _height_classes(crown_diameter_of, self.min_height_m)
         class_numbers = np.unique(np.searchsorted(edges_m, heights[heights > 0], side="right") - 1)
         for number in class_numbers.tolist():
             low_m, high_m = edges_m[number : number + 2]
-            crown_m = crown_of(np.sqrt([low_m * high_m]))[0]
+            crown_m = crown_diameter_of(np.sqrt([low_m * high_m]))[0]
             p = scatter_trees(square, HEXAGONAL_PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
             row, col = np.rint(origin[:, None] + step @ np.stack([p.x - west, p.y - south])).astype(np.int64)
             is_inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
@@ -377,22 +377,22 @@ def growing_space_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
     return cKDTree(points).query(points, k=CROWN_NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
 
 
-def _detection_limit_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
+def _detection_limit_m(cell_m: float, crown_diameter_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
     """Return the minimum height of trees that can be detected in cells of a size, metres.
 
     It is 0 if all trees can be detected, and infinite if none can.
     """
     heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
-    is_too_small = crown_of(heights) < MIN_CROWN_CELLS * cell_m
+    is_too_small = crown_diameter_of(heights) < MIN_CROWN_CELLS * cell_m
     if cell_m > MAX_DETECTION_CELL_M or is_too_small.all():
         return np.inf
     return float(heights[is_too_small][-1]) if is_too_small.any() else 0.0
 
 
-def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> np.ndarray:
+def _height_classes(crown_diameter_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> np.ndarray:
     """Return the edges of height classes, metres. Within a class crown diameters grow by at most a factor of sqrt(2)."""
     heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
-    octave = np.floor(2.0 * np.log2(crown_of(heights) / crown_of(heights[:1])))
+    octave = np.floor(2.0 * np.log2(crown_diameter_of(heights) / crown_diameter_of(heights[:1])))
     first = np.flatnonzero(np.diff(octave, prepend=-1.0) > 0)
     return np.append(heights[first], np.nextafter(MAX_HEIGHT_M, np.inf))
 

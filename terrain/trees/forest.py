@@ -77,7 +77,7 @@ HEIGHT_UNITS = with_unit_suffixes(("height", "tree_height", "measured_height", "
 CROWN_UNITS = with_unit_suffixes(("crown", "crown_diameter", "crown_width", "diameter_crown"))
 """Units of attributes with diameters of crowns."""
 
-VALID_RANGE_M = (0.1, 150.0)
+VALID_SIZE_RANGE_M = (0.1, 150.0)
 """Range of valid heights and crown diameters. Features outside of it are left out."""
 
 SAMPLES_PER_SIDE, GROUND_SAMPLES_PER_SIDE = 1024, 64
@@ -337,17 +337,17 @@ def _stand_features(
 
 
 def _valid_lengths_m(features: Features, attributes: Sequence[str], lengths: AttributeLengths) -> np.ndarray:
-    """Return lengths float64 (n,), metres, NaN where they are not in ``VALID_RANGE_M``.
+    """Return lengths float64 (n,), metres, NaN where they are not in ``VALID_SIZE_RANGE_M``.
 
     Raises ``SourceError`` if no length is valid.
     """
     check_lengths(features.name, lengths)
     with np.errstate(invalid="ignore"):
-        valid = (lengths.values_m >= VALID_RANGE_M[0]) & (lengths.values_m <= VALID_RANGE_M[1])
+        valid = (lengths.values_m >= VALID_SIZE_RANGE_M[0]) & (lengths.values_m <= VALID_SIZE_RANGE_M[1])
     if not valid.any():
         first_value = features.attributes[attributes[0]][0]
         problem = f"the attribute {attributes[0]} has no valid value ({first_value} ...)"
-        raise SourceError(features.name, problem, f"Use lengths from {VALID_RANGE_M[0]} m to {VALID_RANGE_M[1]:g} m")
+        raise SourceError(features.name, problem, f"Use lengths from {VALID_SIZE_RANGE_M[0]} m to {VALID_SIZE_RANGE_M[1]:g} m")
     return np.where(valid, lengths.values_m, np.nan)
 
 

@@ -38,7 +38,7 @@ _GOLDEN_GAMMA, _MIX_MULTIPLIER_1, _MIX_MULTIPLIER_2 = (
     np.uint64(0xBF58476D1CE4E5B9),
     np.uint64(0x94D049BB133111EB),
 )
-_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+_SHIFT_11, _SHIFT_27, _SHIFT_30, _SHIFT_31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +130,9 @@ def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Itera
 def _splitmix64(x):
     """Return splitmix64 of x (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
     x = x + _GOLDEN_GAMMA
-    x = (x ^ (x >> _S30)) * _MIX_MULTIPLIER_1
-    x = (x ^ (x >> _S27)) * _MIX_MULTIPLIER_2
-    return x ^ (x >> _S31)
+    x = (x ^ (x >> _SHIFT_30)) * _MIX_MULTIPLIER_1
+    x = (x ^ (x >> _SHIFT_27)) * _MIX_MULTIPLIER_2
+    return x ^ (x >> _SHIFT_31)
 
 
 @internal
@@ -143,7 +143,7 @@ def pair_key(seed, i, j):
 
 @internal
 def _uniform_number(key, stream):
-    return np.float64(_splitmix64(key ^ _splitmix64(np.uint64(stream))) >> _S11) * 2.0**-53
+    return np.float64(_splitmix64(key ^ _splitmix64(np.uint64(stream))) >> _SHIFT_11) * 2.0**-53
 
 
 @compiled

@@ -16,7 +16,7 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.haze import (
-    CLEAR_AIR_M,
+    CLEAR_AIR_VISIBILITY_M,
     EFFECT,
     ENCODER_BIN_WIDTH,
     RAYLEIGH_PER_M,
@@ -159,7 +159,7 @@ def test_air_is_clear_if_a_level_sets_no_visibility(make_floor_scene):
     with_default = hazed_colors(make_floor_scene(), color, np.array([9000.0]))
     up = EYE_M[2] / 8000.0
     with_visibility = hazed_colors(
-        make_floor_scene(weather={"visibility": CLEAR_AIR_M * up / -np.expm1(-up)}), color, np.array([9000.0])
+        make_floor_scene(weather={"visibility": CLEAR_AIR_VISIBILITY_M * up / -np.expm1(-up)}), color, np.array([9000.0])
     )
     np.testing.assert_allclose(with_default, with_visibility, rtol=1e-6)
     assert (with_default > color).all() and with_default[0, 2] > with_default[0, 1] > with_default[0, 0]
@@ -227,7 +227,7 @@ def test_hiding_distance_is_where_sunlight_ceases_to_show(make_floor_scene, alti
 
 
 def test_hiding_distance_is_long_in_clear_air_and_0_at_night(make_floor_scene):
-    assert 1.0 * CLEAR_AIR_M < hiding_distance_of_view_m(make_floor_scene()) < 3.0 * CLEAR_AIR_M
+    assert 1.0 * CLEAR_AIR_VISIBILITY_M < hiding_distance_of_view_m(make_floor_scene()) < 3.0 * CLEAR_AIR_VISIBILITY_M
     assert hiding_distance_of_view_m(make_floor_scene(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
     assert hiding_distance_of_view_m(make_floor_scene(weather={"visibility": 100}, sun="none")) == 0.0
 
@@ -251,7 +251,7 @@ def test_clear_air_visibility_grows_with_the_eye_s_height(make_floor_scene):
     for up_m in (10.0, 3000.0, 40_000.0):
         scene, z = make_floor_scene(eye=(0.0, -190.0, up_m)), (np.arange(20_000) + 0.5) * up_m / 20_000
         mean_density = np.exp(-z / 8000.0).mean()
-        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_M / mean_density, rel=1e-4)
+        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_VISIBILITY_M / mean_density, rel=1e-4)
         hazy_scene = make_floor_scene(eye=(0.0, -190.0, up_m), weather={"visibility": 5000})
         assert visibility_of(hazy_scene, hazy_scene.view("v")) == 5000.0
 

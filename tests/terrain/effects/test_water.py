@@ -168,7 +168,7 @@ def test_glint_carries_the_fresnel_share_of_sunlight(altitude_deg):
         return water._glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up_cosine
 
     power, _ = dblquad(radiance, 1e-3, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6, epsrel=1e-4)
-    flat = sun_up_cosine * (water.NORMAL_FRESNEL + (1.0 - water.NORMAL_FRESNEL) * (1.0 - sun_up_cosine) ** 5)
+    flat = sun_up_cosine * (water.NORMAL_REFLECTANCE + (1.0 - water.NORMAL_REFLECTANCE) * (1.0 - sun_up_cosine) ** 5)
     assert 0.8 * flat < power < 1.25 * flat
 
 
