@@ -55,7 +55,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     """
     facts = descriptor.facts["sky_view"]
     if not facts:
-        return Verdict(False, "the light of the sky is only known on the Earth")
+        return Verdict(False, "the level is not on the earth, so the light of its sky is unknown")
     hidden_share, darkening_steps = facts["hidden"], facts["steps"]
     assert isinstance(hidden_share, float) and isinstance(darkening_steps, float)
     if hidden_share == 0.0:

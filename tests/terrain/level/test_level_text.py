@@ -124,7 +124,7 @@ def test_at_most_a_hundred_errors_are_reported(level):
     with pytest.raises(LevelError) as caught:
         load_level(level(LEVEL_HEAD + "forest: [" + "{source: 1}," * 2_000 + "]"))
     lines = str(caught.value).split("\n")
-    assert len(lines) == 101 and lines[0].startswith(str(level("", "x").parent)) and lines[-1].endswith("more are wrong")
+    assert len(lines) == 101 and lines[0].startswith(str(level("", "x").parent)) and lines[-1].endswith("more errors")
 
 
 def test_all_of_a_few_errors_are_reported():
