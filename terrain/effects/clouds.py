@@ -145,21 +145,21 @@ def _distribution() -> tuple[np.ndarray, np.ndarray]:
     They are measured on a square whose side is 195 of the coarsest wavelengths.
     """
     # Steps of the golden ratio have no common period with the lattice.
-    values = np.sort(_noise_on(np.arange(256) * 0.76393202250021))[::-1]
+    values = np.sort(_noise_on_grid(np.arange(256) * 0.76393202250021))[::-1]
     return (np.arange(values.size)[32::64] + 0.5) / values.size, values[32::64]
 
 
 @compiled
-def _noise_on(x):
+def _noise_on_grid(x):
     out = np.empty(x.size * x.size)
     for i in range(x.size):
         for j in range(x.size):
-            out[i * x.size + j] = _noise(x[j] * COARSEST_WAVELENGTH_M, x[i] * COARSEST_WAVELENGTH_M, -np.inf, np.inf)
+            out[i * x.size + j] = _cloud_noise(x[j] * COARSEST_WAVELENGTH_M, x[i] * COARSEST_WAVELENGTH_M, -np.inf, np.inf)
     return out
 
 
 @compiled
-def _noise(x_m, y_m, low, high):
+def _cloud_noise(x_m, y_m, low, high):
     """Return the sum of the noise's octaves at the place (``x_m``, ``y_m``) in the layer.
 
     The sum stops early once the remaining octaves cannot change whether it is below ``low`` or above ``high``.
@@ -183,11 +183,13 @@ def density_at(x_m, y_m, threshold):
 
     ``threshold`` is that of the ``CloudLayer``.
     """
-    return _density(_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold)
+    return _density_of_noise(
+        _cloud_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
+    )
 
 
 @compiled
-def _density(noise, threshold):
+def _density_of_noise(noise, threshold):
     return smoothstep_value((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5)
 
 
@@ -330,7 +332,7 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
     positions = _layer_positions(points @ scene.world.earth_from_anchor, heights, layer)
     # The margin allows for meridians that curve between the points.
-    return _box(positions, 0.001 * np.ptp(positions[np.isfinite(positions).all(axis=1)], axis=0).max())
+    return _position_bounds(positions, 0.001 * np.ptp(positions[np.isfinite(positions).all(axis=1)], axis=0).max())
 
 
 def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
@@ -350,7 +352,7 @@ def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseVi
     rise_m = _missed_object_height_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_ALTITUDE_SINE)
     octaves, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
     for near, far in pairwise(octaves) if len(octaves) > 1 else zip(octaves, octaves, strict=True):
-        west, east, south, north = _box(
+        west, east, south, north = _position_bounds(
             positions[(octave == near) | (octave == far)], coarse_view.spacing_tangent * 2.0**far + rise_m
         )
         box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
@@ -370,7 +372,7 @@ def _missed_object_height_m(scene: Scene, coarse_view: CoarseView) -> float:
     return 0.0 if trees is None else float(trees.height_m.max())
 
 
-def _box(positions: np.ndarray, margin_m: float) -> CloudBounds:
+def _position_bounds(positions: np.ndarray, margin_m: float) -> CloudBounds:
     low, high = np.nanmin(positions, axis=0) - margin_m, np.nanmax(positions, axis=0) + margin_m
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
@@ -395,7 +397,7 @@ def _positions_of_points(points, height, layer_m, to_sun, centre, drift):
 def _max_density(west: float, east: float, south: float, north: float, threshold: float) -> float:
     """Return an upper bound of the cloud density in a box."""
     return float(
-        _density(
+        _density_of_noise(
             _max_noise(west, east, south, north, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
         )
     )
@@ -421,7 +423,7 @@ def _max_noise(west, east, south, north, low, high):
             while count > 0:
                 count -= 1
                 x, y, half_x, half_y = cells[count, 0], cells[count, 1], cells[count, 2], cells[count, 3]
-                value = _noise(x, y, -np.inf, np.inf)
+                value = _cloud_noise(x, y, -np.inf, np.inf)
                 radius = np.sqrt(half_x * half_x + half_y * half_y)
                 max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_WAVELENGTH_M
                 for _ in range(CLOUD_OCTAVES):

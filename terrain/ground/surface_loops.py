@@ -137,12 +137,11 @@ def interpolate_nodes(exact, first_row, first_col, stride, row0, col0, rows, col
 def write_axis_coordinates(
     base, slope, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, row_stride, col_stride
 ):
-    """Write the coordinates (rows, cols) of nodes at their heights into an array described by ``skugga.terrain.ground.surface``'s
-    ``_memory_layout``.
+    """Write the coordinates (rows, cols) of nodes at their heights into an array.
 
-    ``base`` (m, n) are the coordinates of exact nodes at height 0, and ``slope`` (m, n) their change per metre of height. Sums
-    follow the order of ``interpolate_nodes``. ``height`` has the heights of the nodes or, if ``refined``, those of the coarser
-    grid.
+    ``flat``, ``start``, ``row_stride`` and ``col_stride`` are the array's memory, and its offset and strides in values. ``base``
+    (m, n) are the coordinates of exact nodes at height 0, and ``slope`` (m, n) their change per metre of height. Sums follow the
+    order of ``interpolate_nodes``. ``height`` has the heights of the nodes or, if ``refined``, those of the coarser grid.
     """
     refined_heights = np.empty(cols, np.float32)
     bases, slopes = np.empty(base.shape[1]), np.empty(base.shape[1])

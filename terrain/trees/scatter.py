@@ -89,7 +89,7 @@ def scatter_trees(
     )
 
 
-def join_positions(sets: list[TreePositions]) -> tuple[TreePositions, np.ndarray]:
+def join_positions(position_sets: list[TreePositions]) -> tuple[TreePositions, np.ndarray]:
     """Join sets of positions, without duplicates and sorted by hash.
 
     Returns
@@ -97,15 +97,15 @@ def join_positions(sets: list[TreePositions]) -> tuple[TreePositions, np.ndarray
     places, first
         The positions, and their indices in the concatenated sets.
     """
-    all_places = _concatenate_positions(sets)
+    all_places = _concatenate_positions(position_sets)
     key, first = np.unique(all_places.key, return_index=True)
     return TreePositions(all_places.x[first], all_places.y[first], key), first
 
 
-def _concatenate_positions(sets: list[TreePositions]) -> TreePositions:
-    if not sets:
+def _concatenate_positions(position_sets: list[TreePositions]) -> TreePositions:
+    if not position_sets:
         return TreePositions(np.empty(0), np.empty(0), np.empty(0, np.uint64))
-    return TreePositions(*(np.concatenate([getattr(positions, name) for positions in sets]) for name in ("x", "y", "key")))
+    return TreePositions(*(np.concatenate([getattr(positions, name) for positions in position_sets]) for name in ("x", "y", "key")))
 
 
 def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[TreePositions]:

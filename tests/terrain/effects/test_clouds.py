@@ -115,8 +115,8 @@ def test_max_density_bounds_every_place_in_a_box(west: float, south: float, side
 def test_skipped_noise_octaves_do_not_change_the_density() -> None:
     threshold = threshold_of(0.3)
     for x in range(0, 40_000, 997):
-        full_noise = clouds._noise(float(x), 0.7 * x, -np.inf, np.inf)
-        assert density_at(float(x), 0.7 * x, threshold) == clouds._density(full_noise, threshold)
+        full_noise = clouds._cloud_noise(float(x), 0.7 * x, -np.inf, np.inf)
+        assert density_at(float(x), 0.7 * x, threshold) == clouds._density_of_noise(full_noise, threshold)
 
 
 def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> None:
